@@ -95,7 +95,7 @@ def collect(frames: int) -> tuple[list[Past], Array, NDArray[np.str_]]:
         for frame, tracker, person in track_scene(scene, models, config):
             if person.predicted or frame < WARM_UP or frame % STEP:
                 continue
-            (track,) = tracker.snapshot().tracks
+            (track,) = tracker.tracks
             upward = None if tracker.vertical is None else tracker.vertical.direction
             pasts.append(sample_past(track, tracker.models[track.solved.model_name], upward))
             persons.append(rows[trial]['subject'])

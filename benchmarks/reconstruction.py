@@ -20,7 +20,7 @@ from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.people import MotionKind, Person3D
 from mocap_ros.skeleton import CMU15
-from mocap_ros.tracking.seen_frames import SeenFrames
+from mocap_ros.tracking.track import Track
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.units import NS_PER_S
 
@@ -47,7 +47,7 @@ class TrackedSequence:
     std: Array
     inferred: NDArray[np.bool_]
     kinds: list[MotionKind]
-    newest: list[SeenFrames | None]
+    newest: list[Track | None]
 
 
 def list_people(view: View, person_id: str = 'p') -> list[Person2D]:
@@ -73,12 +73,12 @@ def track(view: View, models: Models, config: Config) -> TrackedSequence:
     joints = np.full((view.frames, JOINTS, 3), np.nan)
     std, inferred = np.full(joints.shape[:2], np.nan), np.zeros(joints.shape[:2], bool)
     kinds: list[MotionKind] = []
-    newest: list[SeenFrames | None] = []
+    newest: list[Track | None] = []
     frames = [[p] for p in list_people(view)]
     for tracker, people in track_people(frames, times, view.intrinsics, models, config):
         is_seen = bool(people) and not people[0].predicted
         kinds.append(people[0].motion.kind if people else MotionKind.UNKNOWN)
-        newest.append(tracker.snapshot().tracks[0].seen if is_seen else None)
+        newest.append(tracker.tracks[0].copy() if is_seen else None)
         if people:
             at = stamps.index(tracker.output_stamp_ns)
             joints[at], std[at] = people[0].joints[:JOINTS], people[0].std[:JOINTS]

@@ -40,7 +40,7 @@ from mocap_ros.models.velocity_correction import (
 from mocap_ros.npz_file import write_npz
 from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CMU15
-from mocap_ros.tracking.core_motion import CORRECTED_STD, CORRECTION_STD, find_motion, sample_velocity_past
+from mocap_ros.tracking.output import CORRECTED_STD, CORRECTION_STD, find_motion, sample_velocity_past
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.units import NS_PER_S
 
@@ -83,8 +83,8 @@ def collect(frames: int) -> tuple[list[VelocityPast], Array, NDArray[np.str_]]:
             people = tracker.update(stamp_ns, [seen], scene.view.intrinsics)
             done += 1
             if people and not people[0].tentative and not people[0].predicted and frame >= WARM_UP:
-                (track,) = tracker.snapshot().tracks
-                model, newest = tracker.models[track.solved.model_name], len(track.seen.stamps_ns) - 1
+                (track,) = tracker.tracks
+                model, newest = tracker.models[track.solved.model_name], track.newest
                 past = sample_velocity_past(track, model, find_motion(track, newest, model))
                 if past is not None and np.isfinite(past.std).all():
                     pasts.append(past)

@@ -25,6 +25,15 @@ averaged, robustly, with weights that last as long as the person is known; frame
 
 with x_0 = 0, or the logarithm of a height that is known of the person, over the assumed one.
 A foot on a step would make a person larger than anybody is: such frames count for nothing.
+
+The covariance of the root's position has three parts: that of its joints, that of the person's size, which has
+the relative standard deviation s and moves the body along the line of sight u at the distance d, and that of the
+focal length, which has the relative standard deviation t and moves the body along the optical axis e at the depth
+z:
+
+    C = (F std)^2 (I / 6 + u u^T / 2) + (s d)^2 u u^T + (t z)^2 e e^T    (the first term: `models/joint_std.py`)
+
+with std that of the hips, and F = `ROOT_FACTOR`.
 """
 
 from __future__ import annotations
@@ -39,13 +48,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.compiled.kernel import FLOAT, FLOATS_2D, INPUT_1D, kernel
 from mocap_ros.config import TrackerConfig
 from mocap_ros.copying import copy_with
 from mocap_ros.errors import ConfigError
 from mocap_ros.geometry.level import Floor
+from mocap_ros.models.joint_std import spread_along_sight
 from mocap_ros.people import HIPS, Person3D
 from mocap_ros.skeleton import CMU15
-from mocap_ros.tracking.core_motion import estimate_root_covariance
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -65,7 +75,7 @@ MAX_STEP_S = 0.2  # s; longest time that one frame stands for
 SIZE_RANGE = math.log(0.4), math.log(1.25)  # 1; range of ln r: from children of 0.7 m to adults of 2.1 m
 MIN_DROP_SHARE = 0.1  # of the camera's height; a foot that seems higher than this below the camera tells nothing
 FORGOTTEN_COMMA = re.compile(r'=\s*[\d.]+[\s;]')  # in what should be an id: a height is in it
-MAX_REMEMBERED = 200  # people whose size is remembered, the newest; bounds the memory
+ROOT_FACTOR = 1.1  # 1; detectors put both hips off the same way; chosen by the errors of training persons' roots
 ANKLES = CMU15.index('lankle'), CMU15.index('rankle')
 
 
@@ -88,7 +98,7 @@ ASSUMED = BodySize(1.0, math.hypot(0.12 / 1.7, POSE_SHARE))  # of adults, before
 
 @dataclass(frozen=True)
 class FloorContact:
-    """What feet on the floor have told of a person's size; it is immutable, and `advance` returns a new one.
+    """What feet on the floor say of a person's size; `advance` returns a new one.
 
     Attributes:
         mean: 1, the m of the module: mean of ln r.
@@ -211,3 +221,21 @@ def find_root_covariance(joints: Array, std: Array, size: BodySize) -> Array:
     """
     root = (joints[HIPS[0]] + joints[HIPS[1]]) / 2
     return estimate_root_covariance(root, std, size.share, size.focal_share) * size.ratio**2
+
+
+@kernel(FLOATS_2D(INPUT_1D, INPUT_1D, FLOAT, FLOAT))
+def estimate_root_covariance(root: Array, std: Array, share: float, focal_share: float) -> Array:
+    """Return the covariance (3, 3) m^2 of the place of a person (formula of the module).
+
+    Args:
+        root: (3,) m, the place in the camera's optical frame.
+        std: (J,) m, standard deviations of the person's joints; NaN if unknown.
+        share: s, standard deviation of the size as a share of it.
+        focal_share: t, that of the focal length as a share of it.
+    """
+    out = spread_along_sight(ROOT_FACTOR * (std[HIPS[0]] + std[HIPS[1]]) / 2, root)
+    for i in range(3):
+        for k in range(3):
+            out[i, k] += share**2 * root[i] * root[k]
+    out[2, 2] += (focal_share * root[2]) ** 2
+    return out

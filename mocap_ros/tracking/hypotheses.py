@@ -5,27 +5,32 @@
 
 Hypotheses are compared by -2 log evidence of the image points (`classification.minus_twice_log_evidence`), all
 under the same image noise. A hypothesis replaces the track's solution if its value is the lowest; one of another
-model must be lower by `EVIDENCE_MARGIN`. A check costs as much as several frames, so it is made in slices
-(`slices`), one or a few after each frame.
+model must be lower by `EVIDENCE_MARGIN`. Where there are lifted poses, the evidence does not say which prior is to
+lead; the image noise does, with either in the lead (`leading_prior`).
 
-Where there are lifted poses, the evidence does not tell which prior is to lead; the image noise does, with either
-in the lead (`leading_prior`).
+A check costs as much as several frames, so it is a generator of `Slices`, of which one or a few are done after
+each frame. It changes nothing, and returns the solution that the track, as it was at the beginning, has from now
+on.
 
-A check changes nothing: it returns the solution that the track, as it was at the beginning, has from now on.
+The cost of a slice is counted in elements of the solver's matrix: a step over F frames with n unknowns each, with
+its normal equations, costs F n^2, and `STEP_BASE` more for what does not grow with the window. It follows from the
+input and is no measured time, so it is the same whenever the same work is done.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import Config, SolverConfig
 from mocap_ros.errors import InputError
+from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
 from mocap_ros.geometry.interpolation import interpolate_linearly
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
@@ -48,22 +53,23 @@ from mocap_ros.solvers.joint.solver import (
     solve_stepwise,
     start_from_lifted_poses,
 )
-from mocap_ros.solvers.leading_prior import (
-    can_base_poses_lead,
-    explains_as_well,
-    let_base_poses_lead,
-)
+from mocap_ros.solvers.leading_prior import can_base_poses_lead, explains_as_well, let_base_poses_lead
 from mocap_ros.solvers.periodic.repetition import measure_best_repetition, measure_repetition
 from mocap_ros.solvers.periodic.solver import EstimatedPoses
+from mocap_ros.solvers.stepwise import Stepwise
 from mocap_ros.solvers.window import InitialValues, Window, choose_initial_values
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.schedule import Classification
-from mocap_ros.tracking.slices import Slices, compute_piece_cost, do_in_slices
-from mocap_ros.tracking.solution import TrackSolution
-from mocap_ros.tracking.solver_input import build_solver_window
+from mocap_ros.tracking.solution import TrackSolution, select_start
 from mocap_ros.tracking.track import Track
-from mocap_ros.units import NS_PER_S
 
+Result = TypeVar('Result')
+
+# Yields the cost of the slice that the next call of `next` will do, and returns the result at its end.
+Slices: TypeAlias = Generator[float, None, Result]
+
+STEP_BASE = 4000  # elements; what a step does once for all frames takes as long as so many of them
+PIECES_OF_STEP = 2  # the solvers do a step and its normal equations one after the other
 REINIT_MAX_ITERATIONS = 5  # steps of a solution from scratch; limits its time, the comparison refines it further
 MAX_STARTS = 2  # cameras that `solve_hypotheses` starts from at most; lifted poses leave one
 REINIT_COMPONENTS = 20  # base poses of a solution from scratch; limits its time, the comparison uses all of them
@@ -100,37 +106,30 @@ NOISE_RATIO = 0.88  # estimated noise over true image noise, of the base poses a
 NOISE_RATIO_WITH_LIFTER = 0.76  # the same ratio with the lifter's prior (CMU walks, docs/solvers.md)
 
 
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """A candidate explanation of some frames of a track.
+def slice_work(work: Stepwise[Result], frames: int, components: int, factor: float = 1.0) -> Slices[Result]:
+    """Do the pieces of a solver's work as slices, and return its result.
 
-    Attributes:
-        model_name: name of the base-pose model.
-        start: initial values of its solution.
-        noise: m, image noise of its solution; infinite if it was not estimated.
+    Args:
+        work: the work.
+        frames: number of frames of its window.
+        components: number of base poses.
+        factor: cost of a piece over one of the joint solver of this size.
     """
+    cost = factor * (STEP_BASE + frames * (components + CAMERA_UNKNOWNS) ** 2) / PIECES_OF_STEP
+    while True:
+        yield cost
+        try:
+            next(work)
+        except StopIteration as end:
+            return end.value
+
+
+class Hypothesis(NamedTuple):
+    """A candidate explanation of some frames of a track: the model, initial values, and the image noise in m."""
 
     model_name: str
     start: InitialValues
     noise: float
-
-
-@dataclass(frozen=True, eq=False)
-class CheckOutcome:
-    """Result of a hypothesis check.
-
-    Attributes:
-        solution: solution of the track from now on; its own if that is the likeliest.
-        is_replaced: whether a hypothesis replaced the track's own solution.
-        model_names: names of the models of the hypotheses that were compared, the track's own last.
-        minus_twice_log_evidence: value of each of these, up to a constant and without `EVIDENCE_MARGIN`; empty
-            where leading priors were compared.
-    """
-
-    solution: TrackSolution
-    is_replaced: bool
-    model_names: tuple[str, ...]
-    minus_twice_log_evidence: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,20 +144,14 @@ class HypothesisChecker:
     models: Mapping[str, BasePoses]
     config: Config
 
-    def remember_poses(self, memory: KeyPoseMemory, track: Track) -> KeyPoseMemory:
-        """Return the memory with some poses of a track that is lost.
-
-        Args:
-            memory: memory so far.
-            track: a solved track.
-        """
-        frames = track.seen.select_frames(KEY_POSE_STEP_S, self.config.tracker.window)
-        observed = track.seen.observed.select_frames(frames)
+    def remember_poses(self, memory: KeyPoseMemory, track: Track) -> None:
+        """Remember some poses of a solved track that is lost."""
+        frames = track.select_frames(KEY_POSE_STEP_S, self.config.tracker.window)
+        observed = track.observed.select_frames(frames)
         joints = track.solved.compute_joints(self.models[track.solved.model_name], frames)
         poses = observed.virtual_camera.to_virtual_camera(joints)
         for points, weight, pose in zip(observed.points, observed.weight, poses, strict=True):
-            memory = memory.remember(points, weight, pose)
-        return memory
+            memory.remember(points, weight, pose)
 
     def initialise(
         self, tracks: Sequence[Track], model_names: Sequence[str], memory: KeyPoseMemory
@@ -190,13 +183,13 @@ class HypothesisChecker:
         for track, own_fits in zip(tracks, fits, strict=True):
             evidence = [measure_evidence(fit, self.models[name], INITIAL_NOISE) for name, fit in own_fits]
             name, fit = own_fits[int(np.argmin(evidence))]
-            frames, observed = np.arange(len(track.seen.stamps_ns)), track.seen.observed
-            solutions.append(TrackSolution.interpolate(fit, observed, frames, name, self.models[name], None))
+            frames = np.arange(len(track.stamps_ns))
+            solutions.append(TrackSolution.interpolate(fit, track.observed, frames, name, self.models[name], None))
         return solutions
 
     def _build_first_window(self, track: Track, model: BasePoses) -> Window:
         """Return the frames of a new track as the input of a solver, with the same unit for all hypotheses."""
-        window = replace(track.seen.observed.build_solver_window(), noise=INITIAL_NOISE)
+        window = replace(track.observed.build_solver_window(), noise=INITIAL_NOISE)
         start, _ = choose_initial_values(
             start_from_lifted_poses(window, model), model, self.config.solver.start_window
         )
@@ -204,7 +197,7 @@ class HypothesisChecker:
 
     def _recall_start(self, track: Track, memory: KeyPoseMemory, model: BasePoses) -> InitialValues | None:
         """Return the remembered pose that a new track's newest frame looks like, for all its frames; or None."""
-        newest, count = track.seen.observed.select_frames(slice(-1, None)), len(track.seen.stamps_ns)
+        newest, count = track.observed.select_frames(slice(-1, None)), len(track.stamps_ns)
         recalled = memory.recall(newest.points[0], newest.weight[0])
         if recalled is None:
             return None
@@ -213,136 +206,105 @@ class HypothesisChecker:
         cameras = WeakPerspectiveCameras(np.full(count, recalled.scale), np.tile(rotation, (count, 1, 1)))
         return InitialValues(np.tile(theta, (count, 1)), cameras)
 
-    def reinitialise(self, track: Track, model_names: Iterable[str]) -> Slices[CheckOutcome]:
-        """Solve a track from scratch under some models, and find the likeliest hypothesis.
+    def check(self, track: Track, model_name: str) -> Slices[TrackSolution | None]:
+        """Check a track against a model; return the solution that replaces its own, or None.
+
+        The hypothesis is the track's own poses under that model. It is a solution from scratch if the model is the
+        track's own, if the track is new, or after a rise of the image noise.
 
         Args:
             track: a solved track.
-            model_names: names of the candidate models.
+            model_name: name of the model; empty to compare the leading priors instead.
         """
-        frames = self._select_check_frames(track)
-        window = self._build_window(track, frames)
-        window_without_start = replace(window, start=None, unit=None, noise=None)
+        if not model_name:
+            return (yield from self._compare_leads(track))
+        own, frames = track.solved, track.select_frames(CHECK_STEP_S, CHECK_SPAN_S)
+        observed, start = select_start(track.observed, own, frames)
+        window, model = observed.build_solver_window(start, own.noise), self.models[model_name]
+        if track.schedule.is_from_scratch(track.age_s) or model_name == own.model_name:
+            other = yield from self._solve_from_scratch(window, model_name, own)
+        else:
+            rotation, theta = own.convert_poses(self.models[own.model_name], model, frames)
+            converted = observed.convert_to_initial_values(theta, rotation, own.roots[frames])
+            other = Hypothesis(model_name, converted, own.noise)
+        hypotheses = other, Hypothesis(own.model_name, start, own.noise)
+        return (yield from self._choose_likelier(track, frames, window, hypotheses))
+
+    def _solve_from_scratch(self, window: Window, model_name: str, own: TrackSolution) -> Slices[Hypothesis]:
+        """Solve a window without its initial values under a model."""
+        model, frames = self.models[model_name], len(window.times)
         solver = replace(
-            self._choose_solver(track),
+            self._choose_solver(own.base_poses_lead),
             max_iterations=REINIT_MAX_ITERATIONS,
             components=REINIT_COMPONENTS,
             noise_floor=MIN_COMPARISON_NOISE,
         )
-        hypotheses = []
-        for name in model_names:
-            model = self.models[name]
-            solution = solve_hypotheses_stepwise([window_without_start], model, solver)
-            starts = MAX_STARTS if window.lifted is None else 1
-            cost = compute_piece_cost(starts * len(frames), min(REINIT_COMPONENTS, len(model.std)))
-            (fit,) = yield from do_in_slices(solution, cost)
-            unsolved = len(model.std) - fit.theta.shape[1]
-            theta = np.pad(fit.theta, [(0, 0), (0, max(unsolved, 0))])
-            hypotheses.append(Hypothesis(name, InitialValues(theta, fit.cameras), fit.noise))
-        return (yield from self._choose_likeliest(track, frames, window, hypotheses))
+        work = solve_hypotheses_stepwise([replace(window, start=None, unit=None, noise=None)], model, solver)
+        starts = MAX_STARTS if window.lifted is None else 1
+        (fit,) = yield from slice_work(work, starts * frames, min(REINIT_COMPONENTS, len(model.std)))
+        unsolved = max(len(model.std) - fit.theta.shape[1], 0)
+        return Hypothesis(
+            model_name, InitialValues(np.pad(fit.theta, [(0, 0), (0, unsolved)]), fit.cameras), fit.noise
+        )
 
-    def compare_models(self, track: Track, model_names: Iterable[str]) -> Slices[CheckOutcome]:
-        """Convert the poses of a solved track to other models, and find the likeliest hypothesis.
-
-        Args:
-            track: a solved track.
-            model_names: names of the candidate models; the track's own is compared in any case.
-        """
-        solution = track.solved
-        frames = self._select_check_frames(track)
-        observed = track.seen.observed.select_frames(frames)
-        model = self.models[solution.model_name]
-        hypotheses = []
-        for name in model_names:
-            if name != solution.model_name:
-                rotation, theta = solution.convert_poses(model, self.models[name], frames)
-                start = observed.convert_to_initial_values(theta, rotation, solution.roots[frames])
-                hypotheses.append(Hypothesis(name, start, solution.noise))
-        return (yield from self._choose_likeliest(track, frames, self._build_window(track, frames), hypotheses))
-
-    def compare_leads(self, track: Track) -> Slices[CheckOutcome]:
-        """Solve a track with either prior in the lead, from its own solution, and find out which is to lead.
-
-        Args:
-            track: a solved track.
-        """
-        own, frames = track.solved, self._select_check_frames(track)
-        kept = CheckOutcome(own, False, (own.model_name,), ())
-        if track.seen.observed.lifted is None or not can_base_poses_lead(own.model_name):
-            return kept
-        if len(frames) < MIN_LEAD_FRAMES:
-            return kept
-        name, window = own.model_name, self._build_window(track, frames)
-        led = yield from self._settle(window, name, self._lead(base_poses_lead=True))
-        by_lifter = yield from self._settle(window, name, self._lead(base_poses_lead=False))
-        slack = LEAD_SLACK if own.base_poses_lead else 1.0
-        base_poses_lead = explains_as_well(led.noise, by_lifter.noise, slack)
-        if base_poses_lead == own.base_poses_lead:
-            return kept
-        fit = led if base_poses_lead else by_lifter
-        solution = yield from self._adopt(track, frames, name, fit, base_poses_lead=base_poses_lead)
-        return CheckOutcome(solution, True, (name,), ())
-
-    def _settle(self, window: Window, model_name: str, solver: SolverConfig) -> Slices[JointReconstruction]:
-        """Return the solution of a window with initial values, after some rounds in which its noise settles."""
-        model, solver = self.models[model_name], replace(solver, max_iterations=COMPARISON_MAX_ITERATIONS)
-        cost = compute_piece_cost(len(window.times), len(model.std))
-        for _ in range(SETTLING_ROUNDS):
-            (fit,) = yield from do_in_slices(solve_stepwise([window], model, solver), cost)
-            window = replace(window, start=InitialValues(fit.theta, fit.cameras), noise=fit.noise)
-        return fit
-
-    def _lead(self, *, base_poses_lead: bool) -> SolverConfig:
-        """Return the parameters of the solver with one or the other prior in the lead."""
-        solver = self.config.solver
-        return let_base_poses_lead(solver) if base_poses_lead else solver
-
-    def _choose_solver(self, track: Track) -> SolverConfig:
-        """Return the parameters of the solver with the prior in the lead that leads in the track's solution."""
-        return self._lead(base_poses_lead=track.solved.base_poses_lead)
-
-    def _build_window(self, track: Track, frames: NDArray[np.intp]) -> Window:
-        """Return some frames of a solved track as the input of a solver."""
-        return build_solver_window(track.seen, track.solved, frames)
-
-    def _select_check_frames(self, track: Track) -> NDArray[np.intp]:
-        """Return the indices of the frames that are checked, some of the newest."""
-        return track.seen.select_frames(CHECK_STEP_S, CHECK_SPAN_S)
-
-    def _choose_likeliest(
-        self, track: Track, frames: NDArray[np.intp], window: Window, others: Sequence[Hypothesis]
-    ) -> Slices[CheckOutcome]:
-        """Return the likeliest of some hypotheses and the track's own solution.
+    def _choose_likelier(
+        self, track: Track, frames: NDArray[np.intp], window: Window, hypotheses: tuple[Hypothesis, Hypothesis]
+    ) -> Slices[TrackSolution | None]:
+        """Return the solution by another hypothesis if it is likelier than the track's own solution, or None.
 
         Args:
             track: a solved track.
             frames: (n,) indices of the frames to compare by, increasing.
-            window: these frames, with the track's own solution as initial values.
-            others: the other hypotheses.
+            window: these frames.
+            hypotheses: the other one, and the track's own solution.
         """
-        own, start = track.solved, window.start
-        if start is None:
-            raise ValueError(f'track {track.id}: the window has no initial values')
-        hypotheses = [*others, Hypothesis(own.model_name, start, own.noise)]
-        noise = min(h.noise for h in hypotheses)
-        solver = replace(self._choose_solver(track), max_iterations=COMPARISON_MAX_ITERATIONS)
+        other, own = hypotheses
+        base_poses_lead = track.solved.base_poses_lead
+        solver = replace(self._choose_solver(base_poses_lead), max_iterations=COMPARISON_MAX_ITERATIONS)
         fits = []
-        for h in hypotheses:
-            model, started = self.models[h.model_name], replace(window, start=h.start)
-            comparison = minus_twice_log_evidence_stepwise(started, model, noise, solver)
-            fit = yield from do_in_slices(comparison, compute_piece_cost(len(frames), len(model.std)))
-            fits.append(fit)
-        names = tuple(h.model_name for h in hypotheses)
-        evidence = tuple(value for value, _ in fits)
-        handicaps = [EVIDENCE_MARGIN if own.model_name != name else 0.0 for name in names]
-        likeliest = int(np.argmin(np.add(evidence, handicaps)))
-        if likeliest == len(others):
-            return CheckOutcome(own, False, names, evidence)
-        lead = own.base_poses_lead
-        solution = yield from self._adopt(
-            track, frames, names[likeliest], fits[likeliest][1], base_poses_lead=lead
-        )
-        return CheckOutcome(solution, True, names, evidence)
+        for hypothesis in hypotheses:
+            model, started = self.models[hypothesis.model_name], replace(window, start=hypothesis.start)
+            noise = min(other.noise, own.noise)
+            work = minus_twice_log_evidence_stepwise(started, model, noise, solver)
+            fits.append((yield from slice_work(work, len(frames), len(model.std))))
+        (evidence, fit), (own_evidence, _) = fits
+        margin = EVIDENCE_MARGIN if other.model_name != own.model_name else 0.0
+        if not evidence + margin <= own_evidence:
+            return None
+        return (yield from self._adopt(track, frames, other.model_name, fit, base_poses_lead))
+
+    def _compare_leads(self, track: Track) -> Slices[TrackSolution | None]:
+        """Solve a track with either prior in the lead, and return its solution if the other one is to lead."""
+        own, frames = track.solved, track.select_frames(CHECK_STEP_S, CHECK_SPAN_S)
+        if track.observed.lifted is None or not can_base_poses_lead(own.model_name):
+            return None
+        if len(frames) < MIN_LEAD_FRAMES:
+            return None
+        observed, start = select_start(track.observed, own, frames)
+        window = observed.build_solver_window(start, own.noise)
+        led = yield from self._settle(window, own.model_name, base_poses_lead=True)
+        by_lifter = yield from self._settle(window, own.model_name, base_poses_lead=False)
+        slack = LEAD_SLACK if own.base_poses_lead else 1.0
+        base_poses_lead = explains_as_well(led.noise, by_lifter.noise, slack)
+        if base_poses_lead == own.base_poses_lead:
+            return None
+        fit = led if base_poses_lead else by_lifter
+        return (yield from self._adopt(track, frames, own.model_name, fit, base_poses_lead))
+
+    def _settle(self, window: Window, model_name: str, *, base_poses_lead: bool) -> Slices[JointReconstruction]:
+        """Return the solution of a window with initial values, after some rounds in which its noise settles."""
+        model = self.models[model_name]
+        solver = replace(self._choose_solver(base_poses_lead), max_iterations=COMPARISON_MAX_ITERATIONS)
+        for _ in range(SETTLING_ROUNDS):
+            (fit,) = yield from slice_work(
+                solve_stepwise([window], model, solver), len(window.times), len(model.std)
+            )
+            window = replace(window, start=InitialValues(fit.theta, fit.cameras), noise=fit.noise)
+        return fit
+
+    def _choose_solver(self, base_poses_lead: bool) -> SolverConfig:
+        """Return the parameters of the solver with one or the other prior in the lead."""
+        return let_base_poses_lead(self.config.solver) if base_poses_lead else self.config.solver
 
     def _adopt(
         self,
@@ -350,21 +312,20 @@ class HypothesisChecker:
         frames: NDArray[np.intp],
         model_name: str,
         reconstruction: JointReconstruction,
-        *,
         base_poses_lead: bool,
     ) -> Slices[TrackSolution]:
         """Return the solution of a track that follows from a reconstruction of some of its frames, refined."""
-        model, seen, earlier = self.models[model_name], track.seen, track.solved
+        model, observed, earlier = self.models[model_name], track.observed, track.solved
         if earlier.model_name != model_name:
             earlier = earlier.change_model(self.models[earlier.model_name], model_name, model)
         interpolate = partial(TrackSolution.interpolate, base_poses_lead=base_poses_lead)
-        solution = interpolate(reconstruction, seen.observed, frames, model_name, model, earlier)
-        solver = replace(self._lead(base_poses_lead=base_poses_lead), max_iterations=ADOPTION_MAX_ITERATIONS)
-        frames = seen.select_frames(ADOPTION_STEP_S, self.config.tracker.window)
-        window = build_solver_window(seen, solution, frames)
-        refinement = solve_stepwise([window], model, solver)
-        (refined,) = yield from do_in_slices(refinement, compute_piece_cost(len(frames), len(model.std)))
-        return interpolate(refined, seen.observed, frames, model_name, model, solution)
+        solution = interpolate(reconstruction, observed, frames, model_name, model, earlier)
+        solver = replace(self._choose_solver(base_poses_lead), max_iterations=ADOPTION_MAX_ITERATIONS)
+        frames = track.select_frames(ADOPTION_STEP_S, self.config.tracker.window)
+        chosen, start = select_start(observed, solution, frames)
+        window = chosen.build_solver_window(start, solution.noise)
+        (refined,) = yield from slice_work(solve_stepwise([window], model, solver), len(frames), len(model.std))
+        return interpolate(refined, observed, frames, model_name, model, solution)
 
     def classify_motion(self, track: Track) -> Slices[Classification | None]:
         """Classify the newest section of a track's window as periodic or not (TPAMI 2016, section 4.9).
@@ -376,15 +337,12 @@ class HypothesisChecker:
             The kind of motion; None if a section is not almost full yet, or no model is periodic. Motion that
             does not repeat itself at any cadence is not periodic, whatever a model would say.
         """
-        section_s, stamps_ns = self._choose_section(track), track.seen.stamps_ns
-        duration_s = (stamps_ns[-1] - stamps_ns[0]) / NS_PER_S
+        section_s = min(self._choose_section(track), self.config.tracker.window)
         periodic_names = [n for n in PERIODIC_CATEGORIES if n in self.models]
-        if not periodic_names:
-            return None
-        if duration_s < MIN_SECTION_SHARE * min(section_s, self.config.tracker.window):
+        if not periodic_names or -track.times_s[0] < MIN_SECTION_SHARE * section_s:
             return None
         if not track.schedule.may_resume:  # a walk that has just gone on has hardly a cycle to repeat
-            repetition = measure_best_repetition(track.seen.times_s, track.solved.theta)
+            repetition = measure_best_repetition(track.times_s, track.solved.theta)
             if repetition < MIN_REPETITION:
                 return classify_as_other(track)
         for name in self._order_periodic_models(track, periodic_names):
@@ -417,7 +375,7 @@ class HypothesisChecker:
     def _measure_speed(self, track: Track) -> float:
         """Return the RMS speed in m/s of a track's joints about the body's origin, over its window."""
         solution, model = track.solved, self.models[track.solved.model_name]
-        times = track.seen.times_s
+        times = track.times_s
         later = np.arange(times[-1], times[0] + SPEED_STEP_S, -SPEED_STEP_S)
         if len(later) == 0:
             return 0.0
@@ -428,20 +386,16 @@ class HypothesisChecker:
     def _fit_periodic_motion(self, track: Track, name: str) -> Slices[Motion | None]:
         """Return the motion as one periodic model explains it; None if that model does not explain it."""
         settings = self.config.classifier
-        frames = track.seen.select_frames(CLASSIFICATION_STEP_S, self._choose_section(track))
-        window = self._build_window(track, frames)
-        if window.start is None:
-            return None
-        window_without_start = replace(window, start=None, unit=None, noise=None)
+        frames = track.select_frames(CLASSIFICATION_STEP_S, self._choose_section(track))
+        observed, start = select_start(track.observed, track.solved, frames)
         solver = replace(
             self.config.solver, components=settings.components, max_iterations=CLASSIFICATION_MAX_ITERATIONS
         )
-        poses = self._current_poses(track, window.start)
+        poses = self._current_poses(track, start)
         try:
-            fitting = fit_periodic_stepwise(window_without_start, {name: self.models[name]}, solver, poses)
-            fit = yield from do_in_slices(
-                fitting, PERIODIC_COST * compute_piece_cost(len(frames), settings.components)
-            )
+            window = observed.build_solver_window()
+            work = fit_periodic_stepwise(window, {name: self.models[name]}, solver, poses)
+            fit = yield from slice_work(work, len(frames), settings.components, PERIODIC_COST)
         except InputError:
             return None
         if not PeriodicSwitch(settings, track.schedule.is_periodic).update(fit):
@@ -457,16 +411,16 @@ class HypothesisChecker:
         """
         if classification.motion.kind is not MotionKind.PERIODIC:
             return True
-        times = track.seen.times_s
+        times = track.times_s
         return not measure_repetition(times, track.solved.theta, classification.motion.cadence) < MIN_REPETITION
 
     def _current_poses(self, track: Track, start: InitialValues) -> EstimatedPoses:
         """Return the poses of the track's solution, with the bias of its noise estimate removed."""
-        has_lifter = track.seen.observed.lifted is not None
+        has_lifter = track.observed.lifted is not None
         noise = track.solved.noise / (NOISE_RATIO_WITH_LIFTER if has_lifter else NOISE_RATIO)
         model = self.models[track.solved.model_name]
         joints = model.poses(start.theta) @ np.swapaxes(start.cameras.rotation, -1, -2)
-        times = track.seen.times_s
+        times = track.times_s
         images = track.solved.compute_joints(model, np.arange(len(times)))[..., :2]
         return EstimatedPoses(joints, start.cameras.scale, noise, measure_tremble(times, images))
 

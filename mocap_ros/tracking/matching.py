@@ -35,9 +35,7 @@ from mocap_ros.keypoints.association import (
     measure_distances,
 )
 from mocap_ros.skeleton import CMU15
-from mocap_ros.tracking.detection import Detection
-from mocap_ros.tracking.seen_frames import SeenFrames
-from mocap_ros.tracking.track import Track
+from mocap_ros.tracking.track import Detection, Track
 from mocap_ros.units import NS_PER_S
 
 GATE = 0.6  # person sizes (RMS radius, about 0.5 m of an adult); acrobats move less from frame to frame
@@ -63,12 +61,12 @@ class Matches:
     Attributes:
         detections: the detections of people, in their order, with their parts joined to them.
         tracks: the track of each of these detections; None for a detection of nobody known.
-        replaced_ids: ids of tracks whose id the detector has given to another person.
+        replaced: tracks whose id the detector has given to another person.
     """
 
     detections: tuple[Detection, ...]
     tracks: tuple[Track | None, ...]
-    replaced_ids: frozenset[str]
+    replaced: tuple[Track, ...]
 
 
 def match_detections(stamp_ns: int, tracks: Sequence[Track], detections: Sequence[Detection]) -> Matches:
@@ -79,8 +77,8 @@ def match_detections(stamp_ns: int, tracks: Sequence[Track], detections: Sequenc
         tracks: the tracked people.
         detections: the detections.
     """
-    expected = [_expect(t.seen, stamp_ns) for t in tracks]
-    age_s = np.array([(stamp_ns - t.seen.stamps_ns[-1]) / NS_PER_S for t in tracks])
+    expected = [_expect(t, stamp_ns) for t in tracks]
+    age_s = np.array([(stamp_ns - t.stamps_ns[-1]) / NS_PER_S for t in tracks])
     distances, growths = measure_distances(expected, [(d.rays, d.weight) for d in detections], _MIRROR)
     has_size = growths >= -(SIZE_GATE + SIZE_GATE_GROWTH_PER_S * age_s)
     matcher = _Matcher(tracks, detections, expected, age_s, distances, has_size)
@@ -91,11 +89,11 @@ def match_detections(stamp_ns: int, tracks: Sequence[Track], detections: Sequenc
     return matcher.finish()
 
 
-def _expect(seen: SeenFrames, stamp_ns: int) -> ExpectedPerson:
+def _expect(track: Track, stamp_ns: int) -> ExpectedPerson:
     """Return where a person is expected, from the frames of the last `VELOCITY_SPAN_S` before the newest."""
-    first = bisect_left(seen.stamps_ns, seen.stamps_ns[-1] - VELOCITY_SPAN_S * NS_PER_S)
-    age_s = np.array([stamp_ns - s for s in seen.stamps_ns[first:]]) / NS_PER_S
-    return expect_person(seen.rays[first:], seen.weight[first:], age_s)
+    first = bisect_left(track.stamps_ns, track.stamps_ns[-1] - VELOCITY_SPAN_S * NS_PER_S)
+    age_s = np.array([stamp_ns - s for s in track.stamps_ns[first:]]) / NS_PER_S
+    return expect_person(track.rays[first:], track.weight[first:], age_s)
 
 
 @dataclass(eq=False)
@@ -129,7 +127,7 @@ class _Matcher:
         # tracks by the id that the detector gave the person last, and by the person's in the output
         self.called: dict[str, list[int]] = {}
         for p, track in enumerate(self.tracks):
-            for name in {track.seen.given_id, track.id}:
+            for name in {track.given_id, track.id}:
                 self.called.setdefault(name, []).append(p)
 
     def match_near_ids(self) -> None:
@@ -156,7 +154,7 @@ class _Matcher:
         near = [p for p in called if self.has_size[d, p] and self.distances[d, p] <= gates[p]]
 
         def rank(p: int) -> tuple[bool, bool, float]:
-            return self.tracks[p].seen.given_id != name, self.tracks[p].is_tentative, self.distances[d, p]
+            return self.tracks[p].given_id != name, self.tracks[p].is_tentative, self.distances[d, p]
 
         return min(near, key=rank, default=None)
 
@@ -168,7 +166,7 @@ class _Matcher:
             return
         distances, age_s = self.distances[free_d][:, free_p], self.age_s[free_p]
         is_tentative = np.array([self.tracks[p].is_tentative for p in free_p])
-        has_steady_id = np.array([self.tracks[p].seen.given_id == self.tracks[p].id for p in free_p])
+        has_steady_id = np.array([self.tracks[p].given_id == self.tracks[p].id for p in free_p])
         has_new_id = np.array([self.detections[d].given_id != '' for d in free_d])
         gates = np.where(
             has_new_id[:, None] & has_steady_id & ~is_tentative, self.new_id_gates[free_p], self.gates[free_p]
@@ -228,7 +226,7 @@ class _Matcher:
         tracks = [self.tracks[self.track_of[d]] if d in self.track_of else None for d in people]
         unmatched = [p for p in range(len(self.tracks)) if p not in self.track_of.values()]
         new = [d for d in people if d not in self.track_of]
-        replaced = frozenset(self.tracks[p].id for p in unmatched if any(self._is_replaced(p, d) for d in new))
+        replaced = tuple(self.tracks[p] for p in unmatched if any(self._is_replaced(p, d) for d in new))
         return Matches(tuple(detections[d] for d in people), tuple(tracks), replaced)
 
     def _is_replaced(self, p: int, d: int) -> bool:

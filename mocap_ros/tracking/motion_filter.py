@@ -39,7 +39,6 @@ for tremble and for motion that is not seen or followed, which is much in depth.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +46,7 @@ from numba import types, void
 from numpy.typing import NDArray
 
 from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, FLOATS_3D, INPUT_1D, INPUT_2D, INPUT_3D, kernel
+from mocap_ros.people import HIPS
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -89,65 +89,55 @@ _X, _V, _SECOND, _SPEED, _VARIANCE = range(5)
 STATE_ROWS = 5  # as many as these
 
 
-class FilteredMotion(NamedTuple):
-    """What the filter of a person says of a frame.
+class CoreMotion(NamedTuple):
+    """The core of a person and its velocity in one frame, in the camera's optical frame.
 
     Attributes:
-        joints: (J, 3) m, joints.
-        root: (3,) m, their mean.
-        velocity: (J, 3) m/s, velocity of each joint.
-        velocity_variance: (J, 3) m^2/s^2, variance of each coordinate of it: that of a joint's own and of the
-            centre's.
+        joints: (J, 3) m.
+        root: (3,) m, position of the body's origin, which is the mean of its joints.
+        velocity: (J, 3) m/s; NaN if unknown.
+        velocity_std: (J,) m/s, standard deviation of each joint's velocity; NaN if unknown.
+        root_velocity_covariance: (3, 3) m^2/s^2, covariance of the velocity of the place between the hips; NaN if
+            unknown.
     """
 
     joints: Array
     root: Array
     velocity: Array
-    velocity_variance: Array
+    velocity_std: Array
+    root_velocity_covariance: Array
 
 
-@dataclass(frozen=True, eq=False)
 class MotionFilter:
-    """The filter of one person; it is immutable, and `advance` returns a new one.
+    """The filter of one person.
+
+    Args:
+        stamp_ns: ns, stamp of the first frame.
+        joints: (J, 3) m, joints in that.
 
     Attributes:
         stamps_ns: ns, stamps of the newest frames, up to `DIFFERENCE_FRAMES`.
         recent: (n, J + 1, 3) m, unfiltered points of these frames: the joints about their centre, then the centre.
         state: (5, J + 1, 3) of each coordinate: x in m, v in m/s, the mean squares of the second differences in
             m^2 and of v in m^2/s^2, and the variance of v in m^2/s^2.
+        motion: the filtered motion in the newest frame.
     """
 
-    stamps_ns: tuple[int, ...]
-    recent: Array
-    state: Array
+    def __init__(self, stamp_ns: int, joints: Array) -> None:
+        self._begin(stamp_ns, _split(joints))
 
-    @staticmethod
-    def begin(stamp_ns: int, joints: Array) -> MotionFilter:
-        """Return the filter of a person who was reconstructed for the first time.
+    def _begin(self, stamp_ns: int, points: Array) -> None:
+        self.stamps_ns: tuple[int, ...] = (stamp_ns,)
+        self.recent = points[None]
+        self.state = np.zeros((STATE_ROWS, *points.shape))
+        self.state[_X] = points
+        self.state[_SECOND] = DIFFERENCE_SQUARES * INITIAL_TREMBLE_M**2
+        self.state[_SPEED] = INITIAL_SPEED_M_S**2 / 3
+        self.state[_VARIANCE] = INITIAL_SPEED_M_S**2
+        self.motion = CoreMotion(*_read(self.state))
 
-        Args:
-            stamp_ns: ns, stamp of the frame.
-            joints: (J, 3) m.
-        """
-        points = _split(joints)
-        state = np.zeros((STATE_ROWS, *points.shape))
-        state[_X] = points
-        state[_SECOND] = DIFFERENCE_SQUARES * INITIAL_TREMBLE_M**2
-        state[_SPEED] = INITIAL_SPEED_M_S**2 / 3
-        state[_VARIANCE] = INITIAL_SPEED_M_S**2
-        return MotionFilter((stamp_ns,), points[None], state)
-
-    @property
-    def joints(self) -> Array:
-        """(J, 3) m, filtered joints of the newest frame."""
-        return self.read().joints
-
-    def read(self) -> FilteredMotion:
-        """Return the filtered motion at the newest frame."""
-        return FilteredMotion(*_read(self.state))
-
-    def advance(self, stamp_ns: int, joints: Array, image_noise: float) -> MotionFilter:
-        """Return the filter after a newer frame.
+    def advance(self, stamp_ns: int, joints: Array, image_noise: float) -> None:
+        """Go on to a newer frame.
 
         Args:
             stamp_ns: ns, stamp of the frame, later than the one before.
@@ -155,38 +145,40 @@ class MotionFilter:
                 solution has been found, and the filter begins anew.
             image_noise: m at the body, standard deviation of a coordinate of an image point.
         """
-        points = _split(joints)
-        if self._is_elsewhere(stamp_ns, points[-1]):
-            return MotionFilter.begin(stamp_ns, joints)
-        stamps_ns = (*self.stamps_ns[1 - DIFFERENCE_FRAMES :], stamp_ns)
-        recent = np.concatenate([self.recent[1 - DIFFERENCE_FRAMES :], points[None]])
-        if stamp_ns - stamps_ns[-2] > MAX_STEP_S * NS_PER_S:
-            stamps_ns, recent = stamps_ns[-2:], recent[-2:]
-        times = np.array([(s - stamp_ns) / NS_PER_S for s in stamps_ns])
-        return MotionFilter(
-            stamps_ns, recent, advance_state(self.state, recent, times, MAX_NOISE_SHARE * image_noise)
-        )
-
-    def _is_elsewhere(self, stamp_ns: int, centre: Array) -> bool:
-        """Return whether a centre (3,) m is farther away than a person moves and a depth trembles."""
-        old, new = self.state[_X, -1].tolist(), centre.tolist()
+        points, old = _split(joints), self.state[_X, -1].tolist()
         moved = MAX_SPEED_M_S * (stamp_ns - self.stamps_ns[-1]) / NS_PER_S
-        return math.dist(old, new) > MAX_DEPTH_CHANGE * abs(old[2]) + moved
+        if math.dist(old, points[-1].tolist()) > MAX_DEPTH_CHANGE * abs(old[2]) + moved:
+            self._begin(stamp_ns, points)
+            return
+        kept = 1 - (DIFFERENCE_FRAMES if stamp_ns - self.stamps_ns[-1] <= MAX_STEP_S * NS_PER_S else 2)
+        self.stamps_ns = (*self.stamps_ns[kept:], stamp_ns)
+        self.recent = np.concatenate([self.recent[kept:], points[None]])
+        times = np.array([(s - stamp_ns) / NS_PER_S for s in self.stamps_ns])
+        self.state = advance_state(self.state, self.recent, times, MAX_NOISE_SHARE * image_noise)
+        self.motion = CoreMotion(*_read(self.state))
 
 
-@kernel(types.Tuple((FLOATS_2D, FLOATS_1D, FLOATS_2D, FLOATS_2D))(INPUT_3D))
-def _read(state: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the attributes of `FilteredMotion` from the state (5, J + 1, 3) of a filter."""
+@kernel(types.Tuple((FLOATS_2D, FLOATS_1D, FLOATS_2D, FLOATS_1D, FLOATS_2D))(INPUT_3D))
+def _read(state: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Return the attributes of `CoreMotion` from the state (5, J + 1, 3) of a filter.
+
+    The errors of both hips are mostly the same, so the variance of the place between them is their mean.
+    """
     count = state.shape[1] - 1
-    joints, root = np.empty((count, 3)), np.zeros(3)
-    velocity, variance = np.empty((count, 3)), np.empty((count, 3))
+    joints, root, velocity = np.empty((count, 3)), np.zeros(3), np.empty((count, 3))
+    std, covariance = np.empty(count), np.zeros((3, 3))
     for j in range(count):
+        variance = 0.0
         for i in range(3):
             joints[j, i] = state[_X, j, i] + state[_X, count, i]
             velocity[j, i] = state[_V, j, i] + state[_V, count, i]
-            variance[j, i] = state[_VARIANCE, j, i] + state[_VARIANCE, count, i]
+            variance += state[_VARIANCE, j, i] + state[_VARIANCE, count, i]
             root[i] += joints[j, i] / count
-    return joints, root, velocity, variance
+        std[j] = math.sqrt(variance)
+    for i in range(3):
+        of_hips = state[_VARIANCE, HIPS[0], i] + state[_VARIANCE, HIPS[1], i]
+        covariance[i, i] = of_hips / 2 + state[_VARIANCE, count, i]
+    return joints, root, velocity, std, covariance
 
 
 @kernel(FLOATS_2D(INPUT_2D))

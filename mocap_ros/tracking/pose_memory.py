@@ -11,18 +11,15 @@ matrix C in section 4.2 of the paper, C = A B + (1 - A) max B, with max B = 1 to
     A = (joints seen in both images) / (joints seen in either)
     B = mean_j |(x_j - t) / s - y_j|      over the joints seen in both, torso lengths
     distance = B A + (1 - A)
-
-The memory is immutable: remembering a pose returns a new memory, so a reference to a memory is a snapshot of it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import InputError
 from mocap_ros.skeleton import CMU15
 
 Array = NDArray[np.float64]
@@ -63,48 +60,45 @@ class RecalledPose:
     distance: float
 
 
-@dataclass(frozen=True)
 class KeyPoseMemory:
     """A limited number of key poses that look different from each other.
 
-    Attributes:
+    Args:
         beta: torso lengths; images nearer to each other than this show the same pose (beta of Loy et al.).
         capacity: maximum number of poses.
+
+    Attributes:
         poses: the remembered poses, the one that was remembered longest ago first.
     """
 
-    beta: float = 0.2
-    capacity: int = 64
-    poses: tuple[KeyPose, ...] = ()
+    def __init__(self, beta: float = 0.2, capacity: int = 64) -> None:
+        self.beta, self._capacity = beta, capacity
+        self.poses: list[KeyPose] = []
 
-    def remember(self, points: Array, weight: Array, pose: Array) -> KeyPoseMemory:
-        """Return the memory with one pose more.
+    def remember(self, points: Array, weight: Array, pose: Array) -> None:
+        """Remember a pose, unless too few of its joints were seen.
 
         The pose replaces one that looks the same. If there is none and the memory is full, it replaces the one
-        that was remembered longest ago. A pose of which too few joints were seen is not remembered.
+        that was remembered longest ago.
 
         Args:
             points: (J, 2) px, joints of `CMU15`; any value for a joint of weight 0.
             weight: (J,) confidence scores; 0 for a joint that was not seen.
             pose: (J, 3) m, camera axes.
-
-        Raises:
-            InputError: The shapes do not fit each other.
         """
-        if points.shape != (*weight.shape, 2) or pose.shape != (*weight.shape, 3):
-            raise InputError(f'points {points.shape}, weight {weight.shape} and pose {pose.shape} do not fit')
         seen = weight > 0
         if seen.sum() < MIN_COMMON_JOINTS:
-            return self
+            return
         centred = pose - pose.mean(axis=0)
         scale, _ = _fit_scale_translation(centred[seen, :2], points[seen])
         torso = float(np.linalg.norm(centred[CMU15.index('neck')] - centred[CMU15.index('pelvis')]))
         if scale * torso < MIN_SCALE:
-            return self
-        key_pose = KeyPose(np.where(seen[:, None], points, 0.0) / (scale * torso), seen, centred)
+            return
         nearest = self._find_nearest(points, seen)
-        kept = [p for i, p in enumerate(self.poses) if nearest is None or i != nearest[0]]
-        return replace(self, poses=(*kept[-(self.capacity - 1) :], key_pose) if self.capacity > 1 else (key_pose,))
+        if nearest is not None:
+            del self.poses[nearest[0]]
+        self.poses.append(KeyPose(np.where(seen[:, None], points, 0.0) / (scale * torso), seen, centred))
+        del self.poses[: -self._capacity]
 
     def recall(self, points: Array, weight: Array) -> RecalledPose | None:
         """Return the remembered pose that looks most like an image; None if none is nearer than `beta`.

@@ -20,8 +20,7 @@ from mocap_ros.models.model_file import load_motion_predictor
 from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past
 from mocap_ros.people import Person3D, PredictedPerson
 from mocap_ros.tracking.body_size import ASSUMED, BodySize, find_root_covariance, resize
-from mocap_ros.tracking.core_motion import find_motion
-from mocap_ros.tracking.person_in_frame import find_joint_std, make_person
+from mocap_ros.tracking.output import find_joint_std, find_motion, make_person
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
@@ -47,14 +46,14 @@ def predict_person(
         upward: (3,) unit vector upwards in the optical frame; None for that of a level camera.
         size: what is known of the person's size.
     """
-    age_s = (stamp_ns - track.seen.stamps_ns[-1]) / NS_PER_S
+    age_s = (stamp_ns - track.stamps_ns[-1]) / NS_PER_S
     times = np.array([[age_s, age_s + VELOCITY_SPAN_S]])
     _, of_people = _predict([track], times, [model], upward, [size])
-    last = resize(make_person(track, len(track.seen.stamps_ns) - 1, model), size)
+    last = resize(make_person(track, track.newest, model), size)
     ahead = Displacements(*(values[0] for values in of_people))
     velocity = (ahead.joints[1] - ahead.joints[0]) / VELOCITY_SPAN_S
     joints, root = last.joints + ahead.joints[0], (last.joints + ahead.joints[0]).mean(axis=0)
-    intrinsics = track.seen.intrinsics
+    intrinsics = track.intrinsics
     return replace(
         last,
         joints=joints,
@@ -96,7 +95,7 @@ def predict_ahead(
     """
     if not tracks:
         return []
-    ages = [(stamp_ns - track.seen.stamps_ns[-1]) / NS_PER_S for track in tracks]
+    ages = [(stamp_ns - track.stamps_ns[-1]) / NS_PER_S for track in tracks]
     times = np.array(ages)[:, None] + np.array(times_s)
     pasts, ahead = _predict(tracks, times, models, upward, sizes)
     people = [*zip(pasts, sizes, strict=True)]
@@ -119,10 +118,10 @@ def sample_past(track: Track, model: BasePoses, upward: Array | None = None) -> 
         model: base poses of the track's solution.
         upward: (3,) unit vector upwards in the optical frame; None for that of a level camera.
     """
-    frame = len(track.seen.stamps_ns) - 1
+    frame = track.newest
     last = find_motion(track, frame, model)
     newest, velocity = last.joints, last.velocity
-    places = track.solved.sample_joints(model, track.seen.times_s, -_AGO)
+    places = track.solved.sample_joints(model, track.times_s, -_AGO)
     is_known = ~np.isnan(places[:, 0, 0])
     if not np.isfinite(velocity).all():  # without a filter, or in the first frame
         velocity = (newest - places[0]) / _AGO[0] if is_known[0] else np.zeros_like(newest)

@@ -1,68 +1,179 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""One tracked person: what was seen, what was solved of it, and what is scheduled."""
+"""One tracked person: the keypoints of the sliding window, with left and right put right, and what follows.
+
+A new frame may change the decision whether left and right of the body or of a part of it were swapped in earlier
+frames. These frames are then corrected anew, and the lifted poses from the first of them on are dropped.
+"""
 
 from __future__ import annotations
 
+import copy
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.copying import copy_with
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.virtual_camera import VirtualCamera
+from mocap_ros.keypoints.association import Extent, measure_extent
+from mocap_ros.keypoints.extremities import Extremities, convert_body_to_rays, exchange_body_sides
 from mocap_ros.keypoints.left_right import SwapFilter
+from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.lifter import LiftedPoses
-from mocap_ros.solvers.extremities import ExtremityEvidence, ExtremityState
-from mocap_ros.tracking.detection import Detection
+from mocap_ros.solvers.extremities import ExtremityState
+from mocap_ros.solvers.observed_window import ObservedWindow
+from mocap_ros.tracking.body_size import FloorContact
+from mocap_ros.tracking.delayed_output import find_oldest_needed_ns
 from mocap_ros.tracking.motion_filter import MotionFilter
 from mocap_ros.tracking.schedule import CheckSchedule
-from mocap_ros.tracking.seen_frames import SeenFrames
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.units import NS_PER_S
+
+Array = NDArray[np.float64]
 
 # What a new person must have been seen for; docs/tracker.md has what other numbers cost.
 MIN_FRAMES = 3  # frames; at a low frame rate a wrong detection is in one or two
 MIN_AGE_S = 0.06  # s; at a high frame rate it lasts for several frames; three frames at 30 Hz last 0.067 s
 
 
-Array = NDArray[np.float64]
-
-
 @dataclass(frozen=True, eq=False)
+class Detection:
+    """One detected person of whom enough was seen to be tracked.
+
+    Attributes:
+        given_id: name that the detector gives the person; empty if it gives none.
+        rays: (J, 2) x / z and y / z of the model's joints in the camera; 0 for a joint that was not seen.
+        weight: (J,) confidence scores in [0, 1]; 0 for a joint that was not seen.
+        extent: centre and size in the image, in the units of rays.
+        extremities: face, feet and hands.
+    """
+
+    given_id: str
+    rays: Array
+    weight: Array
+    extent: Extent
+    extremities: Extremities
+
+    @staticmethod
+    def from_person(
+        person: Person2D, intrinsics: Intrinsics, min_score: float, min_joints: int
+    ) -> Detection | None:
+        """Convert the keypoints of a person to rays of the model's joints.
+
+        Args:
+            person: keypoints as a detector gave them.
+            intrinsics: intrinsics of the camera.
+            min_score: confidence score below which a keypoint counts as not seen.
+            min_joints: smallest number of seen joints, at least 1, that makes a detection usable.
+
+        Returns:
+            The detection; None if fewer joints were seen, or all of them in one place.
+
+        Raises:
+            SkeletonError: The person's joints do not cover enough of the model's.
+        """
+        keypoints = person.points, person.score, person.joints
+        rays, weight, extremities = convert_body_to_rays(*keypoints, intrinsics, min_score)
+        if np.count_nonzero(weight) < min_joints:
+            return None
+        extent = measure_extent(rays, weight)
+        if extent.is_one_place:
+            return None
+        return Detection(person.id, rays, weight, extent, extremities)
+
+    def join(self, part: Detection) -> Detection:
+        """Return the detection with the joints of another detection of the same person that this one lacks."""
+        rays, weight = _fill_gaps(self.rays, self.weight, part.rays, part.weight)
+        extremities = Extremities(*_fill_gaps(*self.extremities, *part.extremities))
+        return Detection(self.given_id or part.given_id, rays, weight, measure_extent(rays, weight), extremities)
+
+
+def _fill_gaps(rays: Array, weight: Array, other_rays: Array, other_weight: Array) -> tuple[Array, Array]:
+    is_own = weight > 0
+    return np.where(is_own[:, None], rays, other_rays), np.where(is_own, weight, other_weight)
+
+
+@dataclass(eq=False)
 class Track:
-    """A tracked person; every step returns a new track, so a track is a snapshot of itself.
+    """A tracked person, whom every stage of a frame changes in place.
+
+    No array is written to: a stage gives the track new ones. So `copy` is cheap, and a check works on such a copy
+    while further frames come.
 
     Attributes:
         id: stable name of the person in the output.
-        seen: the F frames of the sliding window.
+        first_ns: ns, stamp of the person's first frame, which the window may have left behind.
+        swap_filter: filter that finds the parts of the body whose left and right are swapped.
+        intrinsics: intrinsics of the real camera.
+        focal: px, focal length that the solvers assume; infinite for weak perspective.
+        is_tentative: whether the person has not been seen for long enough to be sure that there is somebody.
+        given_id: name that the detector gave the person last; empty if it gave none.
+        frames_seen: number of frames in which the person was seen, some of which the window may have left behind.
+        stamps_ns: (F,) ns, stamps of the frames of the window, increasing.
+        rays: (F, J, 2) x / z and y / z of the joints in the real camera, with the detector's labels.
+        weight: (F, J) confidence scores with the detector's labels; 0 for a joint that was not seen.
+        extremities: face, feet and hands with the detector's labels.
+        observed: the same frames with swaps undone, their lifted poses, and one virtual camera that faces the
+            person in all of them; its times begin with 0 at the first frame of the window.
         solution: solution of the first S of these frames, where S is F, or F - 1 between the arrival of a frame
             and its solution; None before the first solution.
         schedule: the checks of the solution that are due.
-        is_tentative: whether the person has not been seen for long enough to be sure that there is somebody.
         motion_filter: filter of the output; None before the first output, or if nothing is filtered.
-        first_ns: ns, stamp of the frame in which the person was first seen.
-        frames_seen: number of frames in which the person was seen, some of which the window may have left behind.
-        extremities: face, feet and hands in the frame that was put out last; None before the first output.
+        extremity_state: face, feet and hands in the frame that was put out last; None before the first output.
         extremities_ns: ns, stamp of this frame.
+        contact: what feet on the floor say of the person's size; None if nothing.
     """
 
     id: str
-    seen: SeenFrames
+    first_ns: int
+    swap_filter: SwapFilter
+    intrinsics: Intrinsics
+    focal: float
+    is_tentative: bool
+    rays: Array
+    weight: Array
+    extremities: Extremities
+    observed: ObservedWindow = field(init=False)
+    given_id: str = ''
+    frames_seen: int = 0
+    stamps_ns: tuple[int, ...] = ()
     solution: TrackSolution | None = None
     schedule: CheckSchedule = field(default_factory=CheckSchedule)
-    is_tentative: bool = False
     motion_filter: MotionFilter | None = None
-    first_ns: int = 0
-    frames_seen: int = 1
-    extremities: ExtremityState | None = None
+    extremity_state: ExtremityState | None = None
     extremities_ns: int = 0
+    contact: FloorContact | None = None
 
-    @property
-    def key(self) -> tuple[str, int]:
-        """Id and first stamp in ns, which no other track has; a detector may give an id to several people."""
-        return self.id, self.first_ns
+    @staticmethod
+    def begin(
+        name: str,
+        stamp_ns: int,
+        detection: Detection,
+        swap_filter: SwapFilter,
+        intrinsics: Intrinsics,
+        focal: float,
+        is_tentative: bool = True,
+    ) -> Track:
+        """Return the track of a person who is seen for the first time.
+
+        Args:
+            name: stable name of the person in the output.
+            stamp_ns: ns, stamp of the frame.
+            detection: the person in this frame.
+            swap_filter: filter that has seen no frame.
+            intrinsics: intrinsics of the real camera.
+            focal: px, focal length that the solvers assume; infinite for weak perspective.
+            is_tentative: whether only later frames can show that there is somebody.
+        """
+        arrays = detection.rays, detection.weight, *detection.extremities
+        rays, weight, *others = (a[None][:0] for a in arrays)
+        camera = intrinsics, focal, is_tentative
+        track = Track(name, stamp_ns, swap_filter, *camera, rays, weight, Extremities(*others))
+        track.add_frame(stamp_ns, detection, window_s=0.0)
+        return track
 
     @property
     def solved(self) -> TrackSolution:
@@ -78,36 +189,40 @@ class Track:
     @property
     def has_unsolved_frame(self) -> bool:
         """Whether the newest frame of the window is not solved yet."""
-        return self.solution is None or len(self.solution.theta) < len(self.seen.stamps_ns)
+        return self.solution is None or len(self.solution.theta) < len(self.stamps_ns)
 
-    @staticmethod
-    def begin(
-        name: str,
-        stamp_ns: int,
-        detection: Detection,
-        swap_filter: SwapFilter,
-        intrinsics: Intrinsics,
-        focal: float,
-        is_tentative: bool = True,
-    ) -> Track:
-        """Return the track of a person who is seen for the first time; the arguments are those of `SeenFrames`.
+    @property
+    def newest(self) -> int:
+        """Index of the newest frame."""
+        return len(self.stamps_ns) - 1
 
-        Args:
-            name: stable name of the person in the output.
-            stamp_ns: ns, stamp of the frame.
-            detection: the person in this frame.
-            swap_filter: filter that has seen no frame.
-            intrinsics: intrinsics of the real camera.
-            focal: px, focal length that the solvers assume.
-            is_tentative: whether only later frames can tell that there is somebody.
-        """
-        seen = SeenFrames.begin(stamp_ns, detection, swap_filter, intrinsics, focal)
-        return Track(name, seen, is_tentative=is_tentative, first_ns=stamp_ns)
+    @property
+    def age_s(self) -> float:
+        """Time in s from the person's first frame to the newest."""
+        return (self.stamps_ns[-1] - self.first_ns) / NS_PER_S
 
-    def add_frame(self, stamp_ns: int, detection: Detection, window_s: float, lag_s: float = 0.0) -> Track:
-        """Return the track with one more frame and without the frames that are too old.
+    @property
+    def times_s(self) -> Array:
+        """Times (F,) in s of the frames, that of the newest is 0."""
+        stamps_ns = np.array(self.stamps_ns)
+        return np.asarray((stamps_ns - stamps_ns[-1]) / NS_PER_S)
 
-        If the frame changes the decision about swaps in earlier frames, a hypothesis check becomes due.
+    @property
+    def is_newest_swapped(self) -> bool:
+        """Whether left and right of the body or of a part of it were swapped in the newest frame."""
+        return bool(self.swap_filter.is_swapped[-1].any())
+
+    def copy(self) -> Track:
+        """Return the track as it is now."""
+        other = copy.copy(self)
+        other.schedule = copy.copy(self.schedule)
+        return other
+
+    def add_frame(self, stamp_ns: int, detection: Detection, window_s: float, lag_s: float = 0.0) -> None:
+        """Add a frame and drop those that are too old.
+
+        With a lag, the frames that are still to be put out stay. If the frame changes the decision about swaps in
+        earlier frames, a check becomes due.
 
         Args:
             stamp_ns: ns, stamp of the frame.
@@ -115,71 +230,74 @@ class Track:
             window_s: s, length of the window.
             lag_s: s, delay of the output.
         """
-        dropped = self.seen.count_older_frames(stamp_ns, window_s, lag_s)
-        seen = self.seen.add_frame(stamp_ns, detection, dropped)
-        solution = None if self.solution is None else self.solution.drop_oldest(dropped)
-        schedule = self.schedule
-        if seen.is_relabelled:
-            schedule = schedule.check_at(stamp_ns)
-        frames_seen = self.frames_seen + 1
-        return copy_with(
-            self,
-            seen=seen,
-            solution=solution,
-            schedule=schedule,
-            is_tentative=self.is_tentative and (frames_seen < MIN_FRAMES or seen.age_s <= MIN_AGE_S),
-            frames_seen=frames_seen,
+        dropped = bisect_left(self.stamps_ns, stamp_ns - window_s * NS_PER_S)
+        if lag_s > 0:
+            dropped = min(
+                dropped, max(bisect_right(self.stamps_ns, find_oldest_needed_ns(stamp_ns, lag_s)) - 1, 0)
+            )
+        swapped, time_s = self.swap_filter.is_swapped[dropped:], (stamp_ns - self.first_ns) / NS_PER_S
+        seen = detection.rays, detection.weight, detection.extent.size
+        self.swap_filter = self.swap_filter.update(time_s, *seen, dropped)
+        is_changed = (self.swap_filter.is_swapped[:-1] != swapped).any(axis=1)
+        unchanged = int(is_changed.argmax()) if is_changed.any() else len(is_changed)
+        lifted = self.observed.lifted if unchanged else None
+        if lifted is not None:
+            lifted = lifted.select_frames(slice(dropped, dropped + unchanged))
+        if unchanged < len(is_changed):
+            self.schedule.check_at(stamp_ns)
+        if self.solution is not None:
+            self.solution = self.solution.drop_oldest(dropped)
+        self.given_id = detection.given_id or self.given_id
+        self.stamps_ns = (*self.stamps_ns[dropped:], stamp_ns)
+        self.rays = np.concatenate([self.rays[dropped:], detection.rays[None]])
+        self.weight = np.concatenate([self.weight[dropped:], detection.weight[None]])
+        self.extremities = self.extremities.append_frame(detection.extremities, dropped)
+        self.frames_seen += 1
+        self.is_tentative &= self.frames_seen < MIN_FRAMES or self.age_s <= MIN_AGE_S
+        self._correct_sides(lifted)
+
+    def _correct_sides(self, lifted: LiftedPoses | None) -> None:
+        """Undo the swaps of left and right, and face the person; the first frames have lifted poses."""
+        rays, weight, extremities = exchange_body_sides(
+            self.rays, self.weight, self.extremities, self.swap_filter.is_swapped
         )
+        camera = VirtualCamera.look_at_mean_position(rays, weight, self.intrinsics)
+        times = (np.array(self.stamps_ns) - self.stamps_ns[0]) / NS_PER_S
+        self.observed = ObservedWindow(times, rays, weight, camera, self.focal, lifted, extremities)
 
-    def append_lifted(self, lifted: LiftedPoses) -> Track:
-        """Return the track with lifted poses of the frames that had none; see `ObservedWindow.append_lifted`."""
-        return copy_with(self, seen=self.seen.append_lifted(lifted))
-
-    def refine(self, solution: TrackSolution) -> Track:
-        """Return the track with a newer solution of all its frames."""
-        return copy_with(self, solution=solution)
-
-    def filter_motion(self, stamp_ns: int, joints: Array) -> Track:
-        """Return the track whose output goes on with the joints (J, 3) m of a frame, stamp in ns."""
-        if self.motion_filter is None:
-            motion_filter = MotionFilter.begin(stamp_ns, joints)
-        elif stamp_ns > self.motion_filter.stamps_ns[-1]:
-            image_noise = self.solved.noise / self.solved.stature_ratio
-            motion_filter = self.motion_filter.advance(stamp_ns, joints, image_noise)
-        else:  # with a lag, this frame was put out before
-            return self
-        return copy_with(self, motion_filter=motion_filter)
-
-    def follow_extremities(self, stamp_ns: int, evidence: ExtremityEvidence, stature: float) -> Track:
-        """Return the track with the extremities in the frame that is put out.
-
-        Args:
-            stamp_ns: ns, stamp of the frame.
-            evidence: what tells of them.
-            stature: m, stature of the person.
-        """
-        if self.extremities is None:
-            extremities = ExtremityState.begin(evidence, stature)
-        elif stamp_ns > self.extremities_ns:
-            step_s = (stamp_ns - self.extremities_ns) / NS_PER_S
-            extremities = self.extremities.advance(step_s, evidence, stature)
-        else:  # with a lag, this frame was put out before
-            return self
-        return copy_with(self, extremities=extremities, extremities_ns=stamp_ns)
-
-    def begin_solution(self, solution: TrackSolution) -> Track:
-        """Return the track with its first solution, which is checked soon."""
-        schedule = self.schedule.check_after_initialisation(self.seen.stamps_ns[-1])
-        return copy_with(self, solution=solution, schedule=schedule)
-
-    def change_camera(self, intrinsics: Intrinsics, focal: float) -> Track:
-        """Return the track under other intrinsics, with the same image points, or resized as the image is.
+    def change_camera(self, intrinsics: Intrinsics, focal: float) -> None:
+        """Use other intrinsics: the image points stay the same, or resized as the image is; nothing is lifted yet.
 
         Args:
             intrinsics: intrinsics from now on.
             focal: px, focal length that the solvers assume from now on.
         """
-        old = self.seen.intrinsics
-        solution = None if self.solution is None else self.solution.change_camera(old, intrinsics)
-        seen = self.seen.change_camera(intrinsics, focal)
-        return copy_with(self, seen=seen, solution=solution, motion_filter=None)
+        if self.solution is not None:
+            self.solution = self.solution.change_camera(self.intrinsics, intrinsics)
+        old = self.intrinsics.resize_like(intrinsics)
+
+        def convert(rays: Array) -> Array:
+            directions = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
+            return intrinsics.pixels_to_rays(old.project(directions))
+
+        self.intrinsics, self.focal, self.motion_filter = intrinsics, focal, None
+        self.rays, self.swap_filter = convert(self.rays), self.swap_filter.convert_points(convert)
+        self.extremities = Extremities(convert(self.extremities.rays), self.extremities.weight)
+        self._correct_sides(None)
+
+    def select_frames(self, step_s: float, span_s: float) -> NDArray[np.intp]:
+        """Return the indices of the frames with the highest scores, one for each step of time, increasing.
+
+        The newest frame is always selected.
+
+        Args:
+            step_s: s, length of a step.
+            span_s: s, age beyond which no frame is selected.
+        """
+        age_s = -self.times_s
+        step = (age_s / step_s + 0.5).astype(int)
+        total_weight = np.append(self.weight[:-1].sum(axis=1), np.inf)
+        order = np.lexsort((-total_weight, step))
+        is_first_of_step = np.diff(step[order], prepend=-1) != 0
+        selected = np.sort(order[is_first_of_step])
+        return np.asarray(selected[age_s[selected] <= span_s])

@@ -116,24 +116,10 @@ def test_live_the_lead_is_taken_and_given_back() -> None:
             person = Person2D('', CMU15.joints, keypoints[:, :2], keypoints[:, 2])
             tracker.update(frame * STEP_NS, [person], UNKNOWN)
             tracker.run_deferred_work()
-            (track,) = tracker.snapshot().tracks
+            (track,) = tracker.tracks
             lead.append(track.solved.base_poses_lead)
     own, of_all = leads
     assert not own[0], 'a first solution needs the lifter, for a frame does not tell front from back'
     assert all(own[45 : 2 * FRAMES])
     assert not any(own[3 * FRAMES + 15 :])
     assert not any(of_all)
-
-
-def test_a_comparison_of_leads_goes_on_after_restore() -> None:
-    """A tracker that is restored into another one after every frame gives the same people."""
-    _, base_poses, run = make_motion('run')
-    straight, other = Tracker(base_poses, Config()), Tracker(base_poses, Config())
-    for frame, keypoints in enumerate(run):
-        person = Person2D('', CMU15.joints, keypoints[:, :2], keypoints[:, 2])
-        restored, other = other, Tracker(base_poses, Config())
-        (expected,), (found,) = (t.update(frame * STEP_NS, [person], UNKNOWN) for t in (straight, restored))
-        np.testing.assert_array_equal(found.joints, expected.joints)
-        other.restore(restored.snapshot())
-    (track,) = straight.snapshot().tracks
-    assert track.solved.base_poses_lead

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Bit-exact comparison of frozen dataclasses that hold arrays, and arrays that nobody can write into."""
+"""Bit-exact comparison of dataclasses that hold arrays."""
 
 from __future__ import annotations
 
@@ -25,15 +25,3 @@ def list_values(value: Any, path: str = '') -> dict[str, object]:
         assert value is None or isinstance(value, (int, str)), f'{path}: {type(value)} may be mutable'
         return {path: value}
     return {path: len(parts)} | {k: v for p, part in parts.items() for k, v in list_values(part, p).items()}
-
-
-def forbid_writing(value: Any) -> int:
-    """Make all arrays in nested dataclasses and tuples read-only, and return their number."""
-    if is_dataclass(value):
-        return sum(forbid_writing(getattr(value, f.name)) for f in fields(value))
-    if isinstance(value, tuple):
-        return sum(forbid_writing(part) for part in value)
-    if isinstance(value, np.ndarray):
-        value.flags.writeable = False
-        return 1
-    return 0

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +17,7 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Array
-from mocap_ros.tracking.detection import Detection
-from mocap_ros.tracking.track import Track
+from mocap_ros.tracking.track import Detection, Track
 from mocap_ros.tracking.tracker import Tracker
 
 CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
@@ -38,8 +38,15 @@ def make_track(points: Array, window_s: float = 2.0) -> Track:
     first, *rest = points
     track = Track.begin('person', 0, make_detection(first), SwapFilter(BodySides.of(CMU15)), CAMERA, CAMERA.focal)
     for frame, image in enumerate(rest, 1):
-        track = track.add_frame(frame * STEP_NS, make_detection(image), window_s)
+        track.add_frame(frame * STEP_NS, make_detection(image), window_s)
     return track
+
+
+def change(track: Track, **values: Any) -> Track:
+    """Return a copy of a track with other values of some attributes."""
+    changed = track.copy()
+    vars(changed).update(values)
+    return changed
 
 
 def track_walk(models: Mapping[str, BasePoses], config: Config, points: Array) -> Tracker:

@@ -29,12 +29,12 @@ from mocap_ros.tracking.body_size import (
     ANKLE_SHARE,
     ANKLES,
     ASSUMED,
+    ROOT_FACTOR,
     BodySize,
     FloorContact,
     assume_size,
     resize,
 )
-from mocap_ros.tracking.core_motion import ROOT_FACTOR
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.paths import ROOT
 from tests.support.people import make_person_3d
@@ -133,8 +133,9 @@ def test_a_name_that_comes_back_is_measured_anew() -> None:
             stamp_ns = start_s * 10**9 + sequence.stamps_ns[frame]
             (anna,) = tracker.update(stamp_ns, [sequence.person(frame, 'anna')], CAMERA, floor)
             depths.append(anna.root[2])
-        contacts = dict(tracker.snapshot().contacts)
-        seconds.append(contacts['anna'].seconds)
+        contact = tracker.tracks[0].contact
+        assert contact is not None
+        seconds.append(contact.seconds)
     assert seconds[1] == pytest.approx(seconds[0], abs=0.05)
     assert depths[45] == pytest.approx(depths[0], rel=0.02), 'somebody new has the assumed size at first'
     assert depths[44] < 0.9 * depths[0]

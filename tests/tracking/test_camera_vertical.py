@@ -109,7 +109,7 @@ def test_a_camera_that_changes_while_nobody_is_there_forgets_what_was_found() ->
     feed(tracker, 0, 10)
     for frame in range(10, 20):
         tracker.update(round(frame * NS_PER_S / 30) + 1, [], CAMERA)
-    assert not tracker.snapshot().tracks
+    assert not tracker.tracks
     assert tracker.vertical is not None
     tracker.update(round(20 * NS_PER_S / 30) + 1, [], replace(CAMERA, focal=1.3 * CAMERA.focal))
     assert tracker.vertical is None
@@ -130,34 +130,9 @@ def test_a_given_vertical_stays_and_turns_people() -> None:
         make_tracker(vertical='0 -2 0')
 
 
-def test_a_snapshot_holds_it() -> None:
-    tracker, other = make_tracker(), make_tracker()
-    feed(tracker, 0, 20)
-    other.restore(tracker.snapshot())
-    for own, others in zip(feed(tracker, 20, 40), feed(other, 20, 40), strict=True):
-        assert np.array_equal(own, others)
-    assert tracker.vertical is not None
-    assert other.vertical is not None
-    assert np.array_equal(tracker.vertical.direction, other.vertical.direction)
-
-
 def test_whole_sequences_say_what_was_given_or_that_nothing_is_known() -> None:
     given, none = reconstruct('0 -1 0', 10), reconstruct('none', 10)
     assert np.array_equal(given.vertical, np.tile([0.0, -1.0, 0.0], (10, 1)))
     assert given.vertical_std == pytest.approx(np.full(10, math.radians(1)))
     assert np.isnan(none.vertical).all()
     assert np.isnan(none.vertical_std).all()
-
-
-def test_a_restored_state_has_the_vertical_of_the_own_parameter() -> None:
-    level = make_tracker(vertical='0 -1 0')
-    feed(level, 0, 5)
-    for vertical, expected in (('0 -0.8 -0.6', [0, -0.8, -0.6]), ('none', None)):
-        other = make_tracker(vertical=vertical)
-        other.restore(level.snapshot())
-        assert (None if other.vertical is None else other.vertical.direction.tolist()) == expected
-    found = make_tracker()
-    found.restore(level.snapshot())
-    feed(found, 5, 6)
-    assert found.vertical is not None
-    assert found.vertical.std > level.vertical.std, 'one that is found is less sure'  # type: ignore[union-attr]

@@ -17,7 +17,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CORE_COUNT
-from mocap_ros.tracking.core_motion import ROOT_FACTOR, estimate_root_covariance
+from mocap_ros.tracking.body_size import ROOT_FACTOR, estimate_root_covariance
 from mocap_ros.tracking.motion_filter import MotionFilter
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.swinging_body import STANDING
@@ -42,14 +42,12 @@ def track_demo(values: dict[str, object], frames: Sequence[int]) -> dict[int, Pe
 
 
 def test_the_filter_finds_the_velocity_of_a_body_that_moves_steadily() -> None:
-    velocity, motion_filter = np.array([1.2, -0.3, 0.5]), MotionFilter.begin(0, STANDING)
+    velocity, motion_filter = np.array([1.2, -0.3, 0.5]), MotionFilter(0, STANDING)
     for frame in range(1, 90):
-        motion_filter = motion_filter.advance(
-            frame * STEP_NS, STANDING + velocity * frame * STEP_NS / 1e9, IMAGE_NOISE_M
-        )
-    motion = motion_filter.read()
+        motion_filter.advance(frame * STEP_NS, STANDING + velocity * frame * STEP_NS / 1e9, IMAGE_NOISE_M)
+    motion = motion_filter.motion
     np.testing.assert_allclose(motion.velocity, np.tile(velocity, (15, 1)), atol=0.02)
-    assert (motion.velocity_variance > 0).all()
+    assert (motion.velocity_std > 0).all()
 
 
 def test_velocities_of_the_live_output_are_better_than_its_differences_and_as_good_as_they_say() -> None:

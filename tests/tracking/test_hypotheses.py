@@ -1,10 +1,11 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tests of the hypothesis checks: what replaces a solution, what does not, and that a check changes nothing."""
+"""Tests of the hypothesis checks: what replaces a solution, and what does not."""
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,16 +23,14 @@ from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.classification import PeriodicFit
 from mocap_ros.solvers.stepwise import Stepwise
 from mocap_ros.solvers.window import Array
-from mocap_ros.tracking.hypotheses import EVIDENCE_MARGIN, KEY_POSE_STEP_S, HypothesisChecker, classify_as_other
+from mocap_ros.tracking.hypotheses import KEY_POSE_STEP_S, HypothesisChecker, Slices, classify_as_other
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.schedule import CHECK_INTERVAL_GROWTH
-from mocap_ros.tracking.slices import finish_slices
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
 from mocap_ros.tracking.tracker import CHECK_INTERVAL_S, Tracker
-from tests.support.frozen_state import list_values
 from tests.support.synthetic_walk import Walk, make_walk
-from tests.support.tracks import CAMERA, STEP_NS, make_track, track_walk
+from tests.support.tracks import CAMERA, STEP_NS, change, make_track, track_walk
 
 FRAMES = 45
 CONFIG = with_settings(Config(), {'solver.prior': 'pca', 'tracker.components': 20})
@@ -50,7 +49,7 @@ def tracker(walk_model: BasePoses, walk: Walk) -> Tracker:
 
 @pytest.fixture(scope='module')
 def track(tracker: Tracker) -> Track:
-    (track,) = tracker.snapshot().tracks
+    (track,) = tracker.tracks
     assert track.solved.model_name == 'walk'
     return track
 
@@ -74,32 +73,32 @@ def measure_error(joints: Array, walk_model: BasePoses, walk: Walk, frames: NDAr
     return float(np.linalg.norm(scaled - truth, axis=-1).mean() * 1e3)
 
 
+def finish(slices: Slices[Any]) -> Any:
+    """Do all slices at once, and return the result."""
+    try:
+        while True:
+            next(slices)
+    except StopIteration as end:
+        return end.value
+
+
 def test_a_wrong_model_is_replaced(track: Track, checker: HypothesisChecker) -> None:
     models = checker.models
-    wrong = replace(track, solution=track.solved.change_model(models['walk'], 'jump', models['jump']))
-    outcome = finish_slices(checker.compare_models(wrong, ['walk']))
-    assert outcome.is_replaced
-    assert outcome.solution.model_name == 'walk'
-    assert outcome.model_names == ('walk', 'jump')
-    found, own = outcome.minus_twice_log_evidence
-    assert found + EVIDENCE_MARGIN < own
-    assert len(outcome.solution.theta) == FRAMES
-    assert outcome.solution.noise < 0.01
+    wrong = change(track, solution=track.solved.change_model(models['walk'], 'jump', models['jump']))
+    found = finish(checker.check(wrong, 'walk'))
+    assert (found.model_name, len(found.theta)) == ('walk', FRAMES)
+    assert found.noise < 0.01
 
 
 def test_the_right_model_is_kept(track: Track, checker: HypothesisChecker) -> None:
-    for check in (checker.compare_models(track, ['jump']), checker.reinitialise(track, ['jump'])):
-        outcome = finish_slices(check)
-        assert not outcome.is_replaced
-        assert outcome.solution is track.solution
-        assert outcome.model_names == ('jump', 'walk')
-        assert outcome.minus_twice_log_evidence[1] < outcome.minus_twice_log_evidence[0]
+    for restarts in (0, 1):  # from the poses so far, and from scratch
+        checked = track.copy()
+        checked.schedule.pending_restarts = restarts
+        assert finish(checker.check(checked, 'jump')) is None
 
 
 def test_without_lifted_poses_there_is_nothing_to_lead(track: Track, checker: HypothesisChecker) -> None:
-    outcome = finish_slices(checker.compare_leads(track))
-    assert not outcome.is_replaced
-    assert outcome.solution is track.solution
+    assert finish(checker.check(track, '')) is None
 
 
 @pytest.mark.parametrize(('std_ratio', 'is_replaced'), [(0.98, False), (0.93, True), (1.05, False)])
@@ -109,47 +108,36 @@ def test_a_margin_keeps_the_choice_of_the_model(
     """A twin of the model with a slightly tighter prior is slightly more likely, which is not enough."""
     walk_model = checker.models['walk']
     twin = replace(walk_model, std=std_ratio * walk_model.std)
-    with_twin = HypothesisChecker({**checker.models, 'twin': twin}, CONFIG)
-    outcome = finish_slices(with_twin.compare_models(track, ['twin']))
-    twins, own = outcome.minus_twice_log_evidence
-    assert (own > twins) is (std_ratio < 1)
-    assert (own - twins > EVIDENCE_MARGIN) is is_replaced
-    assert outcome.is_replaced is is_replaced
-    assert outcome.solution.model_name == ('twin' if is_replaced else 'walk')
+    found = finish(HypothesisChecker({**checker.models, 'twin': twin}, CONFIG).check(track, 'twin'))
+    assert (found is not None) is is_replaced
+    assert found is None or found.model_name == 'twin'
 
 
 def test_there_is_no_margin_within_a_model(
     track: Track, checker: HypothesisChecker, walk_model: BasePoses, walk: Walk
 ) -> None:
     """A solution from scratch under the track's own model needs no margin to replace a wrong one."""
-    wrong = replace(track, solution=turn_round(track.solved))
-    before = list_values(wrong)
-    outcome = finish_slices(checker.reinitialise(wrong, ['walk']))
-    assert outcome.is_replaced
-    assert outcome.model_names == ('walk', 'walk')
+    wrong = change(track, solution=turn_round(track.solved))
+    found = finish(checker.check(wrong, 'walk'))
     frames = np.arange(FRAMES - 30, FRAMES)  # the newest second, which is checked
     model = checker.models['walk']
     error = {
         name: measure_error(solution.compute_joints(model, frames), walk_model, walk, frames)
-        for name, solution in (('wrong', wrong.solved), ('found', outcome.solution), ('right', track.solved))
+        for name, solution in (('wrong', wrong.solved), ('found', found), ('right', track.solved))
     }
     assert error['wrong'] > 150
     assert error['found'] < error['right'] + 15
-    assert list_values(wrong) == before, 'a check changes nothing'
 
 
-def test_the_tracker_finds_back_to_the_right_solution(tracker: Tracker, walk_model: BasePoses, walk: Walk) -> None:
-    """A wrong solution is put into the state of a tracker; checks replace it within a second."""
-    injected = Tracker({'jump': load_base_poses('jump'), 'walk': walk_model}, CONFIG)
-    state = tracker.snapshot()
-    (track,) = state.tracks
-    wrong = replace(track, solution=turn_round(track.solved))
-    injected.restore(replace(state, tracks=(wrong,)))
+def test_the_tracker_finds_back_to_the_right_solution(walk_model: BasePoses, walk: Walk) -> None:
+    """A wrong solution is given to a person; checks replace it within a second."""
+    injected = track_walk({'jump': load_base_poses('jump'), 'walk': walk_model}, CONFIG, walk[2][:FRAMES])
+    (track,) = injected.tracks
+    track.solution = turn_round(track.solved)
     restarts, errors = [], []
     for frame in range(FRAMES, FRAMES + 35):
         seen = Person2D('', CMU15.joints, walk[2][frame], np.ones(15))
         (person,) = injected.update(frame * STEP_NS, [seen], CAMERA)
-        (track,) = injected.snapshot().tracks
         restarts.append(track.schedule.pending_restarts)
         errors.append(measure_error(centre(person)[None], walk_model, walk, np.array([frame])))
     assert max(restarts) > 0, 'the rise of the image noise was noticed'
@@ -163,7 +151,7 @@ def test_the_longest_time_between_checks_is_that_of_the_parameter(
 ) -> None:
     config = with_settings(CONFIG, {'tracker.hypothesis_check_interval': parameter_s})
     points = make_walk(walk_model, frames=round(30 * 1.5 * CHECK_INTERVAL_S / CHECK_INTERVAL_GROWTH))[2]
-    (track,) = track_walk({'walk': walk_model}, config, points).snapshot().tracks
+    (track,) = track_walk({'walk': walk_model}, config, points).tracks
     assert track.schedule.check_interval_s == interval_s
 
 
@@ -172,7 +160,7 @@ def centre(person: Person3D) -> Array:
 
 
 def test_first_solutions_have_all_frames_and_the_likeliest_model(track: Track, checker: HypothesisChecker) -> None:
-    unsolved = replace(track, solution=None)
+    unsolved = change(track, solution=None)
     solutions = checker.initialise([unsolved, unsolved], ['jump', 'walk'], KeyPoseMemory())
     assert [(s.model_name, len(s.theta)) for s in solutions] == [('walk', FRAMES)] * 2
     assert solutions[0].theta == pytest.approx(solutions[1].theta, abs=1e-9), 'people of a batch are independent'
@@ -187,10 +175,11 @@ def test_a_remembered_pose_is_a_hypothesis(
     model, frame = checker.models['walk'], 20
     unsolved, other = make_track(walk[2][frame : frame + 1]), make_track(walk[2][frame + 15 : frame + 16])
     joints = track.solved.compute_joints(model, np.array([frame]))
-    newest = unsolved.seen.observed
+    newest = unsolved.observed
     pose = newest.virtual_camera.to_virtual_camera(joints)[0]
-    memory = KeyPoseMemory().remember(newest.points[0], newest.weight[0], pose)
-    assert memory.recall(other.seen.observed.points[0], other.seen.observed.weight[0]) is None
+    memory = KeyPoseMemory()
+    memory.remember(newest.points[0], newest.weight[0], pose)
+    assert memory.recall(other.observed.points[0], other.observed.weight[0]) is None
     errors = []
     for known in (KeyPoseMemory(), memory):
         solution, unlike = checker.initialise([unsolved, other], ['walk'], known)
@@ -201,9 +190,10 @@ def test_a_remembered_pose_is_a_hypothesis(
 
 
 def test_poses_that_look_different_are_remembered(track: Track, checker: HypothesisChecker) -> None:
-    memory = checker.remember_poses(KeyPoseMemory(), track)
+    memory = KeyPoseMemory()
+    checker.remember_poses(memory, track)
     assert 1 < len(memory.poses) < FRAMES * STEP_NS / 1e9 / KEY_POSE_STEP_S
-    newest = track.seen.observed.select_frames(slice(-1, None))
+    newest = track.observed.select_frames(slice(-1, None))
     recalled = memory.recall(newest.points[0], newest.weight[0])
     assert recalled is not None
     model, last = checker.models['walk'], np.array([FRAMES - 1])
@@ -212,21 +202,21 @@ def test_poses_that_look_different_are_remembered(track: Track, checker: Hypothe
 
 
 def test_a_short_window_is_not_classified(track: Track, checker: HypothesisChecker) -> None:
-    assert finish_slices(checker.classify_motion(track)) is None, '1.5 s of 2 s'
+    assert finish(checker.classify_motion(track)) is None, '1.5 s of 2 s'
     only_jump = HypothesisChecker({'jump': checker.models['jump'], 'all': checker.models['walk']}, CONFIG)
     short = with_settings(CONFIG, {'classifier.section': 1.0})
-    long_enough = replace(track, solution=replace(track.solved, model_name='all'))
+    long_enough = change(track, solution=replace(track.solved, model_name='all'))
     only_jump = replace(only_jump, config=short)
-    assert finish_slices(only_jump.classify_motion(long_enough)) is None, 'no model is periodic'
+    assert finish(only_jump.classify_motion(long_enough)) is None, 'no model is periodic'
 
 
 def test_a_walk_of_a_full_section_is_classified(track: Track, checker: HypothesisChecker) -> None:
     config = with_settings(CONFIG, {'classifier.section': 1.2, 'classifier.walk_residual': 0.2})
-    classification = finish_slices(replace(checker, config=config).classify_motion(track))
+    classification = finish(replace(checker, config=config).classify_motion(track))
     assert classification is not None
     assert (classification.motion.kind, classification.periodic_model_name) == (MotionKind.PERIODIC, 'walk')
     strict = with_settings(config, {'classifier.amplitude': 0.9})
-    other = finish_slices(replace(checker, config=strict).classify_motion(track))
+    other = finish(replace(checker, config=strict).classify_motion(track))
     assert other is not None
     assert (other.motion.kind, other.periodic_model_name) == (MotionKind.NON_PERIODIC, '')
     assert other.motion.category == 'walk'
@@ -237,11 +227,11 @@ def test_a_short_section_is_enough_for_somebody_who_has_walked_before(
 ) -> None:
     config = with_settings(CONFIG, {'classifier.walk_residual': 0.2})
     checker = replace(checker, config=config)
-    assert finish_slices(checker.classify_motion(track)) is None, '1.5 s of 2 s'
+    assert finish(checker.classify_motion(track)) is None, '1.5 s of 2 s'
     other = classify_as_other(track)
-    schedule = replace(track.schedule, last_periodic_ns=0, classification=other)
-    walked = replace(track, schedule=schedule)
-    classification = finish_slices(checker.classify_motion(walked))
+    walked = track.copy()
+    walked.schedule.last_periodic_ns, walked.schedule.classification = 0, other
+    classification = finish(checker.classify_motion(walked))
     assert classification is not None
     assert (classification.motion.kind, classification.periodic_model_name) == (MotionKind.PERIODIC, 'walk')
     assert checker.still_repeats(walked, classification)
@@ -264,7 +254,8 @@ def test_the_model_of_people_who_move_as_fast_is_fitted_first(
     checker = HypothesisChecker({'run': walk, 'walk': walk, 'all': walk}, config)
     solution = replace(track.solved, model_name='all', theta=speed_up * track.solved.theta)
     for count in range(8):
-        schedule = replace(track.schedule, classification_count=count)
-        finish_slices(checker.classify_motion(replace(track, solution=solution, schedule=schedule)))
+        classified = change(track, solution=solution)
+        classified.schedule.classification_count = count
+        finish(checker.classify_motion(classified))
     assert fitted.count(likeliest) == 6, 'the other one in one of four classifications'
     assert len(fitted) == 8

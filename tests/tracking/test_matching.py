@@ -3,8 +3,6 @@
 
 """Tests of which known person a detection is."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -13,11 +11,10 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Array
-from mocap_ros.tracking.detection import Detection
 from mocap_ros.tracking.matching import NEW_ID_GATE, NEW_ID_GATE_GROWTH_PER_S, match_detections
-from mocap_ros.tracking.track import Track
+from mocap_ros.tracking.track import Detection, Track
 from tests.support.synthetic_walk import make_walk
-from tests.support.tracks import CAMERA, STEP_NS, make_detection, make_track
+from tests.support.tracks import CAMERA, STEP_NS, change, make_detection, make_track
 
 NEXT_NS = STEP_NS
 
@@ -29,7 +26,7 @@ def points(walk_model: BasePoses) -> Array:
 
 def make_known(points: Array, name: str, given_id: str = '') -> Track:
     track = make_track(points[None])
-    return replace(track, id=name, seen=replace(track.seen, given_id=given_id), is_tentative=False)
+    return change(track, id=name, given_id=given_id, is_tentative=False)
 
 
 def test_the_detectors_ids_decide_before_the_position(points: Array) -> None:
@@ -37,7 +34,7 @@ def test_the_detectors_ids_decide_before_the_position(points: Array) -> None:
     detections = [make_detection(points, 'b'), make_detection(points + [150, 0], 'a')]
     matches = match_detections(NEXT_NS, (ann, bob), detections)
     assert matches.tracks == (bob, ann)
-    assert matches.replaced_ids == frozenset()
+    assert matches.replaced == ()
 
 
 def test_people_without_an_id_are_matched_by_position(points: Array) -> None:
@@ -51,9 +48,9 @@ def test_people_without_an_id_are_matched_by_position(points: Array) -> None:
 def test_an_id_far_away_was_given_to_another_person(points: Array) -> None:
     ann = make_known(points, 'the first ann', 'a')
     near = match_detections(NEXT_NS, (ann,), [make_detection(points + [300, 0], 'a')])
-    assert (near.tracks, near.replaced_ids) == ((ann,), frozenset())
+    assert (near.tracks, near.replaced) == ((ann,), ())
     far = match_detections(NEXT_NS, (ann,), [make_detection(points + [3000, 0], 'a')])
-    assert (far.tracks, far.replaced_ids) == ((None,), frozenset({'the first ann'}))
+    assert (far.tracks, far.replaced) == ((None,), (ann,))
 
 
 def test_an_id_that_is_there_twice_is_one_known_person(points: Array) -> None:
@@ -86,7 +83,7 @@ def test_two_parts_of_a_person_are_the_person(points: Array, ids: tuple[str, str
         detections = [parts[i] for i in order] + [make_detection(points + [150, 0], 'b')]
         matches = match_detections(NEXT_NS, (bob, ann), detections)
         assert matches.tracks == (ann, bob)
-        assert matches.replaced_ids == frozenset()
+        assert matches.replaced == ()
         whole = matches.detections[0]
         assert (whole.weight > 0).all()
         assert CAMERA.focal * whole.rays + CAMERA.center == pytest.approx(moved)
@@ -125,7 +122,7 @@ def test_a_new_id_goes_on_with_a_person_who_is_near(points: Array) -> None:
         new = make_detection(points + [share * gate * size, 0], 'x')
         assert match_detections(NEXT_NS, (ann,), [new]).tracks == ((ann,) if is_ann else (None,)), share
     beyond = points + [1.02 * gate * size, 0]
-    for other in (replace(ann, is_tentative=True), make_known(points, 'a'), make_known(points, 'a', 'old')):
+    for other in (change(ann, is_tentative=True), make_known(points, 'a'), make_known(points, 'a', 'old')):
         tracks = match_detections(NEXT_NS, (other,), [make_detection(beyond, 'x')]).tracks
         assert tracks == (other,), 'whose id was not steady may have another one'
 
@@ -136,7 +133,7 @@ def test_a_person_of_half_the_size_is_not_the_person(points: Array) -> None:
     small = points.mean(axis=0) + (points - points.mean(axis=0)) / 2
     matches = match_detections(NEXT_NS, (ann,), [make_detection(small, 'ann')])
     assert matches.tracks == (None,)
-    assert matches.replaced_ids == frozenset(), 'nor is the person somebody else'
+    assert matches.replaced == (), 'nor is the person somebody else'
     large = make_known(small, 'ann', 'ann')
     assert match_detections(NEXT_NS, (large,), [make_detection(points, 'ann')]).tracks == (large,)
     assert match_detections(10**9, (ann,), [make_detection(small, 'ann')]).tracks == (ann,), 'later it may be'
@@ -160,12 +157,11 @@ def test_the_newest_of_a_persons_ids_counts_most(points: Array) -> None:
 
 def test_a_known_person_gets_a_detection_sooner_than_a_tentative_one(points: Array) -> None:
     ann = make_known(points, 'ann')
-    ghost = replace(make_known(points, 'ghost'), is_tentative=True)
+    ghost = change(make_known(points, 'ghost'), is_tentative=True)
     for tracks in ((ann, ghost), (ghost, ann)):
         assert match_detections(NEXT_NS, tracks, [make_detection(points + [3, 0])]).tracks == (ann,)
     lost_for_ns = 10 * STEP_NS
-    seen = replace(ghost.seen, stamps_ns=(lost_for_ns - STEP_NS,))
-    new = replace(ghost, seen=seen)
+    new = change(ghost, stamps_ns=(lost_for_ns - STEP_NS,))
     found = match_detections(lost_for_ns, (ann, new), [make_detection(points + [3, 0])]).tracks
     assert found == (new,), 'but who was lost does not take the detection of somebody new'
 
@@ -181,8 +177,8 @@ def test_somebody_new_does_not_make_people_change_their_names(points: Array) -> 
     """Bob was lost 0.9 s ago, within his reach of where ann is; ghost is not sure to be somebody, and nearer."""
     now_ns = 28 * STEP_NS
     ann, bob = make_known(points, 'ann'), make_known(points + [90, 0], 'bob')
-    ann = replace(ann, seen=replace(ann.seen, stamps_ns=(now_ns - STEP_NS,)))
-    ghost = replace(ann, id='ghost', is_tentative=True)
+    ann = change(ann, stamps_ns=(now_ns - STEP_NS,))
+    ghost = change(ann, id='ghost', is_tentative=True)
     nearly, somebody_else = make_detection(points + [4, 0]), make_detection(points + [3000, 0])
     for tracks in ((ann, bob), (bob, ann), (ann, ghost)):
         for detections in ([nearly], [nearly, somebody_else], [somebody_else, nearly]):

@@ -30,11 +30,11 @@ CONFIG = with_settings(Config(), {'solver.components': 8, 'solver.prior': 'pca'}
 def filter_all(times: np.ndarray, joints: np.ndarray, image_noise: float = np.inf) -> np.ndarray:
     """Return the filtered joints of all frames, with an image noise in m at the body."""
     stamps = [round(t * NS_PER_S) for t in times]
-    motion = MotionFilter.begin(stamps[0], joints[0])
-    out = [motion.joints]
+    motion = MotionFilter(stamps[0], joints[0])
+    out = [motion.motion.joints]
     for stamp, pose in zip(stamps[1:], joints[1:], strict=True):
-        motion = motion.advance(stamp, pose, image_noise)
-        out.append(motion.joints)
+        motion.advance(stamp, pose, image_noise)
+        out.append(motion.motion.joints)
     return np.array(out)
 
 
@@ -144,19 +144,6 @@ def test_the_filter_begins_anew_where_another_solution_is_found(rng: np.random.G
     assert np.abs(found - poses).max() < 0.2
 
 
-def test_a_filter_is_not_changed_by_its_successors(rng: np.random.Generator) -> None:
-    poses = rng.normal(size=(8, JOINTS, 3))
-    motion = MotionFilter.begin(0, poses[0])
-    for i in range(1, 6):
-        motion = motion.advance(i * 33_000_000, poses[i], 0.02)
-    state, recent = motion.state.copy(), motion.recent.copy()
-    later = [motion.advance(6 * 33_000_000, poses[n], 0.02).joints for n in (6, 7, 6)]
-    np.testing.assert_array_equal(later[0], later[2])
-    assert np.abs(later[0] - later[1]).max() > 0
-    np.testing.assert_array_equal(motion.state, state)
-    np.testing.assert_array_equal(motion.recent, recent)
-
-
 @settings(max_examples=40)
 @given(
     steps=st.lists(st.floats(1e-6, 30.0), min_size=2, max_size=30),
@@ -165,9 +152,9 @@ def test_a_filter_is_not_changed_by_its_successors(rng: np.random.Generator) -> 
 def test_joints_stay_finite_and_variances_positive(steps: list[float], size: float) -> None:
     times = np.concatenate([[0.0], np.cumsum(steps)])
     poses = np.random.default_rng(0).normal(0, size, (len(times), JOINTS, 3))
-    motion = MotionFilter.begin(0, poses[0])
+    motion = MotionFilter(0, poses[0])
     for time, pose in zip(times[1:], poses[1:], strict=True):
-        motion = motion.advance(max(round(time * NS_PER_S), motion.stamps_ns[-1] + 1), pose, 0.02)
+        motion.advance(max(round(time * NS_PER_S), motion.stamps_ns[-1] + 1), pose, 0.02)
         assert np.isfinite(motion.state).all()
         assert (motion.state[2:] >= 0).all(), 'mean squares and variances'
 
@@ -191,24 +178,11 @@ def test_the_tracker_filters_what_it_puts_out_and_nothing_else(
             )
             found = [tracker.update(i * STEP_NS, [person], CAMERA) for i, person in enumerate(people)]
             outputs[lag, steady] = np.array([frame[0].joints for frame in found if frame])
-            solutions[lag, steady] = tracker.snapshot().tracks[0].solved.theta
+            solutions[lag, steady] = tracker.tracks[0].solved.theta
     np.testing.assert_array_equal(solutions[0.0, False], solutions[0.0, True])
     np.testing.assert_array_equal(outputs[0.2, False], outputs[0.2, True])
     shaking = [np.abs(np.diff(outputs[0.0, steady][20:], 2, axis=0)).mean() for steady in (False, True)]
     assert shaking[1] < 0.7 * shaking[0]
-
-
-def test_a_restored_tracker_filters_as_before(walk_model: BasePoses, rng: np.random.Generator) -> None:
-    people = detect_walk(walk_model, rng, 24)
-    tracker = Tracker(walk_model, CONFIG)
-    for i in range(16):
-        tracker.update(i * STEP_NS, [people[i]], CAMERA)
-    snapshot, twice = tracker.snapshot(), []
-    for _ in range(2):
-        tracker.restore(snapshot)
-        found = [tracker.update(i * STEP_NS, [people[i]], CAMERA) for i in range(16, 24)]
-        twice.append(np.array([person.joints for (person,) in found]))
-    np.testing.assert_array_equal(twice[0], twice[1])
 
 
 def test_a_prediction_goes_on_from_what_was_put_out(walk_model: BasePoses, rng: np.random.Generator) -> None:

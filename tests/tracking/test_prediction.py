@@ -19,10 +19,11 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15, CORE_COUNT
 from mocap_ros.tracking.body_size import ASSUMED, resize
-from mocap_ros.tracking.person_in_frame import make_person
+from mocap_ros.tracking.output import make_person
 from mocap_ros.tracking.prediction import MIN_CLEARANCE_M, predict_person
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.synthetic_walk import make_walk
+from tests.support.tracks import change
 
 Array = NDArray[np.float64]
 
@@ -64,9 +65,9 @@ def track_walker(model: BasePoses, start: list[float], velocity: list[float], ga
         gap: frames from the last detection to the prediction.
     """
     tracker = track_walk(model, start, velocity)
-    (track,) = tracker.snapshot().tracks
+    (track,) = tracker.tracks
     model = tracker.models[track.solved.model_name]
-    last = resize(make_person(track, len(track.seen.stamps_ns) - 1, model), ASSUMED)
+    last = resize(make_person(track, track.newest, model), ASSUMED)
     (predicted,) = tracker.update((FRAMES - 1 + gap) * STEP_NS, [], CAMERA)
     return [last, predicted]
 
@@ -96,14 +97,14 @@ def test_a_prediction_is_less_certain_the_longer_the_gap(walk_model: BasePoses) 
 
 def test_a_person_who_comes_towards_the_camera_is_not_predicted_behind_it(walk_model: BasePoses) -> None:
     tracker = track_walk(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, -2.5])
-    (track,) = tracker.snapshot().tracks
+    (track,) = tracker.tracks
     solution, model = track.solved, tracker.models[track.solved.model_name]
     stamp_ns = (FRAMES + 8) * STEP_NS
     last = make_person(track, FRAMES - 1, model)
     depth = last.joints[:, 2]
     assert predict_person(track, stamp_ns, model).joints[:, 2].mean() < depth.mean() - 0.2
     nearer = [0.0, 0.0, depth.max() - 2 * depth.mean() + 0.15]  # m; then the body nearly touches the camera
-    near = replace(track, solution=replace(solution, roots=solution.roots + nearer), motion_filter=None)
+    near = change(track, solution=replace(solution, roots=solution.roots + nearer), motion_filter=None)
     stopped, before = predict_person(near, stamp_ns, model), make_person(near, FRAMES - 1, model)
     depth = stopped.joints[:CORE_COUNT, 2]
     assert 2 * depth.mean() - depth.max() == pytest.approx(MIN_CLEARANCE_M)
@@ -113,11 +114,11 @@ def test_a_person_who_comes_towards_the_camera_is_not_predicted_behind_it(walk_m
 
 def test_a_person_who_reaches_the_camera_stays_there(walk_model: BasePoses) -> None:
     tracker = track_walk(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, -2.5])
-    (track,) = tracker.snapshot().tracks
+    (track,) = tracker.tracks
     solution, model = track.solved, tracker.models[track.solved.model_name]
     depth = make_person(track, FRAMES - 1, model).joints[:, 2]
     nearer = [0.0, 0.0, depth.max() - 2 * depth.mean() + 0.6]  # m; then some of the way is left
-    near = replace(track, solution=replace(solution, roots=solution.roots + nearer), motion_filter=None)
+    near = change(track, solution=replace(solution, roots=solution.roots + nearer), motion_filter=None)
     predicted = [predict_person(near, (FRAMES + gap) * STEP_NS, model) for gap in range(20)]
     speeds = np.array([person.root_velocity[2] for person in predicted])
     assert speeds[0] < -1
@@ -163,7 +164,7 @@ def test_a_prediction_from_a_single_frame_is_finite(walk_model: BasePoses) -> No
     tracker = Tracker(walk_model, with_settings(Config(), {'solver.components': 8}))
     joints = make_scene(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, 0.0])[0]
     tracker.update(0, [Person2D('', CMU15.joints, CAMERA.project(joints), ONES)], CAMERA)
-    (track,) = tracker.snapshot().tracks
+    (track,) = tracker.tracks
     person = predict_person(track, 10 * STEP_NS, tracker.models[track.solved.model_name])
     assert np.isfinite(person.joints).all()
     assert np.linalg.norm(person.root - track.solved.roots[0]) < 1

@@ -3,6 +3,7 @@
 
 """Tests of what a track takes over from a solver: states in the real camera, kept frames, noise and fit."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,19 +18,18 @@ from mocap_ros.skeleton import estimate_stature
 from mocap_ros.solvers.joint import JointReconstruction
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.solvers.window import Array, SolverStatus
-from mocap_ros.tracking.seen_frames import SeenFrames
-from mocap_ros.tracking.solution import TrackSolution
-from mocap_ros.tracking.solver_input import (
+from mocap_ros.tracking.solution import (
     EXTRAPOLATION_SHARE,
     MAX_APPROACH,
     MAX_EXTRAPOLATION_STEPS,
+    TrackSolution,
     append_prediction,
     build_refinement_window,
-    build_solver_window,
+    select_start,
 )
 from mocap_ros.tracking.track import Track
 from tests.support.synthetic_walk import BODY_TO_OPTICAL
-from tests.support.tracks import CAMERA, STEP_NS, make_detection, make_track
+from tests.support.tracks import CAMERA, STEP_NS, make_track
 
 FRAMES, COMPONENTS = 9, 3
 ALL = np.arange(FRAMES)
@@ -65,15 +65,15 @@ def track(truth: TrackSolution, model: BasePoses) -> Track:
     return make_track(CAMERA.project(truth.compute_joints(model, ALL) + truth.roots[:, None]))
 
 
-def drop_newest(truth: TrackSolution) -> TrackSolution:
-    """Return the solution of all frames but the newest."""
-    arrays = {name: getattr(truth, name)[:-1] for name in ('theta', 'rotation', 'roots', 'bone_lengths')}
-    return replace(truth, **arrays)
+def keep(truth: TrackSolution, frames: int) -> TrackSolution:
+    """Return the solution of the first frames."""
+    names = ('theta', 'rotation', 'roots', 'bone_lengths', 'frame_residuals')
+    return replace(truth, **{name: getattr(truth, name)[:frames] for name in names})
 
 
-def predict(seen: SeenFrames, solution: TrackSolution) -> tuple[Array, Array, Array]:
+def predict(stamps_ns: Sequence[int], solution: TrackSolution) -> tuple[Array, Array, Array]:
     """Return theta (K,), rotation (3, 3) and root (3,) that are predicted for the newest frame."""
-    theta, rotation, roots = append_prediction(seen, solution, first=len(solution.theta))
+    theta, rotation, roots = append_prediction(stamps_ns, solution, first=len(solution.theta))
     return theta[0], rotation[0], roots[0]
 
 
@@ -112,7 +112,7 @@ def assert_states(solution: TrackSolution, truth: TrackSolution, frames: slice =
 def test_a_first_solution_is_interpolated_in_the_real_camera(
     truth: TrackSolution, model: BasePoses, track: Track, frames: list[int]
 ) -> None:
-    observed, chosen = track.seen.observed, np.array(frames)
+    observed, chosen = track.observed, np.array(frames)
     result = reconstruct(truth, model, observed, chosen)
     solution = TrackSolution.interpolate(result, observed, chosen, 'a name', model, earlier=None)
     assert_states(solution, truth)
@@ -125,7 +125,7 @@ def test_a_first_solution_is_interpolated_in_the_real_camera(
 def test_frames_before_those_that_were_solved_keep_their_states(
     truth: TrackSolution, model: BasePoses, track: Track
 ) -> None:
-    observed, chosen = track.seen.observed, np.array([4, 6, 8])
+    observed, chosen = track.observed, np.array([4, 6, 8])
     earlier = replace(
         truth,
         theta=truth.theta + 1,
@@ -142,7 +142,7 @@ def test_frames_before_those_that_were_solved_keep_their_states(
 def test_a_refinement_replaces_the_newest_states_and_no_others(
     truth: TrackSolution, model: BasePoses, track: Track
 ) -> None:
-    observed = track.seen.observed
+    observed = track.observed
     before = replace(
         truth,
         theta=truth.theta[:-1] + 1,
@@ -162,8 +162,8 @@ def test_a_refinement_replaces_the_newest_states_and_no_others(
 
 def test_a_refinement_of_all_frames_keeps_nothing(truth: TrackSolution, model: BasePoses, track: Track) -> None:
     before = replace(truth, theta=truth.theta + 1, roots=truth.roots + 2, noise=1.0)
-    result = reconstruct(truth, model, track.seen.observed, slice(None))
-    solution = before.refine(result, track.seen.observed, first=0, fixed_frames=0, model=model)
+    result = reconstruct(truth, model, track.observed, slice(None))
+    solution = before.refine(result, track.observed, first=0, fixed_frames=0, model=model)
     assert_states(solution, truth)
     assert solution.noise == pytest.approx(0.03)
 
@@ -171,14 +171,14 @@ def test_a_refinement_of_all_frames_keeps_nothing(truth: TrackSolution, model: B
 def test_the_stature_is_that_of_the_poses(truth: TrackSolution, model: BasePoses, track: Track) -> None:
     theta = np.zeros_like(truth.theta)
     upright = replace(truth, theta=theta, bone_lengths=model.skeleton.bone_lengths(model.poses(theta)))
-    ratios, bent = [], reconstruct(truth, model, track.seen.observed, slice(5, None))
+    ratios, bent = [], reconstruct(truth, model, track.observed, slice(5, None))
     for size in (1, 2):
         grown = replace(model, mean=size * model.mean)
-        result = reconstruct(upright, grown, track.seen.observed, slice(None))
-        ratios.append(upright.refine(result, track.seen.observed, 0, 0, grown).stature_ratio)
+        result = reconstruct(upright, grown, track.observed, slice(None))
+        ratios.append(upright.refine(result, track.observed, 0, 0, grown).stature_ratio)
     assert ratios[0] == pytest.approx(1.0, abs=0.05)
     assert ratios[1] == pytest.approx(2 * ratios[0])
-    partly = upright.refine(bent, track.seen.observed, 5, 1, model)
+    partly = upright.refine(bent, track.observed, 5, 1, model)
     stature = estimate_stature(model.poses(partly.theta), model.skeleton)
     assert partly.stature_ratio == pytest.approx(stature / model.stature, rel=1e-12)
     assert abs(partly.stature_ratio - ratios[0]) > 1e-4
@@ -187,27 +187,20 @@ def test_the_stature_is_that_of_the_poses(truth: TrackSolution, model: BasePoses
 def test_a_posterior_that_is_not_known_is_not_invented(
     truth: TrackSolution, model: BasePoses, track: Track
 ) -> None:
-    result = replace(reconstruct(truth, model, track.seen.observed, slice(None)), joint_std=None)
-    assert np.isnan(truth.refine(result, track.seen.observed, 0, 0, model).joint_std).all()
+    result = replace(reconstruct(truth, model, track.observed, slice(None)), joint_std=None)
+    assert np.isnan(truth.refine(result, track.observed, 0, 0, model).joint_std).all()
 
 
 def test_the_fit_leaves_out_frames_without_a_residual(
     truth: TrackSolution, model: BasePoses, track: Track
 ) -> None:
-    result = reconstruct(truth, model, track.seen.observed, slice(None))
+    result = reconstruct(truth, model, track.observed, slice(None))
     body_px = np.sqrt((result.joints[-1, :, :2] ** 2).sum(axis=1).mean()) * result.cameras.scale[-1]
     for residual, rms in (([np.nan, 3.0, np.nan, 4.0], np.sqrt(12.5)), ([np.nan] * 4, np.nan)):
         some = replace(result, residual=np.array(residual))
-        found = truth.refine(some, track.seen.observed, 0, 0, model)
+        found = truth.refine(some, track.observed, 0, 0, model)
         fit = found.residual, found.frame_residuals[-1]
         assert fit == pytest.approx((rms / body_px, residual[-1]), nan_ok=True)
-
-
-def test_states_are_appended(truth: TrackSolution, model: BasePoses) -> None:
-    shorter = replace(truth, **{n: getattr(truth, n)[:6] for n in ('theta', 'rotation', 'roots', 'bone_lengths')})
-    longer = shorter.append_states(truth.theta[6:], truth.rotation[6:], truth.roots[6:], model)
-    assert_states(longer, truth)
-    assert longer.noise == truth.noise
 
 
 def test_joints_between_frames_are_interpolated(truth: TrackSolution, model: BasePoses) -> None:
@@ -235,8 +228,8 @@ def test_poses_of_another_model_approximate_the_same_joints(truth: TrackSolution
 def test_a_new_frame_starts_where_the_last_movement_leads(
     truth: TrackSolution, model: BasePoses, track: Track
 ) -> None:
-    solution = drop_newest(truth)
-    theta, rotation, root = predict(track.seen, solution)
+    solution = keep(truth, FRAMES - 1)
+    theta, rotation, root = predict(track.stamps_ns, solution)
     share = EXTRAPOLATION_SHARE
     assert theta == pytest.approx(truth.theta[-2] + share * 0.1 * model.std)
     assert root == pytest.approx(truth.roots[-2] + share * np.array([0.02, 0.01, 0.05]))
@@ -247,38 +240,37 @@ def test_a_new_frame_starts_where_the_last_movement_leads(
 def test_with_a_lifter_a_new_frame_starts_from_its_lifted_pose(
     truth: TrackSolution, model: BasePoses, track: Track
 ) -> None:
-    solution = drop_newest(truth)
+    solution = keep(truth, FRAMES - 1)
     depth, turn = truth.roots[-1, 2], Rotation.from_rotvec([0.0, 1.0, 0.0]).as_matrix()
     pose = 0.7 * model.poses(solution.theta[-1] + 0.2 * model.std) @ turn.T / depth
     lifted = np.zeros((FRAMES, 15, 3))
     lifted[-1] = pose - pose.mean(axis=0)
     poses = LiftedPoses(lifted, np.full_like(lifted, 0.001))  # along the real camera's axes, in the units of rays
-    seen = replace(track.seen, observed=replace(track.seen.observed, lifted=poses))
-    window = build_refinement_window(seen, solution, model, first=5, fixed_frames=1)
+    observed = replace(track.observed, lifted=poses)
+    window = build_refinement_window(track.stamps_ns, observed, solution, model, first=5, fixed_frames=1)
     assert window.start is not None
     assert window.lifted is not None
     start = window.start.cameras
     joints = model.poses(window.start.theta[-1]) @ start.rotation[-1].T
     size = np.linalg.norm(window.lifted.joints[-1]) / np.linalg.norm(joints)
     assert np.abs(size * joints - window.lifted.joints[-1]).max() < 0.05 * np.abs(window.lifted.joints[-1]).max()
-    plain = build_refinement_window(track.seen, solution, model, first=5, fixed_frames=1)
+    plain = build_refinement_window(track.stamps_ns, track.observed, solution, model, first=5, fixed_frames=1)
     assert plain.start is not None
     np.testing.assert_array_equal(start.scale, plain.start.cameras.scale)
     np.testing.assert_array_equal(window.start.theta[:-1], plain.start.theta[:-1])
     lifted[-1, 3, 1] = np.nan  # too few joints were seen for the lifter
-    without = build_refinement_window(seen, solution, model, first=5, fixed_frames=1)
+    without = build_refinement_window(track.stamps_ns, observed, solution, model, first=5, fixed_frames=1)
     assert without.start is not None
     np.testing.assert_array_equal(without.start.theta, plain.start.theta)
     np.testing.assert_array_equal(without.start.cameras.rotation, plain.start.cameras.rotation)
 
 
 def test_the_movement_is_repeated_for_a_limited_time(truth: TrackSolution, model: BasePoses, track: Track) -> None:
-    solution, stamps_ns = drop_newest(truth), track.seen.stamps_ns
+    solution, stamps_ns = keep(truth, FRAMES - 1), track.stamps_ns
     steps = np.array([0.5, 1.0, 1.5, 5.0])
     for step in steps:
         newest_ns = stamps_ns[-2] + round(step * STEP_NS)
-        seen = replace(track.seen, stamps_ns=(*stamps_ns[:-1], newest_ns))
-        theta, rotation, root = predict(seen, solution)
+        theta, rotation, root = predict((*stamps_ns[:-1], newest_ns), solution)
         share = EXTRAPOLATION_SHARE * min(step, MAX_EXTRAPOLATION_STEPS)
         assert theta == pytest.approx(truth.theta[-2] + share * 0.1 * model.std, abs=1e-8)
         assert root == pytest.approx(truth.roots[-2] + share * np.array([0.02, 0.01, 0.05]), abs=1e-8)
@@ -286,22 +278,17 @@ def test_the_movement_is_repeated_for_a_limited_time(truth: TrackSolution, model
         assert turned == pytest.approx(share * np.array([0.01, 0.04, 0.0]), abs=1e-8)
 
 
-def test_nobody_is_expected_behind_the_camera(truth: TrackSolution, track: Track) -> None:
+def test_nobody_is_expected_behind_the_camera(truth: TrackSolution) -> None:
     """At a few frames a second somebody who comes towards the camera and stops would be."""
     before, last = np.array([0.3, 0.1, 2.0]), np.array([0.1, 0.1, 0.8])
-    first = replace(
-        truth,
-        **{n: getattr(truth, n)[:2] for n in ('theta', 'rotation', 'bone_lengths')},
-        roots=np.stack([before, last]),
-    )
-    _, _, root = predict(replace(track.seen, stamps_ns=(0, STEP_NS, 2 * STEP_NS)), first)
+    first = replace(keep(truth, 2), roots=np.stack([before, last]))
+    _, _, root = predict((0, STEP_NS, 2 * STEP_NS), first)
     assert root[2] == pytest.approx((1 - MAX_APPROACH) * last[2])
     assert root - last == pytest.approx((last - before) / 3)
 
 
-def test_after_a_single_solved_frame_the_person_stays(truth: TrackSolution, track: Track) -> None:
-    first = replace(truth, **{n: getattr(truth, n)[:1] for n in ('theta', 'rotation', 'roots', 'bone_lengths')})
-    theta, rotation, root = predict(replace(track.seen, stamps_ns=(0, STEP_NS)), first)
+def test_after_a_single_solved_frame_the_person_stays(truth: TrackSolution) -> None:
+    theta, rotation, root = predict((0, STEP_NS), keep(truth, 1))
     np.testing.assert_array_equal(theta, truth.theta[0])
     assert rotation == pytest.approx(truth.rotation[0], abs=1e-15)
     np.testing.assert_array_equal(root, truth.roots[0])
@@ -310,16 +297,16 @@ def test_after_a_single_solved_frame_the_person_stays(truth: TrackSolution, trac
 def test_a_solver_gets_the_solution_in_the_virtual_camera(
     truth: TrackSolution, model: BasePoses, track: Track
 ) -> None:
-    solution = drop_newest(truth)
+    solution = keep(truth, FRAMES - 1)
     frames = np.arange(5, FRAMES)
-    window = build_refinement_window(track.seen, solution, model, first=5, fixed_frames=1)
-    expected = reconstruct(truth, model, track.seen.observed, frames)
+    window = build_refinement_window(track.stamps_ns, track.observed, solution, model, first=5, fixed_frames=1)
+    expected = reconstruct(truth, model, track.observed, frames)
     assert window.start is not None
     assert window.start.theta[:-1] == pytest.approx(expected.theta[:-1])
     assert window.start.cameras.scale[:-1] == pytest.approx(expected.cameras.scale[:-1])
     assert window.start.cameras.rotation[:-1] == pytest.approx(expected.cameras.rotation[:-1])
-    predicted, _, _ = predict(track.seen, solution)
-    states = append_prediction(track.seen, solution, first=5)
+    predicted, _, _ = predict(track.stamps_ns, solution)
+    states = append_prediction(track.stamps_ns, solution, first=5)
     for found, name in zip(states, ('theta', 'rotation', 'roots'), strict=True):
         np.testing.assert_array_equal(found[:-1], getattr(solution, name)[5:])
     np.testing.assert_array_equal(window.start.theta[-1], predicted)
@@ -329,26 +316,47 @@ def test_a_solver_gets_the_solution_in_the_virtual_camera(
     assert window.earlier_frames.count == 5
     lengths = model.skeleton.bone_lengths(model.poses(truth.theta[:5])).mean(axis=0)
     assert window.earlier_frames.mean_bone_lengths == pytest.approx(lengths)
-    free = build_refinement_window(track.seen, solution, model, first=5, fixed_frames=0)
+    free = build_refinement_window(track.stamps_ns, track.observed, solution, model, first=5, fixed_frames=0)
     assert (free.fixed_frames, free.earlier_frames) == (0, None)
 
 
 def test_a_check_gets_some_solved_frames(truth: TrackSolution, model: BasePoses, track: Track) -> None:
     frames = np.array([1, 4, 8])
-    window = build_solver_window(track.seen, truth, frames)
-    expected = reconstruct(truth, model, track.seen.observed, frames)
-    assert window.start is not None
-    np.testing.assert_array_equal(window.start.theta, truth.theta[frames])
-    assert window.start.cameras.scale == pytest.approx(expected.cameras.scale)
-    assert window.start.cameras.rotation == pytest.approx(expected.cameras.rotation)
-    assert (window.noise, window.fixed_frames, window.earlier_frames) == (0.01, 0, None)
-    assert window.times == pytest.approx(frames / 30)
+    chosen, start = select_start(track.observed, truth, frames)
+    expected = reconstruct(truth, model, track.observed, frames)
+    np.testing.assert_array_equal(start.theta, truth.theta[frames])
+    assert start.cameras.scale == pytest.approx(expected.cameras.scale)
+    assert start.cameras.rotation == pytest.approx(expected.cameras.rotation)
+    assert chosen.times == pytest.approx(frames / 30)
 
 
-def test_a_frame_that_was_seen_but_not_solved_has_no_place_in_the_solution(
-    truth: TrackSolution, track: Track
-) -> None:
-    solved = replace(track, solution=truth)
-    longer = solved.add_frame(FRAMES * STEP_NS, make_detection(np.zeros((15, 2)) + np.arange(15)[:, None]), 2.0)
-    assert longer.solution is truth
-    assert longer.has_unsolved_frame
+def test_a_solution_that_is_followed_by_its_own_is_that(truth: TrackSolution, model: BasePoses) -> None:
+    result = keep(truth, 6).follow(truth, model, model)
+    for name in ('theta', 'rotation', 'roots', 'bone_lengths'):
+        assert getattr(result, name) == pytest.approx(getattr(truth, name), abs=1e-6), name
+    assert keep(truth, 6).follow(keep(truth, 6), model, model).theta.shape == (6, COMPONENTS)
+
+
+def test_newer_frames_move_as_the_person_has_moved(truth: TrackSolution, walk_model: BasePoses) -> None:
+    """A found solution that is turned, farther away and in another pose stays so, and moves on."""
+    model, dropped, last, after = walk_model, 2, 5, 8
+    own = replace(truth, theta=np.pad(truth.theta, [(0, 0), (0, len(model.std) - COMPONENTS)]))
+    turn = Rotation.from_rotvec([0.0, 0.3, 0.0]).as_matrix()
+    found = replace(keep(own, last + 1), theta=own.theta[: last + 1] + 0.02, roots=2 * own.roots[: last + 1])
+    found.rotation = found.rotation @ turn
+    kept, newer = found.drop_oldest(dropped), own.drop_oldest(dropped)
+    assert kept is not None
+    assert newer is not None
+    result = kept.follow(newer, model, model)
+    assert len(result.theta) == FRAMES - dropped
+    np.testing.assert_array_equal(result.theta[: last + 1 - dropped], found.theta[dropped:])
+    turned = own.rotation[after] @ own.rotation[last].T
+    assert result.rotation[after - dropped] == pytest.approx(turned @ found.rotation[last], abs=1e-12)
+    moved = 2 * (own.roots[after] - own.roots[last])
+    assert result.roots[after - dropped] == pytest.approx(found.roots[last] + moved, abs=1e-9)
+    joints = own.compute_joints(model, np.array([last, after]))
+    expected = found.compute_joints(model, np.array([last]))[0] + joints[1] - joints[0]
+    error = result.compute_joints(model, np.array([after - dropped]))[0] - expected
+    assert (
+        np.linalg.norm(error, axis=-1).mean() < 0.25 * np.linalg.norm(joints[1] - joints[0], axis=-1).mean() + 0.01
+    )
