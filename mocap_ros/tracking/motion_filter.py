@@ -53,7 +53,7 @@ Array = NDArray[np.float64]
 
 # The constants of joints and the powers were chosen together on 53 trials of persons of the training data, with
 # clean points and as three detectors give them: least errors of acceleration for 0.1 to 0.6 mm of the positions.
-# `JOINT_STIFFNESS` and `TREMBLE_POWER` were set last, with other persons in sight (docs/tracker.md).
+# `JOINT_STIFFNESS` and `TREMBLE_POWER` were set last, with other persons in sight (docs/method.md).
 JOINT_STIFFNESS = 40.0  # rad/s at 1 m/s and w = w_0; Omega of joints
 JOINT_DAMPING = 0.5  # 1; zeta of joints
 JOINT_FADE_PER_S = 6.4  # 1/s; b of joints: limbs swing to and fro

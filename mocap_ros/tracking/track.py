@@ -34,7 +34,7 @@ from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
-# What a new person must have been seen for; docs/tracker.md has what other numbers cost.
+# What a new person must have been seen for; docs/method.md has what other numbers cost.
 MIN_FRAMES = 3  # frames; at a low frame rate a wrong detection is in one or two
 MIN_AGE_S = 0.06  # s; at a high frame rate it lasts for several frames; three frames at 30 Hz last 0.067 s
 
