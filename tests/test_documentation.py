@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from mocap_ros.cli.main import COMMANDS
+from mocap_ros.config.access import parameters
 from tests.support.paths import ROOT
 
 PACKAGE = ROOT / 'mocap_ros'
@@ -41,6 +43,15 @@ def test_every_link_leads_somewhere(page: Path) -> None:
             path = page.parent / target if target else page
             assert path.exists(), f'{page.name}: {target}'
             assert not anchor or anchor in anchors(path), f'{page.name}: {target}#{anchor}'
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda p: p.name)
+def test_every_parameter_and_command_that_a_page_names_exists(page: Path) -> None:
+    text = page.read_text(encoding='utf-8').split('## 0.1.0')[0]
+    known = {parameter.name for parameter in parameters()}
+    groups = '|'.join({name.partition('.')[0] for name in known})
+    assert set(re.findall(rf'(?:`|-p |--set )((?:{groups})\.[a-z_]+)', text)) <= known
+    assert set(re.findall(r'mocap-ros ([a-z]+)', text)) <= {*COMMANDS, 'plot'}, 'the changelog names `plot`'
 
 
 def test_every_page_is_in_the_table_of_contents_of_the_site() -> None:
