@@ -19,18 +19,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOAT, FLOATS_3D, INPUT_2D, INPUT_3D, kernel
+from mocap_ros.engine import geometry as engine
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 
 Array = NDArray[np.float64]
 
-# 1, z of a ray whose z was 1 before the rotation; keeps rays at the side of the rotated camera and behind it
-# finite and far outside the image
-MIN_RAY_DEPTH = 0.05
 MIN_TOTAL_WEIGHT = 1e-12  # 1; guards the division by the sum of confidence scores in frames without seen joints
 MIN_FRAME_WEIGHT = 1e-12  # 1; lets distant frames define the direction where no near frame has a seen joint
 MIN_DIVISOR = 1e-300  # 1; guards the division when no frame at all has a seen joint
@@ -95,7 +91,7 @@ class VirtualCamera:
     def view_rays(self, rays: Array, weight: Array, focal: float) -> Array:
         """Return the image points (F, J, 2) of rays, in the unit of `focal`; 0 where the weight (F, J) is 0."""
         rotations = self.rotation.reshape(-1, 3, 3)
-        return _view_rays(np.ascontiguousarray(rays), np.ascontiguousarray(weight), rotations, focal)
+        return engine.view_rays(np.ascontiguousarray(rays), np.ascontiguousarray(weight), rotations, focal)
 
     def root_positions(self, cameras: WeakPerspectiveCameras, translation: Array) -> Array:
         """Z = f / s, X = t_x Z / f, Y = t_y Z / f, rotated into the real camera's frame.
@@ -151,48 +147,10 @@ def rotate_rays(rays: Array, rotation: Array) -> Array:
     else:
         groups = rays.reshape(-1, *rays.shape[-2:])
         rotations = np.broadcast_to(rotation, (*rays.shape[:-2], 3, 3)).reshape(-1, 3, 3)
-    rotated = _rotate_rays(np.ascontiguousarray(groups), np.ascontiguousarray(rotations))
-    return np.asarray(rotated.reshape(rays.shape))
+    rotated = engine.rotate_rays(np.ascontiguousarray(groups, float), np.ascontiguousarray(rotations))
+    return rotated.reshape(rays.shape)
 
 
-@kernel(types.UniTuple(FLOAT, 2)(INPUT_2D, FLOAT, FLOAT))
-def rotate_ray(r: Array, x: float, y: float) -> tuple[float, float]:
-    """Do the same to one ray (x, y); `r` (3, 3)."""
-    depth = max(r[2, 0] * x + r[2, 1] * y + r[2, 2], MIN_RAY_DEPTH)
-    return (r[0, 0] * x + r[0, 1] * y + r[0, 2]) / depth, (r[1, 0] * x + r[1, 1] * y + r[1, 2]) / depth
-
-
-@kernel(FLOATS_3D(INPUT_3D, INPUT_3D))
-def _rotate_rays(rays: Array, rotation: Array) -> Array:
-    """Return the rays of N groups (N, M, 2), each rotated by its rotation (N, 3, 3)."""
-    out = np.empty_like(rays)
-    for n in range(rays.shape[0]):
-        for m in range(rays.shape[1]):
-            out[n, m, 0], out[n, m, 1] = rotate_ray(rotation[n], rays[n, m, 0], rays[n, m, 1])
-    return out
-
-
-@kernel(FLOATS_3D(INPUT_3D, INPUT_2D, INPUT_3D, FLOAT))
-def _view_rays(rays: Array, weight: Array, rotation: Array, focal: float) -> Array:
-    """Compute `VirtualCamera.view_rays` with rotations (F, 3, 3), or (1, 3, 3) of all frames."""
-    out = np.zeros_like(rays)
-    for n in range(rays.shape[0]):
-        for j in range(rays.shape[1]):
-            if weight[n, j] > 0:
-                x, y = rotate_ray(rotation[n % len(rotation)], rays[n, j, 0], rays[n, j, 1])
-                out[n, j, 0], out[n, j, 1] = focal * x, focal * y
-    return out
-
-
-@kernel(FLOATS_3D(INPUT_2D))
 def rotation_to_optical_axis(rays: Array) -> Array:
     """Return the smallest rotations (F, 3, 3) that bring rays (F, 2), as x / z and y / z, to the optical axis."""
-    out = np.empty((len(rays), 3, 3))
-    for n in range(len(rays)):
-        length = math.sqrt(rays[n, 0] ** 2 + rays[n, 1] ** 2 + 1)
-        x, y, z = rays[n, 0] / length, rays[n, 1] / length, 1 / length
-        inverse = 1 / (1 + z)
-        out[n, 0, 0], out[n, 0, 1], out[n, 0, 2] = 1 - x * x * inverse, -x * y * inverse, -x
-        out[n, 1, 0], out[n, 1, 1], out[n, 1, 2] = -x * y * inverse, 1 - y * y * inverse, -y
-        out[n, 2, 0], out[n, 2, 1], out[n, 2, 2] = x, y, z
-    return out
+    return engine.turn_to_axes(np.ascontiguousarray(rays, float))

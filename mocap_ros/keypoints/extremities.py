@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.engine import rays as engine
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.left_right import BodySides, exchange_sides
 from mocap_ros.keypoints.rays import convert_to_rays
@@ -39,7 +40,7 @@ def _find_anchors() -> tuple[NDArray[np.intp], Array]:
     return np.array([[BODY26.index(joint) for joint in pair] for pair in anchors]), np.array(reach)
 
 
-_ANCHORS, _MAX_REACH = _find_anchors()
+_ANCHORS, _REACH = _find_anchors()
 
 
 class Extremities(NamedTuple):
@@ -71,30 +72,11 @@ def convert_body_to_rays(
     Arguments and errors are those of `rays.convert_to_rays`.
     """
     rays, weight = convert_to_rays(points, score, names, intrinsics, min_score, BODY26)
-    core_rays, core_weight, extremities = split_body(rays, weight)
-    return core_rays, core_weight, _drop_far_points(core_rays, core_weight, extremities)
-
-
-def _drop_far_points(rays: Array, weight: Array, extremities: Extremities) -> Extremities:
-    """Return extremities (...) without those too far from the core to belong to it.
-
-    They do not count as seen, since one that is somewhere else would spoil the whole lifted pose.
-    """
-    if not extremities.weight.any():
-        return extremities
-    is_seen = weight[..., None] > 0
-    high = np.where(is_seen, rays, -np.inf).max(axis=-2)
-    low = np.where(is_seen, rays, np.inf).min(axis=-2)
-    with np.errstate(invalid='ignore'):
-        diagonal = np.linalg.norm(high - low, axis=-1)
-    anchors, is_anchored = rays[..., _ANCHORS, :].mean(axis=-2), (weight[..., _ANCHORS] > 0).all(axis=-1)
-    distance = np.linalg.norm(extremities.rays - anchors, axis=-1)
-    is_far = is_anchored & (distance > _MAX_REACH * diagonal[..., None])
-    if not is_far.any():
-        return extremities
-    return Extremities(
-        np.where(is_far[..., None], 0.0, extremities.rays), np.where(is_far, 0.0, extremities.weight)
+    # One that is somewhere else would spoil the whole lifted pose.
+    engine.drop_far_points(
+        rays.reshape(-1, *rays.shape[-2:]), weight.reshape(-1, weight.shape[-1]), _ANCHORS, _REACH
     )
+    return split_body(rays, weight)
 
 
 def split_body(rays: Array, weight: Array) -> tuple[Array, Array, Extremities]:

@@ -17,10 +17,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOAT, FLOATS_2D, FLOATS_3D, INPUT_1D, INPUT_2D, INPUT_3D, kernel
+from mocap_ros.engine import rays as engine
 from mocap_ros.errors import SkeletonError
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton, canonical_joint_names
 
@@ -28,7 +27,6 @@ Array = NDArray[np.float64]
 
 MIN_TARGET_JOINTS = 4  # joints; the 2x4 camera matrix M has 8 unknowns, and each image point gives 2 equations
 MAX_NAMES_IN_ERROR = 5  # joint names; keeps the error message on one line for layouts with many keypoints
-MIN_SCORED_WEIGHT = 0.08  # 1; a keypoint of a smaller weight in the sum decides nothing about the joint's score
 MAX_CACHED_MAPS = 64  # maps; bounds the memory when messages name ever new joints, far above detectors in use
 
 
@@ -129,49 +127,13 @@ class JointMap:
 
         Returns:
             (..., Jt, D) points, NaN for joints without an alternative whose keypoints were all seen, and (..., Jt)
-                scores:
-            the least score of the keypoints whose weight is at least `MIN_SCORED_WEIGHT`, times the score factor.
+            scores: the least score of the keypoints that weigh in the sum, times the score factor.
         """
         lead, (sources, dimensions) = points.shape[:-2], points.shape[-2:]
         flat_points = np.ascontiguousarray(points, float).reshape(-1, sources, dimensions)
         flat_score = np.ascontiguousarray(score, float).reshape(-1, sources)
-        out, out_score = map_joints(flat_points, flat_score, self.weights, self.score_factor)
+        out, out_score = engine.map_joints(flat_points, flat_score, self.weights, self.score_factor)
         return out.reshape(*lead, -1, dimensions), out_score.reshape(*lead, -1)
-
-
-@kernel(FLOAT(INPUT_2D, INPUT_1D, INPUT_1D))
-def _find_least_score(points: Array, score: Array, weights: Array) -> float:
-    """Return the least score of the keypoints whose weights count; 0 if a keypoint of the sum was not seen."""
-    least = np.inf
-    for s in range(len(weights)):
-        if weights[s] != 0:
-            if not (score[s] > 0 and np.isfinite(points[s]).all()):
-                return 0.0
-            if abs(weights[s]) >= MIN_SCORED_WEIGHT:
-                least = min(least, score[s])
-    return least
-
-
-@kernel(types.Tuple((FLOATS_3D, FLOATS_2D))(INPUT_3D, INPUT_2D, INPUT_3D, INPUT_2D))
-def map_joints(points: Array, score: Array, weights: Array, score_factor: Array) -> tuple[Array, Array]:
-    """Compute `JointMap.apply` of points (N, Js, D) and scores (N, Js): y_t = sum_s W_ts x_s."""
-    frames, sources, dimensions = points.shape
-    alternatives, targets = score_factor.shape
-    out = np.full((frames, targets, dimensions), np.nan)
-    out_score = np.zeros((frames, targets))
-    for n in range(frames):
-        for t in range(targets):
-            for a in range(alternatives):
-                least = _find_least_score(points[n], score[n], weights[a, t])
-                if score_factor[a, t] > 0 and least > 0:
-                    out_score[n, t] = least * score_factor[a, t]
-                    out[n, t] = 0.0
-                    for s in range(sources):
-                        if weights[a, t, s] != 0:
-                            for d in range(dimensions):
-                                out[n, t, d] += weights[a, t, s] * points[n, s, d]
-                    break
-    return out, out_score
 
 
 @lru_cache(maxsize=MAX_CACHED_MAPS)

@@ -28,10 +28,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import float32, types, void
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOAT, FLOATS_3D, INPUT_1D, INPUT_3D, kernel
+from mocap_ros.engine import lifter as engine
 from mocap_ros.models.lifter_input import JOINT_COUNT, MIRROR_PERMUTATION, encode_histories, sample_histories
 from mocap_ros.models.network import RoundedNetwork
 from mocap_ros.skeleton import CMU15, CORE_COUNT
@@ -40,14 +39,11 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
 LOG_STD_RANGE = -7.0, 1.0  # log of the output unit; bounds standard deviations to 0.001 and 2.7 mean distances
-MIN_SEEN_JOINTS = 3  # core joints of the newest frame; fewer tell hardly anything of a pose, which is NaN then
 EPSILON = 1e-9  # guards divisions by sums of weights and logarithms of bone lengths
 SIZE_SMOOTHING_S = 0.25  # s, standard deviation of the Gaussian that averages the size of the bones over time
 BONE_SUM_PER_STATURE = 2.42  # 1, sum of all bone lengths over stature; mean of 46 people (2.33 to 2.49)
 
 OUTPUT_COUNT = 5 * JOINT_COUNT  # x, y and z of each joint; log standard deviations of x and y together, and of z
-
-_INPUT32_3D = types.Array(float32, 3, 'C', readonly=True)  # types of kernels' arguments
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +117,8 @@ class Lifter:
             vertical_std: (N,) rad, their standard deviations.
         """
         encoded = encode_histories(points, weight, focal, vertical, vertical_std)
-        joints, std = np.empty((2, len(encoded.size), JOINT_COUNT, 3))
-        _decode(self.network.evaluate(encoded.features), *encoded, joints, std)
-        return LiftedPoses(joints, std)
+        outputs = self.network.evaluate(encoded.features)
+        return LiftedPoses(*engine.decode(outputs, *encoded, MIRROR_PERMUTATION, CORE_COUNT, *LOG_STD_RANGE))
 
     def lift_sequence(self, points: Array, weight: Array, times: Array, focal: float = math.inf) -> LiftedPoses:
         """Estimate the pose of each of F frames from the frame itself and the frames before it.
@@ -135,57 +130,6 @@ class Lifter:
             focal: focal length in the unit of the points; infinite if unknown.
         """
         return self.lift(*sample_histories(points, weight, times, np.arange(len(times))), focal)
-
-
-@kernel(FLOAT(float32, float32))
-def _mean(a: float, b: float) -> float:
-    """Return the mean of two numbers of single precision in double precision."""
-    return (np.float64(a) + np.float64(b)) / 2
-
-
-@kernel(void(_INPUT32_3D, _INPUT32_3D, INPUT_3D, INPUT_1D, INPUT_3D, FLOATS_3D, FLOATS_3D))
-def _decode(
-    outputs: Array32, features: Array32, newest: Array, size: Array, rotation: Array, joints: Array, std: Array
-) -> None:
-    """Write the lifted poses of N histories, the means of those of the two images.
-
-    Args:
-        outputs: (N, 2, OUTPUT_COUNT) outputs of the network for each history and for its mirror image.
-        features: this and the next three are the attributes of `NetworkInput`.
-        newest: likewise.
-        size: likewise.
-        rotation: likewise.
-        joints: this and the last are the attributes of `LiftedPoses`, which are overwritten.
-        std: likewise.
-    """
-    low, high = LOG_STD_RANGE
-    log_stds = 3 * JOINT_COUNT  # outputs before the logarithms of the standard deviations
-    for n in range(len(outputs)):
-        seen, total = 0, 0.0
-        for j in range(CORE_COUNT):
-            if features[n, 0, 3 * j + 2] > 0:
-                seen += 1
-        for i in range(outputs.shape[2]):
-            total += outputs[n, 0, i] + outputs[n, 1, i]
-        unit = size[n] if seen >= MIN_SEEN_JOINTS and math.isfinite(total) else math.nan
-        mean_x, mean_y, mean_z = 0.0, 0.0, 0.0
-        for j in range(JOINT_COUNT):
-            m = MIRROR_PERMUTATION[j]
-            x = _mean(outputs[n, 0, 3 * j], -outputs[n, 1, 3 * m]) + newest[n, j, 0]
-            y = _mean(outputs[n, 0, 3 * j + 1], outputs[n, 1, 3 * m + 1]) + newest[n, j, 1]
-            z = _mean(outputs[n, 0, 3 * j + 2], outputs[n, 1, 3 * m + 2])
-            joints[n, j, 0], joints[n, j, 1], joints[n, j, 2] = x, y, z
-            if j < CORE_COUNT:
-                mean_x, mean_y, mean_z = mean_x + x / CORE_COUNT, mean_y + y / CORE_COUNT, mean_z + z / CORE_COUNT
-            across = _mean(outputs[n, 0, log_stds + 2 * j], outputs[n, 1, log_stds + 2 * m])
-            along = _mean(outputs[n, 0, log_stds + 2 * j + 1], outputs[n, 1, log_stds + 2 * m + 1])
-            std[n, j, 0] = std[n, j, 1] = math.exp(min(max(across, low), high)) * unit
-            std[n, j, 2] = math.exp(min(max(along, low), high)) * unit
-        for j in range(JOINT_COUNT):
-            x, y, z = joints[n, j, 0] - mean_x, joints[n, j, 1] - mean_y, joints[n, j, 2] - mean_z
-            for axis in range(3):
-                turned = x * rotation[n, 0, axis] + y * rotation[n, 1, axis] + z * rotation[n, 2, axis]
-                joints[n, j, axis] = turned * unit
 
 
 def scale_to_metres(lifted: LiftedPoses, times: Array, height: float) -> LiftedPoses:

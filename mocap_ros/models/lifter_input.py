@@ -21,24 +21,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import float32, types, void
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import (
-    BOOL,
-    FLOAT,
-    FLOATS_1D,
-    FLOATS_2D,
-    FLOATS_3D,
-    FLOATS_4D,
-    INPUT_1D,
-    INPUT_2D,
-    INPUT_3D,
-    INPUT_4D,
-    INPUT_INTS_1D,
-    kernel,
-)
-from mocap_ros.geometry.virtual_camera import rotate_ray, rotation_to_optical_axis
+from mocap_ros.engine import lifter as engine
 from mocap_ros.skeleton import BODY26, CORE_COUNT
 
 Array = NDArray[np.float64]
@@ -50,11 +35,6 @@ HISTORY_SLOTS_S = np.array([0, 1, 2, 3, 4, 6, 8, 10, 13, 16, 20, 24]) / 30
 
 MAX_INTERPOLATION_GAP_S = 0.15  # s; points in longer gaps between frames count as not seen, as in training
 TIME_TOLERANCE_S = 0.004  # s; a frame this near to a slot is taken as it is, an eighth of a frame at 30 fps
-MAX_FEATURE = 5.0  # mean distances from the centroid; bounds the effect of gross outliers on the network
-MAX_COORDINATE = 1e12  # units of the input; larger coordinates count as not seen, their squares could overflow
-ANGULAR_SIZE_UNIT_RAD = 0.1  # rad; brings the angular size of a person at usual distances to the order of 1
-MIN_TOTAL_WEIGHT = 1e-9  # 1; guards divisions by sums of confidence scores
-
 # rad; S: about how far the lifter's own guess of the vertical is off; a better one counts by more than half
 VERTICAL_STD_RAD = math.radians(8.0)
 
@@ -62,8 +42,6 @@ JOINT_COUNT = len(BODY26.joints)  # joints
 MIRROR_PERMUTATION = np.array(BODY26.mirror)  # joint indices with left and right exchanged
 POINT_FEATURES = 3 * JOINT_COUNT * len(HISTORY_SLOTS_S)  # x, y and score of each joint and slot
 FEATURE_COUNT = POINT_FEATURES + 4  # these, the vertical and the angular size
-
-_FLOATS32_3D = types.Array(float32, 3, 'C')  # types of kernels' arguments
 
 
 def sample_histories(points: Array, weight: Array, times: Array, frames: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -83,53 +61,15 @@ def sample_histories(points: Array, weight: Array, times: Array, frames: NDArray
         (N, T, J, 2) image points and (N, T, J) confidence scores, newest slot first; both are 0 for joints that
         were not seen.
     """
-    sampled_weight = np.zeros((len(frames), len(HISTORY_SLOTS_S), weight.shape[1]))
-    sampled_points = np.zeros((*sampled_weight.shape, 2))
-    _sample(
+    return engine.sample_histories(
         np.ascontiguousarray(points, float),
         np.ascontiguousarray(weight, float),
         np.ascontiguousarray(times, float),
         np.ascontiguousarray(frames, np.int64),
-        sampled_points,
-        sampled_weight,
+        HISTORY_SLOTS_S,
+        MAX_INTERPOLATION_GAP_S,
+        TIME_TOLERANCE_S,
     )
-    return sampled_points, sampled_weight
-
-
-@kernel(void(INPUT_3D, INPUT_2D, INPUT_1D, INPUT_INTS_1D, FLOATS_4D, FLOATS_3D))
-def _sample(
-    points: Array,
-    weight: Array,
-    times: Array,
-    frames: NDArray[np.int64],
-    sampled_points: Array,
-    sampled_weight: Array,
-) -> None:
-    """Write what `sample_histories` returns into arrays that hold 0."""
-    for n in range(len(frames)):
-        after = frames[n]
-        for slot in range(len(HISTORY_SLOTS_S)):
-            time = times[frames[n]] - HISTORY_SLOTS_S[slot]
-            while after > 0 and times[after - 1] >= time - TIME_TOLERANCE_S:
-                after -= 1
-            before = max(after - 1, 0)
-            to_after, to_before = times[after] - time, time - times[before]
-            share = 0.0  # of the frame after the slot
-            nearest = after
-            while nearest < frames[n] and abs(times[nearest + 1] - time) < abs(times[nearest] - time):
-                nearest += 1
-            if abs(times[nearest] - time) <= TIME_TOLERANCE_S:
-                older, newer = nearest, nearest
-            elif to_before > 0 and to_after + to_before <= MAX_INTERPOLATION_GAP_S:
-                older, newer, share = before, after, to_before / (to_after + to_before)
-            else:
-                continue
-            for j in range(weight.shape[1]):
-                if weight[older, j] > 0 and weight[newer, j] > 0:
-                    sampled_weight[n, slot, j] = (1 - share) * weight[older, j] + share * weight[newer, j]
-                    for axis in range(2):
-                        point = (1 - share) * points[older, j, axis] + share * points[newer, j, axis]
-                        sampled_points[n, slot, j, axis] = point
 
 
 class NetworkInput(NamedTuple):
@@ -163,28 +103,27 @@ def encode_histories(
             unknown.
         vertical_std: (N,) rad, their standard deviations.
     """
-    count = len(weight)
-    points, weight = _add_missing_joints(points, weight)
-    if math.isfinite(focal):
-        points, rotation = _face_newest_points(points, weight, focal)
-    else:
-        rotation = np.empty((count, 3, 3))
-        rotation[:] = np.eye(3)
-    features = np.empty((count, 2, FEATURE_COUNT), np.float32)
-    newest, size = np.empty((count, JOINT_COUNT, 2)), np.empty(count)
-    upward = np.zeros((count, 3))
+    upward = np.zeros((len(weight), 3))
     if vertical is not None and vertical_std is not None:
-        upward = weigh_vertical((rotation @ vertical[..., None])[..., 0], vertical_std)
-    _encode(points, weight, np.full(count, focal), upward, features, newest, size)
-    return NetworkInput(features, newest, size, rotation)
+        upward = weigh_vertical(vertical, vertical_std)
+    return NetworkInput(
+        *_encode(points, weight, np.full(len(weight), focal), upward, turns_cameras=True, images=2)
+    )
 
 
-def _add_missing_joints(points: Array, weight: Array) -> tuple[Array, Array]:
-    """Return histories of all joints; they may have those of the core alone."""
-    if (missing := JOINT_COUNT - weight.shape[-1]) > 0:
-        points = np.pad(points, [(0, 0), (0, 0), (0, missing), (0, 0)])
-        weight = np.pad(weight, [(0, 0), (0, 0), (0, missing)])
-    return np.ascontiguousarray(points, float), np.ascontiguousarray(weight, float)
+def _encode(
+    points: Array, weight: Array, focal: Array, upward: Array, *, turns_cameras: bool, images: int
+) -> tuple[Array32, Array, Array, Array]:
+    return engine.encode(
+        np.ascontiguousarray(points, float),
+        np.ascontiguousarray(weight, float),
+        np.ascontiguousarray(focal, float),
+        np.ascontiguousarray(upward, float),
+        MIRROR_PERMUTATION,
+        CORE_COUNT,
+        turns_cameras,
+        images,
+    )
 
 
 def weigh_vertical(vertical: Array, std: Array) -> Array:
@@ -205,96 +144,6 @@ def encode_features(points: Array32, weight: Array32, focal: Array, upward: Arra
     Returns:
         (N, FEATURE_COUNT) features; `newest` and `size` as in `NetworkInput`.
     """
-    features = np.empty((len(weight), 1, FEATURE_COUNT), np.float32)
-    newest, size = np.empty((len(weight), JOINT_COUNT, 2)), np.empty(len(weight))
-    _encode(
-        np.ascontiguousarray(points, float),
-        np.ascontiguousarray(weight, float),
-        np.ascontiguousarray(focal, float),
-        np.ascontiguousarray(upward, float),
-        features,
-        newest,
-        size,
-    )
+    given = np.asarray(points, float), np.asarray(weight, float), focal, upward
+    features, newest, size, _ = _encode(*given, turns_cameras=False, images=1)
     return features[:, 0], newest, size
-
-
-@kernel(BOOL(FLOAT, FLOAT, FLOAT))
-def _is_seen(x: float, y: float, weight: float) -> bool:
-    return weight > 0 and abs(x) < MAX_COORDINATE and abs(y) < MAX_COORDINATE
-
-
-@kernel(types.Tuple((FLOATS_4D, FLOATS_3D))(INPUT_4D, INPUT_3D, FLOAT))
-def _face_newest_points(points: Array, weight: Array, focal: float) -> tuple[Array, Array]:
-    """Return histories in virtual cameras that face their newest points, and the rotations (N, 3, 3) of these."""
-    count, slots, joints = weight.shape
-    directions = np.empty((count, 2))
-    for n in range(count):
-        total, x, y = 0.0, 0.0, 0.0
-        for j in range(CORE_COUNT):
-            w = weight[n, 0, j]
-            if _is_seen(points[n, 0, j, 0], points[n, 0, j, 1], w):
-                total, x, y = total + w, x + w * points[n, 0, j, 0], y + w * points[n, 0, j, 1]
-        total = max(total, MIN_TOTAL_WEIGHT)
-        directions[n, 0], directions[n, 1] = x / total / focal, y / total / focal
-    rotation = rotation_to_optical_axis(directions)
-    facing = np.full(points.shape, np.nan)
-    for n in range(count):
-        to_virtual = rotation[n]
-        for slot in range(slots):
-            for j in range(joints):
-                x, y = points[n, slot, j, 0], points[n, slot, j, 1]
-                if _is_seen(x, y, weight[n, slot, j]):
-                    x, y = rotate_ray(to_virtual, x / focal, y / focal)
-                    facing[n, slot, j, 0], facing[n, slot, j, 1] = focal * x, focal * y
-    return facing, rotation
-
-
-@kernel(FLOAT(INPUT_3D, INPUT_2D, FLOATS_3D, FLOATS_2D))
-def _centre(points: Array, weight: Array, centred: Array, score: Array) -> float:
-    """Write points (T, J, 2) relative to the centroids and scores (T, J), 0 if not seen, and return the unit."""
-    total, total_distance = 0.0, 0.0
-    for slot in range(len(weight)):
-        slot_total, x, y = 0.0, 0.0, 0.0
-        for j in range(weight.shape[1]):
-            w = min(weight[slot, j], 1.0)
-            score[slot, j] = 0.0
-            if _is_seen(points[slot, j, 0], points[slot, j, 1], w):
-                score[slot, j] = w
-            if j < CORE_COUNT and score[slot, j] > 0:
-                slot_total, x, y = slot_total + w, x + w * points[slot, j, 0], y + w * points[slot, j, 1]
-        x, y = x / max(slot_total, MIN_TOTAL_WEIGHT), y / max(slot_total, MIN_TOTAL_WEIGHT)
-        for j in range(weight.shape[1]):
-            dx, dy, w = 0.0, 0.0, score[slot, j]
-            if w > 0:
-                dx, dy = points[slot, j, 0] - x, points[slot, j, 1] - y
-                if j < CORE_COUNT:
-                    total, total_distance = total + w, total_distance + w * math.sqrt(dx * dx + dy * dy)
-            centred[slot, j, 0], centred[slot, j, 1] = dx, dy
-    unit = total_distance / max(total, MIN_TOTAL_WEIGHT)
-    return unit if unit > 0 else 1.0
-
-
-@kernel(void(INPUT_4D, INPUT_3D, INPUT_1D, INPUT_2D, _FLOATS32_3D, FLOATS_3D, FLOATS_1D))
-def _encode(
-    points: Array, weight: Array, focal: Array, upward: Array, features: Array32, newest: Array, size: Array
-) -> None:
-    """Write the features of histories (N, 1, FEATURE_COUNT), or (N, 2, FEATURE_COUNT) with the mirror images."""
-    count, slots, joints = weight.shape
-    centred, score = np.empty((slots, joints, 2)), np.empty((slots, joints))
-    for n in range(count):
-        unit = _centre(points[n], weight[n], centred, score)
-        size[n] = unit
-        for image in range(features.shape[1]):
-            row = features[n, image]
-            row[POINT_FEATURES] = -upward[n, 0] if image else upward[n, 0]
-            row[POINT_FEATURES + 1], row[POINT_FEATURES + 2] = upward[n, 1], upward[n, 2]
-            row[-1] = min(unit / focal[n] / ANGULAR_SIZE_UNIT_RAD, MAX_FEATURE)
-            for slot in range(slots):
-                for j in range(joints):
-                    x = min(max(centred[slot, j, 0] / unit, -MAX_FEATURE), MAX_FEATURE)
-                    y = min(max(centred[slot, j, 1] / unit, -MAX_FEATURE), MAX_FEATURE)
-                    first = 3 * (slot * joints + (MIRROR_PERMUTATION[j] if image else j))
-                    row[first], row[first + 1], row[first + 2] = -x if image else x, y, score[slot, j]
-                    if slot == 0:
-                        newest[n, j, 0], newest[n, j, 1] = x, y

@@ -23,7 +23,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.keypoints.joint_map import build_joint_map, map_joints
+from mocap_ros.engine import rays as engine
+from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.models.lifter_input import HISTORY_SLOTS_S, JOINT_COUNT, MAX_INTERPOLATION_GAP_S, MIRROR_PERMUTATION
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 from mocap_ros.training.postures import FACE, FEET, HANDS, joint_indices, limb_indices
@@ -292,7 +293,7 @@ class DetectorErrors:
             given[i, sources] = True
             chosen = np.flatnonzero(kind == i)
             joint_map = build_joint_map(names, BODY26)
-            points, derived = map_joints(
+            points, derived = engine.map_joints(
                 np.ascontiguousarray(image[chosen][:, :, sources], float).reshape(-1, len(sources), 2),
                 np.ascontiguousarray(score[chosen][:, :, sources], float).reshape(-1, len(sources)),
                 np.ascontiguousarray(joint_map.weights[:, _MIDLINE]),

@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import (
-    MIN_RAY_DEPTH,
     Array,
     VirtualCamera,
     rotate_rays,
@@ -64,7 +63,7 @@ def test_rays_of_points_in_front_are_rotated_as_the_points_are(
     rotation = rotation_to_optical_axis(np.array([[x, y]]))
     ahead = np.array([[[right, down]]])  # in the rotated camera
     point = np.concatenate([ahead, np.ones((1, 1, 1))], axis=-1) @ rotation
-    if point[0, 0, 2] > MIN_RAY_DEPTH:  # in front of the unrotated camera, too
+    if point[0, 0, 2] > 0.05:  # in front of the unrotated camera, too
         assert rotate_rays(to_rays(point), rotation) == pytest.approx(ahead, abs=1e-9)
         assert rotate_rays(ahead, np.swapaxes(rotation, -1, -2)) == pytest.approx(to_rays(point), rel=1e-9)
 

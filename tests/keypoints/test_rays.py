@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.joint_map import JointMap, build_joint_map
-from mocap_ros.keypoints.rays import MAX_POINT_PX, convert_to_rays
+from mocap_ros.keypoints.rays import convert_to_rays
 from mocap_ros.skeleton import CMU15, keypoint_layout
 
 Array = NDArray[np.float64]
 
 NAMES = keypoint_layout('coco17').joints
 MIN_SCORE = 0.3
+MAX_POINT_PX = 1e7  # coordinates beyond it count as not seen
 LENSES = [
     Distortion(),
     Distortion('plumb_bob', (-0.28, 0.07, 0.0002, 0.00002)),

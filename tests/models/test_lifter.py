@@ -112,7 +112,7 @@ def test_lifted_poses_agree_with_the_formula(
     points[weight == 0] = np.nan
     points, weight = sample_histories(points, weight, times, np.array([3, 20, 39]))
     points, weight = add_extremities(points, weight)
-    weight[1, 0, lifter.MIN_SEEN_JOINTS - 1 : CORE_COUNT] = 0
+    weight[1, 0, plain_lifter.MIN_SEEN_JOINTS - 1 : CORE_COUNT] = 0
     vertical, vertical_std = np.array([[0.0, -1, 0], [0, -0.8, -0.6], [np.nan] * 3]), np.array([0.1, 0.0, 0.1])
     lifted = shipped.lift(points, weight, focal, vertical, vertical_std)
     layers = plain_lifter.round_layers(shipped.layers)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mocap_ros.models import lifter_input
 from mocap_ros.models.lifter_input import (
     HISTORY_SLOTS_S,
     JOINT_COUNT,
@@ -24,7 +23,7 @@ RATES_HZ = [8.0, 24.0, 30.0, 60.0, 300.0]
 
 
 def make_sequence(
-    rng: np.random.Generator, rate_hz: float, outlier: float = 2 * lifter_input.MAX_COORDINATE
+    rng: np.random.Generator, rate_hz: float, outlier: float = 2 * plain_lifter.MAX_COORDINATE
 ) -> tuple[Array, Array, Array]:
     """Return points (F, J, 2), weights (F, J) and times (F,), with gaps, outliers and joints not seen."""
     frames = 60

@@ -19,6 +19,11 @@ Array = NDArray[np.float64]
 
 MIRROR = list(BODY26.mirror)
 CORE = slice(CORE_COUNT)
+MAX_FEATURE = 5.0  # mean distances from the centroid
+MAX_COORDINATE = 1e12  # larger coordinates count as not seen
+ANGULAR_SIZE_UNIT_RAD = 0.1
+MIN_TOTAL_WEIGHT = 1e-9
+MIN_SEEN_JOINTS = 3  # of the core in the newest frame; with fewer there is no pose
 UNKNOWN = np.zeros(3)  # what the network is told of a vertical that is not known
 
 
@@ -52,18 +57,18 @@ def encode_features(
     points: Array, weight: Array, focal: float, upward: Array = UNKNOWN
 ) -> tuple[Array, Array, float]:
     """Return the features of one history (T, J, 2) in virtual cameras, its newest points (J, 2) and its unit."""
-    seen = (weight > 0) & (np.abs(points) < lifter_input.MAX_COORDINATE).all(axis=-1)
+    seen = (weight > 0) & (np.abs(points) < MAX_COORDINATE).all(axis=-1)
     weight = np.where(seen, np.minimum(weight, 1), 0)
     clean = np.where(seen[..., None], points, 0)
     core = weight[:, CORE]
-    total = np.maximum(core.sum(axis=1), lifter_input.MIN_TOTAL_WEIGHT)
+    total = np.maximum(core.sum(axis=1), MIN_TOTAL_WEIGHT)
     centroid = (core[..., None] * clean[:, CORE]).sum(axis=1) / total[:, None]
     centred = np.where(seen[..., None], clean - centroid[:, None], 0)
     distances = np.linalg.norm(centred[:, CORE], axis=-1)
-    unit = float((core * distances).sum() / max(core.sum(), lifter_input.MIN_TOTAL_WEIGHT))
+    unit = float((core * distances).sum() / max(core.sum(), MIN_TOTAL_WEIGHT))
     unit = unit if unit > 0 else 1.0
-    relative = np.clip(centred / unit, -lifter_input.MAX_FEATURE, lifter_input.MAX_FEATURE)
-    angular_size = min(unit / focal / lifter_input.ANGULAR_SIZE_UNIT_RAD, lifter_input.MAX_FEATURE)
+    relative = np.clip(centred / unit, -MAX_FEATURE, MAX_FEATURE)
+    angular_size = min(unit / focal / ANGULAR_SIZE_UNIT_RAD, MAX_FEATURE)
     return np.concatenate([np.dstack([relative, weight]).ravel(), upward, [angular_size]]), relative[0], unit
 
 
@@ -75,7 +80,7 @@ def mirror_features(features: Array) -> Array:
 
 def face_newest_points(points: Array, weight: Array, focal: float) -> tuple[Array, Array]:
     """Return one history (T, J, 2) in the image of a camera that faces its newest points, and its rotation."""
-    seen = (weight > 0) & (np.abs(points) < lifter_input.MAX_COORDINATE).all(axis=-1)
+    seen = (weight > 0) & (np.abs(points) < MAX_COORDINATE).all(axis=-1)
     clean = np.where(seen[..., None], points, 0) / focal
     newest = np.where(seen[0], weight[0], 0)[CORE]
     rotation = rotation_to_optical_axis((newest @ clean[0, CORE] / max(newest.sum(), 1e-9))[None])[0]
@@ -114,7 +119,7 @@ def lift(
         points, rotation = face_newest_points(points, weight, focal)
     upward = UNKNOWN if vertical is None else weigh_vertical(rotation @ vertical[0], vertical[1])
     features, newest, unit = encode_features(points, weight, focal, upward)
-    if (features[2 : 3 * CORE_COUNT : 3] > 0).sum() < lifter.MIN_SEEN_JOINTS:
+    if (features[2 : 3 * CORE_COUNT : 3] > 0).sum() < MIN_SEEN_JOINTS:
         return np.full((len(MIRROR), 3), np.nan), np.full((len(MIRROR), 3), np.nan)
     outputs = evaluate(layers, np.stack([features, mirror_features(features)]))
     pose, mirrored = outputs[:, : 3 * len(MIRROR)].reshape(2, -1, 3)

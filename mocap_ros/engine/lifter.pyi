@@ -1,0 +1,54 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+Array32: TypeAlias = NDArray[np.float32]
+Indices: TypeAlias = NDArray[np.int64]
+Codes: TypeAlias = NDArray[Any]  # of 8 or 16 bits
+
+def sample_histories(
+    points: Array,
+    weight: Array,
+    times: Array,
+    frames: Indices,
+    slots: Array,
+    max_gap_s: float,
+    tolerance_s: float,
+) -> tuple[Array, Array]: ...
+def encode(
+    points: Array,
+    weight: Array,
+    focal: Array,
+    upward: Array,
+    mirror: Indices,
+    core: int,
+    turns_cameras: bool,
+    images: int,
+) -> tuple[Array32, Array, Array, Array]: ...
+def evaluate(
+    features: Array32,
+    first: Codes,
+    first_scales: Array32,
+    hidden: Codes,
+    hidden_scales: Array32,
+    last: Codes,
+    last_scales: Array32,
+    biases: Array32,
+    last_bias: Array32,
+) -> Array32: ...
+def decode(
+    outputs: Array32,
+    features: Array32,
+    newest: Array,
+    size: Array,
+    rotation: Array,
+    mirror: Indices,
+    core: int,
+    min_log_std: float,
+    max_log_std: float,
+) -> tuple[Array, Array]: ...

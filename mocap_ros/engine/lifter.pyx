@@ -1,0 +1,351 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+
+"""The lifter from image points to poses; the formulas are in `models.lifter_input`, `models.network`, `models.lifter`.
+
+Sizes: F frames, N histories, T slots, J joints, J_c of the core, which come first, I inputs, W hidden units, H hidden
+layers, O = 5 J outputs.
+"""
+
+from libc.math cimport INFINITY, NAN, exp, fabs, isfinite, sqrt
+
+import numpy as np
+
+from mocap_ros.engine.geometry cimport rotate_ray, turn_to_axis
+
+ctypedef const double[::1] Vector
+ctypedef const double[:, ::1] Rows
+ctypedef const double[:, :, ::1] Stack
+ctypedef const float[::1] Floats
+
+cdef extern from *:
+    """
+    #define MAX_FEATURE 5.0        /* mean distances from the centroid; bounds the effect of gross outliers */
+    #define MAX_COORDINATE 1e12    /* units of the input; the squares of larger coordinates could overflow */
+    #define ANGULAR_SIZE_UNIT_RAD 0.1 /* brings the angular size of a person at usual distances to the order of 1 */
+    #define MIN_TOTAL_WEIGHT 1e-9  /* guards divisions by sums of confidence scores */
+    #define MIN_SEEN_JOINTS 3      /* core joints of the newest frame; fewer say hardly anything of a pose */
+
+    /* y += a C, z += b C for rows C of codes, four rows at a time to fetch and store y and z less often. Processors
+       with AVX2 convert and multiply eight codes at once, which no compiler does by itself as well. */
+    #define SUM(name, code) \\
+    static void name(const code *codes, Py_ssize_t width, const long long *rows, Py_ssize_t count, const float *a, \\
+                     const float *b, float *__restrict y, float *__restrict z) { \\
+        for (Py_ssize_t n = 0; n < count; n++) \\
+            for (Py_ssize_t o = 0; o < width; o++) { \\
+                y[o] += a[n] * codes[rows[n] * width + o]; \\
+                z[o] += b[n] * codes[rows[n] * width + o]; \\
+            } \\
+    }
+    SUM(add_codes_8, signed char)
+    SUM(add_codes_16, short)
+    #if defined(__x86_64__) && defined(__GNUC__)
+    #include <immintrin.h>
+    #define SUM_AVX2(name, code, load) \\
+    __attribute__((target("avx2,fma"))) \\
+    static void name##_avx2(const code *codes, Py_ssize_t width, const long long *rows, Py_ssize_t count, \\
+                            const float *a, const float *b, float *y, float *z) { \\
+        for (Py_ssize_t n = 0; n < count; n += 4) { \\
+            const code *row[4]; \\
+            __m256 p[4], q[4]; \\
+            for (int k = 0; k < 4; k++) { \\
+                row[k] = codes + rows[n + k] * width; \\
+                p[k] = _mm256_set1_ps(a[n + k]); \\
+                q[k] = _mm256_set1_ps(b[n + k]); \\
+            } \\
+            for (Py_ssize_t o = 0; o < width; o += 8) { \\
+                __m256 s = _mm256_loadu_ps(y + o), t = _mm256_loadu_ps(z + o); \\
+                for (int k = 0; k < 4; k++) { \\
+                    const __m256 w = _mm256_cvtepi32_ps(load((const void *) (row[k] + o))); \\
+                    s = _mm256_fmadd_ps(p[k], w, s); \\
+                    t = _mm256_fmadd_ps(q[k], w, t); \\
+                } \\
+                _mm256_storeu_ps(y + o, s); \\
+                _mm256_storeu_ps(z + o, t); \\
+            } \\
+        } \\
+    }
+    #define LOAD_8(from) _mm256_cvtepi8_epi32(_mm_loadl_epi64(from))
+    #define LOAD_16(from) _mm256_cvtepi16_epi32(_mm_loadu_si128(from))
+    SUM_AVX2(add_codes_8, signed char, LOAD_8)
+    SUM_AVX2(add_codes_16, short, LOAD_16)
+    #define CHOOSE(name) (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") ? name##_avx2 : name)
+    #else
+    #define CHOOSE(name) name
+    #endif
+    #define ADD_CODES_8 CHOOSE(add_codes_8)
+    #define ADD_CODES_16 CHOOSE(add_codes_16)
+    """
+    const double MAX_FEATURE, MAX_COORDINATE, ANGULAR_SIZE_UNIT_RAD, MIN_TOTAL_WEIGHT
+    const int MIN_SEEN_JOINTS
+    void ADD_CODES_8(const signed char*, Py_ssize_t, const long long*, Py_ssize_t, const float*, const float*, float*,
+                     float*) noexcept nogil
+    void ADD_CODES_16(const short*, Py_ssize_t, const long long*, Py_ssize_t, const float*, const float*, float*,
+                      float*) noexcept nogil
+
+ctypedef fused Code:
+    signed char
+    short
+
+
+def sample_histories(
+    Stack points, Rows weight, Vector times, const long long[::1] frames, Vector slots, double max_gap_s,
+    double tolerance_s,
+):
+    """Return the points (N, T, J, 2) and scores (N, T, J) at the slots before some frames; 0 where not seen.
+
+    Args:
+        points: (F, J, 2) any unit.
+        weight: (F, J) scores, 0 where not seen.
+        times: (F,) s, increasing.
+        frames: (N,) the newest frame of each history.
+        slots: (T,) s before it, increasing.
+        max_gap_s: s; in longer gaps between frames joints count as not seen.
+        tolerance_s: s; a frame this near to a slot is taken as it is.
+    """
+    cdef Py_ssize_t n, t, j, axis, after, before, nearest, older, newer
+    cdef double time, to_after, to_before, share
+    shape = frames.shape[0], slots.shape[0], weight.shape[1]
+    sampled, sampled_weight = np.zeros((*shape, 2)), np.zeros(shape)
+    cdef double[:, :, :, ::1] out = sampled
+    cdef double[:, :, ::1] out_weight = sampled_weight
+    for n in range(frames.shape[0]):
+        after = frames[n]
+        for t in range(slots.shape[0]):
+            time = times[frames[n]] - slots[t]
+            while after > 0 and times[after - 1] >= time - tolerance_s:
+                after -= 1
+            before = max(after - 1, 0)
+            to_after, to_before = times[after] - time, time - times[before]
+            nearest = after
+            while nearest < frames[n] and fabs(times[nearest + 1] - time) < fabs(times[nearest] - time):
+                nearest += 1
+            if fabs(times[nearest] - time) <= tolerance_s:
+                older, newer, share = nearest, nearest, 0.0
+            elif to_before > 0 and to_after + to_before <= max_gap_s:
+                older, newer, share = before, after, to_before / (to_after + to_before)
+            else:
+                continue
+            for j in range(weight.shape[1]):
+                if weight[older, j] > 0 and weight[newer, j] > 0:
+                    out_weight[n, t, j] = (1 - share) * weight[older, j] + share * weight[newer, j]
+                    for axis in range(2):
+                        out[n, t, j, axis] = (1 - share) * points[older, j, axis] + share * points[newer, j, axis]
+    return sampled, sampled_weight
+
+
+cdef inline bint is_seen(const double* point, double weight) noexcept nogil:
+    return weight > 0 and fabs(point[0]) < MAX_COORDINATE and fabs(point[1]) < MAX_COORDINATE
+
+
+cdef void face_newest(Stack points, Rows weight, Py_ssize_t core, double focal, double* out) noexcept nogil:
+    """Write the rotation to a virtual camera that faces the newest points (T, J, 2)."""
+    cdef Py_ssize_t j
+    cdef double total = 0, x = 0, y = 0
+    for j in range(core):
+        if is_seen(&points[0, j, 0], weight[0, j]):
+            total += weight[0, j]
+            x += weight[0, j] * points[0, j, 0]
+            y += weight[0, j] * points[0, j, 1]
+    total = max(total, MIN_TOTAL_WEIGHT)
+    turn_to_axis(x / total / focal, y / total / focal, out)
+
+
+cdef double centre_points(
+    Stack points, Rows weight, Py_ssize_t core, double focal, const double* rotation,
+    double[:, :, ::1] centred, double[:, ::1] score,
+) noexcept nogil:
+    """Write the points as a rotated camera sees them, about their centroids, and scores; return the unit.
+
+    They are not rotated if the focal length is infinite. Points and scores are 0 where not seen.
+    """
+    cdef Py_ssize_t t, j
+    cdef double slot_total, x, y, total = 0, distance = 0
+    for t in range(weight.shape[0]):
+        slot_total = x = y = 0
+        for j in range(weight.shape[1]):
+            centred[t, j, 0] = centred[t, j, 1] = score[t, j] = 0.0
+            if not is_seen(&points[t, j, 0], weight[t, j]):
+                continue
+            score[t, j] = min(weight[t, j], 1.0)
+            if isfinite(focal):
+                rotate_ray(rotation, points[t, j, 0] / focal, points[t, j, 1] / focal, focal, &centred[t, j, 0])
+            else:
+                centred[t, j, 0], centred[t, j, 1] = points[t, j, 0], points[t, j, 1]
+            if not is_seen(&centred[t, j, 0], score[t, j]):
+                centred[t, j, 0] = centred[t, j, 1] = score[t, j] = 0.0
+            elif j < core:
+                slot_total += score[t, j]
+                x += score[t, j] * centred[t, j, 0]
+                y += score[t, j] * centred[t, j, 1]
+        x, y = x / max(slot_total, MIN_TOTAL_WEIGHT), y / max(slot_total, MIN_TOTAL_WEIGHT)
+        for j in range(weight.shape[1]):
+            if score[t, j] > 0:
+                centred[t, j, 0] -= x
+                centred[t, j, 1] -= y
+                if j < core:
+                    total += score[t, j]
+                    distance += score[t, j] * sqrt(
+                        centred[t, j, 0] * centred[t, j, 0] + centred[t, j, 1] * centred[t, j, 1]
+                    )
+    distance /= max(total, MIN_TOTAL_WEIGHT)
+    return distance if distance > 0 else 1.0
+
+
+def encode(
+    const double[:, :, :, ::1] points, Stack weight, Vector focal, Rows upward, const long long[::1] mirror,
+    Py_ssize_t core, bint turns_cameras, int images,
+):
+    """Return features (N, images, I), newest points (N, J, 2), units (N,) and rotations (N, 3, 3) of the cameras.
+
+    Args:
+        points: (N, T, J, 2) image points, or without the last of the joints.
+        weight: (N, T, J) scores, likewise.
+        focal: (N,) focal length, in the unit of the points; infinite if unknown.
+        upward: (N, 3) k v in the axes of the camera that took the points.
+        mirror: (J,) counterparts of the joints on the other side.
+        core: J_c.
+        turns_cameras: whether virtual cameras turn to the newest points, where the focal length is known.
+        images: 1, or 2 for the features of the mirror image as well.
+    """
+    cdef Py_ssize_t n, t, j, k, image, first, joints = mirror.shape[0]
+    cdef Py_ssize_t count = weight.shape[0], slots = weight.shape[1], given = weight.shape[2]
+    cdef double unit, x, y, camera_focal
+    features = np.zeros((count, images, 3 * slots * joints + 4), np.float32)
+    found = np.zeros((count, joints, 2)), np.empty(count), np.tile(np.eye(3), (count, 1, 1))
+    cdef float[:, :, ::1] out = features
+    cdef double[:, :, ::1] newest = found[0], rotation = found[2]
+    cdef double[::1] size = found[1]
+    cdef double[:, :, ::1] centred = np.empty((slots, given, 2))
+    cdef double[:, ::1] score = np.empty((slots, given))
+    for n in range(count):
+        camera_focal = focal[n] if turns_cameras else INFINITY
+        if isfinite(camera_focal):
+            face_newest(points[n], weight[n], core, camera_focal, &rotation[n, 0, 0])
+        unit = centre_points(points[n], weight[n], core, camera_focal, &rotation[n, 0, 0], centred, score)
+        size[n] = unit
+        for image in range(images):
+            k = 3 * slots * joints
+            for j in range(3):
+                x = rotation[n, j, 0] * upward[n, 0] + rotation[n, j, 1] * upward[n, 1] + rotation[n, j, 2] * upward[n, 2]
+                out[n, image, k + j] = -x if image and j == 0 else x
+            out[n, image, k + 3] = min(unit / focal[n] / ANGULAR_SIZE_UNIT_RAD, MAX_FEATURE)
+            for t in range(slots):
+                for j in range(given):
+                    x = min(max(centred[t, j, 0] / unit, -MAX_FEATURE), MAX_FEATURE)
+                    y = min(max(centred[t, j, 1] / unit, -MAX_FEATURE), MAX_FEATURE)
+                    first = 3 * (t * joints + (mirror[j] if image else j))
+                    out[n, image, first], out[n, image, first + 1] = -x if image else x, y
+                    out[n, image, first + 2] = score[t, j]
+                    if t == 0:
+                        newest[n, j, 0], newest[n, j, 1] = x, y
+    return features, *found
+
+
+cdef void apply_layer(
+    const float[:, ::1] inputs, const Code[:, ::1] codes, Floats scales, Floats bias, float[:, ::1] out,
+    long long[::1] used, float[:, ::1] factors, bint rectifies,
+) noexcept nogil:
+    """X W + b of two rows of inputs (2, I or more), without negative results if it rectifies."""
+    cdef Py_ssize_t i, o, row, count = 0
+    for i in range(codes.shape[0]):  # those that are not 0 in at least one of the rows
+        used[count] = i
+        factors[0, count], factors[1, count] = inputs[0, i] * scales[i], inputs[1, i] * scales[i]
+        count += (inputs[0, i] != 0) | (inputs[1, i] != 0)  # without a branch, which no processor could predict
+    while count % 4 > 0:
+        used[count] = 0
+        factors[0, count] = factors[1, count] = 0
+        count += 1
+    for row in range(2):
+        for o in range(bias.shape[0]):
+            out[row, o] = bias[o]
+    if Code is short:
+        ADD_CODES_16(&codes[0, 0], codes.shape[1], &used[0], count, &factors[0, 0], &factors[1, 0], &out[0, 0], &out[1, 0])
+    else:
+        ADD_CODES_8(&codes[0, 0], codes.shape[1], &used[0], count, &factors[0, 0], &factors[1, 0], &out[0, 0], &out[1, 0])
+    if rectifies:
+        for row in range(2):
+            for o in range(bias.shape[0]):
+                out[row, o] = max(out[row, o], <float> 0)
+
+
+def evaluate(
+    const float[:, :, ::1] features, const short[:, ::1] first, Floats first_scales,
+    const signed char[:, :, ::1] hidden, const float[:, ::1] hidden_scales, const short[:, ::1] last,
+    Floats last_scales, const float[:, ::1] biases, Floats last_bias,
+):
+    """Return the outputs (N, 2, O) of features (N, 2, I); the others are the attributes of `RoundedNetwork`."""
+    cdef Py_ssize_t n, layer, row, i, width = biases.shape[1], outputs = last_bias.shape[0]
+    cdef Py_ssize_t most = max(first.shape[0] + 3, max(first.shape[1], last.shape[1]))
+    result = np.empty((features.shape[0], 2, outputs), np.float32)
+    cdef float[:, :, ::1] out = result
+    cdef float[:, :, ::1] units = np.zeros((4, 2, most), np.float32)
+    cdef float[:, ::1] h = units[0], inner = units[1], added = units[2], factors = units[3]
+    cdef long long[::1] used = np.empty(most, np.int64)
+    for n in range(features.shape[0]):
+        apply_layer(features[n], first, first_scales, biases[0], h, used, factors, True)
+        for layer in range(0, hidden.shape[0], 2):
+            apply_layer(h, hidden[layer], hidden_scales[layer], biases[1 + layer], inner, used, factors, True)
+            apply_layer(inner, hidden[layer + 1], hidden_scales[layer + 1], biases[2 + layer], added, used,
+                        factors, True)
+            for row in range(2):
+                for i in range(width):
+                    h[row, i] += added[row, i]
+        apply_layer(h, last, last_scales, last_bias, inner, used, factors, False)
+        for row in range(2):
+            for i in range(outputs):
+                out[n, row, i] = inner[row, i]
+    return result
+
+
+def decode(
+    const float[:, :, ::1] outputs, const float[:, :, ::1] features, Stack newest, Vector size, Stack rotation,
+    const long long[::1] mirror, Py_ssize_t core, double min_log_std, double max_log_std,
+):
+    """Return the joints and deviations (N, J, 3) that the outputs (N, 2, O) of both images mean on average.
+
+    Args:
+        outputs: of the network.
+        features: this and the next three are what `encode` returned.
+        newest: likewise.
+        size: likewise.
+        rotation: likewise.
+        mirror: (J,) counterparts of the joints on the other side.
+        core: J_c.
+        min_log_std: with the next one the range of logarithms of deviations, in units.
+        max_log_std: likewise.
+    """
+    cdef Py_ssize_t n, j, m, i, seen, joints = mirror.shape[0], stds = 3 * joints  # where log deviations begin
+    cdef double total, unit, across, along, log_across, log_along
+    cdef double[3] mean, point
+    poses, deviations = np.empty((outputs.shape[0], joints, 3)), np.empty((outputs.shape[0], joints, 3))
+    cdef double[:, :, ::1] out = poses, std = deviations
+    for n in range(outputs.shape[0]):
+        seen, total = 0, 0.0
+        for j in range(core):
+            seen += features[n, 0, 3 * j + 2] > 0
+        for i in range(outputs.shape[2]):
+            total += outputs[n, 0, i] + outputs[n, 1, i]
+        unit = size[n] if seen >= MIN_SEEN_JOINTS and isfinite(total) else NAN
+        mean[0] = mean[1] = mean[2] = 0
+        for j in range(joints):
+            m = mirror[j]
+            for i in range(3):
+                across, along = outputs[n, 0, 3 * j + i], outputs[n, 1, 3 * m + i]
+                point[i] = (across - along if i == 0 else across + along) / 2 + (newest[n, j, i] if i < 2 else 0)
+                out[n, j, i] = point[i]
+                if j < core:
+                    mean[i] += point[i] / core
+            across, along = outputs[n, 0, stds + 2 * j], outputs[n, 0, stds + 2 * j + 1]
+            log_across = min(max((across + outputs[n, 1, stds + 2 * m]) / 2, min_log_std), max_log_std)
+            log_along = min(max((along + outputs[n, 1, stds + 2 * m + 1]) / 2, min_log_std), max_log_std)
+            std[n, j, 0] = std[n, j, 1] = exp(log_across) * unit
+            std[n, j, 2] = exp(log_along) * unit
+        for j in range(joints):
+            for i in range(3):
+                point[i] = out[n, j, i] - mean[i]
+            for i in range(3):
+                total = point[0] * rotation[n, 0, i] + point[1] * rotation[n, 1, i] + point[2] * rotation[n, 2, i]
+                out[n, j, i] = total * unit
+    return poses, deviations

@@ -1,0 +1,147 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+
+"""A detector's keypoints as rays to the joints of the model; `keypoints.joint_map`, `.rays` and `.extremities`.
+
+Sizes: F frames, S keypoints of the detector, A alternatives, J joints of the model, E extremities.
+"""
+
+from libc.math cimport INFINITY, fabs, hypot, isfinite, tan
+
+import numpy as np
+
+from mocap_ros.engine.geometry cimport MAX_RAY_ANGLE, undistort_point
+
+ctypedef const double[::1] Vector
+ctypedef const double[:, ::1] Rows
+ctypedef const double[:, :, ::1] Stack
+
+cdef extern from *:
+    """
+    #define MIN_SCORED_WEIGHT 0.08  /* a keypoint of a smaller weight in the sum decides nothing about the score */
+    #define MAX_POINT_PX 1e7        /* px; far outside any image; keeps arithmetic finite */
+    #define MAX_SCORE 1.0           /* scores are probabilities */
+    """
+    const double MIN_SCORED_WEIGHT, MAX_POINT_PX, MAX_SCORE
+
+
+cdef double find_least_score(const double* points, Py_ssize_t dimensions, Vector score, Vector weights) noexcept nogil:
+    """Least score of the keypoints (S, D) whose weights count; 0 if a keypoint of the sum was not seen."""
+    cdef Py_ssize_t s, d
+    cdef double least = INFINITY
+    for s in range(weights.shape[0]):
+        if weights[s] == 0:
+            continue
+        if not score[s] > 0:
+            return 0.0
+        for d in range(dimensions):
+            if not isfinite(points[s * dimensions + d]):
+                return 0.0
+        if fabs(weights[s]) >= MIN_SCORED_WEIGHT:
+            least = min(least, score[s])
+    return least
+
+
+def map_joints(Stack points, Rows score, Stack weights, Rows score_factor):
+    """Return the joints (F, J, D) and scores (F, J) of keypoints (F, S, D) with scores (F, S).
+
+    y_t = sum_s W_ts x_s, by the first alternative whose keypoints were all seen; NaN and 0 if there is none.
+
+    Args:
+        points: any unit.
+        score: 0 for keypoints that were not seen.
+        weights: (A, J, S) W.
+        score_factor: (A, J) factors on the least score.
+    """
+    cdef Py_ssize_t n, t, a, s, d, dimensions = points.shape[2]
+    cdef double least
+    frames, joints = points.shape[0], score_factor.shape[1]
+    mapped, mapped_score = np.full((frames, joints, dimensions), np.nan), np.zeros((frames, joints))
+    cdef double[:, :, ::1] out = mapped
+    cdef double[:, ::1] out_score = mapped_score
+    for n in range(points.shape[0]):
+        for t in range(score_factor.shape[1]):
+            for a in range(score_factor.shape[0]):
+                if not score_factor[a, t] > 0:
+                    continue
+                least = find_least_score(&points[n, 0, 0], dimensions, score[n], weights[a, t])
+                if not least > 0:
+                    continue
+                out_score[n, t] = least * score_factor[a, t]
+                for d in range(dimensions):
+                    out[n, t, d] = 0.0
+                for s in range(points.shape[1]):
+                    if weights[a, t, s] != 0:
+                        for d in range(dimensions):
+                            out[n, t, d] += weights[a, t, s] * points[n, s, d]
+                break
+    return mapped, mapped_score
+
+
+def convert_to_rays(
+    Stack points, Rows score, Stack weights, Rows score_factor, double min_score, Vector focal_lengths, Vector center,
+    Vector lens,
+):
+    """Return the rays (F, J, 2) and scores (F, J) of the joints; both are 0 for a joint that was not seen.
+
+    Args:
+        points: (F, S, 2) px.
+        score: (F, S), NaN or 0 for keypoints that were not seen.
+        weights: as of `map_joints`.
+        score_factor: likewise.
+        min_score: least score of a keypoint that counts.
+        focal_lengths: (2,) px.
+        center: (2,) px.
+        lens: (9,) `Distortion.parameters`.
+    """
+    cdef Py_ssize_t n, s, t
+    cdef double max_ray = tan(MAX_RAY_ANGLE)  # beyond it no camera shows anything
+    used = np.zeros((score.shape[0], score.shape[1]))
+    cdef double[:, ::1] used_score = used
+    for n in range(score.shape[0]):
+        for s in range(score.shape[1]):
+            if (fabs(points[n, s, 0]) < MAX_POINT_PX and fabs(points[n, s, 1]) < MAX_POINT_PX
+                    and score[n, s] >= min_score):
+                used_score[n, s] = min(score[n, s], MAX_SCORE)
+    joints, joint_score = map_joints(points, used, weights, score_factor)
+    cdef double[:, :, ::1] rays = joints
+    cdef double[:, ::1] weight = joint_score
+    for n in range(weight.shape[0]):
+        for t in range(weight.shape[1]):
+            if weight[n, t] > 0:
+                undistort_point(
+                    (rays[n, t, 0] - center[0]) / focal_lengths[0], (rays[n, t, 1] - center[1]) / focal_lengths[1],
+                    &lens[0], &rays[n, t, 0],
+                )
+                if fabs(rays[n, t, 0]) <= max_ray and fabs(rays[n, t, 1]) <= max_ray:
+                    continue
+            rays[n, t, 0] = rays[n, t, 1] = weight[n, t] = 0.0
+    return joints, joint_score
+
+
+def drop_far_points(double[:, :, ::1] rays, double[:, ::1] weight, const long long[:, ::1] anchors, Vector reach):
+    """Overwrite with 0 the extremities too far from the core to belong to it, which come after the core.
+
+    Args:
+        rays: (F, J, 2).
+        weight: (F, J) scores.
+        anchors: (E, 2) the two joints of the core between which each hangs; it stays where one was not seen.
+        reach: (E,) largest distance from there, as a share of the diagonal of the core's points.
+    """
+    cdef Py_ssize_t n, e, j, a, b, core = weight.shape[1] - reach.shape[0]
+    cdef double diagonal, low_x, low_y, high_x, high_y
+    for n in range(weight.shape[0]):
+        low_x = low_y = INFINITY
+        high_x = high_y = -INFINITY
+        for j in range(core):
+            if weight[n, j] > 0:
+                low_x, high_x = min(low_x, rays[n, j, 0]), max(high_x, rays[n, j, 0])
+                low_y, high_y = min(low_y, rays[n, j, 1]), max(high_y, rays[n, j, 1])
+        diagonal = hypot(high_x - low_x, high_y - low_y)
+        for e in range(reach.shape[0]):
+            a, b, j = anchors[e, 0], anchors[e, 1], core + e
+            if weight[n, a] > 0 and weight[n, b] > 0 and hypot(
+                rays[n, j, 0] - (rays[n, a, 0] + rays[n, b, 0]) / 2, rays[n, j, 1] - (rays[n, a, 1] + rays[n, b, 1]) / 2
+            ) > reach[e] * diagonal:
+                rays[n, j, 0] = rays[n, j, 1] = weight[n, j] = 0.0
