@@ -17,13 +17,13 @@ from typing import Any
 import common
 import numpy as np
 from experiments.least_squares import Progress, SparseProblem
+from mocap_ros.solvers.joint.state import State
 from report import Records, Report, run
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.joint.objective import JointObjective
-from mocap_ros.solvers.joint.state import State
 from mocap_ros.solvers.window import InitialValues, Reconstruction, Window, choose_initial_values
 
 CLOSE_TO_OPTIMUM = (

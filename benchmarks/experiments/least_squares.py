@@ -15,6 +15,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
+from mocap_ros.solvers.joint.camera_acceleration import CameraAcceleration, measure_directions
+from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness, measure_features
+from mocap_ros.solvers.joint.pose_acceleration import PoseAcceleration
+from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
+from mocap_ros.solvers.joint.state import State
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.sparse import (
@@ -30,13 +36,7 @@ from scipy.sparse import (
 )
 
 from mocap_ros.geometry.rotations import cross_matrix, rotation_from_vector
-from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
-from mocap_ros.solvers.joint.camera_acceleration import CameraAcceleration, measure_directions
-from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness, measure_features
 from mocap_ros.solvers.joint.objective import JointObjective
-from mocap_ros.solvers.joint.pose_acceleration import PoseAcceleration
-from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
-from mocap_ros.solvers.joint.state import State
 
 Array = NDArray[np.float64]
 

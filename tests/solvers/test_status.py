@@ -14,7 +14,15 @@ import pytest
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import alternation, joint, periodic
+from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.joint.objective import JointObjective
+from mocap_ros.solvers.joint.reference import compute_cost
+from mocap_ros.solvers.levenberg_marquardt import (
+    DAMPING_AFTER_FAILURE,
+    DAMPING_AFTER_SUCCESS,
+    MAX_DAMPING,
+    MIN_DAMPING,
+)
 from mocap_ros.solvers.window import (
     InitialValues,
     Reconstruction,
@@ -81,11 +89,12 @@ def test_cost_is_that_of_the_solution(walk_model: BasePoses, window: Window) -> 
     model = walk_model.truncate(CONFIG.components)
     result = solve_jointly(window, model, CONFIG)
     assert window.unit is not None
-    objective = JointObjective.build([window], np.array([window.unit]), model, CONFIG)
-    start = InitialValues(result.theta, result.cameras)
-    state = objective.initial_state([start], np.array([window.unit]))
-    state = replace(state, translation=result.translation / window.unit)
-    assert result.cost == pytest.approx(objective.cost(objective.fit(state))[0], rel=1e-9)
+    unit = np.array([window.unit])
+    batch = Batch.build([window], unit, model)
+    state = batch.initial_state([InitialValues(result.theta, result.cameras)], unit)
+    state = state._replace(translation=result.translation / window.unit)
+    cost = compute_cost(JointObjective.build(batch, model, CONFIG), state)
+    assert result.cost == pytest.approx(cost[0], rel=1e-9)
     assert result.cost == result.history[-1] < result.history[0]
 
 
@@ -104,3 +113,33 @@ def test_numbers_that_overflow_are_no_success(walk_model: BasePoses, window: Win
     assert result.status is SolverStatus.SINGULAR
     assert result.message == 'Not converged: the equations for the next step have no finite solution.'
     assert not result.success
+
+
+def test_the_damping_follows_the_rule(walk_model: BasePoses, window: Window) -> None:
+    """The compiled solver's steps against the rule of Levenberg-Marquardt, up to the end of two sequences."""
+    assert window.start is not None
+    assert window.unit is not None
+    model, windows, units = walk_model.truncate(CONFIG.components), [window] * 2, np.array([window.unit] * 2)
+    batch = Batch.build(windows, units, model)
+    state = batch.initial_state([window.start] * 2, units)
+    problem = JointObjective.build(batch, model, CONFIG).compile(state)
+    problem.begin(1e-2)
+    outcomes = set()
+    for _ in range(1000):
+        damping, cost, done = problem.damping.copy(), problem.cost.copy(), problem.is_done.copy()
+        taken, remaining = problem.try_steps(0.0)
+        problem.update_equations()
+        is_better = problem.cost < cost
+        assert (problem.cost <= cost).all()
+        assert taken == is_better.sum()
+        assert remaining == (~problem.is_done).sum()
+        ended = ~is_better & (damping > MAX_DAMPING)
+        assert (problem.is_done == (done | ended)).all()
+        factor = np.where(is_better, DAMPING_AFTER_SUCCESS, DAMPING_AFTER_FAILURE)
+        expected = np.where(problem.is_done, damping, np.maximum(damping * factor, MIN_DAMPING))
+        np.testing.assert_allclose(problem.damping, expected, rtol=1e-12)
+        outcomes |= {*is_better.tolist()}
+        if not remaining:
+            break
+    assert outcomes == {True, False}
+    assert problem.status.tolist() == [SolverStatus.NO_LOWER_STEP] * 2

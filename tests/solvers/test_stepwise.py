@@ -13,7 +13,7 @@ import pytest
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import classification, joint, periodic
-from mocap_ros.solvers.joint.objective import JointObjective
+from mocap_ros.solvers.levenberg_marquardt import Problem, minimise_stepwise
 from mocap_ros.solvers.periodic.normal_equations import PeriodicEquations
 from mocap_ros.solvers.stepwise import Stepwise, ignore_overflow, run_to_end
 from tests.support.synthetic_walk import make_noisy_window
@@ -51,22 +51,39 @@ def test_only_the_work_itself_overflows_silently() -> None:
             next(work)
 
 
+class CountedProblem:
+    """A problem whose steps are counted in a list."""
+
+    def __init__(self, problem: Problem, steps: list[int]) -> None:
+        self.problem, self.steps = problem, steps
+        self.begin, self.update_equations = problem.begin, problem.update_equations
+
+    @property
+    def cost(self) -> np.ndarray:
+        return self.problem.cost
+
+    def try_steps(self, tolerance: float) -> tuple[int, int]:
+        self.steps.append(1)
+        return self.problem.try_steps(tolerance)
+
+
 def test_each_piece_has_one_step_at_most(walk_model: BasePoses, monkeypatch: pytest.MonkeyPatch) -> None:
     window = make_noisy_window(walk_model, seed=0, missing=0.1)
     models = {'walk': walk_model}
     steps: list[int] = []
 
-    def count(kind: type, name: str) -> None:
-        step = getattr(kind, name)
+    solve_step = PeriodicEquations.solve_step
 
-        def count_step(*args: object) -> object:
-            steps.append(1)
-            return step(*args)
+    def count_and_solve(equations: PeriodicEquations, damping: float) -> object:
+        steps.append(1)
+        return solve_step(equations, damping)
 
-        monkeypatch.setattr(kind, name, count_step)
+    def count_and_try(problem: Problem, *args: object) -> Stepwise[list[np.ndarray]]:
+        return minimise_stepwise(CountedProblem(problem, steps), *args)
 
-    count(JointObjective, 'step')
-    count(PeriodicEquations, 'solve_step')
+    monkeypatch.setattr(PeriodicEquations, 'solve_step', count_and_solve)
+    monkeypatch.setattr(joint.solver, 'minimise_stepwise', count_and_try)
+    monkeypatch.setattr(joint.noise_annealing, 'minimise_stepwise', count_and_try)
     all_work: list[Stepwise[object]] = [
         joint.solve_stepwise([window], walk_model, CONFIG),
         joint.solve_hypotheses_stepwise([window], walk_model, CONFIG),

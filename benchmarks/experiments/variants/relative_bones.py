@@ -14,12 +14,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from mocap_ros.solvers.joint.problem import JointProblem
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.joint.noise_annealing import COLD_DAMPING
 from mocap_ros.solvers.joint.objective import JointObjective
-from mocap_ros.solvers.joint.problem import JointProblem
 from mocap_ros.solvers.joint.solver import make_reconstruction
 from mocap_ros.solvers.levenberg_marquardt import minimise
 from mocap_ros.solvers.window import Reconstruction, SolverStatus, Window, choose_initial_values

@@ -16,13 +16,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from mocap_ros.solvers.periodic.coefficient_prior import HEADING_STD, CoefficientPrior
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint
 from mocap_ros.solvers.joint.solver import make_reconstruction
-from mocap_ros.solvers.periodic.coefficient_prior import HEADING_STD, CoefficientPrior
 from mocap_ros.solvers.periodic.fourier import (
     MAX_FREQUENCY_STEP,
     FourierSeries,

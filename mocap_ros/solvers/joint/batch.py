@@ -1,123 +1,189 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The layout of a batch: sequences of any number of people and hypotheses, one after the other in the same arrays.
+"""What the joint solver is given: sequences of any number of people and hypotheses, one after the other.
 
 Throughout the joint solver N is the number of frames of the whole batch, P the number of its sequences, J of
-joints, B of bones, K of base poses, and n = K + 4 the number of unknowns of a frame.
+joints, B of bones, K of base poses, and n = K + 4 the number of unknowns of a frame. Image lengths are divided by
+the sequence's unit in px/m, so that they are metres at the body.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.errors import InputError
+from mocap_ros.geometry.rotations import rotation_from_vector, vector_from_rotation
+from mocap_ros.models.base_poses import BasePoses, arrange_model
+from mocap_ros.models.lifter import concatenate_lifted
+from mocap_ros.solvers.joint.differences import MIN_TIME_STEP_S
+from mocap_ros.solvers.window import InitialValues, Window
+
 Array = NDArray[np.float64]
 
-VELOCITY_CHANGE_FRAMES = 3  # frames; a change of velocity compares so many
-MIN_TIME_STEP = 1e-4  # s; guards the division by time steps, far below that of any camera
+MIN_STD_M = 0.01  # m; a smaller standard deviation of the lifter is not believed: its poses are no better
+MIN_TOTAL_WEIGHT = 1e-12  # guards the division by the weights of a frame in which no joint is seen
+
+
+class State(NamedTuple):
+    """The unknowns of all frames.
+
+    Attributes:
+        theta: (N, K) m, base-pose weights.
+        rotation: (N, 3, 3) body frame to camera frame.
+        log_scale: (N,) logarithm of the scale, which is measured in the sequence's unit (1 at its median start).
+        translation: (N, 2) m, image of the body's origin in the sequence's unit.
+    """
+
+    theta: Array
+    rotation: Array
+    log_scale: Array
+    translation: Array
+
+    def select(self, frames: NDArray[np.intp]) -> State:
+        """Return the state of some frames."""
+        return State(*(values[frames] for values in self))
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Which frames belong to which sequence.
+    """The measurements of all frames, and which of them belong to which sequence.
 
     Attributes:
         times: (N,) s, increasing within each sequence.
         starts: (P,) index of the first frame of each sequence.
         counts: (P,) number of frames of each sequence.
+        image: (N, J, 2) m, image points.
+        score: (N, J) confidence scores.
+        focal: (N,) m, focal length; infinite for weak perspective.
+        is_free: (N,) False for frames that keep their initial values.
+        lifted: (N, J, 3) m, lifted poses about the mean of the joints; (0, J, 3) where there are none.
+        precision: (N, J, 3) 1/m^2, inverse variances of these coordinates; 0 where nothing is known.
+        earlier_lengths: (P, B) m, mean bone lengths of the frames before each window.
+        earlier_frames: (P,) number of those frames.
     """
 
     times: Array
-    starts: NDArray[np.intp]
-    counts: NDArray[np.intp]
+    starts: NDArray[np.int64]
+    counts: NDArray[np.int64]
+    image: Array
+    score: Array
+    focal: Array
+    is_free: NDArray[np.bool_]
+    lifted: Array
+    precision: Array
+    earlier_lengths: Array
+    earlier_frames: NDArray[np.int64]
 
     @staticmethod
-    def of_times(times: Sequence[Array]) -> Batch:
-        """Return the batch of sequences with these times, (F_p,) s each."""
-        counts = np.array([len(t) for t in times])
-        return Batch(np.concatenate(times), np.cumsum(counts) - counts, counts)
+    def build(windows: Sequence[Window], units: Array, model: BasePoses) -> Batch:
+        """Return the batch of these windows with their units (P,) px/m.
 
-    @cached_property
-    def sequence(self) -> NDArray[np.intp]:
-        """(N,) index of the sequence of each frame."""
-        return np.repeat(np.arange(len(self.starts)), self.counts)
-
-    @cached_property
-    def inverse_time_steps(self) -> Array:
-        """(N - 1,) 1/s, reciprocal of the time from each frame to the next; 0 between two sequences."""
-        inverse = 1 / np.maximum(np.diff(self.times), MIN_TIME_STEP)
-        inverse[self.starts[1:] - 1] = 0.0
-        return inverse
-
-    @cached_property
-    def velocity_change(self) -> Array:
-        """(N, 3) factors c_t of the values x of frames t, t + 1 and t + 2 that give the change of their velocity.
-
-            c_t0 x_t + c_t1 x_(t+1) + c_t2 x_(t+2) = (v_(t+1) - v_t) / sqrt(h_t)
-            v_t = (x_(t+1) - x_t) / dt_t,    h_t = (dt_t + dt_(t+1)) / 2
-
-        dt_t is the time from frame t to the next. Where the three are not of one sequence, the factors are 0.
+        Raises:
+            InputError: only some of the windows have lifted poses.
         """
-        factors = np.zeros((len(self.times), VELOCITY_CHANGE_FRAMES))
-        first, second = self.inverse_time_steps[:-1], self.inverse_time_steps[1:]
-        together = np.flatnonzero(first * second)
-        a, b = first[together], second[together]
-        root = np.sqrt(2 / (1 / a + 1 / b))
-        factors[together] = np.stack([a * root, -(a + b) * root, b * root], axis=-1)
-        return factors
+        counts = np.array([len(w.times) for w in windows])
+        per_frame = np.repeat(units, counts)
+        poses = [w.lifted for w in windows if w.lifted is not None]
+        lifted = precision = np.zeros((0, len(model.mean), 3))
+        if poses:
+            if len(poses) < len(windows):
+                raise InputError('some windows of the batch have lifted poses and some have not')
+            all_poses = concatenate_lifted(poses)
+            joints, std = all_poses.joints, all_poses.std
+            is_known = np.isfinite(joints)
+            lifted = np.where(is_known, joints, 0.0) / per_frame[:, None, None]
+            precision = is_known / np.maximum(std / per_frame[:, None, None], MIN_STD_M) ** 2
+            precision[~is_known] = 0.0
+        mean_lengths, earlier = arrange_model(model).mean_bone_lengths, [w.earlier_frames for w in windows]
+        return Batch(
+            times=np.concatenate([w.times for w in windows]),
+            starts=np.cumsum(counts) - counts,
+            counts=counts,
+            image=np.concatenate([w.points for w in windows]) / per_frame[:, None, None],
+            score=np.concatenate([w.weight for w in windows]),
+            focal=np.repeat([w.focal for w in windows], counts) / per_frame,
+            is_free=np.concatenate([np.arange(len(w.times)) >= w.fixed_frames for w in windows]),
+            lifted=lifted,
+            precision=precision,
+            earlier_lengths=np.array([mean_lengths if e is None else e.mean_bone_lengths for e in earlier]),
+            earlier_frames=np.array([0 if e is None else e.count for e in earlier]),
+        )
 
-    def sum_per_sequence(self, per_frame: Array) -> Array:
-        """Sum values of frames (N, ...) over each sequence, which gives (P, ...)."""
-        return np.asarray(np.add.reduceat(per_frame, self.starts, axis=0))
+    @property
+    def slices(self) -> list[slice]:
+        """The frames of each sequence."""
+        return [slice(s, s + c) for s, c in zip(self.starts.tolist(), self.counts.tolist(), strict=True)]
 
     def repeat_per_frame(self, per_sequence: NDArray[Any]) -> NDArray[Any]:
         """Repeat the value of each sequence (P, ...) for all its frames, which gives (N, ...)."""
         return np.asarray(np.repeat(per_sequence, self.counts, axis=0))
 
-    def subsample(self, step: float, weight: Array) -> Subsample:
-        """Keep the best-seen frame of every `step` s.
+    def select(self, frames: NDArray[np.intp]) -> Batch:
+        """Return the batch of some frames (M,), increasing, at least one of each sequence."""
+        counts = np.diff(np.searchsorted(frames, np.append(self.starts, len(self.times))))
+        has_lifted = len(self.lifted) > 0
+        return replace(
+            self,
+            times=self.times[frames],
+            starts=np.cumsum(counts) - counts,
+            counts=counts,
+            image=self.image[frames],
+            score=self.score[frames],
+            focal=self.focal[frames],
+            is_free=self.is_free[frames],
+            lifted=self.lifted[frames] if has_lifted else self.lifted,
+            precision=self.precision[frames] if has_lifted else self.precision,
+        )
 
-        The terms between neighbours get weights that keep their balance with the image: a pair of kept frames
-        takes the weight of one old pair, times the share of frames that are kept, times the ratio of the time
-        steps.
-
-        Args:
-            step: s.
-            weight: (N,) how well each frame is seen.
-        """
-        sequence = self.sequence
-        part = np.floor((self.times - self.times[self.starts][sequence]) / step + 1e-6)
-        order = np.lexsort((-weight, part, sequence))
+    def find_best_seen(self, step_s: float) -> NDArray[np.intp]:
+        """Return the best-seen frame (M,) of every `step_s` of each sequence."""
+        sequence = np.repeat(np.arange(len(self.starts)), self.counts)
+        part = np.floor((self.times - self.times[self.starts][sequence]) / step_s + 1e-6)
+        order = np.lexsort((-self.score.sum(axis=1), part, sequence))
         is_best = np.diff(part[order], prepend=-1) != 0
         is_best[self.starts] = True
-        kept = np.sort(order[is_best])
-        counts = np.bincount(sequence[kept], minlength=len(self.starts))
-        before, after = kept[:-1], kept[1:]
-        old_step = np.maximum(self.times[before + 1] - self.times[before], MIN_TIME_STEP)
-        new_step = np.maximum(self.times[after] - self.times[before], MIN_TIME_STEP)
-        share = (counts / self.counts)[sequence[before]]
-        factor = np.where(sequence[before] == sequence[after], share * old_step / new_step, 0.0)
-        batch = Batch(self.times[kept], np.cumsum(counts) - counts, counts)
-        return Subsample(batch, kept, before, factor)
+        return np.sort(order[is_best])
 
+    def initial_state(self, starts: Sequence[InitialValues], units: Array) -> State:
+        """Return the state at these starts, with the translations at the weighted centroids of the image points.
 
-class Subsample(NamedTuple):
-    """Some frames of a batch, and how strongly neighbours among them are coupled.
+        Args:
+            starts: weights and cameras of each sequence, scales in px/m.
+            units: (P,) px/m, as for `build`.
+        """
+        total = np.maximum(self.score.sum(axis=1), MIN_TOTAL_WEIGHT)[:, None]
+        return State(
+            np.concatenate([s.theta for s in starts]),
+            np.concatenate([s.cameras.rotation for s in starts]),
+            np.log(np.concatenate([s.cameras.scale for s in starts]) / self.repeat_per_frame(units)),
+            (self.score[..., None] * self.image).sum(axis=1) / total,
+        )
 
-    Attributes:
-        batch: layout of the kept frames.
-        frames: (M,) indices of the frames that are kept.
-        pairs: (M - 1,) index of the old pair whose weight each new pair of neighbours takes.
-        pair_factor: (M - 1,) factor on that weight, 0 between two sequences.
-    """
+    def interpolate(self, state: State, frames: NDArray[np.intp]) -> State:
+        """Interpolate the state of some frames (M,) in time to all frames.
 
-    batch: Batch
-    frames: NDArray[np.intp]
-    pairs: NDArray[np.intp]
-    pair_factor: Array
+        Weights, logarithms of the scale and translations are interpolated linearly, rotations at constant angular
+        velocity; frames outside those given take the nearest one of their sequence.
+        """
+        before, after = np.empty(len(self.times), np.intp), np.empty(len(self.times), np.intp)
+        for own in self.slices:
+            first, end = np.searchsorted(frames, (own.start, own.stop))
+            every = np.arange(own.start, own.stop)
+            after[own] = np.clip(np.searchsorted(frames, every), first, end - 1)
+            before[own] = np.clip(np.searchsorted(frames, every, side='right') - 1, first, end - 1)
+        t, t0, t1 = self.times, self.times[frames[before]], self.times[frames[after]]
+        share = np.clip((t - t0) / np.maximum(t1 - t0, MIN_TIME_STEP_S), 0.0, 1.0)
+        a, b = state.select(before), state.select(after)
+        turn = vector_from_rotation(b.rotation @ np.swapaxes(a.rotation, -1, -2))
+        return State(
+            a.theta + share[:, None] * (b.theta - a.theta),
+            rotation_from_vector(share[:, None] * turn) @ a.rotation,
+            a.log_scale + share * (b.log_scale - a.log_scale),
+            a.translation + share[:, None] * (b.translation - a.translation),
+        )

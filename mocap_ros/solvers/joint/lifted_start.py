@@ -20,13 +20,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.blas import add_product, add_transposed_product
-from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, INPUT_1D, INPUT_2D, INPUT_3D, kernel
+from mocap_ros.engine import joint as engine
 from mocap_ros.geometry.interpolation import find_nearest
-from mocap_ros.geometry.rotations import write_best_rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses, arrange_model
 from mocap_ros.models.lifter import LiftedPoses
@@ -35,7 +32,6 @@ from mocap_ros.solvers.window import InitialValues
 Array = NDArray[np.float64]
 
 ALTERNATIONS = 4  # rounds of cameras and weights; two give the same results, six no better ones (training persons)
-MIN_SCALE = 1e-9  # px/m; guards against a scale of zero where a pose is degenerate
 
 
 class FittedPoses(NamedTuple):
@@ -53,27 +49,16 @@ class FittedPoses(NamedTuple):
 
 
 def fit_lifted_poses(lifted: LiftedPoses, model: BasePoses) -> FittedPoses:
-    """Fit base-pose weights and cameras to lifted poses, all of them known, frame by frame.
-
-    Args:
-        lifted: (F, J, 3) poses in any unit.
-        model: base poses, metric.
-    """
-    return FittedPoses(*_fit(lifted.joints, lifted.std, arrange_model(model).components, model.mean, model.std))
+    """Fit base-pose weights and cameras to lifted poses (F, J, 3) in any unit, all of them known."""
+    joints, std = np.ascontiguousarray(lifted.joints), np.ascontiguousarray(lifted.std)
+    basis = arrange_model(model).components
+    return FittedPoses(*engine.fit_lifted_poses(joints, std, basis, model.mean, model.std, ALTERNATIONS))
 
 
 def fit_initial_values(lifted: LiftedPoses, times: Array, model: BasePoses) -> InitialValues | None:
-    """Return initial values that fit lifted poses.
+    """Return initial values that fit lifted poses (F, J, 3) px at times (F,) s; None where no frame was lifted.
 
     A frame that was not lifted takes the values of the nearest one that was.
-
-    Args:
-        lifted: (F, J, 3) poses in px.
-        times: (F,) s.
-        model: base poses, metric.
-
-    Returns:
-        None where no frame was lifted.
     """
     known = np.flatnonzero(np.isfinite(lifted.joints).all(axis=(1, 2)))
     if not len(known):
@@ -82,40 +67,3 @@ def fit_initial_values(lifted: LiftedPoses, times: Array, model: BasePoses) -> I
     nearest = find_nearest(times, times[known])
     cameras = WeakPerspectiveCameras(fitted.scale[nearest], fitted.rotation[nearest])
     return InitialValues(fitted.theta[nearest], cameras)
-
-
-@kernel(types.Tuple((FLOATS_2D, FLOATS_1D, FLOATS_3D))(INPUT_3D, INPUT_3D, INPUT_2D, INPUT_2D, INPUT_1D))
-def _fit(joints: Array, std: Array, basis: Array, mean: Array, sigma: Array) -> tuple[Array, Array, Array]:
-    """Return the weights (F, K), scales (F,) and rotations (F, 3, 3) of lifted poses.
-
-    Args:
-        joints: (F, J, 3) lifted poses, all known.
-        std: (F, J, 3) their standard deviations.
-        basis: (3 J, K) the base poses, a coordinate of a joint in each row.
-        mean: (J, 3) m, mean pose.
-        sigma: (K,) m, standard deviations of the weights.
-    """
-    frames, count, _ = joints.shape
-    k = basis.shape[1]
-    theta, scale, rotation = np.zeros((frames, k)), np.empty(frames), np.empty((frames, 3, 3))
-    pose, misfit = np.empty((3 * count, 1)), np.empty((3 * count, 1))  # body frame
-    for t in range(frames):
-        variance = (std[t] * std[t]).mean()
-        for _ in range(ALTERNATIONS):
-            pose[:] = mean.copy().reshape((3 * count, 1))
-            add_product(1.0, basis, theta[t].reshape((k, 1)), pose)
-            products = np.zeros((3, 3))
-            for j in range(count):
-                for a in range(3):
-                    for b in range(3):
-                        products[a, b] += joints[t, j, a] * pose[3 * j + b, 0]
-            write_best_rotation(products, rotation[t])
-            scale[t] = max((rotation[t] * products).sum() / (pose * pose).sum(), MIN_SCALE)
-            turned = np.zeros((count, 3))
-            add_product(1 / scale[t], joints[t].copy(), rotation[t], turned)
-            misfit[:] = (turned - mean).reshape((3 * count, 1))
-            weights = np.zeros((k, 1))
-            add_transposed_product(1.0, basis, misfit, weights)
-            for i in range(k):
-                theta[t, i] = weights[i, 0] / (1 + variance / (scale[t] * sigma[i]) ** 2)
-    return theta, scale, rotation

@@ -3,28 +3,33 @@
 
 """The image noise of each window, estimated while the objective is minimised, from a large noise down.
 
-The noise weighs the reprojection against all other terms (`objective`). Its estimate is the root mean square of
-the reprojection errors over the coordinates that the unknowns have not absorbed; objective and estimate are
-improved in turn. Under large noise the priors hold the weights, the cameras settle first, and few local minima are
-left. So the rounds begin with a noise of 50 mm, on a tenth of a second's best-seen frame each and with only those
-base poses that vary by a good part of the noise, and end with all frames and all base poses.
+The noise weighs the reprojection against all other terms (`objective`). It is estimated from the residual, shared
+among the coordinates that the unknowns have not absorbed:
+
+    noise^2 = sum_tj w_tj rho(|e_tj|^2) / (2 S - m),    m = F / |T| sum_(t in T) m_t
+
+over the S seen joints of a sequence, with m_t the number of coordinates that the unknowns of frame t fit away
+while its neighbours are held, counted in some free frames T.
+
+Objective and estimate are improved in turn. Under large noise the priors hold the weights, the cameras settle
+first, and few local minima are left. So the rounds begin with a noise of 50 mm, on a tenth of a second's best-seen
+frame each and with only those base poses that vary by a good part of the noise, and end with all frames and all
+base poses.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
-from mocap_ros.geometry.rotations import rotation_from_vector, vector_from_rotation
-from mocap_ros.solvers.joint.batch import MIN_TIME_STEP, Batch, Subsample
-from mocap_ros.solvers.joint.noise_estimate import estimate_noise
-from mocap_ros.solvers.joint.objective import JointObjective
-from mocap_ros.solvers.joint.problem import Descent, JointProblem
-from mocap_ros.solvers.joint.state import Fit, State
+from mocap_ros.engine.joint import JointProblem
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.solvers.joint.batch import Batch, State
+from mocap_ros.solvers.joint.objective import JointObjective, measure_activities, read_state
 from mocap_ros.solvers.levenberg_marquardt import minimise_stepwise
 from mocap_ros.solvers.stepwise import Stepwise
 from mocap_ros.solvers.window import Window
@@ -42,101 +47,66 @@ COLD_DAMPING = 0.1  # first damping where nothing has been solved yet; tuned on 
 CONTINUED_DAMPING = 1e-4  # first damping where a round goes on from the one before
 
 
-Annealed: TypeAlias = tuple[JointObjective, Fit, NDArray[np.int64]]
+class Annealed(NamedTuple):
+    """The objective under the noise that was found.
+
+    Attributes:
+        problem: at the point that was reached.
+        iterations: (P,) number of steps of each sequence.
+    """
+
+    problem: JointProblem
+    iterations: NDArray[np.int64]
+
+
+def get_given_noise(windows: Sequence[Window], config: SolverConfig) -> Array:
+    """Return the noise (P,) m that the windows give; the largest where it is to be found."""
+    return np.array([max(w.noise or COARSE_NOISE_M[0], config.noise_floor) for w in windows])
 
 
 def anneal_stepwise(
-    objective: JointObjective, fit: Fit, windows: Sequence[Window], config: SolverConfig
+    batch: Batch, state: State, model: BasePoses, windows: Sequence[Window], config: SolverConfig
 ) -> Stepwise[Annealed]:
     """Find the noise of each window that does not give it, in steps.
 
     Args:
-        objective: of the windows, under the reference noise.
-        fit: of the initial values of the unknowns.
+        batch: of the windows.
+        state: initial values of the unknowns.
+        model: base poses.
         windows: the sequences; `Window.noise` in m is taken as it is where it is given.
         config: of the solver.
-
-    Returns:
-        The objective under the noise that was found, the fit, and the number of steps of each sequence (P,).
     """
-    noise = np.array([max(w.noise or COARSE_NOISE_M[0], config.noise_floor) for w in windows])
-    is_unknown = np.array([w.noise is None for w in windows])
-    if not is_unknown.any():
-        if objective.limits_accelerations:
-            kept = _choose_coarse_frames(objective)
-            objective = objective.with_activity(fit.state.select(kept.frames), kept.batch)
-        return objective.with_noise(noise), fit, np.zeros(len(windows), np.int64)
+    noise, is_unknown = get_given_noise(windows, config), np.array([w.noise is None for w in windows])
 
-    def updated_noise(current: JointObjective, descent: Descent, least: float) -> Array:
-        estimate = estimate_noise(
-            current.reprojection, current.batch, current.is_free, descent.point, descent.equations
-        )
-        return np.where(is_unknown, np.maximum(estimate, max(least, config.noise_floor)), noise)
+    def update_noise(problem: JointProblem, least: float) -> Array:
+        estimate = np.maximum(problem.estimate_noise(), max(least, config.noise_floor))
+        return np.where(is_unknown, estimate, noise)
 
-    tolerance = max(ROUND_TOLERANCE, config.tolerance)
-    kept = _choose_coarse_frames(objective)
-    coarse_objective = objective.subsampled(kept)
-    coarse = fit.state.select(kept.frames)
-    damping = COLD_DAMPING
+    tolerance, damping = max(ROUND_TOLERANCE, config.tolerance), COLD_DAMPING
     iterations = np.zeros(len(windows), np.int64)
+    frames = batch.find_best_seen(COARSE_FRAME_STEP_S)
+    some, coarse = batch.select(frames), state.select(frames)
+    share = some.counts / batch.counts
     for level, least in zip(COARSE_NOISE_M, (*COARSE_NOISE_M[1:], FINE_NOISE_M[0]), strict=True):
-        k = max(int((objective.model.std >= MIN_STD_OVER_NOISE * level).sum()), MIN_COMPONENTS)
-        current = coarse_objective.with_noise(noise).with_components(k)
-        start = current.fit(coarse.with_components(k))
-        descent = yield from minimise_stepwise(
-            JointProblem(current), start, config.max_iterations, tolerance, damping
-        )
-        iterations += descent.iterations
-        coarse = coarse.with_leading_weights(descent.point.state)
-        noise = updated_noise(current, descent, least)
-        damping = CONTINUED_DAMPING
+        k = max(int((model.std >= MIN_STD_OVER_NOISE * level).sum()), MIN_COMPONENTS)
+        objective = JointObjective.build(some, model, config, noise, share).truncate(k)
+        problem = objective.compile(coarse._replace(theta=coarse.theta[:, :k]))
+        yield from minimise_stepwise(problem, config.max_iterations, tolerance, damping)
+        iterations += problem.iterations
+        found = read_state(problem)
+        coarse = found._replace(theta=np.concatenate([found.theta, coarse.theta[:, k:]], axis=1))
+        noise, damping = update_noise(problem, least), CONTINUED_DAMPING
         yield
-    objective = objective.with_activity(coarse, kept.batch)
-    fit = objective.with_optimal_translation(interpolate(coarse, kept.frames, objective.batch))
+    activity = measure_activities(coarse, some, batch)
+    state, settle_steps = batch.interpolate(coarse, frames), 1
     for least in (*FINE_NOISE_M[1:], 0.0):
-        current = objective.with_noise(noise)
-        descent = yield from minimise_stepwise(
-            JointProblem(current), fit, config.max_iterations, tolerance, damping
-        )
-        iterations += descent.iterations
-        fit, before = descent.point, noise
-        noise = updated_noise(current, descent, least)
+        objective = JointObjective.build(batch, model, config, noise, None, activity)
+        problem = objective.compile(state, settle_steps, at_reference=True)
+        yield from minimise_stepwise(problem, config.max_iterations, tolerance, damping)
+        iterations += problem.iterations
+        state, settle_steps, before = read_state(problem), 0, noise
+        noise = update_noise(problem, least)
         yield
         if np.array_equal(noise, before):
             break
-    return objective.with_noise(noise), fit, iterations
-
-
-def _choose_coarse_frames(objective: JointObjective) -> Subsample:
-    """Return the best-seen frame of every `COARSE_FRAME_STEP_S`."""
-    return objective.batch.subsample(COARSE_FRAME_STEP_S, objective.reprojection.weight.sum(axis=1))
-
-
-def interpolate(coarse: State, frames: NDArray[np.intp], batch: Batch) -> State:
-    """Interpolate the state of some frames in time to all frames of the batch.
-
-    Weights, logarithms of the scale and translations are interpolated linearly, rotations at constant angular
-    velocity; frames outside those given take the nearest one of their sequence.
-
-    Args:
-        coarse: state of the frames.
-        frames: (M,) indices of them.
-        batch: all frames.
-    """
-    sequence = batch.sequence
-    every = np.arange(len(sequence))
-    after = np.minimum(np.searchsorted(frames, every), len(frames) - 1)
-    before = np.maximum(np.searchsorted(frames, every, side='right') - 1, 0)
-    coarse_sequence = sequence[frames]
-    before = np.where(coarse_sequence[before] == sequence, before, after)
-    after = np.where(coarse_sequence[after] == sequence, after, before)
-    t, t0, t1 = batch.times, batch.times[frames[before]], batch.times[frames[after]]
-    share = np.clip((t - t0) / np.maximum(t1 - t0, MIN_TIME_STEP), 0.0, 1.0)
-    first, last = coarse.select(before), coarse.select(after)
-    turn = vector_from_rotation(last.rotation @ np.swapaxes(first.rotation, -1, -2))
-    return State(
-        first.theta + share[:, None] * (last.theta - first.theta),
-        rotation_from_vector(share[:, None] * turn) @ first.rotation,
-        first.log_scale + share * (last.log_scale - first.log_scale),
-        first.translation + share[:, None] * (last.translation - first.translation),
-    )
+    return Annealed(JointObjective.build(batch, model, config, noise, None, activity).compile(state), iterations)

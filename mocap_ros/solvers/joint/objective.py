@@ -1,58 +1,45 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The objective of the joint solver: the reprojection and a list of further terms, a file each.
+"""The objective of the joint solver: its terms and their weights.
 
-    E = reprojection (eq. 9) + bone lengths (eq. 20) + base-pose prior + smoothness of the weights
-      + smoothness of the camera (eq. 12) + accelerations of both + lifted poses, where there are any
+    E = reprojection (TPAMI 2016, eq. 9) + bone lengths (eq. 20) + prior of the base poses
+      + differences (`differences`) + lifted poses, where there are any
 
-over all frames of a batch at once. The weights of all terms but the first are given for an image noise of 10 mm
-(`NOISE_REFERENCE`). Under another noise, which is found from the residual in a few rounds, the reprojection is
-divided by the ratio of the variances, as the maximum of the posterior demands.
-
-A frame has K weights, three rotation parameters and the logarithm of a scale as unknowns; its translation is
-eliminated. The normal matrix is block banded, the mean bone lengths are eliminated exactly by a low-rank
-correction, and the sequences of a batch are not coupled with each other.
+The formulas are in `engine.joint`, which minimises it, and in `reference`, which computes it with NumPy alone. All
+weights but that of the first term are given for an image noise of 10 mm (`NOISE_REFERENCE`). Under another noise
+the reprojection is divided by the ratio of the variances, as the maximum of the posterior demands.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.blas import add_product, add_product_transposed
-from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, kernel
 from mocap_ros.config import SolverConfig
+from mocap_ros.engine.joint import JointProblem
 from mocap_ros.models.base_poses import BasePoses, arrange_model
-from mocap_ros.solvers.block_banded import DampedSolution, solve_damped
-from mocap_ros.solvers.joint.acceleration import Acceleration, measure_activity
-from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
-from mocap_ros.solvers.joint.batch import Batch, Subsample
-from mocap_ros.solvers.joint.bone_lengths import BoneLengths
-from mocap_ros.solvers.joint.camera_acceleration import (
-    TYPICAL_PER_S2,
-    CameraAcceleration,
-    measure_directions,
+from mocap_ros.solvers.joint.batch import Batch, State
+from mocap_ros.solvers.joint.differences import (
+    CAMERA_FEATURES,
+    LOG_SCALE_FEATURE,
+    TYPICAL_OF_CAMERA,
+    TYPICAL_OF_POSE,
+    VERTICAL_FEATURES,
+    FiniteDifference,
+    invert_time_steps,
+    limit_acceleration,
+    measure_activity,
+    weigh_features,
+    weigh_velocity_change,
 )
-from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness
-from mocap_ros.solvers.joint.lifted_pose import LiftedPoseTerm
-from mocap_ros.solvers.joint.normal_equations import NormalEquations, write_joint_jacobian
-from mocap_ros.solvers.joint.pose_acceleration import TYPICAL_M_S2, PoseAcceleration
-from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
-from mocap_ros.solvers.joint.reprojection import Reprojection
-from mocap_ros.solvers.joint.state import Fit, State
-from mocap_ros.solvers.joint.term import Term
-from mocap_ros.solvers.window import InitialValues, Window
 
 Array = NDArray[np.float64]
-AnyTerm = TypeVar('AnyTerm')
 
 NOISE_REFERENCE = 0.01  # m; image noise at the body for which the weights in the configuration are given
+MIN_ROBUST_SCALE = 1e-6  # m; a smaller `robust_scale` selects least squares
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,292 +47,152 @@ class JointObjective:
     """The objective of a batch of sequences.
 
     Attributes:
-        model: base poses.
-        batch: which frames belong to which sequence.
-        basis: (3 J, K) the base poses, a coordinate of a joint in each row.
-        reprojection: the term of the image points.
-        bones: the term of the bone lengths.
-        terms: all terms, those two included.
-        is_free: (N,) False for frames that keep their initial values.
-        limits_accelerations: whether there are the two terms of acceleration.
+        batch: the measurements.
+        model: base poses, metric.
+        noise_ratio: (P,) image noise over that of the reference.
+        robust_scale: m, c of the reprojection under the reference noise; infinite for least squares. It grows with
+            noise above the reference.
+        bone_weight: (B,) beta of each bone.
+        prior: (K,) lambda / sigma_l^2, of the first K base poses of the model.
+        lifter_weight: m^2, omega.
+        lifter_robust_scale: standard deviations, c of the lifted poses.
+        differences: the smoothness of poses and cameras.
     """
 
-    model: BasePoses
     batch: Batch
-    basis: Array
-    reprojection: Reprojection
-    bones: BoneLengths
-    terms: tuple[Term, ...]
-    is_free: NDArray[np.bool_]
-    limits_accelerations: bool = False
-
-    @property
-    def coupled_frames(self) -> int:
-        """Number of next frames with which a frame is coupled."""
-        return 2 if self.limits_accelerations else 1
+    model: BasePoses
+    noise_ratio: Array
+    robust_scale: float
+    bone_weight: Array
+    prior: Array
+    lifter_weight: float
+    lifter_robust_scale: float
+    differences: tuple[FiniteDifference, ...]
 
     @staticmethod
-    def build(windows: Sequence[Window], units: Array, model: BasePoses, config: SolverConfig) -> JointObjective:
-        """Return the objective of these windows.
+    def build(
+        batch: Batch,
+        model: BasePoses,
+        config: SolverConfig,
+        noise: Array | None = None,
+        share: Array | None = None,
+        activity: tuple[Array, Array] | None = None,
+    ) -> JointObjective:
+        """Return the objective with the weights of the configuration.
 
         Args:
-            windows: the sequences.
-            units: (P,) px/m, by which the image points of each window are divided.
-            model: base poses, metric.
+            batch: the measurements.
+            model: base poses.
             config: weights of the terms.
-
-        Raises:
-            InputError: only some of the windows have lifted poses.
+            noise: (P,) m, standard deviation of a coordinate of a point of weight 1; None for the reference.
+            share: (P,) of the frames of each sequence that are in the batch, where it is a selection; its
+                differences keep their balance with the image, and there are none of order 2.
+            activity: (N,) m^2/s^4 and (N,) 1/s^4, mean square accelerations of poses and cameras; None for rest.
         """
-        batch = Batch.of_times([w.times for w in windows])
-        lifted = LiftedPoseTerm.build(windows, units, config)
         prior, smooth, flip, tilt = config.prior_weight, config.smooth_weight, config.flip_weight, 0.0
         if model.aligned_by_heading:
             prior, flip = config.heading_prior_factor * prior, config.heading_flip_factor * flip
             tilt = config.tilt_weight
-        if lifted is not None:
+        if len(batch.lifted):
             prior, smooth = config.lifter_prior_factor * prior, config.lifter_smooth_factor * smooth
             flip = config.lifter_flip_factor * flip
-        reprojection = Reprojection.build(windows, units, config)
-        bones = BoneLengths.build(batch, windows, model, config)
-        terms: list[Term] = [
-            reprojection,
-            bones,
-            BasePosePrior(prior / model.std**2),
-            PoseSmoothness(smooth * batch.inverse_time_steps),
-            CameraSmoothness.build(batch.inverse_time_steps, flip, tilt, config.scale_weight),
-        ]
-        if config.pose_acceleration_weight > 0:
-            terms.append(PoseAcceleration.build(config.pose_acceleration_weight, TYPICAL_M_S2, batch))
-            terms.append(CameraAcceleration.build(config.camera_acceleration_weight, TYPICAL_PER_S2, batch))
-        if lifted is not None:
-            terms.append(lifted)
+        noise_ratio = np.ones(len(batch.starts)) if noise is None else noise / NOISE_REFERENCE
+        inverse = invert_time_steps(batch)
+        root = np.sqrt(inverse if share is None else batch.repeat_per_frame(share) * inverse)
+        weight = weigh_features(smooth / model.std**2, matrix=flip)
+        for feature in VERTICAL_FEATURES:
+            weight[len(model.std) + feature] = tilt
+        weight[len(model.std) + LOG_SCALE_FEATURE] = config.scale_weight
+        differences = [FiniteDifference(np.stack([-root, root], axis=1), weight)]
+        if share is None and config.pose_acceleration_weight > 0:
+            change, ratio = weigh_velocity_change(batch), batch.repeat_per_frame(noise_ratio)
+            none = np.zeros(len(model.std))
+            for alpha, typical, mean_square, features in (
+                (config.pose_acceleration_weight, TYPICAL_OF_POSE, 0, weigh_features(none + 1)),
+                (config.camera_acceleration_weight, TYPICAL_OF_CAMERA, 1, weigh_features(none, direction=1.0)),
+            ):
+                square = np.zeros(len(ratio)) if activity is None else activity[mean_square]
+                factors = limit_acceleration(alpha, typical, change, square, ratio)
+                differences.append(FiniteDifference(factors, features))
         return JointObjective(
-            model=model,
             batch=batch,
-            basis=arrange_model(model).components,
-            reprojection=reprojection,
-            bones=bones,
-            terms=tuple(terms),
-            is_free=_find_free_frames(batch, [w.fixed_frames for w in windows]),
-            limits_accelerations=config.pose_acceleration_weight > 0,
+            model=model,
+            noise_ratio=noise_ratio,
+            robust_scale=config.robust_scale if config.robust_scale > MIN_ROBUST_SCALE else np.inf,
+            bone_weight=np.full(len(model.skeleton.bones), config.bone_weight),
+            prior=prior / model.std**2,
+            lifter_weight=config.lifter_weight,
+            lifter_robust_scale=config.lifter_robust_scale,
+            differences=tuple(differences),
         )
 
-    def find_term(self, kind: type[AnyTerm]) -> AnyTerm:
-        """Return the term of a class; raises StopIteration where there is none."""
-        return next(term for term in self.terms if isinstance(term, kind))
-
-    def with_components(self, k: int) -> JointObjective:
-        """Return the objective with the first `k` base poses."""
-        model, bones = self.model.truncate(k), self.bones.with_components(k)
-        terms = tuple(bones if term is self.bones else term.with_components(k) for term in self.terms)
-        return replace(self, model=model, basis=arrange_model(model).components, bones=bones, terms=terms)
-
-    def subsampled(self, kept: Subsample) -> JointObjective:
-        """Return the objective of some frames only."""
-        bones, reprojection = self.bones.subsampled(kept), self.reprojection.subsampled(kept)
-        further = (term.subsampled(kept) for term in self.terms if term not in (self.bones, self.reprojection))
-        return replace(
-            self,
-            batch=kept.batch,
-            reprojection=reprojection,
-            bones=bones,
-            terms=(reprojection, bones, *further),
-            is_free=self.is_free[kept.frames],
-        )
-
-    def with_activity(self, state: State, coarse: Batch) -> JointObjective:
-        """Return the objective whose limits to accelerations give way to those of some frames.
-
-        Args:
-            state: the unknowns in these frames.
-            coarse: layout of these frames; the same sequences.
-        """
-        if not self.limits_accelerations:
-            return self
-        of_pose = measure_activity(state.theta, coarse, self.batch)
-        of_camera = measure_activity(measure_directions(state.rotation), coarse, self.batch)
-        terms: list[Term] = []
-        for term in self.terms:
-            if isinstance(term, PoseAcceleration):
-                terms.append(term.with_activity(of_pose))
-            else:
-                terms.append(term.with_activity(of_camera) if isinstance(term, CameraAcceleration) else term)
-        return replace(self, terms=tuple(terms))
+    def truncate(self, k: int) -> JointObjective:
+        """Return the objective of the first `k` base poses."""
+        weights = [np.concatenate([d.weight[:k], d.weight[-CAMERA_FEATURES:]]) for d in self.differences]
+        differences = tuple(replace(d, weight=w) for d, w in zip(self.differences, weights, strict=True))
+        return replace(self, prior=self.prior[:k], differences=differences)
 
     def with_noise(self, noise: Array) -> JointObjective:
-        """Return the objective under image noise of these standard deviations (P,) m, one a sequence."""
-        ratio = self.batch.repeat_per_frame(noise / NOISE_REFERENCE)
-        reprojection = self.reprojection.with_variance_ratio(ratio)
-        terms: list[Term] = []
-        for term in self.terms:
-            if isinstance(term, Acceleration):
-                terms.append(term.with_noise_ratio(ratio))
-            else:
-                terms.append(reprojection if term is self.reprojection else term)
-        return JointObjective(
-            self.model,
-            self.batch,
-            self.basis,
-            reprojection,
-            self.bones,
-            tuple(terms),
-            self.is_free,
-            self.limits_accelerations,
+        """Return the objective under image noise (P,) m, with the same limits to accelerations."""
+        return replace(self, noise_ratio=noise / NOISE_REFERENCE)
+
+    def compile(
+        self, state: State | None = None, settle_steps: int = 0, *, at_reference: bool = False
+    ) -> JointProblem:
+        """Return the objective as a problem of the compiled solver.
+
+        Args:
+            state: where it starts; None to set that later.
+            settle_steps: number of steps of the robust fit by which the translations settle first.
+            at_reference: whether they settle under the robust scale of the reference noise.
+        """
+        batch, arrays, k = self.batch, arrange_model(self.model), len(self.prior)
+        factors = np.zeros((len(self.differences), len(batch.times), 3))
+        for own, difference in zip(factors, self.differences, strict=True):
+            own[:, : difference.order + 1] = difference.factors
+        problem = JointProblem(
+            starts=batch.starts,
+            counts=batch.counts,
+            is_free=batch.is_free,
+            image=batch.image,
+            score=np.ascontiguousarray(batch.score),
+            focal=batch.focal,
+            lifted=batch.lifted,
+            precision=batch.precision,
+            earlier_lengths=batch.earlier_lengths,
+            earlier_frames=batch.earlier_frames,
+            noise_ratio=self.noise_ratio,
+            mean=self.model.mean,
+            basis=np.ascontiguousarray(arrays.components[:, :k]),
+            bones=np.ascontiguousarray(arrays.bones[:, :k]),
+            parents=arrays.parents,
+            children=arrays.children,
+            robust_scale=self.robust_scale,
+            bone_weight=self.bone_weight,
+            prior=self.prior,
+            lifter_weight=self.lifter_weight,
+            lifter_robust_scale=self.lifter_robust_scale,
+            orders=np.array([d.order for d in self.differences], np.int64),
+            factors=factors,
+            feature_weight=np.array([d.weight for d in self.differences]).reshape(-1, k + CAMERA_FEATURES),
         )
-
-    def fit(self, state: State, *, settle_translation: bool = False) -> Fit:
-        """Return what the terms measure in a state.
-
-        Args:
-            state: the unknowns.
-            settle_translation: whether each translation is first moved to its optimum (one step of the robust
-                fit).
-        """
-        theta, rotation = np.ascontiguousarray(state.theta), np.ascontiguousarray(state.rotation)
-        poses, scaled_poses = _pose_bodies(theta, rotation, state.log_scale, self.basis, self.model.mean)
-        translation, depth, error, squared_error = self.reprojection.measure(
-            scaled_poses, state.translation, settle_translation=settle_translation
-        )
-        direction, length, excess, mean = self.bones.measure(poses)
-        return Fit(
-            State(theta, rotation, state.log_scale, translation),
-            self.model,
-            scaled_poses,
-            depth,
-            error,
-            squared_error,
-            direction,
-            length,
-            excess,
-            mean,
-        )
-
-    def with_optimal_translation(self, state: State) -> Fit:
-        """Return the fit of the state with each translation at its optimum (one step of the robust fit)."""
-        return self.fit(state, settle_translation=True)
-
-    def cost(self, fit: Fit) -> Array:
-        """(P,) m^2, value of the objective of each sequence."""
-        per_frame = self.terms[0].cost(fit)
-        for term in self.terms[1:]:
-            per_frame += term.cost(fit)
-        return self.batch.sum_per_sequence(per_frame)
-
-    def normal_equations(self, fit: Fit, is_active: NDArray[np.bool_] | None = None) -> NormalEquations:
-        """Return the equations of a Gauss-Newton step.
-
-        Args:
-            fit: of the state at hand.
-            is_active: (N,) whether the equations of a frame are needed; None for those of all free frames.
-        """
-        is_active = self.is_free if is_active is None else is_active
-        equations = NormalEquations.begin(fit, self.basis, len(self.bones.weight), is_active, self.coupled_frames)
-        for term in self.terms:
-            term.add_to(equations, fit)
-        equations.transfer_from_joints()
-        return equations
-
-    def step(self, equations: NormalEquations, damping: Array) -> DampedSolution | None:
-        """Solve for a Levenberg-Marquardt step.
-
-        Args:
-            equations: of the state at hand.
-            damping: (P,) relative increase of the diagonal.
-
-        Returns:
-            A solution whose `solution` (N, n) is the negative of the step; None where the matrix is not positive
-            definite.
-        """
-        return solve_damped(
-            equations.diagonal,
-            equations.coupling,
-            equations.gradient,
-            equations.bones,
-            self.bones.strength,
-            damping,
-            self.is_free,
-            self.batch.starts,
-            self.batch.counts,
-        )
-
-    def joint_std(self, fit: Fit, last_inverse: Array) -> Array:
-        """(P, J) m, posterior standard deviation of each sequence's last joints about the body's origin.
-
-        It is the root of the trace of each joint's covariance.
-
-        Args:
-            fit: of the state at hand.
-            last_inverse: (P, n, n) as in the solution of a step.
-        """
-        last, state = self.batch.starts + self.batch.counts - 1, fit.state
-        size = np.exp(state.log_scale[last])[:, None, None]
-        poses = fit.scaled_poses[last] / size
-        return NOISE_REFERENCE * _spread_of_joints(last_inverse, state.rotation[last], poses, self.basis)
-
-    def initial_state(self, starts: Sequence[InitialValues], units: Array) -> State:
-        """Return the state at these starts, with the translations at the centroids of the image points.
-
-        Args:
-            starts: weights and cameras of each sequence, scales in px/m.
-            units: (P,) px/m, as for `build`.
-        """
-        theta = np.concatenate([s.theta for s in starts])
-        rotation = np.concatenate([s.cameras.rotation for s in starts])
-        scale = np.concatenate([s.cameras.scale for s in starts]) / self.batch.repeat_per_frame(units)
-        return State(theta, rotation, np.log(scale), self.reprojection.centroids())
+        if state is not None:
+            problem.start(*state, settle_steps, at_reference)
+        return problem
 
 
-def _find_free_frames(batch: Batch, fixed_frames: Sequence[int]) -> NDArray[np.bool_]:
-    """Return (N,) False for the first `fixed_frames` (P,) of each sequence."""
-    is_free = np.ones(len(batch.times), np.bool_)
-    for start, fixed in zip(batch.starts.tolist(), fixed_frames, strict=True):
-        is_free[start : start + fixed] = False
-    return is_free
+def read_state(problem: JointProblem) -> State:
+    """Return the unknowns at the current point of a problem."""
+    return State(*(problem.read(name) for name in State._fields))
 
 
-@kernel(types.UniTuple(FLOATS_3D, 2)(FLOATS_2D, FLOATS_3D, FLOATS_1D, FLOATS_2D, FLOATS_2D))
-def _pose_bodies(
-    theta: Array, rotation: Array, log_scale: Array, basis: Array, mean: Array
-) -> tuple[Array, Array]:
-    """Return the poses P = Q_0 + sum_l theta_l Q_l in the body frame and s R P in the camera's, both (N, J, 3)."""
-    frames, k = theta.shape
-    joints = len(mean)
-    poses, scaled_poses = np.empty((frames, joints, 3)), np.empty((frames, joints, 3))
-    for t in range(frames):
-        pose = poses[t]
-        pose[:] = mean
-        add_product(1.0, basis, theta[t].reshape((k, 1)), pose.reshape((3 * joints, 1)))
-        scale = np.exp(log_scale[t])
-        r = rotation[t]
-        for j in range(joints):
-            x, y, z = pose[j, 0], pose[j, 1], pose[j, 2]
-            for i in range(3):
-                scaled_poses[t, j, i] = scale * (r[i, 0] * x + r[i, 1] * y + r[i, 2] * z)
-    return poses, scaled_poses
-
-
-@kernel(FLOATS_2D(FLOATS_3D, FLOATS_3D, FLOATS_3D, FLOATS_2D))
-def _spread_of_joints(inverse: Array, rotation: Array, poses: Array, basis: Array) -> Array:
-    """Return the root of the trace of J_j (L L^T)^-1 J_j^T for each joint of P frames, (P, J).
+def measure_activities(state: State, coarse: Batch, batch: Batch) -> tuple[Array, Array]:
+    """Return the mean square accelerations (N,) of poses and cameras about each frame of a batch.
 
     Args:
-        inverse: (P, n, n) matrices L^-1.
-        rotation: (P, 3, 3) body frame to camera frame.
-        poses: (P, J, 3) m, unscaled joints along the camera's axes, which the log scale does not move.
-        basis: (3 J, K) the base poses, a coordinate of a joint in each row.
+        state: of some of the frames.
+        coarse: these frames.
+        batch: all frames; the same sequences.
     """
-    rows, n = len(basis), inverse.shape[1]
-    jacobian = np.empty((rows, n))
-    out = np.zeros((len(poses), rows // 3))
-    for p in range(len(poses)):
-        write_joint_jacobian(rotation[p], poses[p], basis, jacobian)
-        jacobian[:, n - 1] = 0.0
-        whitened = np.zeros((rows, n))
-        add_product_transposed(1.0, jacobian, inverse[p], whitened)
-        for row in range(rows):
-            for i in range(n):
-                out[p, row // 3] += whitened[row, i] ** 2
-        for j in range(rows // 3):
-            out[p, j] = np.sqrt(out[p, j])
-    return out
+    directions = state.rotation[:, :2].reshape(len(state.theta), 6)
+    return measure_activity(state.theta, coarse, batch), measure_activity(directions, coarse, batch)

@@ -18,16 +18,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOATS_1D, INPUT_2D, kernel
 from mocap_ros.config import SolverConfig
+from mocap_ros.engine.joint import JointProblem
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.solvers.joint.batch import Batch, State
 from mocap_ros.solvers.joint.lifted_start import fit_initial_values
-from mocap_ros.solvers.joint.noise_annealing import COLD_DAMPING, CONTINUED_DAMPING, anneal_stepwise
-from mocap_ros.solvers.joint.noise_estimate import estimate_noise
-from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, JointObjective
-from mocap_ros.solvers.joint.problem import Descent, JointProblem
-from mocap_ros.solvers.joint.state import Fit
+from mocap_ros.solvers.joint.noise_annealing import (
+    COARSE_FRAME_STEP_S,
+    COLD_DAMPING,
+    CONTINUED_DAMPING,
+    anneal_stepwise,
+    get_given_noise,
+)
+from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, JointObjective, measure_activities, read_state
 from mocap_ros.solvers.levenberg_marquardt import minimise_stepwise
 from mocap_ros.solvers.stepwise import Stepwise, run_to_end
 from mocap_ros.solvers.window import (
@@ -86,25 +90,30 @@ def solve_stepwise(
     windows = [start_from_lifted_poses(w, model) for w in windows]
     chosen = [choose_initial_values(w, model, config.start_window) for w in windows]
     yield
-    starts = [start for start, _ in chosen]
-    units = np.array([unit for _, unit in chosen])
-    objective = JointObjective.build(windows, units, model, config)
-    fit = objective.with_optimal_translation(objective.initial_state(starts, units))
-    if not is_warm:
-        fit = objective.with_optimal_translation(fit.state)
-    yield
-    damping = COLD_DAMPING
+    starts, units = [start for start, _ in chosen], np.array([unit for _, unit in chosen])
+    batch = Batch.build(windows, units, model)
+    state, settle_steps = batch.initial_state(starts, units), 1 if is_warm else 2
     earlier_iterations = np.zeros(len(windows), np.int64)
-    if config.adapt_noise:
-        objective, fit, earlier_iterations = yield from anneal_stepwise(objective, fit, windows, config)
-        damping = CONTINUED_DAMPING
-    if is_warm:
-        damping = WARM_DAMPING
-    descent = yield from minimise_stepwise(
-        JointProblem(objective), fit, config.max_iterations, config.tolerance, damping
-    )
+    damping = WARM_DAMPING if is_warm else CONTINUED_DAMPING if config.adapt_noise else COLD_DAMPING
+    if config.adapt_noise and any(w.noise is None for w in windows):
+        settled = JointObjective.build(batch, model, config).compile(state, settle_steps)
+        yield
+        problem, earlier_iterations = yield from anneal_stepwise(
+            batch, read_state(settled), model, windows, config
+        )
+    else:
+        noise, activity = None, None
+        if config.adapt_noise:
+            noise = get_given_noise(windows, config)
+            if config.pose_acceleration_weight > 0:
+                frames = batch.find_best_seen(COARSE_FRAME_STEP_S)
+                activity = measure_activities(state.select(frames), batch.select(frames), batch)
+        objective = JointObjective.build(batch, model, config, noise, None, activity)
+        problem = objective.compile(state, settle_steps, at_reference=True)
+        yield
+    history = yield from minimise_stepwise(problem, config.max_iterations, config.tolerance, damping)
     yield
-    return _make_reconstructions(objective, windows, units, descent, earlier_iterations)
+    return make_reconstructions(problem, batch, windows, units, history, earlier_iterations)
 
 
 def solve_hypotheses(
@@ -162,104 +171,87 @@ def negative_log_posterior(result: JointReconstruction, window: Window, config: 
     return result.cost / NOISE_REFERENCE**2 + 2 * coordinates * math.log(noise / NOISE_REFERENCE)
 
 
-class FrameValues(NamedTuple):
-    """What a fit says about all frames of its batch.
+class PointValues(NamedTuple):
+    """What the current point of a problem says about all frames of its batch, as in `Reconstruction`."""
 
-    Attributes:
-        joints: (N, J, 3) m, as in `Reconstruction`, like all that follow.
-        scale: (N,) px/m.
-        translation: (N, 2) px.
-        residual: (N,) px.
-    """
-
+    state: State
     joints: Array
     scale: Array
     translation: Array
     residual: Array
 
     @staticmethod
-    def of_fit(fit: Fit, units: Array, weight: Array) -> FrameValues:
-        """Return the values of a fit.
-
-        Args:
-            fit: of a batch.
-            units: (N,) px/m, by which the image points were divided.
-            weight: (N, J) scores of the joints.
-        """
-        state = fit.state
-        scale = np.exp(state.log_scale)
-        joints = fit.scaled_poses / scale[:, None, None]
-        residual = units * _measure_residual(np.ascontiguousarray(weight), fit.squared_error)
-        return FrameValues(joints, scale * units, state.translation * units[:, None], residual)
-
-
-@kernel(FLOATS_1D(INPUT_2D, INPUT_2D))
-def _measure_residual(weight: Array, squared_error: Array) -> Array:
-    """Return the root mean squared error (N,) over the joints of positive weight (N, J); NaN without any."""
-    out = np.empty(len(weight))
-    for t in range(len(weight)):
-        total, seen = 0.0, 0
-        for j in range(weight.shape[1]):
-            if weight[t, j] > 0:
-                total += squared_error[t, j]
-                seen += 1
-        out[t] = np.sqrt(total / seen) if seen > 0 else np.nan
-    return out
+    def read(problem: JointProblem, batch: Batch, units: Array) -> PointValues:
+        """Return the values; units (P,) px/m, by which the image points were divided."""
+        state, per_frame = read_state(problem), batch.repeat_per_frame(units)
+        scale, seen = np.exp(state.log_scale), batch.score > 0
+        with np.errstate(invalid='ignore'):  # a frame without seen joints has the residual 0 / 0 = NaN
+            residual = np.sqrt((seen * problem.read('squared')).sum(axis=1) / seen.sum(axis=1))
+        return PointValues(
+            state,
+            problem.read('scaled_pose') / scale[:, None, None],
+            scale * per_frame,
+            state.translation * per_frame[:, None],
+            residual * per_frame,
+        )
 
 
-def _make_reconstructions(
-    objective: JointObjective,
+def make_reconstructions(
+    problem: JointProblem,
+    batch: Batch,
     windows: Sequence[Window],
     units: Array,
-    descent: Descent,
+    history: Sequence[Array],
     earlier_iterations: NDArray[np.int64],
 ) -> tuple[JointReconstruction, ...]:
     """Return the reconstruction of each sequence of a batch; units (P,) px/m."""
-    fit, step, batch = descent.point, descent.step, objective.batch
-    noise = estimate_noise(objective.reprojection, batch, objective.is_free, fit, descent.equations)
-    joint_std = None if step is None else objective.joint_std(fit, step.last_inverse)
-    weight = windows[0].weight if len(windows) == 1 else np.concatenate([w.weight for w in windows])
-    values = FrameValues.of_fit(fit, batch.repeat_per_frame(units), weight)
-    history = np.array(descent.history).T.tolist()
-    out = []
-    for i, first in enumerate(batch.starts.tolist()):
-        own = slice(first, first + len(windows[i].times))
-        iterations = int(descent.iterations[i])
+    values = PointValues.read(problem, batch, units)
+    noise, joint_std = problem.estimate_noise(), problem.measure_joint_std()
+    costs, out = np.array(history).T.tolist(), []
+    for i, own in enumerate(batch.slices):
+        iterations = int(problem.iterations[i])
         out.append(
             JointReconstruction(
                 joints=values.joints[own],
-                theta=fit.state.theta[own],
-                cameras=WeakPerspectiveCameras(values.scale[own], fit.state.rotation[own]),
+                theta=values.state.theta[own],
+                cameras=WeakPerspectiveCameras(values.scale[own], values.state.rotation[own]),
                 translation=interpolate_unseen(values.translation[own], windows[i]),
                 residual=values.residual[own],
-                status=SolverStatus(descent.status[i]),
-                history=tuple(history[i][: iterations + 1]),
+                status=SolverStatus(problem.status[i]),
+                history=tuple(costs[i][: iterations + 1]),
                 iterations=int(earlier_iterations[i]) + iterations,
                 noise=float(noise[i]),
-                joint_std=None if joint_std is None else joint_std[i],
+                joint_std=None if np.isnan(joint_std[i, 0]) else joint_std[i],
             )
         )
     return tuple(out)
 
 
 def make_reconstruction(
-    window: Window, unit: float, fit: Fit, status: SolverStatus, history: Sequence[float], iterations: int
+    problem: JointProblem,
+    batch: Batch,
+    window: Window,
+    unit: float,
+    status: SolverStatus,
+    history: Sequence[float],
+    iterations: int,
 ) -> Reconstruction:
-    """Return the reconstruction of one sequence.
+    """Return the reconstruction of a batch of one sequence.
 
     Args:
+        problem: at the final point.
+        batch: the measurements.
         window: the sequence.
         unit: px/m, by which its image points were divided.
-        fit: of the final state.
         status: why the solver stopped.
         history: m^2, objective at the start and after each step.
         iterations: number of steps that were tried.
     """
-    values = FrameValues.of_fit(fit, np.full(len(window.times), unit), window.weight)
+    values = PointValues.read(problem, batch, np.array([unit]))
     return Reconstruction(
         joints=values.joints,
-        theta=fit.state.theta,
-        cameras=WeakPerspectiveCameras(values.scale, fit.state.rotation),
+        theta=values.state.theta,
+        cameras=WeakPerspectiveCameras(values.scale, values.state.rotation),
         translation=interpolate_unseen(values.translation, window),
         residual=values.residual,
         status=status,

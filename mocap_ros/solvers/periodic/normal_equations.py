@@ -24,7 +24,7 @@ a_t^T h_v in h'_t.
 Normal equations. H'_uu, H'_zu and H'_zz are the parts of H' that belong to u_t and z_t, likewise h'_u and h'_z.
 The columns of g_t are the gradients of the bone lengths by u_t, times the square roots of their weights; the
 eliminated mean bone lengths subtract b b^T / N. D (diagonal, 0 for omega), E (coupling a camera with the next two)
-and the gradients d and e are what the terms beside those of the body add (`periodic.term`).
+and the gradients d and e are what the terms beside those of the body add (`periodic.objective`).
 
     [ A    B ] [dx]     [a]        A    = sum_t J_t^T H'_uu,t J_t - b b^T / N + D,    b = sum_t J_t^T g_t
     [ B^T  C ] [dz] = - [c]        B^T  = (B_1^T; ... B_N^T),    B_t^T = H'_zu,t J_t
@@ -47,11 +47,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
+from scipy.linalg import LinAlgError, lapack
 
+from mocap_ros.engine.block_banded import BlockCholesky
+from mocap_ros.engine.joint import JointProblem
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
-from mocap_ros.solvers.block_banded import Coupling, factorise_blocks
-from mocap_ros.solvers.joint.normal_equations import NormalEquations
 from mocap_ros.solvers.periodic.fourier import SeriesJacobian
 
 Array = NDArray[np.float64]
@@ -94,14 +94,14 @@ class FrameEquations(NamedTuple):
     bones: Array
 
     @staticmethod
-    def insert_heading(body: NormalEquations, vertical: Array) -> FrameEquations:
+    def insert_heading(body: JointProblem, vertical: Array) -> FrameEquations:
         """Return the equations with the heading as function K + 1.
 
         Args:
-            body: equations of the joint solver, H_t and h_t.
+            body: problem of the joint solver, with its equations H_t and h_t.
             vertical: (N, 3) the body's vertical in the camera frame, a_t.
         """
-        matrix, gradient = body.diagonal, body.gradient
+        matrix, gradient = symmetrise(body.diagonal), body.gradient
         frames, n = gradient.shape
         k = n - CAMERA_UNKNOWNS
         turn = slice(k, k + 3)
@@ -116,14 +116,14 @@ class FrameEquations(NamedTuple):
         function_gradient = np.empty((frames, k + 1))
         function_gradient[:, :k] = gradient[:, :k]
         function_gradient[:, k] = (vertical * gradient[:, turn]).sum(axis=1)
-        bones = np.zeros((frames, body.bones.shape[2], k + 1))
-        bones[:, :, :k] = np.swapaxes(body.bones[:, :k], 1, 2)
+        bones = np.zeros((frames, body.bone_vectors.shape[2], k + 1))
+        bones[:, :, :k] = np.swapaxes(body.bone_vectors[:, :k], 1, 2)
         return FrameEquations(
             function_matrix,
             mixed_matrix,
             matrix[:, k:, k:],
             function_gradient,
-            gradient[:, k:],
+            gradient[:, k:].copy(),
             bones,
         )
 
@@ -141,7 +141,7 @@ class PeriodicEquations:
         mixed_matrix: (N, 4, G) the matrix B^T.
         camera_image: (N, 4, 4) the matrices H'_zz.
         camera_prior: (N, 4, 4) the diagonal blocks of E.
-        camera_coupling: the other blocks of E.
+        camera_coupling: (N, 2, 4, 4) the blocks of E in the rows of frame t + d + 1 and the columns of frame t.
         camera_gradient: (N, 4) the vector c.
     """
 
@@ -151,15 +151,15 @@ class PeriodicEquations:
     mixed_matrix: Array
     camera_image: Array
     camera_prior: Array
-    camera_coupling: Coupling
+    camera_coupling: Array
     camera_gradient: Array
 
     @staticmethod
-    def begin(body: NormalEquations, vertical: Array, jacobian: SeriesJacobian) -> PeriodicEquations:
+    def begin(body: JointProblem, vertical: Array, jacobian: SeriesJacobian) -> PeriodicEquations:
         """Return the equations of the body, to which no other term has added yet.
 
         Args:
-            body: equations of the joint solver.
+            body: problem of the joint solver, with its equations.
             vertical: (N, 3) the body's vertical in the camera frame, a_t.
             jacobian: of the series.
         """
@@ -175,8 +175,8 @@ class PeriodicEquations:
             mixed_matrix=jacobian.products(equations.mixed_matrix),
             camera_image=equations.camera_matrix,
             camera_prior=np.zeros((frames, CAMERA_UNKNOWNS, CAMERA_UNKNOWNS)),
-            camera_coupling=Coupling.zeros(COUPLED_FRAMES, frames, CAMERA_UNKNOWNS, CAMERA_UNKNOWNS),
-            camera_gradient=equations.camera_gradient.copy(),
+            camera_coupling=np.zeros((frames, COUPLED_FRAMES, CAMERA_UNKNOWNS, CAMERA_UNKNOWNS)),
+            camera_gradient=equations.camera_gradient,
         )
 
     def count_effective_parameters(self) -> float:
@@ -210,8 +210,15 @@ class PeriodicEquations:
     def _log_determinant(self, diagonal: Array) -> float:
         """Return the log determinant of a camera matrix with these diagonal blocks; infinity if not definite."""
         definite = diagonal + MIN_CAMERA_INFORMATION * np.eye(CAMERA_UNKNOWNS)
-        factor = factorise_blocks(definite, self.camera_coupling)
-        return np.inf if factor is None else factor.log_determinant()
+        try:
+            return self._factorise_cameras(definite).log_determinant()
+        except LinAlgError:
+            return np.inf
+
+    def _factorise_cameras(self, blocks: Array) -> BlockCholesky:
+        """Return the factor of a camera matrix with these diagonal blocks."""
+        none = np.zeros((len(blocks), COUPLED_FRAMES, CAMERA_UNKNOWNS))
+        return BlockCholesky(blocks, none, self.camera_coupling)
 
     def solve_step(self, damping: float) -> Step | None:
         """Solve for a Levenberg-Marquardt step by the elimination at the head of this module.
@@ -226,8 +233,9 @@ class PeriodicEquations:
         on_diagonal = np.einsum('nii->ni', camera_blocks)
         on_diagonal *= 1 + damping
         on_diagonal += MIN_INFORMATION
-        factor = factorise_blocks(camera_blocks, self.camera_coupling)
-        if factor is None:
+        try:
+            factor = self._factorise_cameras(camera_blocks)
+        except LinAlgError:
             return None
         frames, n, size = self.mixed_matrix.shape
         right = np.empty((frames, n, size + 1))
@@ -241,5 +249,11 @@ class PeriodicEquations:
         if info:
             return None
         step, _ = lapack.dpotrs(schur_factor, v_matrix.T @ v_vector - self.series_gradient, lower=1)
-        camera_right = -(v_vector + v_matrix @ step).reshape(frames, n, 1)
-        return Step(step, factor.solve_lower_transposed(camera_right)[..., 0])
+        camera_right = -(v_vector + v_matrix @ step).reshape(frames, n)
+        return Step(step, factor.solve_lower_transposed(camera_right))
+
+
+def symmetrise(blocks: Array) -> Array:
+    """Return the symmetric blocks (N, n, n) of their lower triangles."""
+    is_lower = np.tri(blocks.shape[1], dtype=bool)
+    return np.where(is_lower, blocks, np.swapaxes(blocks, 1, 2))

@@ -1,36 +1,45 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The objective of the periodic model (TPAMI 2016, section 3.3): the terms of the body and a list of further ones.
+"""The objective of the periodic model (TPAMI 2016, section 3.3).
 
     E = sum_tj w_tj rho(|s_t C_t[:2] Rz(psi_t) P_tj + t_t - x_tj|^2 / s0^2)    reprojection error (eq. 18)
       + beta   sum_tb (length_tb - mean_b)^2                                   bone lengths (eq. 20)
-      + coefficient prior + movement of the camera + level cameras             a file each
+      + lambda sum_pl c_pl^2 / var_pl                                          prior of the coefficients
+      + gamma  int |dM / dt|^2 dt + kappa int |d^2 M / dt^2|^2 dt              movement of the camera, M = s C[:2]
+      + nu     mean_t |tilt_t|^2                                               level cameras
 
 The pose P_tj has the weights theta_t, and (theta_t, psi_t) = u(t) are the Fourier series of module `fourier` with
 the coefficients c_pl. Base poses have no heading, but a body turns with every stride: psi is this turn, Rz a
 rotation about the vertical of the body, and C_t the rotation of the camera, which does not contain the strides.
 rho is Cauchy's loss, and the first two terms are those of the joint solver.
+
+The prior occurs once a window, not once a frame, since the coefficients do. The variance of a weight over time
+and persons is shared among the terms of its series (`fourier.variance_shares`); the constants have less, for a
+person's mean pose is near that of the model, and the camera already contains the mean heading. The tilt is the x
+and z components of C_t e_z; it counts for models whose base poses were aligned by heading, so that the z axis of
+the body frame is vertical in every pose. The paper weighs changes of the camera (eq. 12) and has
+neither prior nor tilt.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
+from mocap_ros.engine.joint import JointProblem
+from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, fill_camera_jacobian, fill_rotation_jacobian
+from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.solvers.joint.batch import Batch, State
+from mocap_ros.solvers.joint.differences import FiniteDifference, invert_time_steps, weigh_velocity_change
 from mocap_ros.solvers.joint.objective import JointObjective
-from mocap_ros.solvers.joint.state import State
-from mocap_ros.solvers.periodic.camera_movement import CameraMovement
-from mocap_ros.solvers.periodic.coefficient_prior import CoefficientPrior
-from mocap_ros.solvers.periodic.fourier import FourierSeries
-from mocap_ros.solvers.periodic.level_cameras import LevelCameras
+from mocap_ros.solvers.periodic.fourier import FourierSeries, variance_shares
 from mocap_ros.solvers.periodic.normal_equations import PeriodicEquations, Step
-from mocap_ros.solvers.periodic.point import Point, make_body_state
-from mocap_ros.solvers.periodic.term import Term
 from mocap_ros.solvers.window import Window
 
 Array = NDArray[np.float64]
@@ -38,36 +47,62 @@ Array = NDArray[np.float64]
 # Properties of walks and runs.
 MODEL_ERROR = 0.01  # m; error of a coordinate from what a periodic motion cannot explain, added to the image noise
 STILL_CAMERA_FACTOR = 300.0  # on the weight of the camera's velocity if the camera is supposed to stand still
+CONSTANT_STD = 0.008  # m; of the constant coefficients: a person's mean pose is near that of the model
+HEADING_STD = 0.25  # rad; of the heading: the body turns by 7 degrees RMS in CMU walks, by 15 in runs
+CONSTANT_HEADING_STD = 1e-3  # rad; of the constant of the heading: the rotation of the camera already contains it
+LEVEL_STD = 0.17  # rad; of the tilt of the camera: 10 degrees, a weak prior
+MAX_LOG_SCALE_STEP = 1.0  # of one step; a larger one is a failed linearisation
 MIN_FREE_FRACTION = 0.05  # of the coordinates; guards the noise estimate against too many unknowns
 
 
 @dataclass(frozen=True, eq=False)
+class Point:
+    """Values of the unknowns of a window of N frames.
+
+    Attributes:
+        series: Fourier series of the weights and the heading.
+        cameras: cameras C_t without the heading, with no weights: theta is (N, 0).
+        body: weights theta_t and rotations C_t Rz(psi_t) with the translations of the cameras.
+        cost: m^2, value of the objective.
+    """
+
+    series: FourierSeries
+    cameras: State
+    body: State
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
 class PeriodicObjective:
-    """The objective E of one window of N frames, a `levenberg_marquardt.Problem` of one sequence.
+    """The objective E of one window of N frames.
 
     Attributes:
         body: reprojection and bone lengths, as in the joint solver.
-        times: (N,) s.
-        terms: all further terms.
+        prior: (P, K + 1) lambda / var_pl, the factor on the square of each coefficient.
+        movement: velocity and acceleration of the camera, whose features are the elements (N, 6) of M.
+        level_weight: nu / N, m^2.
     """
 
     body: JointObjective
-    times: Array
-    terms: tuple[Term, ...]
+    prior: Array
+    movement: tuple[FiniteDifference, FiniteDifference]
+    level_weight: float
 
     @staticmethod
     def build(window: Window, unit: float, model: BasePoses, config: SolverConfig) -> PeriodicObjective:
         """Return the objective of a window; `unit` px/m converts image errors to metres."""
-        body = JointObjective.build([window], np.array([unit]), model, config)
-        velocity, acceleration = config.camera_velocity_weight, config.camera_acceleration_weight
-        prior_weight = config.prior_weight * config.periodic_prior_factor
-        terms: list[Term] = [
-            CoefficientPrior.build(config.harmonics, model.std, prior_weight),
-            CameraMovement.build(window.times, velocity, acceleration),
-        ]
-        if model.aligned_by_heading:
-            terms.append(LevelCameras.build(len(window.times), config.prior_weight))
-        return PeriodicObjective(replace(body, terms=(body.reprojection, body.bones)), window.times, tuple(terms))
+        batch = Batch.build([window], np.array([unit]), model)
+        body = JointObjective.build(batch, model, config)
+        variance = variance_shares(config.harmonics)[:, None] * np.append(model.std, HEADING_STD) ** 2
+        variance[0] = 1 / (1 / variance[0] + 1 / CONSTANT_STD**2)
+        variance[0, -1] = CONSTANT_HEADING_STD**2
+        level_weight = config.prior_weight / LEVEL_STD**2 / len(window.times) if model.aligned_by_heading else 0.0
+        return PeriodicObjective(
+            replace(body, prior=np.zeros(len(model.std)), differences=()),
+            config.prior_weight * config.periodic_prior_factor / variance,
+            weigh_movement(batch, config.camera_velocity_weight, config.camera_acceleration_weight),
+            level_weight,
+        )
 
     def with_noise(self, noise: float) -> PeriodicObjective:
         """Return the objective for this image noise (standard deviation, m), to which `MODEL_ERROR` is added."""
@@ -76,52 +111,58 @@ class PeriodicObjective:
     def with_still_camera(self, config: SolverConfig) -> PeriodicObjective:
         """Return the objective for a camera that hardly moves."""
         velocity = STILL_CAMERA_FACTOR * config.camera_velocity_weight
-        return self.with_term(CameraMovement.build(self.times, velocity, config.camera_acceleration_weight))
+        movement = weigh_movement(self.body.batch, velocity, config.camera_acceleration_weight)
+        return replace(self, movement=movement)
 
-    def with_term(self, term: Term) -> PeriodicObjective:
-        """Return the objective with a term in place of that of the same class."""
-        return replace(self, terms=tuple(term if type(t) is type(term) else t for t in self.terms))
+    @cached_property
+    def problem(self) -> JointProblem:
+        """The terms of the body."""
+        return self.body.compile()
 
-    def measure(self, series: FourierSeries, cameras: State) -> Point:
-        """Return the point of a series and cameras, with each translation at its optimum.
+    def measure(self, series: FourierSeries, cameras: State, settle_steps: int = 1) -> Point:
+        """Return the point of a series and cameras.
 
-        For a robust loss it is a step to the optimum from the translation of the cameras.
+        Args:
+            series: of the weights and the heading.
+            cameras: without the heading.
+            settle_steps: number of steps of the robust fit by which each translation moves to its optimum.
         """
-        fit = self.body.with_optimal_translation(make_body_state(series, cameras, self.times))
-        cameras = State(cameras.theta, cameras.rotation, cameras.log_scale, fit.state.translation)
-        return Point(series, cameras, fit)
+        values = series.evaluate(self.body.batch.times)
+        rotation = cameras.rotation @ rotations_about_vertical(values[:, -1])
+        body = State(values[:, :-1], rotation, cameras.log_scale, cameras.translation)
+        self.problem.start(*body, settle_steps)
+        cost = float(self.problem.cost[0]) + float((self.prior * series.coefficients**2).sum())
+        matrices = measure_matrices(cameras)
+        cost += sum(float((term.residuals(matrices) ** 2).sum()) for term in self.movement)
+        cost += self.level_weight * float((cameras.rotation[:, ::2, 2] ** 2).sum())
+        translation = self.problem.read('translation')
+        cameras, body = cameras._replace(translation=translation), body._replace(translation=translation)
+        return Point(series, cameras, body, cost)
 
-    def cost(self, point: Point) -> Array:
-        """Return the value of the objective, (1,) m^2."""
-        return self.body.cost(point.fit) + sum(term.cost(point) for term in self.terms)
-
-    def normal_equations(
-        self,
-        point: Point,
-        previous: PeriodicEquations | None = None,  # noqa: ARG002, part of the protocol
-        is_done: NDArray[np.bool_] | None = None,  # noqa: ARG002, part of the protocol
-    ) -> PeriodicEquations:
-        """Return the equations of a Gauss-Newton step; there is no second sequence that could be done earlier."""
-        equations = PeriodicEquations.begin(
-            self.body.normal_equations(point.fit),
-            point.cameras.rotation[:, :, 2],
-            point.series.jacobian(self.times),
-        )
-        for term in self.terms:
-            term.add_to(equations, point)
+    def normal_equations(self, point: Point) -> PeriodicEquations:
+        """Return the equations of a Gauss-Newton step."""
+        cameras = point.cameras
+        self.problem.start(*point.body)
+        self.problem.begin(0.0)
+        vertical = cameras.rotation[:, :, 2]
+        equations = PeriodicEquations.begin(self.problem, vertical, point.series.jacobian(self.body.batch.times))
+        size = self.prior.size
+        equations.series_prior[:size] += self.prior.ravel()
+        equations.series_gradient[:size] += (self.prior * point.series.coefficients).ravel()
+        blocks, gradient = equations.camera_prior, equations.camera_gradient
+        matrices, jacobian = measure_matrices(cameras), differentiate_matrices(cameras)
+        for term in self.movement:
+            term.add_to(matrices, jacobian, blocks, equations.camera_coupling, gradient)
+        tilt = np.zeros((len(vertical), 3, 3))  # by the rotation vector; the scale has no influence
+        fill_rotation_jacobian(tilt, vertical)
+        transposed = self.level_weight * np.swapaxes(tilt[:, ::2], -1, -2)
+        blocks[:, :3, :3] += transposed @ tilt[:, ::2]
+        gradient[:, :3] += (transposed @ vertical[:, ::2, None])[..., 0]
         return equations
-
-    def step(self, equations: PeriodicEquations, damping: Array) -> Step | None:
-        """Return the step under this damping (1,); None if the matrix is not positive definite."""
-        return equations.solve_step(float(damping[0]))
 
     def advance(self, point: Point, step: Step) -> Point:
         """Return the point after a step, with the best translations."""
-        return self.measure(point.series.with_step(step.series), point.cameras.advanced(step.cameras))
-
-    def choose(self, is_chosen: NDArray[np.bool_], new: Point, old: Point) -> Point:
-        """Return the new point if it is chosen (1,), else the old one."""
-        return new if is_chosen[0] else old
+        return self.measure(point.series.with_step(step.series), move_cameras(point.cameras, step.cameras))
 
     def estimate_noise(self, point: Point, effective_parameters: float) -> float:
         """Return the standard deviation (m) of a coordinate of a point of weight 1.
@@ -130,8 +171,50 @@ class PeriodicObjective:
 
             noise^2 = sum of squared residuals / (number of coordinates - effective number of parameters)
         """
-        reprojection = self.body.reprojection
-        loss = float(reprojection.cost(point.fit).sum() * reprojection.variance_ratio[0])
-        coordinates = 2 * int((reprojection.weight > 0).sum())
+        self.problem.start(*point.body)
+        squared, score = self.problem.read('squared'), self.body.batch.score
+        c = self.body.robust_scale * max(float(self.body.noise_ratio[0]), 1.0)
+        loss = float((score * (squared if np.isinf(c) else c**2 * np.log1p(squared / c**2))).sum())
+        coordinates = 2 * int((score > 0).sum())
         free = max(coordinates - effective_parameters, MIN_FREE_FRACTION * coordinates + 1)
         return float(np.sqrt(loss / free))
+
+
+def weigh_movement(
+    batch: Batch, velocity_weight: float, acceleration_weight: float
+) -> tuple[FiniteDifference, FiniteDifference]:
+    """Return the terms of velocity and acceleration with the weights gamma (m^2 s) and kappa (m^2 s^3)."""
+    root = np.sqrt(velocity_weight * invert_time_steps(batch))
+    change = np.sqrt(acceleration_weight) * weigh_velocity_change(batch)
+    every = np.ones(6)
+    return FiniteDifference(np.stack([-root, root], axis=1), every), FiniteDifference(change, every)
+
+
+def measure_matrices(cameras: State) -> Array:
+    """Return the elements (N, 6) of the matrices M_t = s_t C_t[:2]."""
+    return np.asarray(np.exp(cameras.log_scale)[:, None] * cameras.rotation[:, :2].reshape(-1, 6))
+
+
+def differentiate_matrices(cameras: State) -> Array:
+    """Return the derivatives (N, 6, 4) of the elements of M by the rotation vector and the log scale."""
+    columns = np.swapaxes(np.exp(cameras.log_scale)[:, None, None] * cameras.rotation, -1, -2)
+    by_axis = np.empty((len(columns), 2, 3, CAMERA_UNKNOWNS))
+    fill_camera_jacobian(np.swapaxes(by_axis, 1, 2), columns)
+    return by_axis.reshape(len(columns), 6, CAMERA_UNKNOWNS)
+
+
+def move_cameras(cameras: State, step: Array) -> State:
+    """Return cameras after a step (N, 4): rotation vectors and changes of the log scale."""
+    change = np.clip(step[:, 3], -MAX_LOG_SCALE_STEP, MAX_LOG_SCALE_STEP)
+    rotation = rotation_from_vector(step[:, :3]) @ cameras.rotation
+    return cameras._replace(rotation=rotation, log_scale=cameras.log_scale + change)
+
+
+def rotations_about_vertical(angle: Array) -> Array:
+    """Return the rotations (N, 3, 3) of the body about its vertical axis (z) by angles (N,) in rad."""
+    out = np.zeros((len(angle), 3, 3))
+    out[:, 0, 0] = out[:, 1, 1] = np.cos(angle)
+    out[:, 1, 0] = np.sin(angle)
+    out[:, 0, 1] = -out[:, 1, 0]
+    out[:, 2, 2] = 1.0
+    return out

@@ -36,12 +36,16 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
 from mocap_ros.solvers.joint.solver import WARM_DAMPING, make_reconstruction
-from mocap_ros.solvers.joint.state import State
-from mocap_ros.solvers.levenberg_marquardt import DAMPING_AFTER_SUCCESS, MIN_DAMPING, minimise_stepwise
+from mocap_ros.solvers.levenberg_marquardt import (
+    DAMPING_AFTER_FAILURE,
+    DAMPING_AFTER_SUCCESS,
+    MAX_DAMPING,
+    MIN_DAMPING,
+    minimise_stepwise,
+)
 from mocap_ros.solvers.periodic.fourier import FourierSeries, fit_initial_series
 from mocap_ros.solvers.periodic.normal_equations import PeriodicEquations
-from mocap_ros.solvers.periodic.objective import PeriodicObjective
-from mocap_ros.solvers.periodic.point import Point, rotations_about_vertical
+from mocap_ros.solvers.periodic.objective import PeriodicObjective, Point, rotations_about_vertical
 from mocap_ros.solvers.stepwise import Stepwise, ignore_overflow, run_to_end
 from mocap_ros.solvers.window import InitialValues, Reconstruction, SolverStatus, Window
 
@@ -238,7 +242,7 @@ def _fit_window(
     yield from search.run(config.tolerance)
     yield
     iterations = config.max_iterations - search.remaining_trials
-    result = make_reconstruction(window, unit, search.point.fit, search.status, search.history, iterations)
+    result = search.make_reconstruction(window, unit, iterations)
     series = search.point.series
     return PeriodicReconstruction(**vars(result), noise=noise, cadence=series.cadence, series=series)
 
@@ -247,14 +251,11 @@ def measure_initial_point(
     objective: PeriodicObjective, series: FourierSeries, start: InitialValues, unit: float
 ) -> Point:
     """Return a point with the cameras C_t = R_t Rz(-psi_t) for the initial rotations R_t, translations optimal."""
-    body = objective.body.initial_state([start], np.array([unit]))
-    without_heading = rotations_about_vertical(-series.evaluate_heading(objective.times))
-    no_weights = np.zeros((len(objective.times), 0))
-    cameras = State(no_weights, body.rotation @ without_heading, body.log_scale, body.translation)
-    point = objective.measure(series, cameras)
-    for _ in range(INITIAL_TRANSLATION_STEPS - 1):
-        point = objective.measure(series, point.cameras)
-    return point
+    batch = objective.body.batch
+    body = batch.initial_state([start], np.array([unit]))
+    without_heading = rotations_about_vertical(-series.evaluate_heading(batch.times))
+    cameras = body._replace(theta=np.zeros((len(batch.times), 0)), rotation=body.rotation @ without_heading)
+    return objective.measure(series, cameras, INITIAL_TRANSLATION_STEPS)
 
 
 class Search:
@@ -281,23 +282,58 @@ class Search:
     def set_objective(self, objective: PeriodicObjective) -> None:
         """Continue from the current point under another objective."""
         self.objective = objective
-        self.history = [float(objective.cost(self.point)[0])]
+        self.point = objective.measure(self.point.series, self.point.cameras, settle_steps=0)
+        self.history = [self.point.cost]
+
+    @property
+    def cost(self) -> Array:
+        """Objective (1,) at the current point."""
+        return np.array([self.point.cost])
+
+    def begin(self, damping: float) -> None:
+        """Set the damping of the first step, and compute the normal equations."""
+        self.damping = damping
+        self.update_equations()
+
+    def update_equations(self) -> None:
+        """Compute the normal equations at the current point."""
+        self.equations = self.objective.normal_equations(self.point)
+
+    def try_steps(self, tolerance: float) -> tuple[int, int]:
+        """Try a step; return whether it was taken, and whether it was not the last (`Problem.try_steps`)."""
+        step = self._some_equations().solve_step(self.damping)
+        trial = self.point if step is None else self.objective.advance(self.point, step)
+        before, is_better = self.point.cost, trial.cost < self.point.cost
+        self.remaining_trials -= 1
+        if is_better:
+            self.point = trial
+        if is_better and before - trial.cost <= tolerance * trial.cost:
+            self.status = SolverStatus.CONVERGED
+            return 1, 0
+        if self.damping > MAX_DAMPING:
+            is_minimum = step is not None and np.isfinite(before)
+            self.status = SolverStatus.NO_LOWER_STEP if is_minimum else SolverStatus.SINGULAR
+            return int(is_better), 0
+        self.status = SolverStatus.SINGULAR if step is None else SolverStatus.MAX_ITERATIONS
+        factor = DAMPING_AFTER_SUCCESS if is_better else DAMPING_AFTER_FAILURE
+        self.damping = max(self.damping * factor, MIN_DAMPING)
+        return int(is_better), 1
 
     def run(self, tolerance: float) -> Stepwise[None]:
         """Minimise until a step decreases E by less than the relative tolerance, or no trials remain."""
         if self.remaining_trials == 0:
             self.status = min(self.status, SolverStatus.MAX_ITERATIONS)
             return
-        descent = yield from minimise_stepwise(
-            self.objective, self.point, self.remaining_trials, tolerance, self.damping
-        )
-        self.point, self.equations = descent.point, descent.equations
-        self.history += [float(cost[0]) for cost in descent.history[1:]]
-        self.remaining_trials -= int(descent.iterations[0])
-        self.status = SolverStatus(descent.status[0])
-        self.damping = float(descent.damping[0])
+        history = yield from minimise_stepwise(self, self.remaining_trials, tolerance, self.damping)
+        self.history += [float(cost[0]) for cost in history[1:]]
         if self.status is SolverStatus.CONVERGED:
             self.damping = max(self.damping * DAMPING_AFTER_SUCCESS, MIN_DAMPING)
+
+    def make_reconstruction(self, window: Window, unit: float, iterations: int) -> Reconstruction:
+        """Return the reconstruction of a window at the current point; `unit` in px/m."""
+        problem, batch = self.objective.problem, self.objective.body.batch
+        problem.start(*self.point.body)
+        return make_reconstruction(problem, batch, window, unit, self.status, self.history, iterations)
 
     def estimate_noise(self) -> float:
         """Return the image noise (m); the effective parameters may be those of the point before the last step."""

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The joint solver: right derivatives, right minimum, a batch that equals its parts."""
+"""The joint solver: right minimum, a batch that equals its parts."""
 
 import dataclasses
 import math
@@ -15,13 +15,6 @@ from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers import alternation, joint
-from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
-from mocap_ros.solvers.joint.camera_acceleration import CameraAcceleration
-from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness, measure_features
-from mocap_ros.solvers.joint.objective import JointObjective
-from mocap_ros.solvers.joint.pose_acceleration import PoseAcceleration
-from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
-from mocap_ros.solvers.joint.state import State
 from mocap_ros.solvers.window import (
     InitialValues,
     Reconstruction,
@@ -29,7 +22,6 @@ from mocap_ros.solvers.window import (
     initialise_from_mean_pose,
     reverse_depth,
 )
-from tests.support.dense_matrices import make_dense_coupling
 from tests.support.synthetic_walk import make_walk
 
 PLAIN = SolverConfig(
@@ -69,124 +61,6 @@ def window(
         wrong[1] = np.nan
         learned = LiftedPoses(wrong, rng.uniform(5, 50, wrong.shape))
     return Window(noisy, weight, times, focal=focal, lifted=learned)
-
-
-def objective_and_state(
-    model: BasePoses, config: SolverConfig, rng: np.random.Generator, focal: float = math.inf, lifted: bool = False
-) -> tuple[JointObjective, State]:
-    windows = [window(model, frames, seed=frames, focal=focal, lifted=lifted) for frames in (7, 5)]
-    starts = [initialise_from_mean_pose(w, model, 1.0) for w in windows]
-    s0 = np.array([np.median(s.cameras.scale) for s in starts])
-    objective = JointObjective.build(windows, s0, model, config)
-    state = objective.initial_state(starts, s0)
-    state = state.advanced(0.03 * rng.normal(size=(12, len(model.std) + 4)))
-    for _ in range(100):
-        state = objective.with_optimal_translation(state).state
-    return objective, state
-
-
-@pytest.mark.parametrize('robust', [0.0, 0.03])
-@pytest.mark.parametrize('focal', [math.inf, 300.0])
-@pytest.mark.parametrize('lifted', [False, True])
-def test_gradient_agrees_with_finite_differences(
-    walk_model: BasePoses, rng: np.random.Generator, robust: float, focal: float, lifted: bool
-) -> None:
-    model = walk_model.truncate(6)
-    config = SolverConfig(smooth_weight=1e-4, robust_scale=robust, flip_weight=0.01)
-    objective, state = objective_and_state(model, config, rng, focal, lifted)
-    gradient = objective.normal_equations(objective.fit(state)).gradient
-    numeric = np.empty_like(gradient)
-    h = 1e-5
-    for frame in range(gradient.shape[0]):
-        for unknown in range(gradient.shape[1]):
-            step = np.zeros_like(gradient)
-            step[frame, unknown] = h
-            up, down = (objective.cost(objective.fit(state.advanced(s))).sum() for s in (step, -step))
-            numeric[frame, unknown] = (up - down) / (2 * h) / 2
-    assert np.abs(gradient - numeric).max() < 1e-6 * np.abs(gradient).max()
-
-
-def change_velocity(term: PoseAcceleration | CameraAcceleration, values: np.ndarray) -> np.ndarray:
-    """(N, D) what the term squares, of the values (N, D) of its unknowns."""
-    later = np.stack([values, np.roll(values, -1, axis=0), np.roll(values, -2, axis=0)], axis=1)
-    return np.asarray((term.factors[:, :, None] * later).sum(axis=1))
-
-
-@pytest.mark.parametrize('focal', [math.inf, 300.0])
-def test_normal_matrix_is_that_of_the_residuals(
-    walk_model: BasePoses, rng: np.random.Generator, focal: float
-) -> None:
-    """J^T J with J by finite differences of every residual, translations and mean bones eliminated.
-
-    What the matrix holds beyond it, the curvature of bones, is positive semidefinite.
-    """
-    model = walk_model.truncate(4)
-    config = SolverConfig(
-        smooth_weight=1e-3,
-        flip_weight=0.02,
-        tilt_weight=0.1,
-        scale_weight=0.01,
-        pose_acceleration_weight=1e-4,
-        camera_acceleration_weight=1e-3,
-        robust_scale=0.0,
-    )
-    objective, state = objective_and_state(model, config, rng, focal)
-    equations = objective.normal_equations(objective.fit(state))
-    frames, n = equations.gradient.shape
-
-    def residuals(step: np.ndarray) -> np.ndarray:
-        moved = state.advanced(step[:, :n])
-        moved = dataclasses.replace(moved, translation=moved.translation + step[:, n:])
-        fit = objective.fit(moved)
-        smooth = (
-            np.sqrt(objective.find_term(PoseSmoothness).weight)[:, None] * np.diff(moved.theta, axis=0) / model.std
-        )
-        parts = [
-            np.sqrt(objective.reprojection.weight)[..., None] * fit.error,
-            np.sqrt(objective.bones.weight) * fit.bone_excess,
-            np.sqrt(objective.find_term(BasePosePrior).precision) * moved.theta,
-            smooth,
-            np.sqrt(objective.find_term(CameraSmoothness).weight)
-            * np.diff(measure_features(moved.rotation, moved.log_scale), axis=0),
-            change_velocity(objective.find_term(PoseAcceleration), moved.theta),
-            change_velocity(
-                objective.find_term(CameraAcceleration),
-                moved.rotation[:, :2].reshape(frames, 6),
-            ),
-        ]
-        return np.concatenate([p.ravel() for p in parts])
-
-    jac = []
-    for unknown in range(frames * (n + 2)):
-        step = np.zeros(frames * (n + 2))
-        step[unknown] = 1e-6
-        step = step.reshape(frames, n + 2)
-        jac.append((residuals(step) - residuals(-step)) / 2e-6)
-    of_translation = np.arange(frames * (n + 2)) % (n + 2) >= n
-    rest, translation = np.array(jac)[~of_translation], np.array(jac)[of_translation]
-    rest -= rest @ np.linalg.pinv(translation) @ translation
-    expected = rest @ rest.T
-
-    matrix = np.zeros((frames, n, frames, n))
-    for t in range(frames):
-        matrix[t, :, t] = equations.diagonal[t]
-    for distance in (1, 2):
-        for t, block in enumerate(make_dense_coupling(equations.coupling, distance)):
-            matrix[t + distance, :, t] = block
-            matrix[t, :, t + distance] = block.T
-    for start, count in zip(objective.batch.starts, objective.batch.counts, strict=True):
-        own = slice(start, start + count)
-        g = equations.bones[own]
-        matrix[own, :, own] -= np.einsum('tib,ujb->tiuj', g, g) / count
-    excess = matrix.reshape(frames * n, frames * n) - expected
-    assert np.linalg.eigvalsh(excess).min() > -1e-6 * np.abs(expected).max()
-    without_bones, _ = objective_and_state(model, dataclasses.replace(config, bone_weight=0.0), rng, focal)
-    diagonal = without_bones.normal_equations(without_bones.fit(state)).diagonal
-    jac_rows = rest.reshape(frames, n, -1)
-    bones_at = objective.reprojection.weight.size * 2
-    kept = np.delete(jac_rows, np.s_[bones_at : bones_at + frames * 14], axis=-1)
-    exact = kept @ np.swapaxes(kept, -1, -2)
-    assert np.abs(diagonal - exact).max() < 1e-6 * np.abs(exact).max()
 
 
 def test_reaches_the_alternations_minimum_or_a_lower_one(walk_model: BasePoses) -> None:

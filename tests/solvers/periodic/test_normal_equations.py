@@ -12,18 +12,17 @@ from mocap_ros.config import SolverConfig
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.joint.state import State
+from mocap_ros.solvers.joint.batch import State
 from mocap_ros.solvers.periodic.fourier import FourierSeries
 from mocap_ros.solvers.periodic.normal_equations import (
     MIN_CAMERA_INFORMATION,
     MIN_INFORMATION,
     FrameEquations,
     PeriodicEquations,
+    symmetrise,
 )
-from mocap_ros.solvers.periodic.objective import PeriodicObjective
-from mocap_ros.solvers.periodic.point import Point
+from mocap_ros.solvers.periodic.objective import PeriodicObjective, Point, move_cameras
 from mocap_ros.solvers.window import Window
-from tests.support.dense_matrices import make_dense_coupling
 from tests.support.synthetic_walk import make_walk
 
 COMPONENTS, HARMONICS, FRAMES = 4, 2, 12
@@ -57,7 +56,7 @@ def dense_matrices(equations: PeriodicEquations) -> tuple[np.ndarray, np.ndarray
     for t in range(FRAMES):
         prior[t, :, t], image[t, :, t] = equations.camera_prior[t], equations.camera_image[t]
     for distance in (1, 2):
-        for t, block in enumerate(make_dense_coupling(equations.camera_coupling, distance)):
+        for t, block in enumerate(equations.camera_coupling[:-distance, distance - 1]):
             prior[t + distance, :, t], prior[t, :, t + distance] = block, block.T
     size = FRAMES * CAMERA_UNKNOWNS
     prior_matrix, image_matrix = prior.reshape(size, size), image.reshape(size, size)
@@ -70,8 +69,8 @@ def test_gradient_is_half_that_of_the_objective(objective_and_point: tuple[Perio
 
     def compute_cost(step: np.ndarray) -> float:
         series = point.series.with_step(step[:SERIES_UNKNOWNS])
-        cameras = point.cameras.advanced(step[SERIES_UNKNOWNS:].reshape(FRAMES, CAMERA_UNKNOWNS))
-        return float(objective.cost(objective.measure(series, cameras))[0])
+        cameras = move_cameras(point.cameras, step[SERIES_UNKNOWNS:].reshape(FRAMES, CAMERA_UNKNOWNS))
+        return objective.measure(series, cameras).cost
 
     size = SERIES_UNKNOWNS + FRAMES * CAMERA_UNKNOWNS
     steps = STEP * np.eye(size)
@@ -126,7 +125,8 @@ def test_counts_and_determinants_are_those_of_the_dense_matrices(
 
 def test_heading_is_inserted_by_the_chain_rule(objective_and_point: tuple[PeriodicObjective, Point]) -> None:
     objective, point = objective_and_point
-    body = objective.body.normal_equations(point.fit)
+    objective.normal_equations(point)
+    body = objective.problem
     vertical = point.cameras.rotation[:, :, 2]
     found = FrameEquations.insert_heading(body, vertical)
     k = COMPONENTS
@@ -134,9 +134,9 @@ def test_heading_is_inserted_by_the_chain_rule(objective_and_point: tuple[Period
     transform[:, range(k), range(k)] = 1
     transform[:, range(k, k + 4), range(k + 1, k + 5)] = 1
     transform[:, k : k + 3, k] = vertical
-    matrix = np.einsum('tia,tij,tjb->tab', transform, body.diagonal, transform)
+    matrix = np.einsum('tia,tij,tjb->tab', transform, symmetrise(body.diagonal), transform)
     gradient = np.einsum('tia,ti->ta', transform, body.gradient)
-    bones = np.einsum('tia,tib->tba', transform, body.bones)
+    bones = np.einsum('tia,tib->tba', transform, body.bone_vectors)
     assert found.function_matrix == pytest.approx(matrix[:, : k + 1, : k + 1], rel=1e-12)
     assert found.mixed_matrix == pytest.approx(matrix[:, k + 1 :, : k + 1], rel=1e-12)
     assert found.camera_matrix == pytest.approx(matrix[:, k + 1 :, k + 1 :], rel=1e-12)
@@ -149,10 +149,10 @@ def test_products_of_the_series_are_those_of_its_jacobian(
     objective_and_point: tuple[PeriodicObjective, Point], rng: np.random.Generator
 ) -> None:
     objective, point = objective_and_point
-    jacobian = point.series.jacobian(objective.times)
+    jacobian = point.series.jacobian(objective.body.batch.times)
     dense = np.empty((FRAMES, COMPONENTS + 1, SERIES_UNKNOWNS))
     for i, step in enumerate(STEP * np.eye(SERIES_UNKNOWNS)):
-        up, down = (point.series.with_step(s).evaluate(objective.times) for s in (step, -step))
+        up, down = (point.series.with_step(s).evaluate(objective.body.batch.times) for s in (step, -step))
         dense[:, :, i] = (up - down) / (2 * STEP)
     x = rng.normal(size=(FRAMES, 3, COMPONENTS + 1))
     assert jacobian.products(x) == pytest.approx(x @ dense, abs=1e-8)

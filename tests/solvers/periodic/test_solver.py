@@ -167,6 +167,6 @@ def test_a_run_goes_on_with_the_damping_after_a_success(walk_model: BasePoses) -
     run_to_end(search.run(tolerance=0.0))
     assert search.status.name == 'MAX_ITERATIONS'
     assert (search.remaining_trials, len(search.history)) == (0, 5)
-    assert search.history[-1] == pytest.approx(objective.cost(search.point)[0], rel=1e-12)
+    assert search.history[-1] == pytest.approx(search.point.cost, rel=1e-12)
     run_to_end(search.run(tolerance=1e9))
     assert search.status is SolverStatus.MAX_ITERATIONS  # nothing was tried

@@ -1,0 +1,903 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+
+"""The objective of the joint solver, its normal equations, and Levenberg-Marquardt.
+
+A frame t has K weights theta of the base poses, a rotation R (body to camera), a scale s and a translation as
+unknowns. A step has n = K + 4 numbers a frame: changes of the weights, a rotation vector w with R <- exp([w]x) R, and
+the change of log s; the translation is eliminated. With the pose P_j = Q_0j + sum_l theta_l Q_lj of a frame, its
+scaled joints q_j = s R P_j, and rho(a) = c^2 log(1 + a / c^2) (Cauchy's loss; c infinite: least squares), the objective
+of a sequence is the sum over its frames of
+
+    sum_j w_j rho(|e_j|^2) / v          reprojection: e_j = (q_j[:2] + translation) / d_j - x_j,  d_j = 1 + q_jz / f
+  + sum_b beta_b (l_b - m_b)^2          bone lengths l_b and their means m_b over the sequence (TPAMI 2016, eq. 20)
+  + sum_l lambda_l theta_l^2            prior of the base poses
+  + omega sum_j rho(sum_i (q_ji - y_ji)^2 pi_ji)              lifted poses y with the precisions pi
+  + sum_f w_f (sum_e c_te x_(t+e)f)^2   differences of order 1 or 2 of the features x of neighbouring frames
+
+with v the variance of the image noise over that of the reference of 10 mm. The features are the K weights and, of the
+camera, the 6 elements of s R[:2], the 6 of R[:2], and log s.
+
+Normal equations (A - beta-part) x = -g, A block banded (`block_banded`). Terms of the joints' positions have
+Gauss-Newton matrices M_j (3, 3) and half gradients m_j (3,) by q_j. With M_j = L_j L_j^T and J_j = dq_j / dx (3, n), the
+rows L_j^T J_j of all joints form one matrix whose square is added to the block of the frame. The elimination of the
+translation subtracts u u^T / w, u = sum_j J_j^T U_j, U_j (3, 2) the mixed second derivatives by q_j and the translation.
+
+The mean bone lengths are eliminated exactly: with G the gradients of sum_t sqrt(beta_b) l_tb (a column a bone), they
+subtract G G^T / F, of rank B. The Gauss-Newton matrix lacks the second derivatives of the lengths, and then needs several
+times as many steps. Those of bones that are too long are positive semidefinite and are put in. By Woodbury's identity,
+with B = L L^T the damped block-banded part, y = L^-1 g and V = L^-1 G,
+
+    x = L^-T (y + V (I - V^T V / F)^-1 V^T y / F)
+
+Sequences are not coupled: each has a damping of its own, and steps until it has converged.
+"""
+
+from libc.math cimport INFINITY, NAN, exp, fabs, isfinite, log1p, sin, sqrt
+from libc.string cimport memcpy, memset
+
+import numpy as np
+
+from mocap_ros.engine.blas cimport (
+    add_square, factorise, multiply, multiply_transposed, multiply_vector, multiply_vector_transposed, solve_rows,
+)
+from mocap_ros.engine.block_banded cimport Factor, factorise_blocks, solve_backward, solve_forward
+
+cdef enum:
+    CAMERA = 4  # unknowns of a camera: rotation vector and log s
+    FEATURES = 13  # of a camera: s R[:2], R[:2], log s
+    SINGULAR = -1
+    MAX_ITERATIONS = 0
+    CONVERGED = 1
+    NO_LOWER_STEP = 2
+
+cdef double NOISE_REFERENCE = 0.01  # m
+cdef double MIN_DEPTH = 0.1  # of that of the body's origin; a joint nearer to the camera is a failed solution
+cdef double MIN_TOTAL_WEIGHT = 1e-12  # guards the division by the weights of a frame in which no joint is seen
+cdef double MIN_LENGTH = 1e-9  # m; guards the division by the length of a bone
+cdef double MAX_LOG_SCALE_STEP = 1  # of one step; a larger one is a failed linearisation
+cdef double MIN_DIAGONAL = 1e-12  # added to the diagonal, for unknowns on which nothing depends
+cdef double MIN_INFORMATION = 1e-9  # m^2; keeps a block solvable in which the image does not determine an unknown
+cdef double MIN_DAMPING = 1e-5  # relative; a smaller damping changes no digit of a step that matters
+cdef double MAX_DAMPING = 1e8  # relative; a sequence whose steps are still refused under more is at its minimum
+cdef double DAMPING_AFTER_SUCCESS = 0.2  # factor; tuned on CMU views for few steps, as the next
+cdef double DAMPING_AFTER_FAILURE = 10
+cdef double MIN_FREE_SHARE = 0.05  # of the coordinates; so many still measure the noise where nearly all are fitted
+cdef int COUNTED_FRAMES = 3  # frames of a sequence, at least, in which the coordinates that the fit absorbs are counted
+cdef double MIN_SCALE = 1e-9  # px/m; guards against a scale of zero where a lifted pose is degenerate
+cdef int COUNTED_FRAME_STEP = 15  # frames; of a longer sequence one further frame in so many is counted
+
+
+cdef struct Frame:
+    # Where the numbers of a frame at a point are; they lie one after the other in this order.
+    double* theta  # (K,) m
+    double* features  # (13,) of the camera
+    double* rotation  # (3, 3)
+    double* log_scale
+    double* translation  # (2,) m
+    double* scaled_pose  # (J, 3) m, q
+    double* depth  # (J,) d
+    double* error  # (J, 2) m, e
+    double* squared  # (J,) m^2, |e|^2
+    double* direction  # (B, 3) unit vectors along the bones, body frame
+    double* length  # (B,) m
+    double* excess  # (B,) m, length less the mean of the sequence
+
+
+cdef struct Joint:
+    # L_j of M_j = (l00 0 0; 0 l11 0; l20 l21 l22)(...)^T, U_j = v (1 0; 0 1; a b), and m_j.
+    double l00, l11, l20, l21, l22
+    double v, a, b
+    double gradient[3]
+    double pull[2]  # half gradient by the translation
+
+
+cdef inline double compute_loss(double squared, double c) noexcept nogil:
+    """Return rho."""
+    return squared if c == INFINITY else c * c * log1p(squared / (c * c))
+
+
+cdef void write_rotation(const double* vector, double* out) noexcept nogil:
+    """Write exp([v]x) (3, 3), Rodrigues' formula."""
+    cdef double x = vector[0], y = vector[1], z = vector[2], angle = sqrt(x * x + y * y + z * z), half = 1, a = 1, b
+    if angle > 0:
+        half = sin(angle / 2) / (angle / 2)
+        a = sin(angle) / angle
+    b = 0.5 * half * half
+    out[0], out[1], out[2] = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
+    out[3], out[4], out[5] = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
+    out[6], out[7], out[8] = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
+
+
+cdef void multiply_3x3(const double* a, const double* b, double* out) noexcept nogil:
+    cdef int i, j
+    for i in range(3):
+        for j in range(3):
+            out[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j]
+
+
+cdef int write_rows(
+    const Joint* m, const double* camera, const double* q, const double* basis, int k, double* out
+) noexcept nogil:
+    """Write L^T J (3, n) of one joint, and return the number of rows: 2 where the third is 0.
+
+    Args:
+        m: its L.
+        camera: (3, 3) s R.
+        q: (3,) scaled position.
+        basis: (3, K) change of the joint with the weights, body frame.
+    """
+    cdef int row, i, n = k + CAMERA, rows = 3 if m.l22 > 0 else 2
+    cdef double a, b, c, x = q[0], y = q[1], z = q[2], of_own, of_depth
+    cdef double* one
+    for row in range(rows):
+        of_own = m.l00 if row == 0 else m.l11 if row == 1 else 0
+        of_depth = m.l20 if row == 0 else m.l21 if row == 1 else m.l22
+        a = of_own * camera[3 * row] + of_depth * camera[6]
+        b = of_own * camera[3 * row + 1] + of_depth * camera[7]
+        c = of_own * camera[3 * row + 2] + of_depth * camera[8]
+        one = out + row * n
+        for i in range(k):
+            one[i] = a * basis[i] + b * basis[k + i] + c * basis[2 * k + i]
+        one[k], one[k + 1], one[k + 2], one[k + 3] = of_depth * y, -of_depth * x, 0, of_depth * z
+        if row == 0:
+            one[k + 1] += of_own * z
+            one[k + 2] -= of_own * y
+            one[k + 3] += of_own * x
+        elif row == 1:
+            one[k] -= of_own * z
+            one[k + 2] += of_own * x
+            one[k + 3] += of_own * y
+    return rows
+
+
+cdef void write_features(Frame* f) noexcept nogil:
+    cdef int i
+    cdef double scale = exp(f.log_scale[0])
+    for i in range(6):
+        f.features[i], f.features[6 + i] = scale * f.rotation[i], f.rotation[i]
+    f.features[12] = f.log_scale[0]
+
+
+cdef void differentiate_features(Frame* f, double* out) noexcept nogil:
+    """Write the derivatives (13, 4) of the camera's features by the rotation vector and log s."""
+    cdef int i, column
+    cdef double scale = exp(f.log_scale[0]), factor
+    cdef double* row
+    memset(out, 0, FEATURES * CAMERA * sizeof(double))
+    for i in range(12):
+        factor, column = (scale if i < 6 else 1), i % 3
+        row = out + i * CAMERA
+        if i % 6 < 3:  # of the first image axis
+            row[1], row[2] = factor * f.rotation[6 + column], -factor * f.rotation[3 + column]
+        else:
+            row[0], row[2] = -factor * f.rotation[6 + column], factor * f.rotation[column]
+        if i < 6:
+            row[3] = f.features[i]
+    out[12 * CAMERA + 3] = 1
+
+
+cdef class JointProblem:
+    """The objectives of P sequences with N frames in all, a point, and what Levenberg-Marquardt needs."""
+
+    cdef readonly int sequences, frames, joints, bones_count, components, unknowns, distances
+    cdef const long long[::1] starts, counts, earlier_frames, parents, children
+    cdef const unsigned char[::1] is_free
+    cdef const double[:, :, ::1] image, lifted, precision
+    cdef const double[:, ::1] score, earlier_lengths, basis, mean, bones
+    cdef const double[::1] focal, noise_ratio, bone_weight, prior
+    cdef double robust_scale, lifter_weight, lifter_robust_scale
+    cdef const long long[::1] orders
+    cdef const double[:, :, ::1] factors
+    cdef const double[:, ::1] feature_weight
+    cdef readonly object point, diagonal, gradient, bone_vectors, coupling, corners
+    cdef readonly object cost, damping, iterations, status, is_done
+    cdef int width
+    cdef double[:, ::1] current, trial, linearised
+    cdef double[:, :, ::1] blocks, vectors, couplings, last_inverse
+    cdef double[:, :, :, ::1] corner_blocks
+    cdef double[:, ::1] right
+    cdef double[::1] costs, dampings
+    cdef long long[::1] tried, ends
+    cdef unsigned char[::1] done, outdated, has_step
+    # of the largest sequence
+    cdef double[:, :, ::1] work, inverse, system, solved
+    cdef double[:, :, :, ::1] below
+    cdef char[:, ::1] is_coupled
+    cdef double[:, ::1] step, rows
+    cdef double[:, :, ::1] feature_jacobian
+    cdef double[:, ::1] scratch, reduced, inner, by_basis, by_weights
+    cdef double[12] by_camera
+    cdef double[2] by_translation
+    cdef double[::1] correction, means, pose
+
+    def __init__(
+        self, *, starts, counts, is_free, image, score, focal, lifted, precision, earlier_lengths, earlier_frames,
+        noise_ratio, mean, basis, bones, parents, children, robust_scale, bone_weight, prior, lifter_weight,
+        lifter_robust_scale, orders, factors, feature_weight,
+    ):
+        cdef Py_ssize_t largest = int(max(counts))
+        self.starts, self.counts, self.is_free = starts, counts, is_free.view(np.uint8)
+        self.image, self.score, self.focal, self.noise_ratio = image, score, focal, noise_ratio
+        self.lifted, self.precision = lifted, precision
+        self.earlier_lengths, self.earlier_frames = earlier_lengths, earlier_frames
+        self.mean, self.basis, self.bones, self.parents, self.children = mean, basis, bones, parents, children
+        self.robust_scale, self.bone_weight, self.prior = robust_scale, bone_weight, prior
+        self.lifter_weight, self.lifter_robust_scale = lifter_weight, lifter_robust_scale
+        self.orders, self.factors, self.feature_weight = orders, factors, feature_weight
+        self.sequences, self.frames, self.joints = len(counts), len(image), self.mean.shape[0]
+        self.bones_count, self.components = self.parents.shape[0], self.basis.shape[1]
+        cdef int N = self.frames, J = self.joints, B = self.bones_count, K = self.components, n = K + CAMERA
+        cdef int D = max(orders, default=1)
+        self.unknowns, self.distances = n, D
+        self.width = K + 12 + 7 * J + 5 * B + FEATURES
+        self.point = np.zeros((N, self.width))
+        self.current, self.trial = self.point, np.zeros((N, self.width))
+        self.linearised = np.zeros((N, self.width))
+        self.diagonal, self.gradient = np.empty((N, n, n)), np.empty((N, n))
+        self.bone_vectors = np.empty((N, n, B))
+        self.coupling, self.corners = np.empty((N, D, n)), np.empty((N, D, CAMERA, CAMERA))
+        self.blocks, self.right, self.vectors = self.diagonal, self.gradient, self.bone_vectors
+        self.couplings, self.corner_blocks = self.coupling, self.corners
+        self.last_inverse = np.zeros((self.sequences, n, n))
+        self.cost, self.damping = np.zeros(self.sequences), np.zeros(self.sequences)
+        self.iterations, self.status = np.zeros(self.sequences, np.int64), np.zeros(self.sequences, np.int64)
+        self.is_done = np.zeros(self.sequences, np.bool_)
+        self.costs, self.dampings, self.tried, self.ends = self.cost, self.damping, self.iterations, self.status
+        self.done = self.is_done.view(np.uint8)
+        self.outdated, self.has_step = np.zeros(self.sequences, np.uint8), np.zeros(self.sequences, np.uint8)
+        self.work, self.inverse = np.empty((largest, n, n)), np.empty((largest, n, n))
+        self.below, self.is_coupled = np.empty((largest, D, n, n)), np.empty((largest, D), np.int8)
+        self.system, self.solved = np.empty((largest, n, B + 1)), np.empty((largest, n, B + 1))
+        self.step = np.empty((largest, n))
+        self.feature_jacobian = np.empty((largest, FEATURES, CAMERA))
+        self.rows = np.empty((3 * J + 4 * B + 2, n))
+        self.scratch, self.reduced, self.inner = np.empty((n, n)), np.empty((B + 1, B + 1)), np.empty((B, B))
+        self.by_basis, self.by_weights = np.empty((3, 3 * J)), np.empty((3, K))
+        self.correction, self.means, self.pose = np.empty(B + 1), np.empty(B), np.empty(3 * J)
+
+    cdef inline Frame view(self, double* numbers) noexcept nogil:
+        cdef int J = self.joints, B = self.bones_count
+        cdef Frame f
+        f.theta = numbers
+        f.features = f.theta + self.components
+        f.rotation = f.features + FEATURES
+        f.log_scale = f.rotation + 9
+        f.translation = f.log_scale + 1
+        f.scaled_pose = f.translation + 2
+        f.depth = f.scaled_pose + 3 * J
+        f.error = f.depth + J
+        f.squared = f.error + 2 * J
+        f.direction = f.squared + J
+        f.length = f.direction + 3 * B
+        f.excess = f.length + B
+        return f
+
+    # Measurement
+
+    cdef void project(self, int t, Frame* f, double robust_scale, bint settle) noexcept nogil:
+        """Write depths and errors of a frame, after one step of the robust fit of the translation if it is to settle."""
+        cdef int j
+        cdef double d, x, y, u, total = 0, shift_x = 0, shift_y = 0
+        for j in range(self.joints):
+            d = max(1 + f.scaled_pose[3 * j + 2] / self.focal[t], MIN_DEPTH)
+            x = (f.scaled_pose[3 * j] + f.translation[0]) / d - self.image[t, j, 0]
+            y = (f.scaled_pose[3 * j + 1] + f.translation[1]) / d - self.image[t, j, 1]
+            f.depth[j], f.error[2 * j], f.error[2 * j + 1], f.squared[j] = d, x, y, x * x + y * y
+            u = self.score[t, j] / (1 + f.squared[j] / (robust_scale * robust_scale)) / d
+            total += u / d
+            shift_x -= u * x
+            shift_y -= u * y
+        if not settle:
+            return
+        total = max(total, MIN_TOTAL_WEIGHT)
+        shift_x, shift_y = shift_x / total, shift_y / total
+        f.translation[0] += shift_x
+        f.translation[1] += shift_y
+        for j in range(self.joints):
+            x, y = f.error[2 * j] + shift_x / f.depth[j], f.error[2 * j + 1] + shift_y / f.depth[j]
+            f.error[2 * j], f.error[2 * j + 1], f.squared[j] = x, y, x * x + y * y
+
+    cdef inline double robust_scale_of(self, int p) noexcept nogil:
+        """c of the reprojection, which grows with noise above the reference."""
+        return self.robust_scale * max(self.noise_ratio[p], 1.0)
+
+    cdef double measure(self, int p, double* point, double settle_scale) noexcept nogil:
+        """Write what follows from the unknowns of a sequence at a point (N, width), and return its objective in m^2.
+
+        Args:
+            settle_scale: m, c under which the translations settle by one step; 0 keeps them.
+        """
+        cdef int start = self.starts[p], count = self.counts[p], J = self.joints, B = self.bones_count
+        cdef int t, i, j, b, row, K = self.components
+        cdef double scale, x, y, z, total, own, c = self.robust_scale_of(p)
+        cdef double weight = 1 / (self.noise_ratio[p] * self.noise_ratio[p]), cost = 0
+        cdef bint has_lifted = self.lifted.shape[0] > 0
+        cdef double* pose = &self.pose[0]
+        cdef Frame f
+        for t in range(start, start + count):
+            f = self.view(point + t * self.width)
+            memcpy(pose, &self.mean[0, 0], 3 * J * sizeof(double))
+            multiply_vector(3 * J, K, 1, &self.basis[0, 0], f.theta, 1, pose)
+            scale = exp(f.log_scale[0])
+            for j in range(J):
+                for i in range(3):
+                    f.scaled_pose[3 * j + i] = scale * (
+                        f.rotation[3 * i] * pose[3 * j]
+                        + f.rotation[3 * i + 1] * pose[3 * j + 1]
+                        + f.rotation[3 * i + 2] * pose[3 * j + 2]
+                    )
+            self.project(t, &f, settle_scale if settle_scale > 0 else c, settle_scale > 0)
+            for j in range(J):
+                if self.score[t, j] > 0:
+                    cost += weight * self.score[t, j] * compute_loss(f.squared[j], c)
+                if has_lifted:
+                    total = 0
+                    for i in range(3):
+                        x = f.scaled_pose[3 * j + i] - self.lifted[t, j, i]
+                        total += self.precision[t, j, i] * x * x
+                    cost += self.lifter_weight * compute_loss(total, self.lifter_robust_scale)
+            for i in range(K):
+                cost += self.prior[i] * f.theta[i] * f.theta[i]
+            for b in range(B):
+                row, i = 3 * self.children[b], 3 * self.parents[b]
+                x, y, z = pose[row] - pose[i], pose[row + 1] - pose[i + 1], pose[row + 2] - pose[i + 2]
+                own = max(sqrt(x * x + y * y + z * z), MIN_LENGTH)
+                f.length[b] = own
+                f.direction[3 * b], f.direction[3 * b + 1], f.direction[3 * b + 2] = x / own, y / own, z / own
+            write_features(&f)
+        for b in range(B):
+            total = self.earlier_frames[p] * self.earlier_lengths[p, b]
+            for t in range(start, start + count):
+                total += self.view(point + t * self.width).length[b]
+            own = total / (count + self.earlier_frames[p])
+            x = own - self.earlier_lengths[p, b]
+            cost += self.earlier_frames[p] * self.bone_weight[b] * x * x
+            for t in range(start, start + count):
+                f = self.view(point + t * self.width)
+                f.excess[b] = f.length[b] - own
+                cost += self.bone_weight[b] * f.excess[b] * f.excess[b]
+        return cost + self.measure_differences(p, point)
+
+    cdef double measure_differences(self, int p, double* point) noexcept nogil:
+        """Return the value of all differences of a sequence."""
+        cdef int term, t, e, i, start = self.starts[p], order
+        cdef double change, cost = 0
+        cdef const double* c
+        for term in range(self.orders.shape[0]):
+            order = self.orders[term]
+            for t in range(start, start + self.counts[p] - order):
+                c = &self.factors[term, t, 0]
+                for i in range(self.components + FEATURES):
+                    if self.feature_weight[term, i] == 0:
+                        continue
+                    change = 0
+                    for e in range(order + 1):
+                        change += c[e] * point[(t + e) * self.width + i]
+                    cost += self.feature_weight[term, i] * change * change
+        return cost
+
+    # Normal equations
+
+    cdef Joint linearise_joint(self, int p, int t, int j, Frame* f, bint with_lifted) noexcept nogil:
+        """Return what the terms of one joint's position add."""
+        cdef Joint m
+        cdef int i
+        cdef double c = self.robust_scale_of(p), c2 = self.lifter_robust_scale * self.lifter_robust_scale
+        cdef double d = f.depth[j], x = f.error[2 * j], y = f.error[2 * j + 1], u, squared = 0, distance
+        cdef double stiffness[3]
+        u = self.score[t, j] / (self.noise_ratio[p] * self.noise_ratio[p]) / (1 + f.squared[j] / (c * c))
+        m.a, m.b = -(x + self.image[t, j, 0]) / self.focal[t], -(y + self.image[t, j, 1]) / self.focal[t]
+        m.v = u / (d * d)
+        m.pull[0], m.pull[1] = u / d * x, u / d * y
+        m.gradient[0], m.gradient[1], m.gradient[2] = m.pull[0], m.pull[1], u / d * (m.a * x + m.b * y)
+        memset(stiffness, 0, sizeof(stiffness))
+        if with_lifted:
+            for i in range(3):
+                distance = f.scaled_pose[3 * j + i] - self.lifted[t, j, i]
+                squared += self.precision[t, j, i] * distance * distance
+            for i in range(3):
+                stiffness[i] = self.lifter_weight * self.precision[t, j, i] / (1 + squared / c2)
+                m.gradient[i] += stiffness[i] * (f.scaled_pose[3 * j + i] - self.lifted[t, j, i])
+        m.l00, m.l11 = sqrt(m.v + stiffness[0]), sqrt(m.v + stiffness[1])
+        m.l20 = m.v * m.a / m.l00 if m.l00 > 0 else 0
+        m.l21 = m.v * m.b / m.l11 if m.l11 > 0 else 0
+        m.l22 = 0
+        if with_lifted:
+            m.l22 = sqrt(max(m.v * (m.a * m.a + m.b * m.b) + stiffness[2] - m.l20 * m.l20 - m.l21 * m.l21, 0.0))
+        return m
+
+    cdef double write_joint_rows(self, int p, int t, Frame* f, bint with_lifted, int* rows, double* out) noexcept nogil:
+        """Write the rows of all joints, and keep sum_j J_j^T (m_j, U_j) in `by_weights` and `by_camera`.
+
+        Args:
+            rows: set to the number of rows.
+            out: (rows, n), overwritten.
+
+        Returns:
+            w of the translation.
+        """
+        cdef int j, i, a, J = self.joints, K = self.components, n = self.unknowns
+        cdef double w = 0, scale = exp(f.log_scale[0])
+        cdef double camera[9]
+        cdef double vector[3]
+        cdef const double* q
+        cdef Joint m
+        for i in range(9):
+            camera[i] = scale * f.rotation[i]
+        memset(self.by_camera, 0, sizeof(self.by_camera))
+        memset(self.by_translation, 0, sizeof(self.by_translation))
+        rows[0] = 0
+        for j in range(J):
+            m, q = self.linearise_joint(p, t, j, f, with_lifted), f.scaled_pose + 3 * j
+            if m.l00 > 0 or m.l11 > 0 or m.l22 > 0:
+                rows[0] += write_rows(&m, camera, q, &self.basis[3 * j, 0], K, out + rows[0] * n)
+            w += m.v
+            self.by_translation[0] += m.pull[0]
+            self.by_translation[1] += m.pull[1]
+            for a in range(3):
+                if a == 0:
+                    vector[0], vector[1], vector[2] = m.gradient[0], m.gradient[1], m.gradient[2]
+                elif a == 1:
+                    vector[0], vector[1], vector[2] = m.v, 0, m.v * m.a
+                else:
+                    vector[0], vector[1], vector[2] = 0, m.v, m.v * m.b
+                for i in range(3):
+                    self.by_basis[a, 3 * j + i] = (
+                        camera[i] * vector[0] + camera[3 + i] * vector[1] + camera[6 + i] * vector[2]
+                    )
+                self.by_camera[4 * a] += q[1] * vector[2] - q[2] * vector[1]
+                self.by_camera[4 * a + 1] += q[2] * vector[0] - q[0] * vector[2]
+                self.by_camera[4 * a + 2] += q[0] * vector[1] - q[1] * vector[0]
+                self.by_camera[4 * a + 3] += q[0] * vector[0] + q[1] * vector[1] + q[2] * vector[2]
+        multiply(3, 3 * J, K, 1, &self.by_basis[0, 0], &self.basis[0, 0], 0, &self.by_weights[0, 0])
+        return w
+
+    cdef void linearise(self, int p) noexcept nogil:
+        """Write the normal equations of a sequence at the current point."""
+        cdef int start = self.starts[p], count = self.counts[p], t, i, n = self.unknowns, K = self.components
+        cdef int B = self.bones_count, D = self.distances, rows, b
+        cdef double w, curvature, across, along, pull
+        cdef double* out
+        cdef double* vectors
+        cdef double* gradient
+        cdef const double* u
+        cdef const double* flat
+        cdef Frame f
+        memcpy(&self.linearised[start, 0], &self.current[start, 0], count * self.width * sizeof(double))
+        memset(&self.blocks[start, 0, 0], 0, count * n * n * sizeof(double))
+        memset(&self.right[start, 0], 0, count * n * sizeof(double))
+        memset(&self.vectors[start, 0, 0], 0, count * n * B * sizeof(double))
+        memset(&self.couplings[start, 0, 0], 0, count * D * n * sizeof(double))
+        memset(&self.corner_blocks[start, 0, 0, 0], 0, count * D * CAMERA * CAMERA * sizeof(double))
+        self.outdated[p] = False
+        for t in range(start, start + count):
+            if not self.is_free[t]:
+                continue
+            f = self.view(&self.current[t, 0])
+            gradient, vectors, out = &self.right[t, 0], &self.vectors[t, 0, 0], &self.rows[0, 0]
+            w = self.write_joint_rows(p, t, &f, self.lifted.shape[0] > 0, &rows, out)
+            for i in range(n):
+                gradient[i] = self.by_weights[0, i] if i < K else self.by_camera[i - K]
+            out += rows * n
+            for b in range(B):
+                u, flat = f.direction + 3 * b, &self.bones[3 * b, 0]
+                # of the matrix w u u^T + c (I - u u^T), the root: one row along u, and three across it if c > 0
+                curvature = sqrt(self.bone_weight[b] * max(f.excess[b] / f.length[b], 0.0))
+                pull = sqrt(self.bone_weight[b])
+                for i in range(K):
+                    along = u[0] * flat[i] + u[1] * flat[K + i] + u[2] * flat[2 * K + i]
+                    vectors[i * B + b] = pull * along
+                    gradient[i] += pull * pull * f.excess[b] * along
+                    out[i] = pull * along
+                    if curvature > 0:
+                        out[n + i] = curvature * (flat[i] - u[0] * along)
+                        out[2 * n + i] = curvature * (flat[K + i] - u[1] * along)
+                        out[3 * n + i] = curvature * (flat[2 * K + i] - u[2] * along)
+                for i in range(4 if curvature > 0 else 1):
+                    memset(out + i * n + K, 0, CAMERA * sizeof(double))
+                out += (4 if curvature > 0 else 1) * n
+                rows += 4 if curvature > 0 else 1
+            add_square(rows, n, 1, &self.rows[0, 0], 0, &self.blocks[t, 0, 0])
+            if w > 0:
+                out = &self.rows[0, 0]
+                for i in range(n):
+                    out[i] = self.by_weights[1, i] if i < K else self.by_camera[CAMERA + i - K]
+                    out[n + i] = self.by_weights[2, i] if i < K else self.by_camera[2 * CAMERA + i - K]
+                    gradient[i] -= (out[i] * self.by_translation[0] + out[n + i] * self.by_translation[1]) / w
+                add_square(2, n, -1 / w, out, 1, &self.blocks[t, 0, 0])
+            for i in range(K):
+                self.blocks[t, i, i] += self.prior[i]
+                gradient[i] += self.prior[i] * f.theta[i]
+        self.add_differences(p)
+
+    cdef void add_differences(self, int p) noexcept nogil:
+        """Add the differences of a sequence to its normal equations."""
+        cdef int start = self.starts[p], count = self.counts[p], K = self.components
+        cdef int term, t, d, e, f, i, j, order
+        cdef double change, weight, value
+        cdef const double* c
+        cdef const double* first
+        cdef const double* later
+        cdef Frame frame
+        for t in range(count):
+            frame = self.view(&self.current[start + t, 0])
+            differentiate_features(&frame, &self.feature_jacobian[t, 0, 0])
+        for term in range(self.orders.shape[0]):
+            order = self.orders[term]
+            for t in range(start, start + count - order):
+                c = &self.factors[term, t, 0]
+                for f in range(K + FEATURES):
+                    weight = self.feature_weight[term, f]
+                    if weight == 0:
+                        continue
+                    change = 0
+                    for e in range(order + 1):
+                        change += c[e] * self.current[t + e, f]
+                    for e in range(order + 1):
+                        if f < K:
+                            self.right[t + e, f] += weight * c[e] * change
+                            self.blocks[t + e, f, f] += weight * c[e] * c[e]
+                            for d in range(1, order + 1 - e):
+                                self.couplings[t + e, d - 1, f] += weight * c[e] * c[e + d]
+                            continue
+                        first = &self.feature_jacobian[t - start + e, f - K, 0]
+                        for i in range(CAMERA):
+                            self.right[t + e, K + i] += weight * c[e] * change * first[i]
+                            for j in range(i + 1):
+                                self.blocks[t + e, K + i, K + j] += weight * c[e] * c[e] * first[i] * first[j]
+                        for d in range(1, order + 1 - e):
+                            later, value = first + d * FEATURES * CAMERA, weight * c[e] * c[e + d]
+                            for i in range(CAMERA):
+                                for j in range(CAMERA):
+                                    self.corner_blocks[t + e, d - 1, i, j] += value * later[i] * first[j]
+
+    # Levenberg-Marquardt
+
+    cdef bint solve(self, int p) noexcept nogil:
+        """Write the negative of the damped step of a sequence; False if its matrix is not positive definite."""
+        cdef int start = self.starts[p], count = self.counts[p], n = self.unknowns, B = self.bones_count, t, i, b
+        cdef double strength = 1.0 / (count + self.earlier_frames[p]), keep
+        cdef double* system = &self.system[0, 0, 0]
+        cdef double* solved = &self.solved[0, 0, 0]
+        cdef double* correction = &self.correction[0]
+        cdef Factor factor = Factor(
+            count, n, self.distances, CAMERA, &self.inverse[0, 0, 0], &self.below[0, 0, 0, 0],
+            &self.is_coupled[0, 0], &self.is_free[start],
+        )
+        memcpy(&self.work[0, 0, 0], &self.blocks[start, 0, 0], count * n * n * sizeof(double))
+        for t in range(count):
+            for i in range(n):
+                self.work[t, i, i] += self.dampings[p] * self.work[t, i, i] + MIN_DIAGONAL
+                self.system[t, i, 0] = self.right[start + t, i]
+                memcpy(&self.system[t, i, 1], &self.vectors[start + t, i, 0], B * sizeof(double))
+        if not factorise_blocks(
+            &factor, &self.work[0, 0, 0], &self.couplings[start, 0, 0], &self.corner_blocks[start, 0, 0, 0],
+            &self.scratch[0, 0],
+        ):
+            return False
+        solve_forward(&factor, B + 1, system, solved)
+        # of (y, V), times 1 / F: the lower triangle of y^T y, V^T y and V^T V
+        add_square(count * n, B + 1, strength, solved, 0, &self.reduced[0, 0])
+        for i in range(B):
+            correction[1 + i] = self.reduced[1 + i, 0]
+            for b in range(i + 1):
+                self.inner[i, b] = (1 if i == b else 0) - self.reduced[1 + i, 1 + b]
+        if not factorise(B, &self.inner[0, 0]):
+            return False
+        correction[0] = 1
+        solve_rows(B, 1, &self.inner[0, 0], correction + 1, False)
+        solve_rows(B, 1, &self.inner[0, 0], correction + 1, True)
+        multiply_vector(count * n, B + 1, 1, solved, correction, 0, system)
+        solve_backward(&factor, system, &self.step[0, 0])
+        memcpy(&self.last_inverse[p, 0, 0], &self.inverse[count - 1, 0, 0], n * n * sizeof(double))
+        self.has_step[p] = True
+        return True
+
+    cdef void advance(self, int p) noexcept nogil:
+        """Write the unknowns of a sequence after the step into the trial point."""
+        cdef int start = self.starts[p], count = self.counts[p], t, i, K = self.components
+        cdef double vector[3]
+        cdef double turn[9]
+        cdef Frame before, after
+        memcpy(&self.trial[start, 0], &self.current[start, 0], count * self.width * sizeof(double))
+        for t in range(count):
+            if not self.is_free[start + t]:
+                continue
+            before, after = self.view(&self.current[start + t, 0]), self.view(&self.trial[start + t, 0])
+            for i in range(K):
+                after.theta[i] -= self.step[t, i]
+            for i in range(3):
+                vector[i] = -self.step[t, K + i]
+            write_rotation(vector, turn)
+            multiply_3x3(turn, before.rotation, after.rotation)
+            after.log_scale[0] += min(max(-self.step[t, K + 3], -MAX_LOG_SCALE_STEP), MAX_LOG_SCALE_STEP)
+
+    cdef bint take_step(self, int p, double tolerance) noexcept nogil:
+        """Try a step of a sequence, set its next damping or its end, and return whether the step is taken."""
+        cdef double cost, gain = 0
+        cdef bint is_definite = self.solve(p), is_better = False
+        if is_definite:
+            self.advance(p)
+            cost = self.measure(p, &self.trial[0, 0], self.robust_scale_of(p))
+            is_better = cost < self.costs[p]
+        self.tried[p] += 1
+        if is_better:
+            gain = self.costs[p] - cost
+            self.costs[p] = cost
+            self.outdated[p] = True
+            memcpy(
+                &self.current[self.starts[p], 0], &self.trial[self.starts[p], 0],
+                self.counts[p] * self.width * sizeof(double),
+            )
+        if is_better and gain <= tolerance * self.costs[p]:
+            self.ends[p], self.done[p] = CONVERGED, True
+        elif self.dampings[p] > MAX_DAMPING:
+            self.ends[p] = NO_LOWER_STEP if is_definite and isfinite(self.costs[p]) else SINGULAR
+            self.done[p] = True
+        else:
+            self.ends[p] = MAX_ITERATIONS if is_definite else SINGULAR
+            self.dampings[p] = max(
+                self.dampings[p] * (DAMPING_AFTER_SUCCESS if is_better else DAMPING_AFTER_FAILURE), MIN_DAMPING
+            )
+        return is_better
+
+    # Noise and covariance
+
+    cdef double count_absorbed_coordinates(self, int p, int t) noexcept nogil:
+        """Return how many image coordinates of a frame its unknowns fit away while its neighbours are held.
+
+        It is tr(A_t^-1 D_t) + 2, with D_t the part of the block A_t that the reprojection has added, and the two
+        coordinates that the translation takes.
+        """
+        cdef int i, row, rows, n = self.unknowns, K = self.components
+        cdef double total = 0, w, square
+        cdef double* out
+        cdef Frame f = self.view(&self.linearised[t, 0])
+        memcpy(&self.scratch[0, 0], &self.blocks[t, 0, 0], n * n * sizeof(double))
+        for i in range(n):
+            self.scratch[i, i] += MIN_INFORMATION
+        if not factorise(n, &self.scratch[0, 0]):
+            return 2
+        w = self.write_joint_rows(p, t, &f, False, &rows, &self.rows[0, 0])
+        out = &self.rows[rows, 0]
+        for i in range(n):
+            out[i] = self.by_weights[1, i] if i < K else self.by_camera[CAMERA + i - K]
+            out[n + i] = self.by_weights[2, i] if i < K else self.by_camera[2 * CAMERA + i - K]
+        solve_rows(n, rows + 2, &self.scratch[0, 0], &self.rows[0, 0], False)
+        for row in range(rows + 2 if w > 0 else rows):
+            square = 0
+            for i in range(n):
+                square += self.rows[row, i] * self.rows[row, i]
+            total += square if row < rows else -square / w
+        return 2 + total
+
+    cdef double estimate_noise_of(self, int p) noexcept nogil:
+        """Return the noise of a sequence in m: its residual, shared among the coordinates that are not absorbed."""
+        cdef int start = self.starts[p], end = self.starts[p] + self.counts[p], first = self.starts[p], t, j, stride
+        cdef int coordinates = 0, counted = 0
+        cdef double c = self.robust_scale_of(p), squares = 0, absorbed = 0
+        cdef Frame f
+        for t in range(start, end):
+            f = self.view(&self.current[t, 0])
+            for j in range(self.joints):
+                if self.score[t, j] > 0:
+                    coordinates += 2
+                    squares += self.score[t, j] * compute_loss(f.squared[j], c)
+        while first < end and not self.is_free[first]:
+            first += 1
+        stride = COUNTED_FRAMES + (end - first) // COUNTED_FRAME_STEP
+        stride = max((end - first + stride - 1) // stride, 1)
+        for t from first <= t < end by stride:
+            absorbed += self.count_absorbed_coordinates(p, t)
+            counted += 1
+        absorbed *= self.counts[p]
+        return sqrt(
+            squares / max(coordinates - absorbed / max(counted, 1), MIN_FREE_SHARE * coordinates + 1)
+        )
+
+    def estimate_noise(self):
+        cdef int p
+        noise = np.empty(self.sequences)
+        cdef double[::1] out = noise
+        with nogil:
+            for p in range(self.sequences):
+                out[p] = self.estimate_noise_of(p)
+        return noise
+
+    def measure_joint_std(self):
+        cdef int p, j, i, n = self.unknowns, K = self.components
+        cdef double scale, pose[3]
+        cdef Joint unit = Joint(1, 1, 0, 0, 1)
+        cdef Frame f
+        std = np.zeros((self.sequences, self.joints))
+        cdef double[:, ::1] out = std
+        cdef double[:, ::1] whitened = np.empty((3, n))
+        for p in range(self.sequences):
+            f = self.view(&self.current[self.starts[p] + self.counts[p] - 1, 0])
+            scale = exp(f.log_scale[0])
+            for j in range(self.joints):
+                for i in range(3):
+                    pose[i] = f.scaled_pose[3 * j + i] / scale
+                write_rows(&unit, f.rotation, pose, &self.basis[3 * j, 0], K, &self.rows[0, 0])
+                for i in range(3):
+                    self.rows[0, i * n + n - 1] = 0  # the scale moves no joint
+                multiply_transposed(3, n, n, 1, &self.rows[0, 0], &self.last_inverse[p, 0, 0], 0, &whitened[0, 0])
+                for i in range(3 * n):
+                    out[p, j] += (&whitened[0, 0])[i] * (&whitened[0, 0])[i]
+                out[p, j] = NOISE_REFERENCE * sqrt(out[p, j]) if self.has_step[p] else NAN
+        return std
+
+    # What Python calls
+
+    def start(self, theta, rotation, log_scale, translation, int settle_steps=0, bint at_reference=False):
+        cdef int p, i, K = self.components, first = K + FEATURES
+        cdef double c
+        self.point[:, :K], self.point[:, first : first + 9] = theta, np.reshape(rotation, (-1, 9))
+        self.point[:, first + 9], self.point[:, first + 10 : first + 12] = log_scale, translation
+        with nogil:
+            for p in range(self.sequences):
+                c = self.robust_scale if at_reference else self.robust_scale_of(p)
+                for i in range(max(settle_steps, 1)):
+                    self.costs[p] = self.measure(p, &self.current[0, 0], c if settle_steps > 0 else 0)
+
+    def begin(self, double damping):
+        cdef int p
+        for p in range(self.sequences):
+            self.dampings[p], self.tried[p], self.ends[p] = damping, 0, MAX_ITERATIONS
+            self.done[p], self.outdated[p], self.has_step[p] = False, True, False
+        self.update_equations()
+
+    def update_equations(self):
+        cdef int p
+        with nogil:
+            for p in range(self.sequences):
+                if self.outdated[p] and not self.done[p]:
+                    self.linearise(p)
+
+    def try_steps(self, double tolerance):
+        cdef int p, taken = 0, remaining = 0
+        with nogil:
+            for p in range(self.sequences):
+                if not self.done[p]:
+                    taken += self.take_step(p, tolerance)
+                    remaining += not self.done[p]
+        return taken, remaining
+
+    def read(self, str name):
+        """Return an array (N, ...) of the current point by the name of the field of `Frame`."""
+        K, J, B = self.components, self.joints, self.bones_count
+        shapes = {
+            'theta': (K,), 'features': (FEATURES,), 'rotation': (3, 3), 'log_scale': (), 'translation': (2,),
+            'scaled_pose': (J, 3), 'depth': (J,), 'error': (J, 2), 'squared': (J,), 'direction': (B, 3),
+            'length': (B,), 'excess': (B,),
+        }
+        first = 0
+        for field, shape in shapes.items():
+            size = int(np.prod(shape))
+            if field == name:
+                return self.point[:, first : first + size].reshape(-1, *shape).copy()
+            first += size
+        raise KeyError(name)
+
+
+cdef double find_largest_root(double determinant, double constant) noexcept nogil:
+    """Return the largest root of x^4 - 2 x^2 - 8 d x + c by Newton's method, going down from sqrt(3)."""
+    cdef double x = sqrt(3.0), value, slope, step  # no smaller than the sum of three singular values, |M| = 1
+    cdef int i
+    for i in range(30):
+        value = ((x * x - 2) * x - 8 * determinant) * x + constant
+        slope = (4 * x * x - 4) * x - 8 * determinant
+        if not slope > 0:
+            break
+        step = value / slope
+        x -= step
+        if fabs(step) < 1e-15 * x:
+            break
+    return x
+
+
+cdef double compute_minor(const double* m, int row, int column) noexcept nogil:
+    """Return the minor of a matrix (4, 4) without a row and a column."""
+    cdef int r0 = 0 if row > 0 else 1, r1 = 1 if row > 1 else 2, r2 = 2 if row > 2 else 3
+    cdef int c0 = 0 if column > 0 else 1, c1 = 1 if column > 1 else 2, c2 = 2 if column > 2 else 3
+    return (
+        m[4 * r0 + c0] * (m[4 * r1 + c1] * m[4 * r2 + c2] - m[4 * r1 + c2] * m[4 * r2 + c1])
+        - m[4 * r0 + c1] * (m[4 * r1 + c0] * m[4 * r2 + c2] - m[4 * r1 + c2] * m[4 * r2 + c0])
+        + m[4 * r0 + c2] * (m[4 * r1 + c0] * m[4 * r2 + c1] - m[4 * r1 + c1] * m[4 * r2 + c0])
+    )
+
+
+cdef void write_best_rotation(const double* products, double* out) noexcept nogil:
+    """Write the rotation R (3, 3) that maximises tr(R^T M), M = sum_j q_j p_j^T (3, 3): the closest R p_j to q_j.
+
+    tr(R^T M) is a quadratic form of the quaternion of R, whose matrix K (4, 4) has trace 0. Its largest eigenvalue
+    is found by Newton's method on the characteristic polynomial from an upper bound down; its eigenvector is a
+    column of the adjugate of K - lambda I (Horn 1987; Theobald 2005). Where M has rank 0 or 1 the rotation is one
+    of many.
+    """
+    cdef int i, j
+    cdef double size = 0, squared, best = -1, determinant, constant = 0, x, w, y, z
+    cdef double m[9]
+    cdef double k[16]
+    cdef double column[4]
+    cdef double q[4]
+    for i in range(9):
+        size += products[i] * products[i]
+        out[i] = 1 if i % 4 == 0 else 0
+    if not size > 0:
+        return
+    for i in range(9):
+        m[i] = products[i] / sqrt(size)
+    k[0], k[5], k[10], k[15] = m[0] + m[4] + m[8], m[0] - m[4] - m[8], m[4] - m[0] - m[8], m[8] - m[0] - m[4]
+    k[1], k[2], k[3], k[6], k[7], k[11] = m[7] - m[5], m[2] - m[6], m[3] - m[1], m[3] + m[1], m[2] + m[6], m[7] + m[5]
+    for i in range(4):
+        for j in range(i):
+            k[4 * i + j] = k[4 * j + i]
+    # characteristic polynomial x^4 - 2 x^2 - 8 det(M) x + det(K) of the normalised matrix
+    determinant = m[0] * (m[4] * m[8] - m[5] * m[7]) - m[1] * (m[3] * m[8] - m[5] * m[6])
+    determinant += m[2] * (m[3] * m[7] - m[4] * m[6])
+    for j in range(4):
+        constant += (1 if j % 2 == 0 else -1) * k[j] * compute_minor(k, 0, j)
+    x = find_largest_root(determinant, constant)
+    for i in range(4):
+        k[5 * i] -= x
+    for i in range(4):
+        squared = 0
+        for j in range(4):
+            column[j] = (1 if (i + j) % 2 == 0 else -1) * compute_minor(k, i, j)
+            squared += column[j] * column[j]
+        if squared > best:
+            best = squared
+            memcpy(q, column, sizeof(column))
+    if not best > 0:
+        return
+    w, x, y, z = q[0] / sqrt(best), q[1] / sqrt(best), q[2] / sqrt(best), q[3] / sqrt(best)
+    out[0], out[1], out[2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    out[3], out[4], out[5] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    out[6], out[7], out[8] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+
+
+def fit_lifted_poses(
+    const double[:, :, ::1] joints, const double[:, :, ::1] std, const double[:, ::1] basis,
+    const double[:, ::1] mean, const double[::1] sigma, int alternations,
+):
+    """Fit weights and cameras to lifted poses; the formulas are in `solvers.joint.lifted_start`."""
+    cdef int frames = joints.shape[0], J = joints.shape[1], K = basis.shape[1], t, i, j, a, b, turn
+    cdef double variance, squares, along
+    cdef double products[9]
+    cdef double* r
+    theta, scale, rotation = np.zeros((frames, K)), np.empty(frames), np.empty((frames, 3, 3))
+    cdef double[:, ::1] weights = theta
+    cdef double[::1] scales = scale, pose = np.empty(3 * J), fitted = np.empty(K)
+    cdef double[:, :, ::1] rotations = rotation
+    for t in range(frames):
+        variance = 0
+        for j in range(J):
+            for i in range(3):
+                variance += std[t, j, i] * std[t, j, i] / (3 * J)
+        r = &rotations[t, 0, 0]
+        for turn in range(alternations):
+            memcpy(&pose[0], &mean[0, 0], 3 * J * sizeof(double))
+            multiply_vector(3 * J, K, 1, &basis[0, 0], &weights[t, 0], 1, &pose[0])
+            memset(products, 0, sizeof(products))
+            squares, along = 0, 0
+            for j in range(J):
+                for a in range(3):
+                    squares += pose[3 * j + a] * pose[3 * j + a]
+                    for b in range(3):
+                        products[3 * a + b] += joints[t, j, a] * pose[3 * j + b]
+            write_best_rotation(products, r)
+            for i in range(9):
+                along += r[i] * products[i]
+            scales[t] = max(along / squares, MIN_SCALE)
+            for j in range(J):
+                for i in range(3):
+                    pose[3 * j + i] = (
+                        r[i] * joints[t, j, 0] + r[3 + i] * joints[t, j, 1] + r[6 + i] * joints[t, j, 2]
+                    ) / scales[t] - mean[j, i]
+            multiply_vector_transposed(3 * J, K, 1, &basis[0, 0], &pose[0], 0, &fitted[0])
+            for i in range(K):
+                weights[t, i] = fitted[i] / (1 + variance / ((scales[t] * sigma[i]) * (scales[t] * sigma[i])))
+    return theta, scale, rotation

@@ -1,0 +1,159 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Terms that keep the motion of poses and cameras smooth: finite differences over time.
+
+    sum_t sum_f w_f (sum_e c_te x_(t+e)f)^2
+
+with x_f the features of a frame: the K weights of the base poses and, of the camera, the elements of s R[:2] and
+of R[:2], and log s (`measure_features`). Of order 1 the terms are, with dt_t the time from frame t to the next,
+
+    mu    sum_tl ((theta_(t+1)l - theta_tl) / sigma_l)^2 / dt_t    smoothness of the weights
+  + gamma sum_t |M_(t+1) - M_t|^2 / dt_t                           flip regulariser, M = s R[:2] (TPAMI, eq. 12)
+  + tau   sum_t |R_(t+1)[:2] z - R_t[:2] z|^2 / dt_t               tilt: the image of the vertical changes slowly
+  + sigma sum_t (log s_(t+1) - log s_t)^2 / dt_t                   scale: people come nearer slowly
+
+Of order 2 they are the integral of the squared acceleration of the weights and of R[:2], whatever the frame rate:
+
+    sum_t alpha_t |v_(t+1) - v_t|^2 / h_t,    v_t = (x_(t+1) - x_t) / dt_t,    h_t = (dt_t + dt_(t+1)) / 2
+    alpha_t = alpha / (1 + a_t^4 / (A min(r, R))^4)
+
+The scale does not count there: where the image says little, one that goes on changing at the same rate would cost
+nothing. Base poses are orthonormal, so a weight's acceleration is that of all joints together. The limit gives way
+to motion that is truly fast: a_t is the RMS acceleration within `ACTIVITY_SPAN_S` of frame t in frames a tenth of
+a second apart, where the noise of a detector shows little; A is the acceleration at which the weight is halved
+under the reference noise, and r the image noise over it. More than R times the noise makes people seem no faster.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from mocap_ros.solvers.joint.batch import Batch, State
+
+Array = NDArray[np.float64]
+
+CAMERA_FEATURES = 13  # s R[:2], R[:2] and log s
+VERTICAL_FEATURES = (8, 11)  # of the camera: the image of the body's z axis
+LOG_SCALE_FEATURE = 12
+MIN_TIME_STEP_S = 1e-4  # s; guards the division by time steps, far below that of any camera
+MAX_NOISE_RATIO = 1.9  # R; with it the weight of a run is 0.1 to 0.4 of that of rest, whatever the detector
+ACTIVITY_SPAN_S = 0.5  # s; a step of a run takes 0.35 s, and a motion that begins or ends should show soon
+TYPICAL_OF_POSE = 14.0  # m/s^2; A, over the root of the 15 joints 3.6 m/s^2, that of the joints of a walker
+TYPICAL_OF_CAMERA = 4.2  # 1/s^2; A of a body that sways by 4 degrees once a second, and a half more
+
+
+@dataclass(frozen=True, eq=False)
+class FiniteDifference:
+    """A weighted squared difference of order D of the features of neighbouring frames.
+
+    Attributes:
+        factors: (N, D + 1) c, 0 where the frames are not of one sequence.
+        weight: (F,) w; F = K + 13, or the features of another model.
+    """
+
+    factors: Array
+    weight: Array
+
+    @property
+    def order(self) -> int:
+        """D."""
+        return self.factors.shape[1] - 1
+
+    def residuals(self, features: Array) -> Array:
+        """Return the numbers (N - D, F) whose squares are the term, of features (N, F)."""
+        count = max(len(features) - self.order, 0)
+        parts = [c[:count, None] * features[e : e + count] for e, c in enumerate(self.factors.T)]
+        return np.asarray(np.sqrt(self.weight) * np.sum(parts, axis=0))
+
+    def add_to(self, features: Array, jacobian: Array, blocks: Array, coupling: Array, gradient: Array) -> None:
+        """Add the Gauss-Newton matrix and half the gradient, in place.
+
+        Args:
+            features: (N, F).
+            jacobian: (N, F, n) their derivatives by the unknowns of the frame.
+            blocks: (N, n, n) of the matrix, for each frame.
+            coupling: (N, 2, n, n) blocks in the rows of frame t + d + 1 and the columns of frame t.
+            gradient: (N, n).
+        """
+        residuals = self.residuals(features)
+        count, weighted = len(residuals), np.sqrt(self.weight)[:, None] * jacobian
+        by_frame = [c[:count, None, None] * weighted[e : e + count] for e, c in enumerate(self.factors.T)]
+        for e, own in enumerate(by_frame):
+            gradient[e : e + count] += (residuals[:, None] @ own)[:, 0]
+            for d, later in enumerate(by_frame[e:]):
+                target = blocks if d == 0 else coupling[:, d - 1]
+                target[e : e + count] += np.swapaxes(later, 1, 2) @ own
+
+
+def measure_features(state: State) -> Array:
+    """Return the features (N, K + 13) of all frames."""
+    rows = state.rotation[:, :2].reshape(len(state.theta), 6)
+    scaled = np.exp(state.log_scale)[:, None] * rows
+    return np.concatenate([state.theta, scaled, rows, state.log_scale[:, None]], axis=1)
+
+
+def weigh_features(of_pose: Array, *, matrix: float = 0.0, direction: float = 0.0) -> Array:
+    """Return the weights (K + 13,) of features: those of the base poses (K,), of s R[:2] and of R[:2]."""
+    return np.concatenate([of_pose, np.repeat([matrix, direction, 0.0], [6, 6, 1])])
+
+
+def invert_time_steps(batch: Batch) -> Array:
+    """Return the reciprocal of the time from each frame to the next (N,) 1/s; 0 after the last of a sequence."""
+    inverse = np.zeros(len(batch.times))
+    inverse[:-1] = 1 / np.maximum(batch.times[1:] - batch.times[:-1], MIN_TIME_STEP_S)
+    inverse[batch.starts + batch.counts - 1] = 0.0
+    return inverse
+
+
+def weigh_velocity_change(batch: Batch) -> Array:
+    """Return the factors (N, 3) of three neighbours that give (v_(t+1) - v_t) / sqrt(h_t)."""
+    inverse = invert_time_steps(batch)
+    a, b = inverse[:-1], inverse[1:]
+    root = np.sqrt(2 * a * b / np.maximum(a + b, 1e-300))  # 0 where one of them is
+    factors = np.zeros((len(inverse), 3))
+    factors[:-1] = np.stack([a * root, -(a + b) * root, b * root], axis=-1)
+    return factors
+
+
+def limit_acceleration(
+    weight: float, typical: float, velocity_change: Array, mean_square: Array, noise_ratio: Array
+) -> Array:
+    """Return the factors (N, 3) of a limit to accelerations, sqrt(alpha_t) times those of the change of velocity.
+
+    Args:
+        weight: alpha.
+        typical: A.
+        velocity_change: (N, 3) as of `weigh_velocity_change`.
+        mean_square: (N,) a_t^2.
+        noise_ratio: (N,) r.
+    """
+    limit = typical * np.minimum(noise_ratio, MAX_NOISE_RATIO)
+    return np.asarray(np.sqrt(weight / (1 + (mean_square / limit**2) ** 2))[:, None] * velocity_change)
+
+
+def measure_activity(values: Array, coarse: Batch, batch: Batch) -> Array:
+    """Return the mean square acceleration of values about each frame of a batch, (N,).
+
+    Args:
+        values: (M, D) in some frames.
+        coarse: these frames.
+        batch: all frames; the same sequences.
+    """
+    squares = np.zeros(len(values))
+    if len(values) > 2:
+        c = weigh_velocity_change(coarse)[:-2, :, None]
+        change = c[:, 0] * values[:-2] + c[:, 1] * values[1:-1] + c[:, 2] * values[2:]
+        squares[1:-1] = (change**2).sum(axis=1) * 2 / np.maximum(coarse.times[2:] - coarse.times[:-2], 1e-9)
+    out = np.empty(len(batch.times))
+    for some, every in zip(coarse.slices, batch.slices, strict=True):
+        sums = np.concatenate([[0.0], np.cumsum(squares[some])])
+        first = np.searchsorted(coarse.times[some], batch.times[every] - ACTIVITY_SPAN_S)
+        end = np.searchsorted(coarse.times[some], batch.times[every] + ACTIVITY_SPAN_S, side='right')
+        out[every] = (sums[end] - sums[first]) / np.maximum(end - first, 1)
+    return out

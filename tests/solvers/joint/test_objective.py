@@ -1,0 +1,384 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The compiled objective against NumPy's and finite differences, and the weights of its terms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mocap_ros.config import SolverConfig
+from mocap_ros.engine.joint import JointProblem
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.solvers.joint.batch import Batch, State
+from mocap_ros.solvers.joint.differences import (
+    ACTIVITY_SPAN_S,
+    MAX_NOISE_RATIO,
+    FiniteDifference,
+    limit_acceleration,
+    measure_activity,
+    weigh_velocity_change,
+)
+from mocap_ros.solvers.joint.objective import JointObjective, read_state
+from mocap_ros.solvers.joint.reference import (
+    advance,
+    compute_cost,
+    compute_costs,
+    compute_residuals,
+    measure,
+)
+from mocap_ros.solvers.window import EarlierFrames, Window, initialise_from_mean_pose
+from tests.support.synthetic_walk import make_walk
+
+COMPONENTS, FRAMES = 6, (7, 5)
+UNKNOWNS = COMPONENTS + 4
+NOISE = np.array([0.005, 0.02])
+CONFIG = SolverConfig(
+    prior_weight=1e-2,
+    smooth_weight=1e-3,
+    flip_weight=0.5,
+    tilt_weight=0.3,
+    scale_weight=0.2,
+    lifter_weight=0.1,
+    pose_acceleration_weight=1e-4,
+    camera_acceleration_weight=1e-3,
+    robust_scale=0.03,
+)
+
+
+def make_objective(
+    walk_model: BasePoses,
+    rng: np.random.Generator,
+    config: SolverConfig = CONFIG,
+    focal: float = 300.0,
+    lifted: bool = True,
+) -> tuple[JointObjective, State]:
+    """Two sequences with missing points and frames before the first, and a state with optimal translations."""
+    model, windows = walk_model.truncate(COMPONENTS), []
+    for frames in FRAMES:
+        theta, _, points, times = make_walk(walk_model, frames=frames, seed=frames)
+        weight = rng.uniform(0.3, 1, points.shape[:2]) * (rng.random(points.shape[:2]) > 0.1)
+        poses = 200 * walk_model.poses(theta) + 30 * rng.normal(size=(*points.shape[:2], 3))
+        poses[1] = np.nan
+        window = Window(points, weight, times + rng.uniform(0, 0.01, frames), focal=focal)
+        if lifted:
+            window = replace(window, lifted=LiftedPoses(poses, rng.uniform(5, 50, poses.shape)))
+        if frames == FRAMES[0]:
+            lengths = 1.1 * model.skeleton.bone_lengths(model.mean)
+            window = replace(window, earlier_frames=EarlierFrames(4, lengths))
+        windows.append(window)
+    starts = [initialise_from_mean_pose(w, model, 1.0) for w in windows]
+    units = np.array([np.median(s.cameras.scale) for s in starts])
+    batch = Batch.build(windows, units, model)
+    objective = JointObjective.build(batch, model, config, NOISE)
+    step = 0.05 * rng.normal(size=(sum(FRAMES), UNKNOWNS))
+    state = advance(batch.initial_state(starts, units), step)
+    return objective, read_state(objective.compile(state, 100))
+
+
+def linearise(objective: JointObjective, state: State) -> JointProblem:
+    """Return the problem at a state, with its normal equations."""
+    problem = objective.compile(state)
+    problem.begin(0.1)
+    return problem
+
+
+@pytest.mark.parametrize('robust', [0.0, 0.03])
+@pytest.mark.parametrize('focal', [math.inf, 300.0])
+@pytest.mark.parametrize('lifted', [False, True])
+def test_cost_and_gradient_are_those_of_the_reference(
+    walk_model: BasePoses, rng: np.random.Generator, robust: float, focal: float, lifted: bool
+) -> None:
+    config = replace(CONFIG, robust_scale=robust)
+    objective, state = make_objective(walk_model, rng, config, focal, lifted)
+    assert min(cost.sum() for cost in compute_costs(objective, state).values()) > 0
+    problem = linearise(objective, state)
+    np.testing.assert_allclose(problem.cost, compute_cost(objective, state), rtol=1e-9)
+    numeric, h = np.empty_like(problem.gradient), 1e-5
+    for index in np.ndindex(*numeric.shape):
+        step = np.zeros_like(numeric)
+        step[index] = h
+        up, down = (compute_cost(objective, advance(state, s)).sum() for s in (step, -step))
+        numeric[index] = (up - down) / (2 * h) / 2
+    assert np.abs(problem.gradient - numeric).max() < 1e-6 * np.abs(numeric).max()
+
+
+def test_what_is_measured_is_what_the_reference_measures(walk_model: BasePoses, rng: np.random.Generator) -> None:
+    objective, state = make_objective(walk_model, rng)
+    problem, expected = objective.compile(state), measure(objective, state)
+    for name in ('scaled_pose', 'error', 'length', 'direction'):
+        np.testing.assert_allclose(problem.read(name), getattr(expected, name), atol=1e-12)
+    np.testing.assert_allclose(problem.read('features'), expected.features[:, COMPONENTS:], atol=1e-12)
+
+
+def make_dense(problem: JointProblem, batch: Batch) -> np.ndarray:
+    """Return the matrix (N n, N n) of the normal equations."""
+    frames, n = problem.gradient.shape
+    matrix = np.zeros((frames, n, frames, n))
+    for t in range(frames):
+        matrix[t, :, t] = np.tril(problem.diagonal[t]) + np.tril(problem.diagonal[t], -1).T
+    for distance in range(1, problem.coupling.shape[1] + 1):
+        for t in range(frames - distance):
+            block = np.diag(problem.coupling[t, distance - 1])
+            block[n - 4 :, n - 4 :] += problem.corners[t, distance - 1]
+            matrix[t + distance, :, t], matrix[t, :, t + distance] = block, block.T
+    for own, count in zip(batch.slices, batch.counts + batch.earlier_frames, strict=True):
+        g = problem.bone_vectors[own]
+        matrix[own, :, own] -= np.einsum('tib,ujb->tiuj', g, g) / count
+    return matrix.reshape(frames * n, frames * n)
+
+
+@pytest.mark.parametrize('focal', [math.inf, 300.0])
+def test_normal_matrix_is_that_of_the_residuals(
+    walk_model: BasePoses, rng: np.random.Generator, focal: float
+) -> None:
+    """J^T J with J by finite differences of every residual, translations eliminated.
+
+    What the matrix holds beyond it, the curvature of bones, is positive semidefinite.
+    """
+    config = replace(CONFIG, robust_scale=0.0)
+    objective, state = make_objective(walk_model, rng, config, focal, lifted=False)
+    frames, n, excess = sum(FRAMES), UNKNOWNS, {}
+    for weight in (60.0, 0.0):
+        own = replace(objective, bone_weight=np.full_like(objective.bone_weight, weight))
+        jac = []
+        for step in 1e-6 * np.eye(frames * (n + 2)).reshape(-1, frames, n + 2):
+            ends = []
+            for s in (step, -step):
+                moved = advance(state, s[:, :n])
+                moved = moved._replace(translation=moved.translation + s[:, n:])
+                ends.append(compute_residuals(own, moved))
+            jac.append((ends[0] - ends[1]) / 2e-6)
+        of_translation = np.arange(frames * (n + 2)) % (n + 2) >= n
+        rest, translation = np.array(jac)[~of_translation], np.array(jac)[of_translation]
+        rest -= rest @ np.linalg.pinv(translation) @ translation
+        expected = rest @ rest.T
+        excess[weight] = make_dense(linearise(own, state), own.batch) - expected
+        assert np.linalg.eigvalsh(excess[weight]).min() > -1e-6 * np.abs(expected).max()
+    assert np.abs(excess[0.0]).max() < 1e-6 * np.abs(expected).max()
+
+
+def test_a_step_solves_the_damped_equations(walk_model: BasePoses, rng: np.random.Generator) -> None:
+    """Frames that are held do not move."""
+    objective, state = make_objective(walk_model, rng)
+    is_free = np.ones(sum(FRAMES), bool)
+    is_free[[0, 1, FRAMES[0]]] = False
+    objective = replace(objective, batch=replace(objective.batch, is_free=is_free))
+    problem = linearise(objective, state)
+    matrix = make_dense(problem, objective.batch)
+    matrix += 0.1 * np.diag(np.concatenate([np.diag(d) for d in problem.diagonal]))
+    free = np.repeat(is_free, UNKNOWNS)
+    step = np.zeros(len(matrix))
+    step[free] = -np.linalg.solve(matrix[np.ix_(free, free)], problem.gradient.ravel()[free])
+    moved = advance(state, step.reshape(-1, UNKNOWNS))
+    assert problem.try_steps(0.0) == (2, 2)
+    found = read_state(problem)
+    for name in ('theta', 'rotation', 'log_scale'):
+        np.testing.assert_allclose(getattr(found, name), getattr(moved, name), atol=1e-9)
+
+
+@pytest.mark.parametrize('seen', [15, 4])
+def test_noise_is_the_residual_over_the_coordinates_that_are_not_absorbed(
+    walk_model: BasePoses, rng: np.random.Generator, seen: int
+) -> None:
+    """With few seen joints the unknowns absorb all coordinates but the least share."""
+    config = replace(CONFIG, bone_weight=0.0, prior_weight=1e-10)
+    objective, state = make_objective(walk_model, rng, config, lifted=False)
+    score = (np.arange(15) < seen) * rng.uniform(0.3, 1, objective.batch.score.shape)
+    objective = replace(objective, batch=replace(objective.batch, score=score), differences=())
+    problem = linearise(objective, state)
+    of_image = linearise(replace(objective, prior=np.zeros(COMPONENTS)), state)
+    symmetric = [np.tril(d) + np.swapaxes(np.tril(d, -1), 1, 2) for d in (problem.diagonal, of_image.diagonal)]
+    whole = symmetric[0] + 1e-9 * np.eye(UNKNOWNS)
+    absorbed = np.trace(np.linalg.solve(whole, symmetric[1]), axis1=1, axis2=2) + 2
+    losses = compute_costs(objective, state)['reprojection']
+    for own, ratio, found in zip(
+        objective.batch.slices, objective.noise_ratio, problem.estimate_noise(), strict=True
+    ):
+        coordinates, count = 2 * int((score[own] > 0).sum()), own.stop - own.start
+        free = coordinates - count * absorbed[own][:: -(-count // 3)].mean()
+        squares = ratio**2 * losses[own].sum()
+        assert (free < 0.05 * coordinates + 1) == (seen == 4)
+        assert found == pytest.approx(np.sqrt(squares / max(free, 0.05 * coordinates + 1)), rel=1e-6)
+
+
+def test_nothing_couples_two_sequences(walk_model: BasePoses, rng: np.random.Generator) -> None:
+    objective, state = make_objective(walk_model, rng)
+    problem = linearise(objective, state)
+    for distance in (1, 2):
+        seam = slice(FRAMES[0] - distance, FRAMES[0])
+        assert (problem.coupling[seam, distance - 1] == 0).all()
+        assert (problem.corners[seam, distance - 1] == 0).all()
+
+
+def test_first_base_poses_alone_are_all_of_them_with_the_others_at_zero(
+    walk_model: BasePoses, rng: np.random.Generator
+) -> None:
+    objective, state = make_objective(walk_model, rng)
+    state = state._replace(theta=np.where(np.arange(COMPONENTS) < 3, state.theta, 0.0))
+    few = objective.truncate(3).compile(state._replace(theta=state.theta[:, :3]))
+    np.testing.assert_allclose(few.cost, objective.compile(state).cost, rtol=1e-12)
+
+
+def make_lifted_window(walk_model: BasePoses, frames: int) -> Window:
+    """Return a walk with lifted poses, which are right and have a standard deviation of 20 px."""
+    theta, _, points, times = make_walk(walk_model, frames=frames)
+    lifted = LiftedPoses(200 * walk_model.poses(theta), np.full((frames, 15, 3), 20.0))
+    return Window(points, np.ones(points.shape[:2]), times, lifted=lifted)
+
+
+def sum_costs(window: Window, model: BasePoses, **weights: Any) -> dict[str, float]:
+    """Return the sums of all terms at random unknowns near the mean pose, the same for all weights."""
+    unit = np.array([200.0])
+    batch = Batch.build([window], unit, model)
+    start = initialise_from_mean_pose(replace(window, lifted=None), model, 1.0)
+    step = 0.1 * np.random.default_rng(0).normal(size=(len(window.times), len(model.std) + 4))
+    state = advance(batch.initial_state([start], unit), step)
+    objective = JointObjective.build(batch, model, SolverConfig(**weights))
+    return {name: float(cost.sum()) for name, cost in compute_costs(objective, state).items()}
+
+
+WEIGHTS = {
+    'prior_weight': 'prior',
+    'smooth_weight': 'difference 0',
+    'flip_weight': 'difference 0',
+    'tilt_weight': 'difference 0',
+    'scale_weight': 'difference 0',
+    'bone_weight': 'bones',
+    'lifter_weight': 'lifted poses',
+    'pose_acceleration_weight': 'difference 1',
+    'camera_acceleration_weight': 'difference 2',
+}
+
+
+@pytest.mark.parametrize('name', WEIGHTS)
+def test_terms_have_the_weights_of_the_parameters(walk_model: BasePoses, name: str) -> None:
+    model, window = walk_model.truncate(COMPONENTS), make_lifted_window(walk_model, 7)
+    alone: Mapping[str, float] = {
+        other: 0.0 for other, term in WEIGHTS.items() if term == WEIGHTS[name] == 'difference 0'
+    }
+    single, double = (sum_costs(window, model, **{**alone, name: w})[WEIGHTS[name]] for w in (0.01, 0.02))
+    assert single > 0
+    assert double == pytest.approx(2 * single)
+
+
+def test_terms_have_the_factors_of_lifted_poses_and_of_heading(walk_model: BasePoses) -> None:
+    full = replace(walk_model.truncate(COMPONENTS), provenance={'alignment': 'full'})
+    by_heading = replace(full, provenance={'alignment': 'heading'})
+    with_poses = make_lifted_window(walk_model, 7)
+    factors = {
+        'lifter_prior_factor': 3.0,
+        'lifter_smooth_factor': 5.0,
+        'lifter_flip_factor': 7.0,
+        'heading_prior_factor': 11.0,
+        'heading_flip_factor': 13.0,
+    }
+    none = {'scale_weight': 0.0, 'tilt_weight': 0.0}
+
+    def costs(window: Window, model: BasePoses) -> list[float]:
+        prior = sum_costs(window, model, **none, **factors)['prior']
+        smooth = sum_costs(window, model, **none, flip_weight=0.0, **factors)['difference 0']
+        flip = sum_costs(window, model, **none, smooth_weight=0.0, **factors)['difference 0']
+        return [prior, smooth, flip]
+
+    plain = np.array(costs(replace(with_poses, lifted=None), full))
+    assert min(plain) > 0
+    np.testing.assert_allclose(costs(with_poses, full) / plain, [3, 5, 7])
+    np.testing.assert_allclose(costs(replace(with_poses, lifted=None), by_heading) / plain, [11, 1, 13])
+    np.testing.assert_allclose(costs(with_poses, by_heading) / plain, [33, 5, 91])
+
+
+def test_selected_frames_are_these_frames_alone(walk_model: BasePoses, rng: np.random.Generator) -> None:
+    objective, state = make_objective(walk_model, rng)
+    batch, model = objective.batch, objective.model
+    frames = batch.find_best_seen(0.1)
+    assert 2 < len(frames) < len(batch.times)
+    some = batch.select(frames)
+    assert (some.counts == [(frames < FRAMES[0]).sum(), (frames >= FRAMES[0]).sum()]).all()
+    found = compute_costs(JointObjective.build(some, model, CONFIG, NOISE), state.select(frames))
+    for name in ('reprojection', 'prior', 'lifted poses'):
+        np.testing.assert_allclose(found[name], compute_costs(objective, state)[name][frames])
+    share = np.array([0.5, 0.25])
+    halved = JointObjective.build(some, model, CONFIG, NOISE, share)
+    (difference,) = halved.differences
+    whole = JointObjective.build(some, model, CONFIG, NOISE).differences[0]
+    np.testing.assert_allclose(difference.factors, whole.factors * np.sqrt(np.repeat(share, some.counts))[:, None])
+
+
+def test_interpolation_between_selected_frames(walk_model: BasePoses, rng: np.random.Generator) -> None:
+    objective, state = make_objective(walk_model, rng)
+    batch = objective.batch
+    frames = np.array([0, 6, 8, 11])
+    found = batch.interpolate(state.select(frames), frames)
+    for values, expected in zip(found.select(frames), state.select(frames), strict=True):
+        np.testing.assert_allclose(values, expected, atol=1e-12)
+    share = (batch.times[2] - batch.times[0]) / (batch.times[6] - batch.times[0])
+    expected = state.theta[0] + share * (state.theta[6] - state.theta[0])
+    np.testing.assert_allclose(found.theta[2], expected)
+    np.testing.assert_allclose(found.theta[7], state.theta[8])
+
+
+def test_the_limit_of_accelerations_gives_way_to_fast_motion_and_holds_under_noise() -> None:
+    change = np.array([[1.0, -2.0, 1.0]])
+    for noise_ratio, limit in ((1.0, 3.0), (0.5, 1.5), (1.5, 4.5), (20.0, 3 * MAX_NOISE_RATIO)):
+        for acceleration in (0.0, 3.0, 9.0):
+            given = np.array([acceleration**2]), np.array([noise_ratio])
+            share = (limit_acceleration(2.0, 3.0, change, *given) / change) ** 2
+            np.testing.assert_allclose(share, 2 / (1 + (acceleration / limit) ** 4), rtol=1e-12)
+
+
+def make_batch(walk_model: BasePoses, times: list[np.ndarray]) -> Batch:
+    points = [np.random.default_rng(0).normal(size=(len(t), 15, 2)) for t in times]
+    windows = [Window(p, np.ones(p.shape[:2]), t) for p, t in zip(points, times, strict=True)]
+    return Batch.build(windows, np.ones(len(times)), walk_model)
+
+
+def test_activity_is_the_mean_square_acceleration_nearby(walk_model: BasePoses, rng: np.random.Generator) -> None:
+    """Two sequences, one at rest and one with 2 m/s^2 in one of two values from its second second on."""
+    times = [np.sort(rng.uniform(0, 4, 40)), np.arange(41) / 10]
+    moved = np.where(times[1] < 2, 0.0, (times[1] - 2) ** 2)
+    values = np.concatenate([np.ones((40, 2)), np.stack([moved, np.zeros(41)], axis=1)])
+    coarse = make_batch(walk_model, times)
+    fine = make_batch(walk_model, [np.arange(120) / 30, np.arange(120) / 30])
+    found = measure_activity(values, coarse, fine)
+    np.testing.assert_allclose(found[:120], 0.0, atol=1e-12)
+    later, earlier = (
+        fine.times[120:] > 2 + ACTIVITY_SPAN_S + 0.11,
+        fine.times[120:] < 2 - ACTIVITY_SPAN_S - 0.11,
+    )
+    inner = later & (fine.times[120:] < 4 - ACTIVITY_SPAN_S - 0.11)
+    np.testing.assert_allclose(found[120:][inner], 4.0)
+    np.testing.assert_allclose(found[120:][earlier], 0.0, atol=1e-12)
+    few = make_batch(walk_model, [np.array([0.0, 0.1])])
+    np.testing.assert_array_equal(measure_activity(np.ones((2, 3)), few, few), 0.0)
+
+
+def test_acceleration_is_the_second_derivative_at_any_times(
+    walk_model: BasePoses, rng: np.random.Generator
+) -> None:
+    for times in (np.arange(12) / 10, np.arange(12) / 30, np.cumsum(rng.uniform(0.01, 0.2, 12))):
+        factors = weigh_velocity_change(make_batch(walk_model, [times]))
+        term = FiniteDifference(np.sqrt(3.0) * factors, np.ones(1))
+        assert np.abs(term.residuals(2.0 + times[:, None])).max() < 1e-9 / np.diff(times).min() ** 1.5
+        squares = term.residuals(0.5 * times[:, None] ** 2) ** 2  # acceleration 1 m/s^2
+        middle = (times[2:] - times[:-2]) / 2
+        np.testing.assert_allclose(squares[:, 0], 3.0 * middle, rtol=1e-6)
+
+
+def test_reprojection_of_a_far_camera_is_weak_perspective(walk_model: BasePoses, rng: np.random.Generator) -> None:
+    objective, state = make_objective(walk_model, rng)
+    near = objective.batch.focal
+    objectives = [
+        replace(objective, batch=replace(objective.batch, focal=focal))
+        for focal in (near * 1e9, near * math.inf, near)
+    ]
+    errors = [o.compile(state).read('error') for o in objectives]
+    np.testing.assert_allclose(errors[0], errors[1], atol=1e-9)
+    assert np.abs(errors[2] - errors[1]).max() > 1e-3
