@@ -17,13 +17,14 @@ from typing import Any
 import common
 import numpy as np
 from experiments.least_squares import Progress, SparseProblem
-from mocap_ros.solvers.joint.state import State
 from report import Records, Report, run
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import alternation, joint
-from mocap_ros.solvers.joint.objective import JointObjective
+from mocap_ros.solvers.joint.batch import Batch, State
+from mocap_ros.solvers.joint.objective import JointObjective, read_state
+from mocap_ros.solvers.joint.reference import advance, compute_cost
 from mocap_ros.solvers.window import InitialValues, Reconstruction, Window, choose_initial_values
 
 CLOSE_TO_OPTIMUM = (
@@ -84,9 +85,10 @@ def fix_initial_values(case: Case, config: SolverConfig) -> tuple[Window, JointO
     window = case.window
     start, unit = choose_initial_values(window, model, config.start_window)
     window = replace(window, start=start, unit=unit)
-    problem = JointObjective.build([window], np.array([unit]), model, config)
-    state = problem.initial_state([start], np.array([unit]))
-    return window, problem, problem.with_optimal_translation(state).state
+    batch = Batch.build([window], np.array([unit]), model)
+    problem = JointObjective.build(batch, model, config)
+    state = batch.initial_state([start], np.array([unit]))
+    return window, problem, read_state(problem.compile(state, settle_steps=1))
 
 
 def convert_to_state(result: Reconstruction, unit: float) -> State:
@@ -96,17 +98,16 @@ def convert_to_state(result: Reconstruction, unit: float) -> State:
 
 def check_same_objective(problem: JointObjective, state: State, result: Reconstruction, unit: float) -> None:
     """Check that the squared residual vector equals the objective at the start, nearby and at the solution."""
-    nearby = state.advanced(
-        0.05 * np.random.default_rng(0).standard_normal((len(state.theta), len(problem.model.std) + 4))
-    )
-    for at in (state, nearby, convert_to_state(result, unit)):
-        sparse = SparseProblem(problem, at)
+    step = 0.05 * np.random.default_rng(0).standard_normal((len(state.theta), len(problem.model.std) + 4))
+    end = convert_to_state(result, unit)
+    for at in (state, advance(state, step), end):
+        sparse, expected = SparseProblem(problem, at), compute_cost(problem, at)[0]
         squares = float((sparse.residuals(sparse.pack(at)) ** 2).sum())
-        if not np.isclose(squares, problem.cost(problem.fit(at))[0], rtol=1e-9):
-            raise AssertionError(f'objectives differ: {squares} and {problem.cost(problem.fit(at))[0]}')
-    if not np.isclose(result.cost, problem.cost(problem.fit(convert_to_state(result, unit)))[0], rtol=1e-9):
+        if not np.isclose(squares, expected, rtol=1e-9):
+            raise AssertionError(f'objectives differ: {squares} and {expected}')
+    if not np.isclose(result.cost, compute_cost(problem, end)[0], rtol=1e-9):
         raise AssertionError('the solver reports an objective that its solution does not have')
-    if not np.isclose(result.history[0], problem.cost(problem.fit(state))[0], rtol=1e-9):
+    if not np.isclose(result.history[0], compute_cost(problem, state)[0], rtol=1e-9):
         raise AssertionError('the solver starts from a different state')
     if np.any(np.diff(result.history) > 0):
         raise AssertionError('the objective rose')

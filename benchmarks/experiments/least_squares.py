@@ -15,19 +15,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
-from mocap_ros.solvers.joint.camera_acceleration import CameraAcceleration, measure_directions
-from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness, measure_features
-from mocap_ros.solvers.joint.pose_acceleration import PoseAcceleration
-from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
-from mocap_ros.solvers.joint.state import State
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.sparse import (
     bsr_array,
     coo_array,
     csr_array,
-    dia_array,
     diags_array,
     eye_array,
     hstack,
@@ -36,7 +29,11 @@ from scipy.sparse import (
 )
 
 from mocap_ros.geometry.rotations import cross_matrix, rotation_from_vector
+from mocap_ros.models.base_poses import arrange_model
+from mocap_ros.solvers.joint.batch import State
+from mocap_ros.solvers.joint.differences import CAMERA_FEATURES
 from mocap_ros.solvers.joint.objective import JointObjective
+from mocap_ros.solvers.joint.reference import measure
 
 Array = NDArray[np.float64]
 
@@ -72,7 +69,7 @@ class SparseProblem:
             state.log_scale[:, None],
             state.translation,
         ]
-        length = self.problem.fit(state).bone_length
+        length = measure(self.problem, state).length
         return np.concatenate([np.concatenate(parts, axis=1).ravel(), length.mean(axis=0)])
 
     def unpack(self, x: Array) -> tuple[State, Array, Array]:
@@ -92,7 +89,7 @@ class SparseProblem:
         """Return factors g (F, J) for which |g error|^2 is the robust loss, and their derivatives by |error|^2."""
         p = self.problem
         squared = (error**2).sum(axis=-1)
-        scale = p.reprojection.robust_scale[:, None] ** 2 + np.zeros_like(squared)
+        scale = np.full_like(squared, p.robust_scale**2)
         with np.errstate(divide='ignore', invalid='ignore'):
             u = squared / scale
             ratio = np.where(u > 1e-6, np.log1p(u) / u, 1 - u / 2)
@@ -103,17 +100,13 @@ class SparseProblem:
     def residuals(self, x: Array) -> Array:
         p = self.problem
         state, _, means = self.unpack(x)
-        fit = p.fit(state)
-        factor, _ = self._data_rows(fit.error)
-        features = measure_features(state.rotation, state.log_scale)
+        found = measure(p, state)
+        factor, _ = self._data_rows(found.error)
         rows = [
-            (np.sqrt(p.reprojection.weight) * factor)[..., None] * fit.error,
-            np.sqrt(p.bones.weight) * (fit.bone_length - means),
-            np.sqrt(p.find_term(BasePosePrior).precision) * state.theta,
-            np.sqrt(p.find_term(PoseSmoothness).weight)[:, None] * np.diff(state.theta, axis=0) / p.model.std,
-            np.sqrt(p.find_term(CameraSmoothness).weight) * np.diff(features, axis=0),
-            _change_velocity(p.find_term(PoseAcceleration), state.theta),
-            _change_velocity(p.find_term(CameraAcceleration), measure_directions(state.rotation)),
+            (np.sqrt(p.batch.score) * factor)[..., None] * found.error,
+            np.sqrt(p.bone_weight) * (found.length - means),
+            np.sqrt(p.prior) * state.theta,
+            *(difference.residuals(found.features) for difference in p.differences),
         ]
         return np.concatenate([r.ravel() for r in rows])
 
@@ -121,10 +114,10 @@ class SparseProblem:
         p = self.problem
         state, vector, _ = self.unpack(x)
         frames, k = state.theta.shape
-        bones = len(p.bones.weight)
+        bones = len(p.bone_weight)
         turn = _left_jacobian(vector)
-        fit = p.fit(state)
-        turned, error = fit.scaled_poses, fit.error
+        found, arrays = measure(p, state), arrange_model(p.model)
+        turned, error = found.scaled_pose, found.error
         factor, slope = self._data_rows(error)
 
         def by_frame(blocks: Array, first: int = 0, of_means: Array | None = None) -> coo_array:
@@ -145,43 +138,32 @@ class SparseProblem:
         raw[..., k + 4 :] = np.eye(2)
         along = (error[..., None] * raw).sum(axis=2, keepdims=True)
         data = factor[..., None, None] * raw + 2 * (slope[..., None] * error)[..., None] * along
-        data *= np.sqrt(p.reprojection.weight)[..., None, None]
+        data *= np.sqrt(p.batch.score)[..., None, None]
 
-        direction = basis[p.bones.children] - basis[p.bones.parents]
-        root = np.sqrt(p.bones.weight)
-        lengths = root[:, None] * np.einsum('fbc,bck->fbk', fit.bone_direction, direction)
-        prior = np.diag(np.sqrt(p.find_term(BasePosePrior).precision) * p.model.std)
+        direction = basis[arrays.children] - basis[arrays.parents]
+        root = np.sqrt(p.bone_weight)
+        lengths = root[:, None] * np.einsum('fbc,bck->fbk', found.direction, direction)
+        prior = np.diag(np.sqrt(p.prior) * p.model.std)
 
         columns = np.swapaxes(state.rotation, -1, -2)
-        scaled = np.exp(state.log_scale)[:, None, None] * columns
-        of_columns = np.concatenate([scaled, columns[:, 2:]], axis=1)  # columns of M, then the third of R
-        camera = np.zeros((frames, 4, 2, 4))
-        camera[..., :3] = (-cross_matrix(of_columns) @ turn[:, None])[..., :2, :]
-        camera[:, :3, :, 3] = scaled[..., :2]
-        camera_rows = np.zeros((frames, 9, 4))
-        camera_rows[:, :8] = np.swapaxes(camera, 1, 2).reshape(frames, 8, 4)
-        camera_rows[:, 8, 3] = 1.0  # the log of the scale
-        of_m = camera_rows[:, [0, 1, 2, 4, 5, 6]] / np.exp(state.log_scale)[:, None, None]
-        of_m[..., 3] = 0.0  # by the scale
+        of_columns = (-cross_matrix(columns) @ turn[:, None])[..., :2, :]  # (F, 3, 2, 3)
+        of_rows = np.swapaxes(of_columns, 1, 2).reshape(frames, 6, 3)
+        scale = np.exp(state.log_scale)[:, None, None]
+        features = np.zeros((frames, k + CAMERA_FEATURES, k + 4))
+        features[:, range(k), range(k)] = p.model.std
+        features[:, k : k + 6, k : k + 3], features[:, k + 6 : k + 12, k : k + 3] = scale * of_rows, of_rows
+        features[:, k : k + 6, k + 3] = (scale * state.rotation[:, :2]).reshape(frames, 6)
+        features[:, -1, k + 3] = 1.0
 
-        smooth = np.sqrt(p.find_term(PoseSmoothness).weight)
-        flip = np.sqrt(p.find_term(CameraSmoothness).weight)
-        pose, turning = (p.find_term(term).factors[:-2] for term in (PoseAcceleration, CameraAcceleration))
-        same, scale = np.tile(np.eye(k), (frames, 1, 1)), np.tile(np.diag(p.model.std), (frames, 1, 1))
-        difference = np.array([-1.0, 1.0])
-        return csr_array(
-            vstack(
-                [
-                    by_frame(data.reshape(frames, -1, self.width)),
-                    by_frame(lengths, 0, kron(np.ones((frames, 1)), np.diag(-root))),
-                    by_frame(np.tile(prior, (frames, 1, 1))),
-                    _combine(smooth[:, None] * difference, k) @ by_frame(same),
-                    _weigh(flip) @ _combine(np.tile(difference, (frames - 1, 1)), 9) @ by_frame(camera_rows, k),
-                    _combine(pose, k) @ by_frame(scale),
-                    _combine(turning, 6) @ by_frame(of_m, k),
-                ]
-            )
-        )
+        rows = [
+            by_frame(data.reshape(frames, -1, self.width)),
+            by_frame(lengths, 0, kron(np.ones((frames, 1)), np.diag(-root))),
+            by_frame(np.tile(prior, (frames, 1, 1))),
+        ]
+        for difference in p.differences:
+            weighted = by_frame(np.sqrt(difference.weight)[:, None] * features)
+            rows.append(_combine(difference.factors[: frames - difference.order], k + CAMERA_FEATURES) @ weighted)
+        return csr_array(vstack(rows))
 
     def solve(self, differences: bool = False, **options: Any) -> tuple[State, Progress, int]:
         """Minimise the objective.
@@ -219,12 +201,6 @@ class SparseProblem:
         return self.unpack(found.x)[0], progress, int(found.njev)
 
 
-def _change_velocity(term: PoseAcceleration | CameraAcceleration, values: Array) -> Array:
-    """Return the rows (F - 2, D) whose squares are the term, for values (F, D) of its unknowns."""
-    a, b, c = term.factors[:-2].T[..., None]
-    return np.asarray(a * values[:-2] + b * values[1:-1] + c * values[2:])
-
-
 def _left_jacobian(vector: Array) -> Array:
     """Return J (..., 3, 3) for which exp(v + dv) = exp(J dv) exp(v) to first order."""
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
@@ -242,8 +218,3 @@ def _combine(factors: Array, size: int) -> csr_array:
     shape = (count, count + neighbours - 1)
     by_frame = diags_array(list(factors.T), offsets=list(range(neighbours)), shape=shape)
     return csr_array(kron(by_frame, eye_array(size)))
-
-
-def _weigh(weights: Array) -> dia_array:
-    """Return the diagonal matrix of weights."""
-    return diags_array(weights.ravel())

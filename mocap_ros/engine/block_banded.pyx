@@ -148,7 +148,17 @@ cdef void solve_backward(Factor* f, double* remaining, double* out) noexcept nog
 
 
 cdef class BlockCholesky:
-    """The factor of one matrix, for Python; the joint solver calls the functions above."""
+    """Cholesky factor L of one matrix B, for Python; the joint solver calls the functions above.
+
+    Args:
+        blocks: (F, n, n) blocks on the diagonal; their lower triangles are read.
+        diagonal: (F, D, n) diagonals of the blocks in the rows of frame t + d + 1 and the columns of frame t.
+        corners: (F, D, c, c) what is added to the last c rows and columns of these blocks.
+        is_free: (F,) False for frames that are held; None if none is.
+
+    Raises:
+        LinAlgError: B is not positive definite.
+    """
 
     cdef Factor factor
     cdef double[:, :, ::1] inverse
@@ -171,6 +181,7 @@ cdef class BlockCholesky:
             raise np.linalg.LinAlgError('the matrix is not positive definite')
 
     def solve_lower(self, right):
+        """Return L^-1 times R right-hand sides, (F, n, R); 0 in frames that are held."""
         cdef double[:, :, ::1] remaining = np.array(right, np.float64, order='C')
         out = np.empty(right.shape)
         cdef double[:, :, ::1] view = out
@@ -178,6 +189,7 @@ cdef class BlockCholesky:
         return out
 
     def solve_lower_transposed(self, right):
+        """Return L^-T times one right-hand side, (F, n); 0 in frames that are held."""
         cdef double[:, ::1] remaining = np.array(right, np.float64, order='C')
         out = np.empty(right.shape)
         cdef double[:, ::1] view = out
@@ -185,6 +197,7 @@ cdef class BlockCholesky:
         return out
 
     def log_determinant(self):
+        """Return log det B of the frames that are not held."""
         cdef double total = 0
         cdef int t, i
         for t in range(self.factor.frames):

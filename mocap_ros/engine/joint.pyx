@@ -179,7 +179,20 @@ cdef void differentiate_features(Frame* f, double* out) noexcept nogil:
 
 
 cdef class JointProblem:
-    """The objectives of P sequences with N frames in all, a point, and what Levenberg-Marquardt needs."""
+    """The objectives of P sequences with N frames in all, a point, and what Levenberg-Marquardt needs.
+
+    The arguments are C-contiguous arrays, those of `solvers.joint.objective.JointObjective` and its batch, with the T
+    differences as `orders` (T,), `factors` (T, N, 3) and `feature_weight` (T, K + 13).
+
+    Attributes:
+        diagonal: (N, n, n) blocks of the normal equations; only their lower triangles are written.
+        gradient: (N, n) half the gradient.
+        bone_vectors: (N, n, B) G.
+        coupling: (N, D, n) diagonals of the blocks in the rows of frame t + d + 1 and the columns of frame t.
+        corners: (N, D, 4, 4) what is added to these in the rows and columns of the cameras.
+        cost, damping, iterations, status, is_done: (P,) objective in m^2, damping of the next step, number of steps
+            that were tried, `SolverStatus`, and whether a sequence steps no more.
+    """
 
     cdef readonly int sequences, frames, joints, bones_count, components, unknowns, distances
     cdef const long long[::1] starts, counts, earlier_frames, parents, children
@@ -698,6 +711,7 @@ cdef class JointProblem:
         )
 
     def estimate_noise(self):
+        """Return the image noise (P,) m of a coordinate of a point of weight 1, from the residuals."""
         cdef int p
         noise = np.empty(self.sequences)
         cdef double[::1] out = noise
@@ -707,6 +721,10 @@ cdef class JointProblem:
         return noise
 
     def measure_joint_std(self):
+        """Return the posterior standard deviations (P, J) m of the last joints about the body's origin.
+
+        They are roots of the traces of their covariances; NaN where no step could be computed.
+        """
         cdef int p, j, i, n = self.unknowns, K = self.components
         cdef double scale, pose[3]
         cdef Joint unit = Joint(1, 1, 0, 0, 1)
@@ -732,6 +750,12 @@ cdef class JointProblem:
     # What Python calls
 
     def start(self, theta, rotation, log_scale, translation, int settle_steps=0, bint at_reference=False):
+        """Set the point: theta (N, K), rotation (N, 3, 3), log_scale (N,), translation (N, 2).
+
+        Args:
+            settle_steps: number of steps of the robust fit by which the translations settle.
+            at_reference: whether they settle under the robust scale of the reference noise.
+        """
         cdef int p, i, K = self.components, first = K + FEATURES
         cdef double c
         self.point[:, :K], self.point[:, first : first + 9] = theta, np.reshape(rotation, (-1, 9))
@@ -743,6 +767,7 @@ cdef class JointProblem:
                     self.costs[p] = self.measure(p, &self.current[0, 0], c if settle_steps > 0 else 0)
 
     def begin(self, double damping):
+        """Set the damping of the first step of all sequences, and compute the normal equations."""
         cdef int p
         for p in range(self.sequences):
             self.dampings[p], self.tried[p], self.ends[p] = damping, 0, MAX_ITERATIONS
@@ -750,6 +775,7 @@ cdef class JointProblem:
         self.update_equations()
 
     def update_equations(self):
+        """Compute the normal equations of the sequences that have moved and are not done."""
         cdef int p
         with nogil:
             for p in range(self.sequences):
@@ -757,6 +783,10 @@ cdef class JointProblem:
                     self.linearise(p)
 
     def try_steps(self, double tolerance):
+        """Try a step of each sequence; return how many were taken, and how many sequences are not done.
+
+        A step that lowers an objective by no more than a share `tolerance` of it is the last of its sequence.
+        """
         cdef int p, taken = 0, remaining = 0
         with nogil:
             for p in range(self.sequences):

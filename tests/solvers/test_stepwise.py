@@ -78,8 +78,10 @@ def test_each_piece_has_one_step_at_most(walk_model: BasePoses, monkeypatch: pyt
         steps.append(1)
         return solve_step(equations, damping)
 
-    def count_and_try(problem: Problem, *args: object) -> Stepwise[list[np.ndarray]]:
-        return minimise_stepwise(CountedProblem(problem, steps), *args)
+    def count_and_try(
+        problem: Problem, max_iterations: int, tolerance: float, damping: float
+    ) -> Stepwise[list[np.ndarray]]:
+        return minimise_stepwise(CountedProblem(problem, steps), max_iterations, tolerance, damping)
 
     monkeypatch.setattr(PeriodicEquations, 'solve_step', count_and_solve)
     monkeypatch.setattr(joint.solver, 'minimise_stepwise', count_and_try)

@@ -14,14 +14,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from mocap_ros.solvers.joint.problem import JointProblem
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.joint.noise_annealing import COLD_DAMPING
 from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.joint.solver import make_reconstruction
-from mocap_ros.solvers.levenberg_marquardt import minimise
+from mocap_ros.solvers.levenberg_marquardt import minimise_stepwise
+from mocap_ros.solvers.stepwise import run_to_end
 from mocap_ros.solvers.window import Reconstruction, SolverStatus, Window, choose_initial_values
 
 
@@ -30,18 +31,16 @@ def solve_with_relative_bones(window: Window, model: BasePoses, config: SolverCo
     model = model.truncate(config.components)
     start, unit = choose_initial_values(window, model, config.start_window)
     units = np.array([unit])
-    objective = use_relative_bones(JointObjective.build([window], units, model, config))
-    fit = objective.with_optimal_translation(objective.initial_state([start], units))
-    fit = objective.with_optimal_translation(fit.state)
-    descent = minimise(JointProblem(objective), fit, config.max_iterations, config.tolerance, COLD_DAMPING)
-    history = [float(cost[0]) for cost in descent.history]
-    status, iterations = SolverStatus(descent.status[0]), int(descent.iterations[0])
-    return make_reconstruction(window, unit, descent.point, status, history, iterations)
+    batch = Batch.build([window], units, model)
+    objective = use_relative_bones(JointObjective.build(batch, model, config))
+    problem = objective.compile(batch.initial_state([start], units), settle_steps=2)
+    descent = minimise_stepwise(problem, config.max_iterations, config.tolerance, COLD_DAMPING)
+    history = [float(cost[0]) for cost in run_to_end(descent)]
+    status, iterations = SolverStatus(problem.status[0]), int(problem.iterations[0])
+    return make_reconstruction(problem, batch, window, unit, status, history, iterations)
 
 
 def use_relative_bones(objective: JointObjective) -> JointObjective:
     """Return the objective with the weight of each bone divided by the square of its relative length."""
     lengths = objective.model.skeleton.bone_lengths(objective.model.mean)
-    bones = replace(objective.bones, weight=objective.bones.weight * (lengths.mean() / lengths) ** 2)
-    terms = tuple(bones if term is objective.bones else term for term in objective.terms)
-    return replace(objective, bones=bones, terms=terms)
+    return replace(objective, bone_weight=objective.bone_weight * (lengths.mean() / lengths) ** 2)

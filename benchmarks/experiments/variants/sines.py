@@ -16,13 +16,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from mocap_ros.solvers.periodic.coefficient_prior import HEADING_STD, CoefficientPrior
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint
-from mocap_ros.solvers.joint.solver import make_reconstruction
 from mocap_ros.solvers.periodic.fourier import (
     MAX_FREQUENCY_STEP,
     FourierSeries,
@@ -30,7 +28,7 @@ from mocap_ros.solvers.periodic.fourier import (
     fit_with_ridge,
     list_scanned_frequencies,
 )
-from mocap_ros.solvers.periodic.objective import PeriodicObjective
+from mocap_ros.solvers.periodic.objective import HEADING_STD, PeriodicObjective
 from mocap_ros.solvers.periodic.solver import (
     MAX_INITIAL_ITERATIONS,
     MIN_NOISE_FOR_HYPOTHESES,
@@ -134,14 +132,14 @@ def _solve_window(window: Window, model: BasePoses, config: SolverConfig) -> Rec
         search = run_to_end(select_most_likely([search, still]))
     run_to_end(search.run(config.tolerance))
     iterations = config.max_iterations - search.remaining_trials
-    return make_reconstruction(window, unit, search.point.fit, search.status, search.history, iterations)
+    return search.make_reconstruction(window, unit, iterations)
 
 
 def build_objective(window: Window, unit: float, model: BasePoses, config: SolverConfig) -> PeriodicObjective:
     """Return the objective of a window, with one prior for both coefficients of a function; `unit` in px/m."""
     objective = PeriodicObjective.build(window, unit, model, config)
     precision = config.prior_weight * config.periodic_prior_factor / np.append(model.std, HEADING_STD) ** 2
-    return objective.with_term(CoefficientPrior(np.tile(precision, (2, 1))))
+    return replace(objective, prior=np.tile(precision, (2, 1)))
 
 
 def fit_initial_sines(theta: Array, times: Array) -> SineSeries:

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
-from mocap_ros.engine.joint import JointProblem
+from mocap_ros.engine import joint as engine
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.joint.batch import Batch, State
 from mocap_ros.solvers.joint.objective import JointObjective, measure_activities, read_state
@@ -55,7 +55,7 @@ class Annealed(NamedTuple):
         iterations: (P,) number of steps of each sequence.
     """
 
-    problem: JointProblem
+    problem: engine.JointProblem
     iterations: NDArray[np.int64]
 
 
@@ -78,7 +78,7 @@ def anneal_stepwise(
     """
     noise, is_unknown = get_given_noise(windows, config), np.array([w.noise is None for w in windows])
 
-    def update_noise(problem: JointProblem, least: float) -> Array:
+    def update_noise(problem: engine.JointProblem, least: float) -> Array:
         estimate = np.maximum(problem.estimate_noise(), max(least, config.noise_floor))
         return np.where(is_unknown, estimate, noise)
 

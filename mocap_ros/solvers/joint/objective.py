@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
-from mocap_ros.engine.joint import JointProblem
+from mocap_ros.engine import joint as engine
 from mocap_ros.models.base_poses import BasePoses, arrange_model
 from mocap_ros.solvers.joint.batch import Batch, State
 from mocap_ros.solvers.joint.differences import (
@@ -138,7 +138,7 @@ class JointObjective:
 
     def compile(
         self, state: State | None = None, settle_steps: int = 0, *, at_reference: bool = False
-    ) -> JointProblem:
+    ) -> engine.JointProblem:
         """Return the objective as a problem of the compiled solver.
 
         Args:
@@ -150,7 +150,7 @@ class JointObjective:
         factors = np.zeros((len(self.differences), len(batch.times), 3))
         for own, difference in zip(factors, self.differences, strict=True):
             own[:, : difference.order + 1] = difference.factors
-        problem = JointProblem(
+        problem = engine.JointProblem(
             starts=batch.starts,
             counts=batch.counts,
             is_free=batch.is_free,
@@ -181,7 +181,7 @@ class JointObjective:
         return problem
 
 
-def read_state(problem: JointProblem) -> State:
+def read_state(problem: engine.JointProblem) -> State:
     """Return the unknowns at the current point of a problem."""
     return State(*(problem.read(name) for name in State._fields))
 

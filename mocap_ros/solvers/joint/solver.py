@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
-from mocap_ros.engine.joint import JointProblem
+from mocap_ros.engine import joint as engine
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.joint.batch import Batch, State
@@ -181,7 +181,7 @@ class PointValues(NamedTuple):
     residual: Array
 
     @staticmethod
-    def read(problem: JointProblem, batch: Batch, units: Array) -> PointValues:
+    def read(problem: engine.JointProblem, batch: Batch, units: Array) -> PointValues:
         """Return the values; units (P,) px/m, by which the image points were divided."""
         state, per_frame = read_state(problem), batch.repeat_per_frame(units)
         scale, seen = np.exp(state.log_scale), batch.score > 0
@@ -197,7 +197,7 @@ class PointValues(NamedTuple):
 
 
 def make_reconstructions(
-    problem: JointProblem,
+    problem: engine.JointProblem,
     batch: Batch,
     windows: Sequence[Window],
     units: Array,
@@ -228,7 +228,7 @@ def make_reconstructions(
 
 
 def make_reconstruction(
-    problem: JointProblem,
+    problem: engine.JointProblem,
     batch: Batch,
     window: Window,
     unit: float,

@@ -49,8 +49,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, lapack
 
-from mocap_ros.engine.block_banded import BlockCholesky
-from mocap_ros.engine.joint import JointProblem
+from mocap_ros.engine import block_banded
+from mocap_ros.engine import joint as engine
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
 from mocap_ros.solvers.periodic.fourier import SeriesJacobian
 
@@ -94,7 +94,7 @@ class FrameEquations(NamedTuple):
     bones: Array
 
     @staticmethod
-    def insert_heading(body: JointProblem, vertical: Array) -> FrameEquations:
+    def insert_heading(body: engine.JointProblem, vertical: Array) -> FrameEquations:
         """Return the equations with the heading as function K + 1.
 
         Args:
@@ -155,7 +155,7 @@ class PeriodicEquations:
     camera_gradient: Array
 
     @staticmethod
-    def begin(body: JointProblem, vertical: Array, jacobian: SeriesJacobian) -> PeriodicEquations:
+    def begin(body: engine.JointProblem, vertical: Array, jacobian: SeriesJacobian) -> PeriodicEquations:
         """Return the equations of the body, to which no other term has added yet.
 
         Args:
@@ -215,10 +215,10 @@ class PeriodicEquations:
         except LinAlgError:
             return np.inf
 
-    def _factorise_cameras(self, blocks: Array) -> BlockCholesky:
+    def _factorise_cameras(self, blocks: Array) -> block_banded.BlockCholesky:
         """Return the factor of a camera matrix with these diagonal blocks."""
         none = np.zeros((len(blocks), COUPLED_FRAMES, CAMERA_UNKNOWNS))
-        return BlockCholesky(blocks, none, self.camera_coupling)
+        return block_banded.BlockCholesky(blocks, none, self.camera_coupling)
 
     def solve_step(self, damping: float) -> Step | None:
         """Solve for a Levenberg-Marquardt step by the elimination at the head of this module.

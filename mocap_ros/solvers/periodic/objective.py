@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
-from mocap_ros.engine.joint import JointProblem
+from mocap_ros.engine import joint as engine
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, fill_camera_jacobian, fill_rotation_jacobian
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.models.base_poses import BasePoses
@@ -85,7 +85,7 @@ class PeriodicObjective:
 
     body: JointObjective
     prior: Array
-    movement: tuple[FiniteDifference, FiniteDifference]
+    movement: tuple[FiniteDifference, ...]
     level_weight: float
 
     @staticmethod
@@ -115,7 +115,7 @@ class PeriodicObjective:
         return replace(self, movement=movement)
 
     @cached_property
-    def problem(self) -> JointProblem:
+    def problem(self) -> engine.JointProblem:
         """The terms of the body."""
         return self.body.compile()
 
@@ -182,7 +182,7 @@ class PeriodicObjective:
 
 def weigh_movement(
     batch: Batch, velocity_weight: float, acceleration_weight: float
-) -> tuple[FiniteDifference, FiniteDifference]:
+) -> tuple[FiniteDifference, ...]:
     """Return the terms of velocity and acceleration with the weights gamma (m^2 s) and kappa (m^2 s^3)."""
     root = np.sqrt(velocity_weight * invert_time_steps(batch))
     change = np.sqrt(acceleration_weight) * weigh_velocity_change(batch)

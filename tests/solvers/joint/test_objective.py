@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from mocap_ros.config import SolverConfig
-from mocap_ros.engine.joint import JointProblem
+from mocap_ros.engine import joint as engine
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.joint.batch import Batch, State
@@ -83,7 +83,7 @@ def make_objective(
     return objective, read_state(objective.compile(state, 100))
 
 
-def linearise(objective: JointObjective, state: State) -> JointProblem:
+def linearise(objective: JointObjective, state: State) -> engine.JointProblem:
     """Return the problem at a state, with its normal equations."""
     problem = objective.compile(state)
     problem.begin(0.1)
@@ -118,7 +118,7 @@ def test_what_is_measured_is_what_the_reference_measures(walk_model: BasePoses, 
     np.testing.assert_allclose(problem.read('features'), expected.features[:, COMPONENTS:], atol=1e-12)
 
 
-def make_dense(problem: JointProblem, batch: Batch) -> np.ndarray:
+def make_dense(problem: engine.JointProblem, batch: Batch) -> np.ndarray:
     """Return the matrix (N n, N n) of the normal equations."""
     frames, n = problem.gradient.shape
     matrix = np.zeros((frames, n, frames, n))
