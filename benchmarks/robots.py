@@ -37,7 +37,7 @@ from mocap_ros.bridges.capsules import arrange_body_parts, compute_capsules
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import Config, NodeConfig, with_values
 from mocap_ros.messages.cdr import Header
-from mocap_ros.messages.predictions import PredictedFrame
+from mocap_ros.messages.skeletons import PredictedFrame
 from mocap_ros.models.joint_std import compute_joint_covariance
 from mocap_ros.people import HIPS, Person3D
 from mocap_ros.runtime.outputs import SWITCHED_OUTPUTS, OutputEncoder

@@ -25,11 +25,10 @@ from rosbags.rosbag2.storage_mcap import get_msgdef
 
 from mocap_ros.bags.mcap_scan import MAGIC, PARSE_ERRORS, read_summary
 from mocap_ros.bags.rosbag2 import METADATA
-from mocap_ros.errors import InputError, describe_parse_error, name_errors
+from mocap_ros.errors import MALFORMED, InputError, describe_parse_error, name_errors
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import typestore
-from mocap_ros.messages.recorded_types import load_recorded_types
-from mocap_ros.messages.versions import Convert, convert_or_keep, make_converter
+from mocap_ros.messages.versions import Convert, convert_or_keep, load_recorded_types, make_converter
 from mocap_ros.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -199,10 +198,11 @@ class Bag:
         try:
             store = load_recorded_types(definition.data, msgtype, is_idl=is_idl)
             store.generate_msgdef(msgtype)
+            recorded_hash = store.hash_rihs01(msgtype)
         except Exception as error:  # the parser may raise anything for damaged text
-            reason = ' '.join(str(error).split())
+            reason = describe_parse_error(error)
             raise InputError(f'{fault}, and its definition cannot be parsed: {reason}') from None
-        if not is_ros1 and store.hash_rihs01(msgtype) == own_hash:
+        if not is_ros1 and recorded_hash == own_hash:
             return bytes
         convert = make_converter(store, typestore(), msgtype, is_ros1=is_ros1)
         if not is_ros1:
@@ -218,7 +218,10 @@ class Bag:
         """Return the error that reports why the bag cannot be read."""
         if isinstance(error, OSError) and error.strerror:
             return InputError(f'{self.path}: {error.strerror}')
-        fault = f'the bag cannot be read: {describe_error(error)}'
+        reason = describe_error(error)
+        if self.path.is_dir() and isinstance(error.__cause__ or error, MALFORMED):
+            reason = f'{METADATA} does not have the form of rosbag2'
+        fault = f'the bag cannot be read: {reason}'
         files = [f for f in list_bag_files(self.path) or [self.path] if f.is_file()]
         is_repairable = self._is_ros1 or any(f.suffix == '.db3' or _is_mcap(f) for f in files)
         return InputError(self._advise(fault) if files and is_repairable else f'{self.path}: {fault}')

@@ -20,8 +20,7 @@ from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.cdr import Header, read_stamp
 from mocap_ros.messages.markers import PersonNumbers
 from mocap_ros.messages.plain import decode_plain
-from mocap_ros.messages.predictions import PREDICTIONS
-from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS
 from mocap_ros.messages.transforms import compute_links
 from mocap_ros.skeleton import CMU15, CORE_COUNT, Skeleton, keypoint_layout
 

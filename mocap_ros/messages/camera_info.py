@@ -50,30 +50,15 @@ class CameraInfo:
 
 
 def check_image_size(frame: KeypointsFrame, camera: CameraInfo) -> None:
-    """Check that an image can come from this camera.
-
-    Raises:
-        InputError: the image and the CameraInfo both give a size, and the sizes differ.
-    """
+    """Raise InputError if an image and a CameraInfo both give a size, and the sizes differ."""
     frame_size = frame.image_width, frame.image_height
     if all(frame_size) and all(camera.size) and frame_size != camera.size:
-        raise InputError(
-            'image_width, image_height: {} x {} px, but CameraInfo is for {} x {} px'.format(
-                *frame_size, *camera.size
-            )
-        )
+        own, stated = (f'{width} x {height} px' for width, height in (frame_size, camera.size))
+        raise InputError(f'image_width, image_height: {own}, but CameraInfo is for {stated}')
 
 
 def encode_camera_info(header: Header, camera: CameraInfo) -> bytes:
-    """Encode the image size and the intrinsics of a camera as a sensor_msgs/CameraInfo.
-
-    Args:
-        header: stamp of the image and name of the camera's optical frame.
-        camera: the camera, whose whole image is sent as it is.
-
-    Returns:
-        CDR bytes, of which `decode_camera_info` gives the same camera.
-    """
+    """Encode a camera, whose whole image is sent as it is, so that `decode_camera_info` gives the same."""
     (fx, fy), (cx, cy) = camera.intrinsics.focal_lengths, camera.intrinsics.center
     distortion = camera.intrinsics.distortion
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
@@ -127,12 +112,7 @@ def check_coefficients(distortion: Distortion, name: str) -> None:
 
 
 def _select_region(message: Any, matrix: Array) -> tuple[ImageSize, Array]:
-    """Return the size in px and the camera matrix (3, 3) of the image that the camera sends.
-
-    Args:
-        message: the CameraInfo.
-        matrix: (3, 3) camera matrix of the full resolution in px.
-    """
+    """Return the size and, of that of the full resolution, the camera matrix (3, 3) of what is sent, in px."""
     region = message.roi
     binning = np.maximum([message.binning_x, message.binning_y], 1)
     full = message.width, message.height

@@ -5,7 +5,7 @@
 
 Besides mocap_ros_msgs/Keypoints2DArray they are yolo_msgs/DetectionArray, published by yolo_ros,
 zed_msgs/ObjectsStamped, published by the ZED wrapper, and openpose_ros2_msgs/PoseKeyPointsList of openpose_ros2.
-ROS4HRI is not among them: it sends a message for each person (`foreign.hri`).
+ROS4HRI (REP-155) publishes the ids of all tracked bodies on one topic, and each body on a topic of its own.
 """
 
 from __future__ import annotations
@@ -19,8 +19,14 @@ from mocap_ros.copying import copy_as_float64
 from mocap_ros.errors import InputError
 from mocap_ros.keypoints.image_size import ImageSize
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.cdr import decode_input, validate_header, validate_text
-from mocap_ros.messages.foreign.definitions import OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS
+from mocap_ros.messages.cdr import Header, decode_input, validate_header, validate_text
+from mocap_ros.messages.foreign.definitions import (
+    HRI_IDS,
+    HRI_SKELETON,
+    OPENPOSE_POSES,
+    YOLO_DETECTIONS,
+    ZED_OBJECTS,
+)
 from mocap_ros.messages.keypoints import (
     KEYPOINTS,
     KeypointsFrame,
@@ -32,6 +38,7 @@ from mocap_ros.skeleton import keypoint_layout
 
 KEYPOINT_TYPES = (KEYPOINTS, YOLO_DETECTIONS, ZED_OBJECTS, OPENPOSE_POSES)
 
+HRI18 = keypoint_layout('hri18').joints  # joints in the order of hri_msgs/Skeleton2D
 COCO17 = keypoint_layout('coco17').joints  # keypoint n of yolo_ros (n = 1 to 17) is joint n - 1 of this layout
 # The joints of each layout that OpenPose publishes, by the number of keypoints, which identifies the layout.
 OPENPOSE_JOINTS = {
@@ -59,7 +66,7 @@ def decode_frame(raw: bytes, msgtype: str, limits: NodeConfig, size: ImageSize) 
     Args:
         raw: CDR bytes.
         msgtype: one of `KEYPOINT_TYPES`.
-        limits: the parameters that limit the number of people, the number of joints and the length of texts.
+        limits: parameters that limit the number of people and joints and the length of texts.
         size: (width, height) of the image in px, (0, 0) where unknown; a Keypoints2DArray gives its own.
 
     Raises:
@@ -135,3 +142,36 @@ _READERS = {
     ZED_OBJECTS: ('objects', _read_zed),
     OPENPOSE_POSES: ('pose_key_points_list', _read_openpose),
 }
+
+
+def decode_body(raw: bytes, body_id: str, size: ImageSize, limits: NodeConfig) -> tuple[Header, Person2D]:
+    """Decode a Skeleton2D: the header of the image, and the person.
+
+    The normalised coordinates are multiplied by the size of the image. The id is that in the name of the topic.
+
+    Raises:
+        InputError: the message is not valid, or the size of the image is unknown; the error names the field.
+    """
+    message = decode_input(raw, HRI_SKELETON)
+    header = validate_header(message.header, limits)
+    if not all(size):
+        raise InputError(
+            'skeleton: coordinates are normalised, and the size of the image is unknown: neither CameraInfo nor '
+            'the parameters node.image_width and node.image_height give it'
+        )
+    numbers = np.array([(p.x, p.y, p.c) for p in message.skeleton], np.float64)
+    person_id = validate_text(body_id, 'id', limits)
+    return header, validate_person(person_id, HRI18, numbers[:, :2] * size, numbers[:, 2], 0, 'skeleton')
+
+
+def decode_ids(raw: bytes, limits: NodeConfig) -> tuple[Header, tuple[str, ...]]:
+    """Decode an IdsList: the header of the image, and the ids of all bodies that are tracked in it.
+
+    Raises:
+        InputError: the message is not valid, there are too many ids, or an id is too long.
+    """
+    message = decode_input(raw, HRI_IDS)
+    if len(message.ids) > limits.max_people:
+        raise InputError(f'ids: {len(message.ids)}, more than {limits.max_people}')
+    ids = tuple(validate_text(i, 'ids', limits) for i in message.ids)
+    return validate_header(message.header, limits), ids

@@ -30,14 +30,7 @@ KEYPOINTS = MOCAP_ROS_MSGS + 'Keypoints2DArray'
 
 @dataclass(frozen=True, eq=False)
 class KeypointsFrame:
-    """The keypoints of all people detected in one image.
-
-    Attributes:
-        header: time and frame of the image.
-        image_width: width of the image in px, 0 where unknown.
-        image_height: height of the image in px, 0 where unknown.
-        people: the people in the order of the message.
-    """
+    """The people in one image, in the order of the message, and its width and height in px, 0 where unknown."""
 
     header: Header
     image_width: int
@@ -47,10 +40,6 @@ class KeypointsFrame:
 
 def decode_keypoints(raw: bytes, limits: NodeConfig) -> KeypointsFrame:
     """Decode and validate a Keypoints2DArray.
-
-    Args:
-        raw: CDR bytes.
-        limits: the parameters that limit the number of people, the number of joints and the length of texts.
 
     Raises:
         InputError: the message is not valid; the error names the field, and the person if the fault is in one.
@@ -64,13 +53,7 @@ def decode_keypoints(raw: bytes, limits: NodeConfig) -> KeypointsFrame:
 def read_people(
     field: str, entries: Sequence[Any], read_person: Callable[[Any], Person2D | None], limits: NodeConfig
 ) -> tuple[Person2D, ...]:
-    """Read the people of a message of any type.
-
-    Args:
-        field: name of the field that lists them.
-        entries: its content.
-        read_person: function that reads and validates an entry; it returns None where the entry is not a person.
-        limits: the parameters that limit the number of people.
+    """Read the entries of the field that lists people; `read_person` returns None where an entry is no person.
 
     Raises:
         InputError: there are too many people, one is not valid, or an id occurs twice; the error names the field.
@@ -90,11 +73,7 @@ def read_people(
 
 
 def check_ids(field: str, people: Sequence[Person2D]) -> None:
-    """Check that no two people have the same id; empty ids may repeat.
-
-    Raises:
-        InputError: an id occurs twice; the error names the field and the id.
-    """
+    """Raise InputError, which names the field and the id, if two people have the same id that is not empty."""
     ids = [p.id for p in people if p.id]
     if len(set(ids)) != len(ids):
         raise InputError(f'{field}: id {max(ids, key=ids.count)!r} twice')
@@ -163,39 +142,21 @@ def _read_joint_names(person: Any, count: int, limits: NodeConfig) -> tuple[str,
 
 @lru_cache(maxsize=len(LAYOUT_NAMES))
 def _find_layout_joints(layout_name: str) -> tuple[str, ...]:
-    """Return the joint names of a layout that has enough of the model's joints.
-
-    Raises:
-        SkeletonError: there is no such layout.
-    """
+    """Return the joint names of a layout; SkeletonError if it is unknown or lacks joints of the model."""
     joints = keypoint_layout(layout_name).joints
     build_joint_map(joints)
     return joints
 
 
 def encode_keypoints(header: Header, image_size: tuple[int, int], people: Sequence[Person2D]) -> bytes:
-    """Encode people as a Keypoints2DArray.
+    """Encode people in an image of a size (width, height) in px as a Keypoints2DArray.
 
-    Args:
-        header: time and frame of the image.
-        image_size: (width, height) in px.
-        people: the people in the image. If the joints of a person are those of a layout, the message holds the
-            layout's name, else it holds the joint names.
+    Joints that are those of a layout are given by its name, others by their names.
     """
-    width, height = image_size
-    entries = [_list_fields(person) for person in people]
-    message = {'header': header, 'image_width': width, 'image_height': height, 'people': entries}
+    entries = []
+    for person in people:
+        layout_name = next((n for n in LAYOUT_NAMES if keypoint_layout(n).joints == person.joints), '')
+        names = () if layout_name else person.joints
+        entries.append((person.id, layout_name, names, *person.points.T, person.score))
+    message = {'header': header, 'image_width': image_size[0], 'image_height': image_size[1], 'people': entries}
     return encode_plain(message, KEYPOINTS)
-
-
-def _list_fields(person: Person2D) -> dict[str, Any]:
-    """Return the fields of a Keypoints2D."""
-    layout_name = next((n for n in LAYOUT_NAMES if keypoint_layout(n).joints == person.joints), '')
-    return {
-        'id': person.id,
-        'skeleton': layout_name,
-        'joint_names': () if layout_name else person.joints,
-        'x': person.points[:, 0],
-        'y': person.points[:, 1],
-        'score': person.score,
-    }

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""visualization_msgs/MarkerArray: people, and where they will be, for RViz and Foxglove.
+"""Messages for viewers: people, and where they will be, as visualization_msgs/MarkerArray, and as PointCloud2.
 
 Each person has one SPHERE_LIST of joints (namespace `joints`) and one LINE_LIST of bones (namespace `bones`),
 because a marker for each joint would cost ten times as much. Inferred joints, and bones that end in one, are pale
@@ -27,6 +27,7 @@ from mocap_ros.people import Person3D
 from mocap_ros.units import NS_PER_S
 
 MARKERS = 'visualization_msgs/msg/MarkerArray'
+POINTS = 'sensor_msgs/msg/PointCloud2'
 
 CYLINDER, LINE_LIST, SPHERE_LIST = 3, 5, 7  # values of visualization_msgs/Marker.type
 ADD, DELETE, DELETE_ALL = 0, 2, 3  # values of visualization_msgs/Marker.action
@@ -40,16 +41,20 @@ BONE_SCALE_M = (0.025, 0.0, 0.0)  # width of the lines, chosen for the look; vie
 
 LIFETIME_S = 0.5  # s; after which a viewer removes the markers of a bridge by itself
 
+DATATYPES = {'<f4': 7, '<u2': 4, '|u1': 2}  # sensor_msgs/PointField.datatype by NumPy's name of the type
+POINT_DTYPE = np.dtype(
+    {
+        'names': ['x', 'y', 'z', 'std', 'person', 'joint', 'inferred'],
+        'formats': ['<f4', '<f4', '<f4', '<f4', '<u2', 'u1', 'u1'],
+    }
+)
+_FIELDS = [(name, (dtype, offset)) for name, (dtype, offset, *_) in (POINT_DTYPE.fields or {}).items()]
+
 Colors = NDArray[np.float32]  # (..., 4) red, green, blue and alpha in [0, 1]
 
 
 class MarkerStyle(NamedTuple):
-    """How something is coloured.
-
-    Attributes:
-        saturation: saturation of the colour in [0, 1].
-        opacity: alpha of the colour in [0, 1].
-    """
+    """Saturation and alpha of a colour in [0, 1]."""
 
     saturation: float
     opacity: float
@@ -88,13 +93,7 @@ class Marker(NamedTuple):
 
 
 def encode_markers(header: Header, markers: Sequence[Marker], lifetime_s: float = 0.0) -> bytes:
-    """Encode a MarkerArray.
-
-    Args:
-        header: of all markers.
-        markers: the markers.
-        lifetime_s: s after which a viewer removes those that are shown by itself, 0 for never.
-    """
+    """Encode a MarkerArray; a viewer removes what it shows after a lifetime in s by itself, 0 for never."""
     lifetime = divmod(round(lifetime_s * NS_PER_S), NS_PER_S)
     message = [
         {
@@ -155,13 +154,7 @@ class MarkerEncoder:
         self._shown: list[Marker] = []
 
     def encode_update(self, header: Header, people: Sequence[Person3D], lifetime_s: float) -> bytes:
-        """Encode a MarkerArray that shows these people and deletes the markers of all others.
-
-        Args:
-            header: time and frame of the image.
-            people: all people in the image.
-            lifetime_s: s after which a viewer removes the markers by itself, 0 for never.
-        """
+        """Encode a MarkerArray that shows these people, for `encode_markers`, and deletes those of all others."""
         self._numbers.keep([p.id for p in people])
         before, self._shown = self._shown, [m for p in people for m in draw_person(p, self._numbers.find(p.id))]
         return show_markers(header, self._shown, before, lifetime_s)
@@ -192,3 +185,31 @@ def choose_color(number: int, style: MarkerStyle) -> Colors:
     """Return the colour (4,) of a person in a style; neighbouring numbers get very different hues."""
     hue = (FIRST_HUE + number * GOLDEN_RATIO) % 1
     return np.array([*colorsys.hsv_to_rgb(hue, style.saturation, BRIGHTNESS), style.opacity], np.float32)
+
+
+def encode_points(header: Header, people: Sequence[Person3D]) -> bytes:
+    """Encode the joints of all people as an unordered PointCloud2 (height 1), for viewers that show no markers.
+
+    The fields of a point are
+    - `x`, `y`, `z`: position in m,
+    - `std`: standard deviation of the position in m,
+    - `person`: index of the person in the Skeleton3DArray,
+    - `joint`: index of the joint in the SkeletonDefinition,
+    - `inferred`: 1 where the joint was not seen and the model inferred it, else 0.
+    """
+    cloud = np.zeros((len(people), len(people[0].joints) if people else 0), POINT_DTYPE)
+    for index, (row, person) in enumerate(zip(cloud, people, strict=True)):
+        row['x'], row['y'], row['z'] = person.joints.T
+        row['std'], row['inferred'] = person.std, person.inferred
+        row['person'], row['joint'] = index, np.arange(len(row))
+    message = {
+        'header': header,
+        'height': 1,
+        'width': cloud.size,
+        'fields': [(name, offset, DATATYPES[dtype.str], 1) for name, (dtype, offset) in _FIELDS],
+        'point_step': POINT_DTYPE.itemsize,
+        'row_step': POINT_DTYPE.itemsize * cloud.size,
+        'data': np.frombuffer(cloud.tobytes(), np.uint8),
+        'is_dense': True,
+    }
+    return encode_plain(message, POINTS)

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""mocap_ros_msgs/Skeleton3DArray, SkeletonDefinition and WeakPerspectiveCameraArray: the people in 3D.
+"""mocap_ros_msgs/Skeleton3DArray, SkeletonDefinition, WeakPerspectiveCameraArray and Predictions: people in 3D.
 
 A point X of the body frame is imaged at x = s (R X)_xy + t = M [X; 1], where s is the scale, R the rotation,
 t the translation and M = [s R_xy | t] the 2x4 camera matrix (Wandt et al., TPAMI 2016, section 3.2).
@@ -17,18 +17,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import InputError, naming
+from mocap_ros.config import Config
+from mocap_ros.errors import ConfigError, InputError, naming
 from mocap_ros.geometry.rigid_transform import SAME_POSE, RigidTransform
 from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Array, Header, read_stamp
 from mocap_ros.messages.plain import decode_plain, encode_plain
-from mocap_ros.people import CameraVertical, Person3D
-from mocap_ros.skeleton import Skeleton, keypoint_layout
+from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
+from mocap_ros.skeleton import CMU15, Skeleton, keypoint_layout
 
 SKELETONS = MOCAP_ROS_MSGS + 'Skeleton3DArray'
 SKELETON_DEFINITION = MOCAP_ROS_MSGS + 'SkeletonDefinition'
 CAMERAS = MOCAP_ROS_MSGS + 'WeakPerspectiveCameraArray'
+PREDICTIONS = MOCAP_ROS_MSGS + 'Predictions'
+MAX_TIME_S = 1.0  # s; so far the motion predictor was trained
+MAX_TIMES = 20  # more than a planner has use for; bounds what a message costs
 
 
 def encode_skeletons(
@@ -39,11 +43,7 @@ def encode_skeletons(
 ) -> bytes:
     """Encode all people in an image as a Skeleton3DArray.
 
-    Args:
-        header: time of the image, and the frame in which the people and the vertical are.
-        people: all people in the image.
-        vertical: what is known of the camera's vertical; None if nothing is.
-        camera: the camera in that frame; None where the frame is the camera's.
+    People and vertical are in the frame of the header; `camera` is None where that is the camera's.
     """
     direction, std = (None, math.nan) if vertical is None else vertical
     placement = camera or CameraPlacement(header.frame_id)
@@ -101,19 +101,15 @@ def encode_cameras(header: Header, people: Sequence[Person3D]) -> bytes:
 
 
 class RecordedPerson(NamedTuple):
-    """What is read of a Skeleton3D.
+    """What is read of a Skeleton3D with J joints: units and shapes are those of the message.
 
     Attributes:
-        id: id of the person.
-        skeleton: names and order of the J joints.
         joints: (J, 3) m, in the camera's optical frame.
         std: (J,) m, standard deviations of the joints; NaN if unknown.
         inferred: (J,) whether a joint was not seen; version 0.1 did not record it.
         residual: px, RMS over the seen joints.
         cadence: Hz; NaN for motions that are not periodic.
         motion: number of the `MotionKind`.
-        predicted: whether the person was not detected in the image.
-        tentative: whether the person was seen too shortly to be sure.
         scale: px/m, of the weak-perspective camera.
         translation: (2,) px, of the weak-perspective camera.
         root_covariance: (3, 3) m^2, in the camera's optical frame; zeros if unknown.
@@ -144,9 +140,6 @@ class RecordedSkeletons(NamedTuple):
 
 def decode_skeletons(raw: bytes) -> RecordedSkeletons:
     """Decode a Skeleton3DArray, with joints, root covariances and vertical in the camera's optical frame.
-
-    Args:
-        raw: CDR bytes.
 
     Raises:
         InputError: the bytes are no Skeleton3DArray, its camera pose is not valid, or a person does not have the
@@ -198,3 +191,44 @@ def encode_skeleton_definition(skeleton: Skeleton) -> bytes:
         'bones': np.ravel(skeleton.bones),
     }
     return encode_plain(message, SKELETON_DEFINITION)
+
+
+class PredictedFrame(NamedTuple):
+    """The people at a time, in s after an image, in the camera's optical frame."""
+
+    ahead: float
+    people: Sequence[PredictedPerson]
+
+
+def read_prediction_times(config: Config) -> tuple[float, ...]:
+    """Return the times in s for which the parameters ask for predictions; none if these are not published.
+
+    Raises:
+        ConfigError: `node.prediction_times` is not some times up to `MAX_TIME_S`, or there is a `tracker.lag`.
+    """
+    if not config.node.publish_predictions:
+        return ()
+    if config.tracker.lag > 0:
+        raise ConfigError(
+            'node.publish_predictions: needs tracker.lag = 0, as an output with a lag is of the past'
+        )
+    text = config.node.prediction_times
+    try:
+        times = tuple(float(word) for word in text.replace(',', ' ').split())
+    except ValueError:
+        times = ()
+    if not 0 < len(times) <= MAX_TIMES or not all(0 < t <= MAX_TIME_S for t in times):
+        raise ConfigError(
+            f'node.prediction_times = {text!r}: expected one to {MAX_TIMES} times in s, above 0 and up to '
+            f'{MAX_TIME_S:g}, separated by blanks or commas, such as 0.2 0.4'
+        )
+    return times
+
+
+def encode_predictions(header: Header, frames: Sequence[PredictedFrame], camera: CameraPlacement) -> bytes:
+    """Encode people at each time after an image as Predictions, in the frame in which `camera` places them."""
+    times = []
+    for ahead, people in frames:
+        placed = camera.place_predicted(people, ahead)
+        times.append((ahead, [(p.id, p.joints, p.std, p.root, p.root_covariance) for p in placed]))
+    return encode_plain((header, CMU15.name, times), PREDICTIONS)

@@ -9,11 +9,13 @@ that only the target has is zero or empty, as is one of another kind; a field th
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from mocap_ros.errors import InputError
@@ -23,18 +25,32 @@ from mocap_ros.messages.cdr import pad
 Convert = Callable[[bytes], bytes]
 
 FieldType = Any  # type of a field as rosbags describes it: (kind, content), where the content depends on the kind
+IDL_HEADING = re.compile(r'^={80}\nIDL: .*\n', re.MULTILINE)  # separates the types in a definition in IDL
+MAX_DEFINITION_CHARACTERS = 50_000  # of a type and those of its fields, parsed in 1 s; ROS has up to 20,000
+
+
+def load_recorded_types(text: str, msgtype: str, *, is_idl: bool) -> Typestore:
+    """Return the message types of a definition, from a bag, of a type and of the types of its fields.
+
+    Raises:
+        InputError: the definition is too long: a program is made of it.
+        Exception: the parser raises almost any exception for damaged text.
+    """
+    if len(text) > MAX_DEFINITION_CHARACTERS:
+        raise InputError(f'{len(text)} characters, more than {MAX_DEFINITION_CHARACTERS}')
+    store = get_typestore(Stores.EMPTY)
+    if is_idl:
+        for part in IDL_HEADING.split(text):
+            store.register(get_types_from_idl(part) if part.strip() else {})
+    else:
+        store.register(get_types_from_msg(text, msgtype))
+    return store
 
 
 def make_converter(source: Typestore, target: Typestore, msgtype: str, *, is_ros1: bool = False) -> Convert:
-    """Return a function that converts messages to CDR of another version of their type.
+    """Return a function that converts messages to CDR of another version of their type, which both stores define.
 
-    It raises InputError for bytes that are no such message.
-
-    Args:
-        source: definitions of the messages that are converted.
-        target: definitions of the converted messages.
-        msgtype: name of the message type, which both define.
-        is_ros1: whether the messages are in the encoding of ROS 1.
+    It raises InputError for bytes that are no such message; with `is_ros1` these are in the encoding of ROS 1.
     """
 
     def convert(raw: bytes) -> bytes:
@@ -64,16 +80,7 @@ def convert_or_keep(convert: Convert) -> Convert:
 
 
 def compare_versions(source: Typestore, target: Typestore, msgtype: str) -> tuple[list[str], list[str]]:
-    """Return the fields that a version of a type does not have, such as `std_msgs/msg/Header.seq`.
-
-    Args:
-        source: definitions that have the fields.
-        target: definitions of the version that may not.
-        msgtype: name of the message type, which both define.
-
-    Returns:
-        The fields that the target lacks, and those that it has as another type.
-    """
+    """Return the fields, such as `std_msgs/msg/Header.seq`, that the target lacks, and those of other types."""
     left_out, changed, types = [], [], [msgtype]
     for name in types:
         target_fields = dict(target.fielddefs[name][1])

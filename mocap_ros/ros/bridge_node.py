@@ -13,8 +13,7 @@ from mocap_ros.bridges.bridge import CONSUMERS, Bridge, check_consumers
 from mocap_ros.bridges.ros4hri import BODIES, DESCRIPTION, TRACKED
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.messages.cdr import OutputMessage
-from mocap_ros.messages.predictions import PREDICTIONS
-from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS
 from mocap_ros.ros.help import BRIDGE_NAME, BRIDGE_PARAMETERS
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.nodes import ManagedNode, declare_fixed_parameters

@@ -16,8 +16,7 @@ from mocap_ros.messages.foreign.definitions import HRI_SKELETON
 from mocap_ros.messages.images import IMAGE, IMAGE_TYPES
 from mocap_ros.messages.input_types import KEYPOINT_TYPES
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.messages.predictions import PREDICTIONS
-from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, SWITCHED_OUTPUTS
 

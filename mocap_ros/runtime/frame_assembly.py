@@ -19,8 +19,7 @@ from mocap_ros.errors import FrameDropped
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import Header
-from mocap_ros.messages.foreign.hri import decode_body, decode_ids
-from mocap_ros.messages.input_types import decode_frame
+from mocap_ros.messages.input_types import decode_body, decode_frame, decode_ids
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.units import NS_PER_S
 

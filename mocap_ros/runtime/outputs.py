@@ -16,14 +16,15 @@ from typing import NamedTuple
 from mocap_ros.config import NodeConfig
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header, OutputMessage
-from mocap_ros.messages.markers import MARKERS, MarkerEncoder
-from mocap_ros.messages.point_cloud import POINTS, encode_points
-from mocap_ros.messages.predictions import PREDICTIONS, PredictedFrame, encode_predictions
+from mocap_ros.messages.markers import MARKERS, POINTS, MarkerEncoder, encode_points
 from mocap_ros.messages.skeletons import (
     CAMERAS,
+    PREDICTIONS,
     SKELETON_DEFINITION,
     SKELETONS,
+    PredictedFrame,
     encode_cameras,
+    encode_predictions,
     encode_skeleton_definition,
     encode_skeletons,
 )

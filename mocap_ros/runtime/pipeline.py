@@ -24,7 +24,7 @@ from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.messages.camera_info import check_image_size, decode_camera_info
 from mocap_ros.messages.cdr import Header, OutputMessage
 from mocap_ros.messages.keypoints import KeypointsFrame
-from mocap_ros.messages.predictions import PredictedFrame, read_prediction_times
+from mocap_ros.messages.skeletons import PredictedFrame, read_prediction_times
 from mocap_ros.messages.transform_tree import TransformTree
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models

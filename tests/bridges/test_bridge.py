@@ -23,8 +23,13 @@ from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header, OutputMessage, decode, encode, typestore
 from mocap_ros.messages.markers import ADD as ADD_MARKER
 from mocap_ros.messages.markers import DELETE
-from mocap_ros.messages.predictions import PREDICTIONS, PredictedFrame, encode_predictions
-from mocap_ros.messages.skeletons import SKELETONS, encode_skeletons
+from mocap_ros.messages.skeletons import (
+    PREDICTIONS,
+    SKELETONS,
+    PredictedFrame,
+    encode_predictions,
+    encode_skeletons,
+)
 from mocap_ros.people import Person3D, PredictedPerson
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton
 from tests.support.people import make_person_3d

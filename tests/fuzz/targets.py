@@ -34,9 +34,8 @@ from mocap_ros.formats.result_file import load_result_file
 from mocap_ros.formats.sequence_file import SEQUENCE_KEYS, load_sequence
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.foreign.definitions import HRI_IDS, HRI_SKELETON
-from mocap_ros.messages.foreign.hri import decode_body, decode_ids
 from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE, decode_image
-from mocap_ros.messages.input_types import KEYPOINT_TYPES, decode_frame
+from mocap_ros.messages.input_types import KEYPOINT_TYPES, decode_body, decode_frame, decode_ids
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
 from mocap_ros.messages.transform_tree import TransformTree
 from mocap_ros.messages.transforms import TRANSFORMS
@@ -288,7 +287,7 @@ _MESSAGES = (
     *('bags.journal', 'keypoints.validation'),
 )
 _NPZ = ('formats.npz_arrays', 'formats.sequence_file', 'formats.result_file', 'npz_file', 'models.model_file')
-_BAGS = ('bags.reader', 'messages.versions', 'messages.recorded_types')
+_BAGS = ('bags.reader', 'messages.versions')
 _RECOVERY = ('bags.recovery', 'bags.mcap_scan')
 TARGETS = {
     'messages': Target(read_message, _MESSAGES),
@@ -301,7 +300,7 @@ TARGETS = {
     'yaml': Target(read_yaml, ('config.yaml_file', 'config.access', 'formats.mocap.joint_maps')),
     'mcap': Target(_make_bag_reader('.mcap'), _BAGS),
     'db3': Target(_make_bag_reader('.db3'), _BAGS),
-    'ros1': Target(_make_bag_reader('.bag'), ('bags.reader', 'messages.versions', 'messages.recorded_types')),
+    'ros1': Target(_make_bag_reader('.bag'), _BAGS),
     'recovery': Target(recover_bag, _RECOVERY),
     'folder': Target(read_bag_folder, _BAGS),
 }

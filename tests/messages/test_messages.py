@@ -21,8 +21,7 @@ from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import Header, decode, encode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
-from mocap_ros.messages.markers import MARKERS, MarkerEncoder
-from mocap_ros.messages.point_cloud import POINT_DTYPE, POINTS, encode_points
+from mocap_ros.messages.markers import MARKERS, POINT_DTYPE, POINTS, MarkerEncoder, encode_points
 from mocap_ros.messages.skeletons import (
     CAMERAS,
     SKELETON_DEFINITION,

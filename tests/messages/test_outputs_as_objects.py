@@ -22,8 +22,7 @@ from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header, decode, encode, typestore
 from mocap_ros.messages.plain import decode_plain
-from mocap_ros.messages.predictions import PredictedFrame
-from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons, encode_skeletons
+from mocap_ros.messages.skeletons import SKELETONS, PredictedFrame, decode_skeletons, encode_skeletons
 from mocap_ros.people import Motion, MotionKind, Person3D, PredictedPerson
 from mocap_ros.runtime.outputs import SWITCHED_OUTPUTS, OutputEncoder
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton

@@ -15,7 +15,7 @@ from mocap_ros.errors import ConfigError
 from mocap_ros.geometry.rigid_transform import parse_camera_pose
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header, decode
-from mocap_ros.messages.predictions import PREDICTIONS, PredictedFrame, encode_predictions, read_prediction_times
+from mocap_ros.messages.skeletons import PREDICTIONS, PredictedFrame, encode_predictions, read_prediction_times
 from mocap_ros.people import PredictedPerson
 from mocap_ros.skeleton import CMU15
 from tests.support.swinging_body import STANDING

@@ -18,8 +18,7 @@ from mocap_ros.errors import ConfigError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.messages.predictions import PREDICTIONS
-from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.camera_infos import camera_info

@@ -26,7 +26,7 @@ from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.messages.point_cloud import POINT_DTYPE, POINTS
+from mocap_ros.messages.markers import POINT_DTYPE, POINTS
 from mocap_ros.messages.skeletons import CAMERAS, SKELETONS
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS
 from mocap_ros.runtime.save_results import save_detections

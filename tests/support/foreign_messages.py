@@ -23,8 +23,7 @@ from mocap_ros.messages.foreign.definitions import (
     YOLO_DETECTIONS,
     ZED_OBJECTS,
 )
-from mocap_ros.messages.foreign.hri import HRI18
-from mocap_ros.messages.input_types import COCO17, ZED38
+from mocap_ros.messages.input_types import COCO17, HRI18, ZED38
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 
