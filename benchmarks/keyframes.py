@@ -35,10 +35,15 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.keyframes.alignment import align_motion
-from mocap_ros.offline.keyframes.body_halves import extract_half_poses, split_into_halves
-from mocap_ros.offline.keyframes.distance import build_averaging_matrix, compute_distances, denoise_distances
-from mocap_ros.offline.keyframes.gradient_fit import fit_motion
-from mocap_ros.offline.keyframes.selection import find_interpolatable, select_keyframes
+from mocap_ros.offline.keyframes.half_poses import (
+    build_averaging_matrix,
+    compute_distances,
+    denoise_distances,
+    extract_half_poses,
+    split_into_halves,
+)
+from mocap_ros.offline.keyframes.keyframe_set import find_interpolatable, select_keyframes
+from mocap_ros.offline.keyframes.motion import fit_motion
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import ObservedWindow

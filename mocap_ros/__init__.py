@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from mocap_ros.api.base_poses import BasePoses
     from mocap_ros.api.evaluate import evaluate
     from mocap_ros.api.files import read, write
-    from mocap_ros.api.poses import PoseSequence
-    from mocap_ros.api.reconstruct import reconstruct
+    from mocap_ros.api.reconstruct import PoseSequence, reconstruct
     from mocap_ros.api.tracker import Tracker
     from mocap_ros.config import Config
     from mocap_ros.errors import (
@@ -70,8 +69,7 @@ _MODULES = {
     'mocap_ros.api.base_poses': ('BasePoses',),
     'mocap_ros.api.evaluate': ('evaluate',),
     'mocap_ros.api.files': ('read', 'write'),
-    'mocap_ros.api.poses': ('PoseSequence',),
-    'mocap_ros.api.reconstruct': ('reconstruct',),
+    'mocap_ros.api.reconstruct': ('PoseSequence', 'reconstruct'),
     'mocap_ros.api.tracker': ('Tracker',),
     'mocap_ros.config': ('Config',),
     'mocap_ros.errors': (

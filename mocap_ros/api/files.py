@@ -16,7 +16,7 @@ from mocap_ros.api.arguments import (
     read_number,
     read_path,
 )
-from mocap_ros.api.poses import PoseSequence
+from mocap_ros.api.reconstruct import PoseSequence
 from mocap_ros.config import NodeConfig, format_value
 from mocap_ros.errors import InputError, name_errors
 from mocap_ros.formats.detections import HFOV_RANGE_DEG, MAX_FRAME_RATE_HZ, Video

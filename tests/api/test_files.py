@@ -72,17 +72,6 @@ def test_a_bag_is_read_back(result: mocap_ros.PoseSequence, tmp_path: Path, capl
     assert record.getMessage().endswith("walk.mcap: person 'person_1', seen in 40 of 40 frames")
 
 
-def test_keypoints_and_truth_are_written_as_a_sequence_file(
-    sequence: mocap_ros.KeypointSequence, tmp_path: Path
-) -> None:
-    mocap_ros.write(tmp_path / 'walk.npz', sequence)
-    again = mocap_ros.read(tmp_path / 'walk.npz')
-    assert again.truth is not None
-    assert sequence.truth is not None
-    np.testing.assert_allclose(again.keypoints, sequence.keypoints, atol=1e-4)
-    np.testing.assert_allclose(again.truth.joints, sequence.truth.joints, atol=1e-6)
-
-
 @pytest.mark.parametrize('model', ['plumb_bob', 'equidistant'])
 def test_the_camera_of_a_bag_is_written_but_for_a_fisheye(
     sequence: mocap_ros.KeypointSequence, tmp_path: Path, caplog: Any, model: str
@@ -133,17 +122,6 @@ def test_a_wrong_argument_of_read_is_one_error_that_names_it(
         mocap_ros.read(openpose, **arguments)
 
 
-def test_files_that_cannot_be_read_are_refused_by_name(
-    result: mocap_ros.PoseSequence, sequence: mocap_ros.KeypointSequence, tmp_path: Path
-) -> None:
-    mocap_ros.write(tmp_path / 'result.npz', result)
-    mocap_ros.write(tmp_path / 'walk.npz', sequence)
-    (tmp_path / 'walk.mp4').write_bytes(b'0000ftyp')
-    for name, fps in (('none.npz', None), ('result.npz', None), ('walk.mp4', None), ('walk.npz', FPS)):
-        with pytest.raises(mocap_ros.InputError, match=name):
-            mocap_ros.read(tmp_path / name, fps=fps)
-
-
 def test_what_cannot_be_written_is_refused(
     result: mocap_ros.PoseSequence, sequence: mocap_ros.KeypointSequence, tmp_path: Path
 ) -> None:
@@ -163,14 +141,6 @@ def test_what_cannot_be_written_is_refused(
     with pytest.raises(mocap_ros.InputError, match=r'path: .* give the path first'):
         mocap_ros.write(sequence, 'walk.npz')  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize('path', [None, 5, b'walk.npz', '', 'a\0b.npz', 'a' * 5000 + '.npz', 'a/' * 2500 + '.npz'])
-def test_what_is_no_path_is_refused(sequence: mocap_ros.KeypointSequence, path: Any) -> None:
-    with pytest.raises(mocap_ros.InputError, match=r'^path: '):
-        mocap_ros.read(path)
-    with pytest.raises(mocap_ros.InputError, match=r'^path: '):
-        mocap_ros.write(path, sequence)
 
 
 def test_a_video_is_read_with_a_detector(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -67,17 +67,6 @@ def test_masked_keypoints_are_not_seen(sequence: mocap_ros.KeypointSequence) -> 
     assert not masked.seen[10:14].any()
 
 
-def test_the_core_alone_has_the_orientations_that_it_has_with_face_feet_and_hands(
-    sequence: mocap_ros.KeypointSequence,
-) -> None:
-    whole = mocap_ros.reconstruct(sequence, parameters=QUICK)
-    core = mocap_ros.reconstruct(sequence, parameters={**QUICK, 'tracker.skeleton': 'cmu15'})
-    assert core.joint_names == whole.joint_names[:15]
-    np.testing.assert_array_equal(core.joints, whole.joints[:, :15])
-    np.testing.assert_array_equal(core.orientation, whole.orientation[:, :15])
-    np.testing.assert_array_equal(core.turn_inferred, whole.turn_inferred[:, :15])
-
-
 def test_the_weak_perspective_cameras_show_the_joints_where_they_were_seen(
     sequence: mocap_ros.KeypointSequence,
 ) -> None:
@@ -195,22 +184,6 @@ def test_a_sequence_brings_its_own_arguments(sequence: mocap_ros.KeypointSequenc
     given: dict[str, Any] = {argument: (640, 480)}
     with pytest.raises(mocap_ros.InputError, match=f'{argument}: the KeypointSequence has its own'):
         mocap_ros.reconstruct(sequence, **given)
-
-
-@pytest.mark.parametrize(
-    'change',
-    [
-        *({field: value} for field in ('person_id', 'frame_id', 'joint_names') for value in (7, None)),
-        *({'calibration': 3}, {'truth': 5}, {'calibration': 'own', 'camera_matrix': MATRIX}),
-    ],
-)
-def test_a_wrong_field_of_a_sequence_is_one_error_that_names_it(
-    sequence: mocap_ros.KeypointSequence, change: dict[str, Any]
-) -> None:
-    if change.get('calibration') == 'own':
-        change = {**change, 'calibration': sequence.intrinsics(0.75)}
-    with pytest.raises(mocap_ros.InputError, match=f'^{next(iter(change))}: '):
-        mocap_ros.reconstruct(replace(sequence, **change))
 
 
 def test_stamps_of_a_recording_are_used_as_long_as_the_timestamps_are_theirs(

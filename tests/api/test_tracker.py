@@ -44,33 +44,6 @@ def test_the_people_are_those_of_the_node_s_tracker(sequence: mocap_ros.Keypoint
     assert len(people[0].joint_names) == len(people[0].joints)
 
 
-def test_several_people_keep_their_names(sequence: mocap_ros.KeypointSequence) -> None:
-    tracker = make_tracker()
-    mirrored = sequence.keypoints * [-1, 1, 1] + [640, 0, 0]
-    for frame, time_s in enumerate(sequence.timestamps[:3]):
-        both = np.stack([sequence.keypoints[frame], mirrored[frame]])
-        people = tracker.update(time_s, both, ids=('anna', 'ben'))
-        assert [person.id for person in people] == ['anna', 'ben']
-    predicted = tracker.update(sequence.timestamps[3], [])
-    assert [(person.id, person.predicted) for person in predicted] == [('anna', True), ('ben', True)]
-    assert all('predicted' in repr(person) for person in predicted)
-
-
-def test_the_lag_delays_the_output(sequence: mocap_ros.KeypointSequence) -> None:
-    tracker = make_tracker(parameters={'tracker.lag': 0.1}, joint_names=sequence.joint_names)
-    for time_s, keypoints in zip(sequence.timestamps[:10], sequence.keypoints[:10], strict=True):
-        tracker.update(time_s, [keypoints])
-    assert tracker.output_time_s == pytest.approx(sequence.timestamps[9] - 0.1, abs=1e-3)
-
-
-def test_a_camera_gives_the_true_scale(sequence: mocap_ros.KeypointSequence) -> None:
-    matrix = [[1200, 0, 320], [0, 1200, 240], [0, 0, 1]]
-    (known,) = make_tracker(camera_matrix=matrix).update(0.0, [sequence.keypoints[0]])
-    (unknown,) = make_tracker().update(0.0, [sequence.keypoints[0]])
-    assert (known.scale_known, unknown.scale_known) == (True, False)
-    assert known.joints[:, 2].mean() == pytest.approx(1200 / 480 * unknown.joints[:, 2].mean(), rel=0.05)
-
-
 def test_resetting_forgets_people_and_times(sequence: mocap_ros.KeypointSequence) -> None:
     tracker = make_tracker()
     first = tracker.update(5.0, [sequence.keypoints[0]])
@@ -156,13 +129,3 @@ def test_thirty_frames_show_a_wrong_unit_or_a_transposed_image(
     for frame in (29, 30):
         with pytest.raises(mocap_ros.InputError, match=message):
             tracker.update(times[frame], [shifted[frame]])
-
-
-def test_thirty_frames_outside_the_image_are_logged(
-    sequence: mocap_ros.KeypointSequence, caplog: pytest.LogCaptureFixture
-) -> None:
-    tracker = make_tracker(image_size=(100, 100))
-    for time_s, keypoints in zip(sequence.timestamps, sequence.keypoints, strict=True):
-        tracker.update(time_s, [keypoints])
-    (record,) = caplog.records
-    assert record.getMessage().startswith('people: 100% of the seen keypoints lie outside 100 x 100 px')

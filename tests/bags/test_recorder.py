@@ -23,7 +23,7 @@ from rosbags.rosbag2 import Reader
 from mocap_ros.bags.mcap_file import Attachment
 from mocap_ros.bags.mcap_scan import MAGIC
 from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.recorder import Recorder, choose_bag_folder
+from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.recovery import recover
 from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.config import RecorderConfig
@@ -230,25 +230,6 @@ def test_a_split_that_fails_leaves_a_whole_bag(tmp_path: Path, monkeypatch: pyte
         assert [m.raw for m in bag.messages(['/keypoints'])] == [make_keypoints(0)]
 
 
-def test_a_disk_that_fails_at_the_start_of_a_further_file_leaves_the_times_as_they_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    config = RecorderConfig(split_seconds=1.0)
-    recorder = Recorder(tmp_path / 'bag', config, [Attachment('a.txt', 'text/plain', b'kept')])
-    recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS, START_NS)
-
-    def fail(*_: object) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr('mocap_ros.bags.mcap_file.McapFile.add_attachments', fail)
-    with pytest.raises(RecordingError, match=f'bag: {os.strerror(errno.ENOSPC)}$'):
-        recorder.write('/keypoints', KEYPOINTS, make_keypoints(1), START_NS + NS_PER_S, START_NS)
-    description = yaml.safe_load((tmp_path / 'bag' / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
-    assert description['starting_time'] == {'nanoseconds_since_epoch': START_NS}
-    assert description['duration'] == {'nanoseconds': 0}
-    assert [file['message_count'] for file in description['files']] == [1, 0]
-
-
 def test_unwritable_and_existing_folders_are_refused(tmp_path: Path) -> None:
     (tmp_path / 'file').write_text('')
     with pytest.raises(RecordingError, match=r'file: is no folder'):
@@ -256,15 +237,6 @@ def test_unwritable_and_existing_folders_are_refused(tmp_path: Path) -> None:
     (tmp_path / 'bag').mkdir()
     with pytest.raises(RecordingError, match=r'bag: File exists'):
         Recorder(tmp_path / 'bag', RecorderConfig())
-
-
-def test_closing_twice_is_harmless_and_an_empty_bag_is_readable(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / 'bag', RecorderConfig())
-    recorder.declare_topic('/keypoints', KEYPOINTS)
-    recorder.close()
-    recorder.close()
-    with Bag(tmp_path / 'bag') as bag:
-        assert list(bag.messages(bag.topics)) == []
 
 
 def test_the_first_description_of_a_topic_holds(tmp_path: Path) -> None:
@@ -318,32 +290,3 @@ def test_a_file_begins_only_with_a_message_that_may_begin_it(tmp_path: Path) -> 
     with Bag(tmp_path / 'bag' / 'bag_1.mcap') as bag:
         assert [m.raw for m in bag.messages(bag.topics)] == [make_keypoints(3), make_keypoints(4)]
     assert not (tmp_path / 'bag' / 'bag_2.mcap').exists()
-
-
-def test_a_latched_topic_is_described_as_one_whatever_its_publishers_offer() -> None:
-    volatile, latched = (make_topic('/tf_static', SKELETONS, latched=x).qos for x in (False, True))
-    assert make_topic('/tf_static', SKELETONS, latched=True, qos=volatile).qos == latched
-    assert make_topic('/tf_static', SKELETONS, latched=True, qos=[*volatile, *latched]).qos == (
-        *volatile,
-        *latched,
-    )
-    assert make_topic('/camera_info', SKELETONS, qos=volatile).qos == volatile
-
-
-def test_equal_qos_profiles_of_many_publishers_are_held_once(tmp_path: Path) -> None:
-    """Fifty of them would be more text than readers accept."""
-    one, other = make_topic('/tf', SKELETONS).qos[0], make_topic('/tf', SKELETONS, latched=True).qos[0]
-    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        recorder.add_topic(make_topic('/tf', SKELETONS, qos=[one] * 60 + [other, one]))
-        recorder.write('/tf', SKELETONS, b'', START_NS, START_NS)
-    with Bag(tmp_path / 'bag') as bag:
-        assert len(bag.qos['/tf']) == 2
-
-
-def test_bag_folders_are_named_by_time_and_unique(tmp_path: Path) -> None:
-    names = []
-    for _ in range(3):
-        folder = choose_bag_folder(tmp_path, START_NS)
-        folder.mkdir()
-        names.append(folder.name)
-    assert names == ['mocap_20231114T221320Z', 'mocap_20231114T221320Z_1', 'mocap_20231114T221320Z_2']

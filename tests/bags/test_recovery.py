@@ -8,12 +8,9 @@ from __future__ import annotations
 import errno
 import os
 import random
-import re
 import sqlite3
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import pytest
 import zstandard
@@ -22,7 +19,7 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from mocap_ros.bags.mcap_file import Attachment
-from mocap_ros.bags.mcap_scan import CRC_BYTES, MAGIC, MAX_CHUNK_BYTES, McapScan
+from mocap_ros.bags.mcap_scan import CRC_BYTES, MAGIC, McapScan
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.recovery import recover
@@ -43,18 +40,6 @@ MAX_FRAMES_PER_CHUNK = 9  # frames in `CHUNK_SECONDS`
 MESSAGES = [  # one message for each frame
     encode_keypoints(Header(i * STEP_NS, f'frame {i}'), (640, 480), []) for i in range(FRAMES)
 ]
-
-
-@contextmanager
-def write_mcap(path: Path, **options: Any) -> Iterator[tuple[McapWriter, int]]:
-    """Write an MCAP file of keypoints with the writer of `mcap`; yields it and the id of the channel."""
-    topic = make_topic('/keypoints', KEYPOINTS)
-    with path.open('wb') as stream:
-        writer = McapWriter(stream, **options)
-        writer.start('ros2', 'test')
-        schema = writer.register_schema(KEYPOINTS, topic.encoding, topic.definition.encode())
-        yield writer, writer.register_channel('/keypoints', 'cdr', schema, METADATA)
-        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def write_bag(folder: Path, compression: str = 'zstd') -> bytes:
@@ -228,21 +213,6 @@ def test_a_file_whose_messages_cannot_be_read_is_left_out(tmp_path: Path, storag
     ]
 
 
-def test_attachments_of_one_name_and_their_times_are_kept(tmp_path: Path) -> None:
-    with write_mcap(tmp_path / 'x.mcap') as (writer, channel):
-        writer.add_message(channel, 1, MESSAGES[0], 1)
-        for create_ns, content in ((5, b'first'), (6, b'second'), (7, b'first')):
-            writer.add_attachment(create_ns, 9, 'notes.txt', 'text/plain', content)
-    recover(tmp_path / 'x.mcap', tmp_path / 'out')
-    with (tmp_path / 'out' / 'out_0.mcap').open('rb') as stream:
-        attachments = list(make_reader(stream).iter_attachments())
-    assert [(a.create_time, a.log_time, a.data) for a in attachments] == [
-        (5, 9, b'first'),
-        (6, 9, b'second'),
-        (7, 9, b'first'),
-    ]
-
-
 def raise_io_error(*_: object) -> bytes:
     """Raise EIO, as a disk with a bad sector does."""
     raise OSError(errno.EIO, os.strerror(errno.EIO))
@@ -353,21 +323,6 @@ def test_messages_of_the_write_ahead_log_are_recovered(tmp_path: Path) -> None:
     assert sorted(f.name for f in tmp_path.iterdir()) == ['bag', 'killed', 'whole']
 
 
-def test_messages_of_a_lost_topic_are_counted(tmp_path: Path) -> None:
-    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        for topic in ('/keypoints', '/other', '/third'):
-            connection = writer.add_connection(topic, KEYPOINTS, typestore=typestore())
-            for i, raw in enumerate(MESSAGES[:5]):
-                writer.write(connection, i * STEP_NS, raw)
-    with sqlite3.connect(tmp_path / 'bag' / 'bag.db3') as database:
-        database.execute("DELETE FROM topics WHERE name = '/other'")
-    report = recover(tmp_path / 'bag', tmp_path / 'out')
-    assert report.messages == {'/keypoints': 5, '/third': 5}
-    assert [loss.partition('bag.db3: ')[2] for loss in report.losses] == [
-        '5 of 15 messages belong to no topic',
-    ]
-
-
 def test_messages_that_are_none_of_ros_2_are_counted_and_metadata_are_kept(tmp_path: Path) -> None:
     topic = make_topic('/keypoints', KEYPOINTS)
     with (tmp_path / 'x.mcap').open('wb') as stream:
@@ -403,17 +358,6 @@ def test_messages_of_another_type_than_their_topic_are_counted(tmp_path: Path) -
     (loss,) = (loss.partition('bag_1.mcap: ')[2] for loss in report.losses)
     reason = f'their type is {SKELETONS}, but the topic has the type {KEYPOINTS}'
     assert loss == f'1 messages of /people are lost, because {reason}'
-
-
-def test_a_chunk_above_the_limit_is_told_and_skipped(tmp_path: Path) -> None:
-    with write_mcap(tmp_path / 'x.mcap', chunk_size=1) as (writer, channel):  # a chunk for each message
-        for number, raw in enumerate((MESSAGES[0], bytes(MAX_CHUNK_BYTES), MESSAGES[2])):
-            writer.add_message(channel, number, raw, number)
-    losses = recover(tmp_path / 'x.mcap', tmp_path / 'out').losses
-    assert read_frames(tmp_path / 'out') == [0, 2]
-    reason = rf'chunk record at byte \d+ .*: it holds {MAX_CHUNK_BYTES + 31} bytes, more than the limit of 128 MiB'
-    assert re.search(reason, losses[0])
-    assert losses[1:] == [f'{tmp_path}/x.mcap: 1 of 3 messages are missing']
 
 
 def test_an_interrupted_recovery_leaves_no_bag(tmp_path: Path) -> None:
@@ -505,15 +449,6 @@ def test_compressed_files_are_recovered_in_their_order_and_as_far_as_they_reach(
     assert all(loss.startswith(f'{tmp_path}/bag/bag_0.mcap.zstd: ') for loss in report.losses)
 
 
-def test_the_bag_in_the_present_folder_is_recovered_beside_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_bag(tmp_path / 'bag.1')
-    monkeypatch.chdir(tmp_path / 'bag.1')
-    assert main(['recover', '.']) == 0
-    assert read_frames(tmp_path / 'bag.1_recovered') == list(range(FRAMES))
-
-
 @pytest.mark.parametrize('has_metadata', [True, False])
 @pytest.mark.parametrize('is_present_folder', [True, False])
 def test_one_file_of_a_bag_is_recovered_beside_the_bag(
@@ -525,20 +460,6 @@ def test_one_file_of_a_bag_is_recovered_beside_the_bag(
     monkeypatch.chdir(tmp_path / 'bag' if is_present_folder else tmp_path)
     assert main(['recover', 'bag_0.mcap' if is_present_folder else 'bag/bag_0.mcap']) == 0
     assert read_frames(tmp_path / 'bag_0_recovered') == list(range(FRAMES))
-
-
-def test_the_command_refuses_what_is_no_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / 'notes.txt').touch()
-    (tmp_path / 'empty').mkdir()
-    os.mkfifo(tmp_path / 'pipe.mcap')
-    for name, reason in {
-        'notes.txt': 'is an empty file; expected a bag of ROS 2',
-        'empty': 'is a folder without a bag',
-        'none.mcap': 'No such file',
-        'pipe.mcap': 'not a file',
-    }.items():
-        assert main(['recover', str(tmp_path / name)]) == 1
-        assert re.search(f'{tmp_path / name}: .*{reason}', capsys.readouterr().err), name
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ import pytest
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.bvh import load_bvh, save_bvh
 from mocap_ros.formats.export.armature import build_armature
-from mocap_ros.formats.mocap import c3d
 from mocap_ros.formats.mocap.asf import load_amc
 from mocap_ros.formats.mocap.joint_maps import LENGTH_UNITS_M, RIGS, infer_unit, load_marker_map, map_to_model
 from mocap_ros.formats.mocap.trials import (
@@ -28,8 +26,7 @@ from mocap_ros.formats.mocap.trials import (
     select_trials,
 )
 from mocap_ros.skeleton import CMU15
-from tests.support.motion_files import AMC, ASF, FRAMES, Z_UP_TO_Y_UP, make_bvh, rotation_matrix
-from tests.support.paths import ROOT
+from tests.support.motion_files import AMC, ASF, Z_UP_TO_Y_UP, make_bvh, rotation_matrix
 
 
 def test_positions_of_asf_follow_from_the_degrees_of_freedom(tmp_path: Path) -> None:
@@ -139,11 +136,6 @@ def test_unit_and_vertical_axis_are_found(poses: np.ndarray, up: int) -> None:
         assert find_vertical_axis(-rolled, usual=0) == ~up
 
 
-def test_who_leans_halfway_has_no_vertical_axis_of_their_own(poses: np.ndarray) -> None:
-    leaning = poses @ rotation_matrix('x', 45).T
-    assert [find_vertical_axis(j, usual=0) for j in (poses, leaning)] == [2, 0]
-
-
 def test_the_only_skeleton_beside_a_motion_is_its_own(tmp_path: Path, poses: np.ndarray) -> None:
     (tmp_path / 'walk_01.amc').write_text(':DEGREES\n1\nroot 0 0 0 0 0 0\n')
     rest = (poses[0] - poses[0, 8]) @ Z_UP_TO_Y_UP.T / LENGTH_UNITS_M['unit of the CMU database']
@@ -163,15 +155,6 @@ def test_an_archive_is_in_mm_unless_another_unit_is_given(tmp_path: Path, poses:
     assert given.poses == pytest.approx(plain.poses)
     with pytest.raises(InputError, match=r'm\.npz: t: a body 0\.00\d+ m tall, if .* units of 0\.001 m'):
         load_trials(tmp_path / 'm.npz')
-
-
-def test_an_archive_may_hold_more_joints_than_the_model(tmp_path: Path, poses: np.ndarray) -> None:
-    names = ['nose', *CMU15.joints[::-1], 'ltoe']
-    motion = np.concatenate([poses[:, :1], poses[:, ::-1], poses[:, :1]], axis=1) @ Z_UP_TO_Y_UP.T * 1e3
-    arrays: dict[str, Any] = {'_joints': np.array(names), '99_01': motion}
-    np.savez(tmp_path / 'm.npz', **arrays)
-    (trial,) = load_trials(tmp_path / 'm.npz')
-    assert trial.poses == pytest.approx(poses, abs=1e-9)
 
 
 def rename_joints(bvh: str, names: dict[str, str]) -> str:
@@ -215,28 +198,6 @@ def write_c3d(path: Path, labels: Sequence[str], positions: np.ndarray) -> None:
     content.write(str(path))
 
 
-def test_the_markers_of_two_people_make_no_body(tmp_path: Path, poses: np.ndarray) -> None:
-    path = tmp_path / 'two_1.c3d'
-    labels = [f'{name}:{joint}' for name in ('anna', 'ben') for joint in CMU15.joints]
-    write_c3d(path, labels[:-1], np.concatenate([poses, poses[:, :-1] + [3, 0, 0]], axis=1))
-    with pytest.raises(InputError, match=r'two_1\.c3d: joints of no known rig; .*anna:head.* by --markers'):
-        load_trials(path)
-    marker_map = tmp_path / 'markers.yaml'
-    names = {joint: f'anna:{joint}' for joint in CMU15.joints[:-1]} | {CMU15.joints[-1]: CMU15.joints[-1]}
-    marker_map.write_text('\n'.join(f'{joint}: "{name}"' for joint, name in names.items()))
-    (trial,) = load_trials(path, TrialOptions(markers=load_marker_map(marker_map)))
-    assert trial.poses == pytest.approx(poses, abs=1e-4)
-
-
-def test_labels_are_read_beyond_the_first_list(tmp_path: Path, poses: np.ndarray) -> None:
-    """A list of labels holds 255."""
-    path = tmp_path / 'a_1.c3d'
-    others = [f'other{i}' for i in range(260)]
-    write_c3d(path, [*others, *CMU15.joints], np.concatenate([np.zeros((FRAMES, 260, 3)), poses], axis=1))
-    (trial,) = load_trials(path)
-    assert trial.poses == pytest.approx(poses, abs=1e-4)
-
-
 def test_markers_give_the_poses(tmp_path: Path, poses: np.ndarray) -> None:
     path = tmp_path / 'anna_1.c3d'
     positions = poses.copy()
@@ -255,30 +216,6 @@ def test_markers_give_the_poses(tmp_path: Path, poses: np.ndarray) -> None:
     marker_map.write_text('\n'.join([*lines, 'pelvis: [LASI, RASI]']))
     with pytest.raises(InputError, match=r'anna_1\.c3d: no LASI, RASI; there are head, neck'):
         load_trials(path, TrialOptions(markers=load_marker_map(marker_map)))
-
-
-def test_the_missing_library_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, 'ezc3d', None)
-    (tmp_path / 'a.c3d').write_bytes(b'')
-    with pytest.raises(MocapError, match=r"a\.c3d: C3D needs ezc3d: pip install 'mocap_ros\[c3d\]'"):
-        load_trials(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ('name', 'reason'),
-    [
-        ('endless_reading', 'its reader did not end within 1 s of processor time'),
-        ('crash_of_the_library', 'its reader ended by SIG'),
-    ],
-)
-def test_files_that_stop_the_library_are_refused_with_the_reason(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, reason: str
-) -> None:
-    pytest.importorskip('ezc3d')
-    monkeypatch.setattr(c3d, 'TIME_S', 1)
-    (tmp_path / 'a.c3d').write_bytes((ROOT / 'tests' / 'fuzz' / 'failed' / 'c3d' / name).read_bytes())
-    with pytest.raises(InputError, match=rf'a\.c3d: not a C3D file \({reason}'):
-        load_trials(tmp_path / 'a.c3d')
 
 
 BAD_FILES: list[tuple[str, str, str]] = [

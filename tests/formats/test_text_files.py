@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from mocap_ros.errors import DiskFull, InputError, MocapError
+from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats import text_files
 from mocap_ros.formats.text_files import replace_output
 
@@ -46,17 +46,6 @@ def test_an_error_leaves_the_old_file_and_nothing_else(
         write()
     assert type(raised.value) is told
     assert [file.read_text() for file in tmp_path.iterdir()] == ['old'] * is_old
-
-
-def test_an_error_that_names_the_temporary_file_names_the_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(DiskFull, match=r'^out\.mcap: the disk is full$'), replace_output(Path('out.mcap')) as new:
-        raise DiskFull(f'{new}: the disk is full')
-    message = r'^out\.mcap: cannot be written: No such file or directory$'
-    with pytest.raises(MocapError, match=message), replace_output(Path('out.mcap')):
-        pass  # a writer that wrote nothing
 
 
 def test_an_existing_file_keeps_its_permissions_and_a_new_one_has_the_usual_ones(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -41,12 +40,6 @@ def make_tree() -> TransformTree:
     for tenth in range(11):
         tree.add(make_transforms(('odom', 'base', tenth * SECOND_NS // 10, (tenth / 10, 0, 0))), is_static=False)
     return tree
-
-
-def names_of(tree: TransformTree) -> set[str]:
-    """Return the frames of a tree that have a parent."""
-    messages = itertools.chain(*tree.encode_all())
-    return {t.child_frame_id for message in messages for t in decode(message, TRANSFORMS).transforms}
 
 
 def make_standing_person(person_id: str) -> Person3D:
@@ -115,25 +108,6 @@ def test_a_large_tree_is_encoded_in_several_messages(monkeypatch: pytest.MonkeyP
     assert again.encode_all() == (static, dynamic)
 
 
-def test_all_frames_together_keep_a_limited_number_of_transforms(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(transform_tree, 'MAX_TREE_SAMPLES', 40)
-    tree = TransformTree()
-    for i in range(30):
-        tree.add(make_transforms(*(('map', f'c{k}', i, (i, 0, 0)) for k in range(4))), is_static=False)
-    _, (message,) = tree.encode_all()
-    stamps = [(t.child_frame_id, t.header.stamp.nanosec) for t in decode(message, TRANSFORMS).transforms]
-    assert stamps == [(f'c{k}', i) for k in range(4) for i in range(20, 30)], 'the newest of each frame'
-
-
-def test_a_unit_quaternion_is_not_changed_by_writing_and_reading(rng: np.random.Generator) -> None:
-    """Otherwise a replay would place people elsewhere in the last bits."""
-    for _ in range(200):
-        q = rng.normal(size=4)
-        once = RigidTransform.from_numbers((0.0, 0.0, 0.0, *(q / np.linalg.norm(q))))
-        again = RigidTransform.from_numbers((0.0, 0.0, 0.0, *once.quaternion))
-        assert again.quaternion == once.quaternion
-
-
 @pytest.mark.parametrize(
     ('transform', 'message'),
     [
@@ -151,26 +125,6 @@ def test_a_message_with_an_invalid_transform_adds_nothing(transform: Any, messag
     assert tree.is_empty
 
 
-@given(st.binary(max_size=80))
-def test_any_bytes_are_transforms_or_an_error(raw: bytes) -> None:
-    try:
-        TransformTree().add(raw, is_static=False)
-    except InputError:
-        assert not is_of_people_only(raw, '') or decode(raw, TRANSFORMS).transforms
-
-
-def test_frames_of_before_are_forgotten_where_time_went_back() -> None:
-    tree = TransformTree()
-    people = [('map', f'body_{i}', 1000 * SECOND_NS, (0, 0, 0)) for i in range(MAX_FRAMES - 1)]
-    tree.add(make_transforms(*people), is_static=False)
-    for second in (1000, 3):  # simulated time begins again
-        tree.add(make_transforms(('map', 'robot', second * SECOND_NS, (1, 0, 0))), is_static=False)
-    tree.add(make_transforms(('map', 'new', 3 * SECOND_NS, (0, 0, 0))), is_static=False)
-    assert tree.find('map', 'robot', 3 * SECOND_NS, 0.1).translation[0] == 1
-    with pytest.raises(InputError, match="no transform names 'body_0'"):
-        tree.find('map', 'body_0', 3 * SECOND_NS, 0.1)
-
-
 def test_names_that_never_end_fill_no_memory() -> None:
     tree = TransformTree()
     for second in range(0, 60, 20):  # people who come and go
@@ -178,23 +132,6 @@ def test_names_that_never_end_fill_no_memory() -> None:
         tree.add(make_transforms(*(('map', n, second * SECOND_NS, (0, 0, 0)) for n in names)), is_static=False)
     with pytest.raises(InputError, match=f'more than {MAX_FRAMES} frames'):
         tree.add(make_transforms(*(('map', f'c{i}', 0, (0, 0, 0)) for i in range(MAX_FRAMES + 1))), is_static=True)
-
-
-def test_frames_that_pause_and_come_back_with_others_never_exceed_the_limit() -> None:
-    """Frames of the message itself are among those that are forgotten; they count as new then."""
-
-    def make_crowd(count: int, second: int) -> bytes:
-        return make_transforms(*(('map', f'body_{i}', second * SECOND_NS, (0, 0, 0)) for i in range(count)))
-
-    tree = TransformTree()
-    tree.add(make_crowd(MAX_FRAMES - 100, 100), is_static=False)
-    tree.add(make_transforms(('map', 'robot', 120 * SECOND_NS, (1, 0, 0))), is_static=False)
-    with pytest.raises(InputError, match=f'more than {MAX_FRAMES} frames'):
-        tree.add(make_crowd(MAX_FRAMES, 120), is_static=False)
-    tree.add(make_crowd(MAX_FRAMES - 1, 120), is_static=False)
-    tree.add(make_transforms(('map', 'robot', 121 * SECOND_NS, (2, 0, 0))), is_static=False)
-    assert tree.find('map', 'robot', 121 * SECOND_NS, 0.1).translation[0] == 2
-    assert len(names_of(tree)) == MAX_FRAMES
 
 
 def test_transforms_of_people_are_known_by_their_names() -> None:

@@ -11,7 +11,7 @@ from mocap_ros.config import Config
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
 from mocap_ros.models.lifter import LiftedPoses
-from mocap_ros.offline.second_lift import (
+from mocap_ros.offline.whole_sequence import (
     SEEN_SHARE,
     draw_points,
     find_unexplained_points,

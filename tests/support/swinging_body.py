@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mocap_ros.offline.keyframes.interpolation import assemble_poses, compute_limb_directions
+from mocap_ros.offline.keyframes.motion import assemble_poses, compute_limb_directions
 from mocap_ros.skeleton import CMU15
 
 # m, a standing pose (15, 3) of `CMU15` in the camera's optical frame: x right, y down, z away

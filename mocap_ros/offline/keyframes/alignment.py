@@ -25,7 +25,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.geometry.camera_jacobian import camera_jacobian
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation, rotation_from_vector
 from mocap_ros.geometry.weak_perspective import subtract_weighted_centroid
-from mocap_ros.offline.keyframes.filters import build_low_pass_matrix, nan_median
+from mocap_ros.offline.keyframes.image_points import build_low_pass_matrix, nan_median
 from mocap_ros.skeleton import CMU15
 
 Array = NDArray[np.float64]

@@ -22,10 +22,9 @@ from mocap_ros.geometry.rotations import centre_poses
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.models import model_file
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.offline.keyframes.filters import interpolate_gaps, nan_median
-from mocap_ros.offline.keyframes.gradient_fit import symmetrise_lengths
-from mocap_ros.offline.keyframes.interpolation import assemble_poses, compute_limb_directions
+from mocap_ros.offline.keyframes.image_points import interpolate_gaps, nan_median
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
+from mocap_ros.offline.keyframes.motion import assemble_poses, compute_limb_directions, symmetrise_lengths
 from mocap_ros.offline.keyframes.shots import split_into_sections
 from mocap_ros.offline.keyframes.taylor import HALF_NAMES, DepthChoice, reconstruct_limbs
 from mocap_ros.offline.whole_sequence import reconstruct_window

@@ -27,16 +27,8 @@ from mocap_ros.offline.keyframes.alignment import (
     estimate_joint_offsets,
     subtract_offsets,
 )
-from mocap_ros.offline.keyframes.body_halves import estimate_torso_lengths, extract_half_poses, split_into_halves
-from mocap_ros.offline.keyframes.filters import interpolate_gaps
-from mocap_ros.offline.keyframes.gradient_fit import FitResult, fit_motion
-from mocap_ros.offline.keyframes.interpolation import (
-    assemble_poses,
-    compute_limb_directions,
-    compute_reprojection_distances,
-    select_control_points,
-    slerp,
-)
+from mocap_ros.offline.keyframes.half_poses import estimate_torso_lengths, extract_half_poses, split_into_halves
+from mocap_ros.offline.keyframes.image_points import find_jumping_points, find_outliers, interpolate_gaps
 from mocap_ros.offline.keyframes.key_poses import (
     apply_depth_choice,
     average_key_directions,
@@ -45,7 +37,15 @@ from mocap_ros.offline.keyframes.key_poses import (
     propose_poses,
 )
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet, find_keyframe_set
-from mocap_ros.offline.keyframes.outliers import find_jumping_points, find_outliers
+from mocap_ros.offline.keyframes.motion import (
+    FitResult,
+    assemble_poses,
+    compute_limb_directions,
+    compute_reprojection_distances,
+    fit_motion,
+    select_control_points,
+    slerp,
+)
 from mocap_ros.offline.keyframes.shots import find_shots, split_into_sections
 from mocap_ros.offline.keyframes.taylor import DepthChoice
 from mocap_ros.offline.whole_sequence import SequenceResult, choose_vertical, find_frames_in_sight

@@ -1,7 +1,20 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The set of keyframes of a sequence of any length (Loy et al. 2004, section 4).
+"""Greedy keyframe selection (Loy et al. 2004, section 4.3, eq. 1 to 4), in seconds instead of frames.
+
+    |W u J| >= alpha N                                                                              (eq. 1)
+    C_K = sum_i ( min_{f in W, f < i} |t_i - t_f| + min_{f in W, f > i} |t_i - t_f| )               (eq. 2)
+    K <- K u {j},   j = argmin_k C_{K u {k}}                                                  (eq. 3 and 4)
+
+W is the set of frames well represented by a keyframe of K: frame f is well represented by keyframe k if
+D(k, f) < beta or f = k. J is the set of interpolatable frames: those between two frames of W that are less than T
+apart. At the ends of the sequence, where no frame of W lies on one side of i, one frame interval before the first
+frame and one after the last count as well represented.
+
+Incremental selection: let a and b be neighbours in W, T_ab seconds apart, with g frames between them. All terms of
+eq. 2 between a and b sum to (g + 2) T_ab, so C_K is a sum over gaps, and a new keyframe changes only the gaps in
+which it represents a frame. The result equals that of eq. 2 evaluated directly.
 
 Up to `keyframes.max_matrix_frames` frames the distance matrix D covers the whole sequence, and the selection is
 the paper's. A longer sequence is processed section by section, so that a section bounds the memory. In each
@@ -13,21 +26,154 @@ compared with the frames of later sections by the mean pose of the frames at a d
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import KeyframesConfig
-from mocap_ros.offline.keyframes.body_halves import BodyHalf, HalfPoses
-from mocap_ros.offline.keyframes.distance import build_averaging_matrix, compute_distances, denoise_distances
-from mocap_ros.offline.keyframes.selection import find_interpolatable, select_keyframes
+from mocap_ros.offline.keyframes.half_poses import (
+    BodyHalf,
+    HalfPoses,
+    build_averaging_matrix,
+    compute_distances,
+    denoise_distances,
+)
 
 Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
+
+SINGLE_FRAME_INTERVAL_S = 1 / 30  # s; stands for the frame interval of a sequence of one frame, which has none
+# relative; incremental sums differ by rounding from direct ones, so equal costs count as ties
+TIE_TOLERANCE = 1e-9
+
+
+def estimate_frame_interval(times: Array) -> float:
+    """Return the median time in s between successive frames."""
+    return float(np.median(np.diff(times))) if len(times) > 1 else SINGLE_FRAME_INTERVAL_S
+
+
+def find_interpolatable(well_represented: Mask, times: Array, gap: float) -> Mask:
+    """Return J (N,): the frames outside W, `well_represented`, between two frames of W less than `gap` s apart."""
+    w_frames = np.flatnonzero(well_represented)
+    out = np.zeros(len(well_represented), bool)
+    if len(w_frames) > 1:
+        right = np.searchsorted(w_frames, np.arange(len(well_represented)))
+        inside = ~well_represented & (right > 0) & (right < len(w_frames))
+        right = right[inside]
+        out[inside] = times[w_frames[right]] - times[w_frames[right - 1]] < gap
+    return out
+
+
+def select_keyframes(
+    represents: Mask, times: Array, alpha: float, gap: float, well_represented: Mask | None = None
+) -> Indices:
+    """Select keyframes by eq. 3 and 4 until eq. 1 holds; return their frames in the order of selection.
+
+    Among candidates of equal cost the earliest frame is selected.
+
+    Args:
+        represents: (N, N) True in row k for the frames that k represents well, D(k, .) < beta.
+        times: (N,) s, increasing.
+        alpha: share of the frames to cover.
+        gap: T, s.
+        well_represented: (N,) True for the frames that keyframes of earlier sections represent well already.
+    """
+    represents = represents | np.eye(len(times), dtype=bool)
+    initial = np.zeros(len(times), bool) if well_represented is None else well_represented.copy()
+    costs = _CandidateCosts(represents, times, initial)
+    keyframes: list[int] = []
+
+    def count_covered() -> int:
+        return int((costs.well_represented | find_interpolatable(costs.well_represented, times, gap)).sum())
+
+    while count_covered() < alpha * len(times) and len(keyframes) < len(times):
+        keyframes.append(costs.find_best_candidate())
+        costs.add_keyframe(keyframes[-1])
+    return np.array(keyframes, int)
+
+
+@dataclass(eq=False)
+class _CandidateCosts:
+    """The costs C_{K u {k}} (eq. 2 to 4) of adding each frame k to the keyframes K.
+
+    The costs are sums over the gaps between neighbours in W, the set of well-represented frames. A new keyframe
+    changes only the terms of the gaps in which it represents a frame.
+
+    Attributes:
+        represents: (N, N) True in row k for the frames that keyframe k represents well, k itself included.
+        times: (N,) s, increasing.
+        well_represented: (N,) True for the frames of W.
+        cost: (N,) s, C_{K u {k}} of each frame k.
+        is_keyframe: (N,) True for the frames of K.
+        padded_times: (N + 2,) s; `times` with one frame interval added before the first and after the last.
+    """
+
+    represents: Mask
+    times: Array
+    well_represented: Mask
+    cost: Array = field(init=False)
+    is_keyframe: Mask = field(init=False)
+    padded_times: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        step = estimate_frame_interval(self.times)
+        self.padded_times = np.concatenate([[self.times[0] - step], self.times, [self.times[-1] + step]])
+        self.cost = np.zeros(len(self.times))
+        self.is_keyframe = np.zeros(len(self.times), bool)
+        for first, last in self._split_gap(-1, len(self.times)):
+            self.cost += self._compute_gap_costs(first, last)
+
+    def find_best_candidate(self) -> int:
+        """Return the candidate of least cost, or the earliest of those that differ by rounding only."""
+        cost = np.where(self.is_keyframe, np.inf, self.cost)
+        least = cost.min()
+        return int(np.argmax(cost <= least + TIE_TOLERANCE * max(abs(least), 1.0)))
+
+    def add_keyframe(self, keyframe: int) -> None:
+        """Add a keyframe to K, and update the costs of the gaps in which it represents a frame."""
+        newly_represented = np.flatnonzero(self.represents[keyframe] & ~self.well_represented)
+        members = np.concatenate([[-1], np.flatnonzero(self.well_represented), [len(self.well_represented)]])
+        changed_gaps = np.unique(np.searchsorted(members, newly_represented))
+        self.well_represented = self.well_represented | self.represents[keyframe]
+        self.is_keyframe[keyframe] = True
+        for right in changed_gaps.tolist():
+            first, last = int(members[right - 1]), int(members[right])
+            self.cost -= self._compute_gap_costs(first, last)
+            for a, b in self._split_gap(first, last):
+                self.cost += self._compute_gap_costs(a, b)
+
+    def _split_gap(self, first: int, last: int) -> list[tuple[int, int]]:
+        """Return the pairs of neighbours in W from `first` to `last`; -1 and N stand for the sequence's ends."""
+        inside = np.flatnonzero(self.well_represented[max(first + 1, 0) : last]) + first + 1
+        return list(pairwise([first, *inside.tolist(), last]))
+
+    def _compute_gap_costs(self, first: int, last: int) -> Array:
+        """Return (N,) s, the terms of eq. 2 between two neighbours in W, for each candidate added to W."""
+        block = self.represents[:, first + 1 : last]
+        candidate, frame = np.nonzero(block)
+        frame = frame + first + 1
+        head = np.searchsorted(candidate, np.arange(len(block)))
+        has_frames = np.diff(head, append=len(candidate)) > 0
+        # the next frame that the same candidate represents, or the end of the gap
+        following = np.append(frame[1:], last)
+        following[head[has_frames][1:] - 1] = last
+        following[-1:] = last
+        terms = np.bincount(candidate, self._compute_pair_cost(frame, following), minlength=len(block))
+        first_frame = np.full(len(block), last)
+        first_frame[has_frames] = frame[head[has_frames]]
+        return np.asarray(terms + self._compute_pair_cost(np.full(len(block), first), first_frame))
+
+    def _compute_pair_cost(self, a: Indices, b: Indices) -> Array:
+        """Return (g + 2) T_ab in s for neighbours a < b in W; the sequence's ends have no terms of their own."""
+        end_terms = (a >= 0).astype(int) + (b < len(self.times))
+        return np.asarray((b - a - 1 + end_terms) * (self.padded_times[b + 1] - self.padded_times[a + 1]))
+
+
+Array32 = NDArray[np.float32]
 
 MIN_WEIGHT = 1e-9  # guards the division by the number of frames that show a joint
 

@@ -10,8 +10,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.offline.keyframes.body_halves import estimate_torso_lengths
-from mocap_ros.offline.keyframes.filters import nan_median
+from mocap_ros.offline.keyframes.half_poses import estimate_torso_lengths
+from mocap_ros.offline.keyframes.image_points import nan_median
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import MIN_JOINTS_FOR_CAMERA
 

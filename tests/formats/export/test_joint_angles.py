@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS, UPRIGHT_DEG, compute_joint_angles
 from mocap_ros.skeleton import CMU15
@@ -112,12 +111,3 @@ def test_bodies_without_angles_give_finite_ones() -> None:
     across = line[..., [1, 0, 2]]
     for joints in (point, line, across, line[:1]):
         assert np.isfinite(compute_joint_angles(joints, FPS)).all()
-
-
-@settings(max_examples=30)
-@given(arrays(float, (4, 15, 3), elements=st.floats(-3, 3)))
-def test_any_joints_give_angles_without_a_jump_by_a_full_turn(joints: np.ndarray) -> None:
-    angles = compute_joint_angles(joints, FPS)
-    assert np.isfinite(angles).all()
-    is_angle = [name not in POSITIONS for name in COORDINATES]
-    assert np.abs(np.diff(angles[:, is_angle], axis=0)).max() <= 180.0 + 1e-9

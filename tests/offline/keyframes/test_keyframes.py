@@ -14,14 +14,27 @@ from hypothesis import strategies as st
 from mocap_ros.config import KeyframesConfig
 from mocap_ros.errors import InputError
 from mocap_ros.offline.keyframes.alignment import AlignedMotion, align_motion
-from mocap_ros.offline.keyframes.body_halves import BodyHalf, HalfPoses, split_into_halves
-from mocap_ros.offline.keyframes.distance import build_averaging_matrix, compute_distances, denoise_distances
-from mocap_ros.offline.keyframes.filters import build_low_pass_matrix, interpolate_gaps, nan_median
-from mocap_ros.offline.keyframes.gradient_fit import FitResult, fit_motion
-from mocap_ros.offline.keyframes.interpolation import slerp
-from mocap_ros.offline.keyframes.keyframe_set import find_keyframe_set
-from mocap_ros.offline.keyframes.outliers import find_outliers
-from mocap_ros.offline.keyframes.selection import estimate_frame_interval, find_interpolatable, select_keyframes
+from mocap_ros.offline.keyframes.half_poses import (
+    BodyHalf,
+    HalfPoses,
+    build_averaging_matrix,
+    compute_distances,
+    denoise_distances,
+    split_into_halves,
+)
+from mocap_ros.offline.keyframes.image_points import (
+    build_low_pass_matrix,
+    find_outliers,
+    interpolate_gaps,
+    nan_median,
+)
+from mocap_ros.offline.keyframes.keyframe_set import (
+    estimate_frame_interval,
+    find_interpolatable,
+    find_keyframe_set,
+    select_keyframes,
+)
+from mocap_ros.offline.keyframes.motion import FitResult, fit_motion, slerp
 from mocap_ros.offline.keyframes.taylor import parse_depth_choices, reconstruct_limbs
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import SolverStatus
