@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Functions that the benchmarks share: evaluation data, test views, models, solvers, errors and timing.
+"""What the benchmarks share: evaluation data, test views, models, the ways to reconstruct, errors and timing.
 
 Import this module before numpy, since it limits the linear algebra to one thread. It is not a benchmark itself.
 """
@@ -19,10 +19,8 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from multiprocessing import get_context
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
@@ -32,23 +30,26 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky
 from tqdm import tqdm
 
+import mocap_ros
 from mocap_ros.config import SolverConfig, TrackerConfig
-from mocap_ros.evaluation.metrics import scale_to_reference
 from mocap_ros.formats.mocap.trials import Trial, load_trials, select_trials
 from mocap_ros.formats.sequence_file import create_intrinsics, load_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.rotations import centre_poses, fit_heading_rotation, fit_rotation
+from mocap_ros.geometry.rotations import centre_poses, fit_rotation
+from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15
-from mocap_ros.solvers import alternation, joint, periodic
-from mocap_ros.solvers.window import Reconstruction, Window
+from mocap_ros.solvers.window import Window
 from mocap_ros.training.fit_base_poses import fit_base_poses
 from mocap_ros.training.motion_library import balance_trials
 
 Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Parameters = Mapping[str, Any]
 T = TypeVar('T')
 
 ROOT = Path(__file__).resolve().parent.parent
+WAYS = ('whole', 'live')  # how a view is reconstructed: all frames together, or frame by frame by the tracker
 HEADINGS_DEG = tuple(range(0, 360, 45))  # degrees, directions from which the test views look; 0 is the front
 FPS = 30.0  # Hz, frame rate of the motion capture
 # Subjects of the motion capture that the held-out lifter and the base poses beside it are not trained on.
@@ -56,26 +57,20 @@ HELD_OUT_SUBJECTS = (
     *('35', '13', '05', '135', 'UB', 'UT', 'UWW', 'UJ', 'UW', '12', '26', '27'),
     *('14', '86', '94', 'uiprmd_s07', 'uiprmd_s08'),
 )
-# File of the lifter that never saw these subjects, trained like the shipped one (docs/lifter.md).
+# File of the lifter that never saw these subjects, trained like the shipped one.
 HELD_OUT_LIFTER = ROOT / 'benchmarks' / 'models' / 'lifter_heldout.npz'
 # Files of motion capture below `data`, and the one that this program uses.
 CAPTURE_FILES = {'cmu': ('cmu', 'cmu15_30fps.npz'), 'motion': ('motion', 'body26_30fps.npz')}
 _chosen_capture = ['cmu']
 RECORDED_DETECTORS, CAMERAS = ('openpose', 'mediapipe'), (1, 2, 3)  # of the recorded detections
-ORTHOGRAPHIC_FOCAL_LENGTH = (
-    20.0  # longer sides of the image; so long that perspective looks orthographic, as in the views
-)
+ORTHOGRAPHIC_FOCAL_LENGTH = 20.0  # longer sides of the image; with it perspective looks orthographic
 # The fixed amount of linear algebra by which machines are compared.
 REFERENCE_KERNEL = '200 Cholesky factorisations of a 512 x 512 matrix'
 
 
-def _data_folder() -> Path:
-    return Path(os.environ.get('MOCAP_ROS_SHARED') or ROOT.parent / 'shared')
-
-
 def data_path(*parts: str) -> Path:
     """Return the path of a file of the evaluation data: protocol, motion capture, detections."""
-    return _data_folder().joinpath(*parts)
+    return Path(os.environ.get('MOCAP_ROS_SHARED') or ROOT.parent / 'shared').joinpath(*parts)
 
 
 @cache
@@ -132,20 +127,39 @@ class View:
     sequence: dict[str, Array]
     heading: float = 0.0
 
-    @cached_property
-    def window(self) -> Window:
-        keypoints = self.sequence['keypoints'].astype(float)
-        return Window(np.nan_to_num(keypoints[..., :2]), keypoints[..., 2], self.sequence['timestamps'])
+    @property
+    def keypoints(self) -> Array:
+        return self.sequence['keypoints'].astype(float)
 
     @property
-    def intrinsics(self) -> Intrinsics:
-        width, height = (int(v) for v in self.sequence['image_size'])
-        matrix, distortion = (self.sequence.get(k) for k in ('camera_matrix', 'distortion'))
-        return create_intrinsics((width, height), matrix, distortion, ORTHOGRAPHIC_FOCAL_LENGTH)
+    def times(self) -> Array:
+        return self.sequence['timestamps']
+
+    @property
+    def frames(self) -> int:
+        return len(self.times)
+
+    @cached_property
+    def window(self) -> Window:
+        keypoints = self.keypoints
+        return Window(np.nan_to_num(keypoints[..., :2]), keypoints[..., 2], self.times)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
         return tuple(str(name) for name in self.sequence['joint_names'])
+
+    @property
+    def camera(self) -> dict[str, Any]:
+        """The camera as arguments of the public functions; without a matrix it is nearly orthographic."""
+        width, height = (int(v) for v in self.sequence['image_size'])
+        calibration = {k: self.sequence.get(k) for k in ('camera_matrix', 'distortion')}
+        return {'image_size': (width, height), **calibration}
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        given = self.camera
+        calibration = given['camera_matrix'], given['distortion']
+        return create_intrinsics(given['image_size'], *calibration, ORTHOGRAPHIC_FOCAL_LENGTH)
 
     @property
     def truth(self) -> Array:
@@ -154,19 +168,22 @@ class View:
     @property
     def true_poses(self) -> Array:
         """True joints (F, 15, 3) m in the camera's optical frame, in the order of `CMU15`."""
-        names = [str(name) for name in self.sequence['joints3d_names']]
-        return self.truth[:, [names.index(joint) for joint in CMU15.joints]]
+        return self.select_truth(CMU15.joints)
 
-    @property
-    def frames(self) -> int:
-        return len(self.sequence['timestamps'])
+    def select_truth(self, joints: Sequence[str]) -> Array:
+        """Return the true joints (F, J, 3) m with these names."""
+        names = [str(name) for name in self.sequence['joints3d_names']]
+        return self.truth[:, [names.index(joint) for joint in joints]]
 
     def hide_joints(self, joints: Sequence[str], frames: slice = slice(None)) -> View:
         """Return the same view, in which some joints are not seen in some frames."""
         keypoints = self.sequence['keypoints'].copy()
-        columns = [self.joint_names.index(j) for j in joints]
-        keypoints[frames, columns] = [np.nan, np.nan, 0]
-        return View({**self.sequence, 'keypoints': keypoints}, self.heading)
+        keypoints[frames, [self.joint_names.index(j) for j in joints]] = [np.nan, np.nan, 0]
+        return replace(self, sequence={**self.sequence, 'keypoints': keypoints})
+
+    def list_people(self, person_id: str = 'p') -> list[Person2D]:
+        """Return the person of each frame."""
+        return [Person2D(person_id, self.joint_names, k[:, :2], k[:, 2]) for k in self.keypoints]
 
 
 def make_views(trial: str | Array, headings: Iterable[float] = HEADINGS_DEG, **options: Any) -> list[View]:
@@ -242,25 +259,67 @@ def train_base_poses(
     return model.rescale(TrackerConfig().body_height / model.stature)
 
 
-def solve_jointly(
-    tests: Sequence[View], model: BasePoses, config: SolverConfig | None = None
-) -> Sequence[Reconstruction]:
-    """Solve all views as one batch of the joint solver."""
-    return joint.solve_hypotheses([v.window for v in tests], model, config or SolverConfig())
+def provide_held_out() -> tuple[BasePoses, dict[str, Any]]:
+    """Return base poses of all motions and parameters with a lifter, which saw none of `HELD_OUT_SUBJECTS`."""
+    choose_capture('motion')
+    return train_base_poses(without_subjects=HELD_OUT_SUBJECTS), {'solver.prior': str(HELD_OUT_LIFTER)}
 
 
-def solve_by_alternation(
-    tests: Sequence[View], model: BasePoses, config: SolverConfig
-) -> Sequence[Reconstruction]:
-    """Solve each view by Algorithm 1 of the paper."""
-    return [alternation.reconstruct(v.window, model, config) for v in tests]
+def _fill_in(parameters: Parameters) -> dict[str, Any]:
+    return {'tracker.nominal_focal_length': ORTHOGRAPHIC_FOCAL_LENGTH, **parameters}
 
 
-def solve_periodically(
-    tests: Sequence[View], model: BasePoses, config: SolverConfig | None = None
-) -> Sequence[periodic.PeriodicReconstruction]:
-    """Solve the views with the periodic model."""
-    return periodic.solve([v.window for v in tests], model, config or SolverConfig())
+def reconstruct_whole(
+    view: View, model: BasePoses | str = 'auto', parameters: Parameters | None = None, method: Any = 'whole'
+) -> Array:
+    """Return the joints (F, 26 or 15, 3) m of a whole sequence, by the public function."""
+    return mocap_ros.reconstruct(
+        view.keypoints,
+        view.joint_names,
+        view.times,
+        **view.camera,
+        model=model,
+        parameters=_fill_in(parameters or {}),
+        method=method,
+    ).joints
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedSequence:
+    """The output of the tracker for a sequence of one person; NaN in frames without output.
+
+    Attributes:
+        joints: (F, 26, 3) m.
+        std: (F, 26) m.
+        inferred: (F, 26).
+    """
+
+    joints: Array
+    std: Array
+    inferred: Bools
+
+
+def track(view: View, model: BasePoses | str = 'auto', parameters: Parameters | None = None) -> TrackedSequence:
+    """Reconstruct a view frame by frame, by the public tracker."""
+    tracker = mocap_ros.Tracker(
+        view.joint_names, **view.camera, model=model, parameters=_fill_in(parameters or {})
+    )
+    joints = np.full((view.frames, 26, 3), np.nan)
+    std, inferred = np.full(joints.shape[:2], np.nan), np.zeros(joints.shape[:2], bool)
+    for time_s, keypoints in zip(view.times, view.keypoints, strict=True):
+        for person in tracker.update(float(time_s), [keypoints], ids=['p']):
+            at = int(np.argmin(np.abs(view.times - tracker.output_time_s)))
+            joints[at], std[at], inferred[at] = person.joints, person.std, person.inferred
+    return TrackedSequence(joints, std, inferred)
+
+
+def reconstruct(
+    way: str, view: View, model: BasePoses | str = 'auto', parameters: Parameters | None = None
+) -> Array:
+    """Return the joints (F, 26, 3) m of one of `WAYS`."""
+    if way == 'whole':
+        return reconstruct_whole(view, model, parameters)
+    return track(view, model, parameters).joints
 
 
 def make_config(**overrides: Any) -> SolverConfig:
@@ -268,61 +327,29 @@ def make_config(**overrides: Any) -> SolverConfig:
     return replace(SolverConfig(), **overrides)
 
 
-def make_paper_config(**overrides: Any) -> SolverConfig:
-    """Return the paper's configuration: no prior, no smoothness, least squares, an initial camera per frame."""
-    paper = {
-        'method': 'alternation',
-        'adapt_noise': False,
-        'components': 6,
-        'prior_weight': 0.0,
-        'smooth_weight': 0.0,
-        'pose_acceleration_weight': 0.0,
-        'robust_scale': 0.0,
-        'start_window': 0.0,
-        'flip_weight': 1e-4,
-        'heading_flip_factor': 1.0,
-        'heading_prior_factor': 1.0,
-        'tilt_weight': 0.0,
-        'scale_weight': 0.0,
-        'bone_weight': 1.0,
-        'max_iterations': 100,
-    }
-    return make_config(**{**paper, **overrides})
-
-
 def compute_errors(
-    view: View, joints3d: Array, joint_names: Sequence[str], joints: str = 'common'
+    view: View, joints3d: Array, joint_names: Sequence[str] = CMU15.joints, joints: str = 'common'
 ) -> dict[str, float]:
-    """Compute the errors of one reconstruction by the protocol."""
+    """Compute the errors of one reconstruction (F, J, 3) m by the protocol; of `CMU15` the first 15 count."""
     s = view.sequence
-    fps = 1 / float(np.median(np.diff(s['timestamps'])))
+    fps = 1 / float(np.median(np.diff(view.times)))
+    found, names = joints3d[:, : len(joint_names)], s['joints3d_names']
     return load_protocol().score(
-        joints3d, joint_names, s['joints3d'], s['joints3d_names'], s['keypoints'], s['joint_names'], joints, fps
+        found, joint_names, s['joints3d'], names, s['keypoints'], s['joint_names'], joints, fps
     )
 
 
 def compute_all_errors(
-    tests: Sequence[View], found: Sequence[Reconstruction | Array], joints: str = 'common'
+    views: Sequence[View], found: Sequence[Any], joints: str = 'common'
 ) -> list[dict[str, float]]:
-    """Compute the errors of one reconstruction, or of its joints (F, 15, 3) m, per view by the protocol."""
-    poses = [r.joints if isinstance(r, Reconstruction) else r for r in found]
-    return [compute_errors(v, p, CMU15.joints, joints) for v, p in zip(tests, poses, strict=True)]
-
-
-def compute_errors_of_detector(view: View) -> dict[str, float] | None:
-    """Compute the errors of the detector's own 3D joints on a recording; None if it has none."""
-    joints3d = view.sequence.get('mediapipe_world')
-    return None if joints3d is None else compute_errors(view, joints3d.astype(float), view.joint_names, 'limbs')
+    """Compute the errors of one result with `joints`, or of its joints, for each view."""
+    poses = [getattr(r, 'joints', r) for r in found]
+    return [compute_errors(v, p, joints=joints) for v, p in zip(views, poses, strict=True)]
 
 
 def mean_error(records: Sequence[Mapping[str, Any]], key: str = 'mpjpe_mm') -> float:
     """Return the mean of an error over the records."""
     return float(np.mean([r[key] for r in records]))
-
-
-def worst_error(records: Sequence[Mapping[str, Any]]) -> float:
-    """Return the largest MPJPE of the records in mm."""
-    return float(np.max([r['mpjpe_mm'] for r in records]))
 
 
 def align_scale(found: Array, truth: Array) -> tuple[Array, Array]:
@@ -332,23 +359,12 @@ def align_scale(found: Array, truth: Array) -> tuple[Array, Array]:
     return found * ((found * truth)[known].sum() / (found * found)[known].sum()), truth
 
 
-def compute_frame_errors(view: View, result: Reconstruction, *, per_frame_similarity: bool = False) -> Array:
-    """Return the MPJPE (or PA-MPJPE) of the protocol for each frame, (F,) mm."""
-    truth, found = centre_poses(view.truth), centre_poses(result.joints)
-    if not per_frame_similarity:
-        found = scale_to_reference(found, truth)
-    return compute_pose_errors(found, truth, similarity=per_frame_similarity)
+def compute_frame_errors(view: View, joints: Array) -> Array:
+    """Return the MPJPE of each frame of poses (F, 15 or 26, 3), with one scale, (F,) mm."""
+    return compute_pose_errors(*align_scale(joints[:, : len(CMU15.joints)], view.true_poses))
 
 
-def find_true_weights(model: BasePoses, trial: str, frames: int) -> tuple[Array, Array]:
-    """Return the first poses (F, 15, 3) m of a trial, scaled and turned to a model, and their weights (F, K) m."""
-    poses = centre_poses(next(t.poses for t in list_trials() if t.name == trial)[:frames])
-    poses = poses * (np.linalg.norm(model.mean) / np.linalg.norm(poses, axis=(1, 2)).mean())
-    turned = poses @ np.swapaxes(fit_heading_rotation(poses, model.mean), -1, -2)
-    return turned, model.weights(turned)
-
-
-def compute_pose_errors(found: Array, truth: Array, *, similarity: bool) -> Array:
+def compute_pose_errors(found: Array, truth: Array, *, similarity: bool = False) -> Array:
     """Return the mean joint error of centred poses (F, J, 3) m, (F,) mm; with `similarity`, after one for each."""
     if similarity:
         turned = found @ np.swapaxes(fit_rotation(found, truth), -1, -2)
@@ -357,52 +373,19 @@ def compute_pose_errors(found: Array, truth: Array, *, similarity: bool) -> Arra
     return np.linalg.norm(found - truth, axis=-1).mean(axis=1) * 1e3
 
 
-def compute_residual_mm(view: View, result: Reconstruction) -> float:
-    """Return the RMS reprojection error of the seen points in mm at the distance of the body."""
-    count = (view.window.weight > 0).sum(axis=1)
-    squared = np.nansum(np.nan_to_num(result.residual) ** 2 * count) / count.sum()
-    return float(np.sqrt(squared) / load_protocol().PX_PER_M * 1e3)
-
-
-def measure_time(action: Callable[[], T], repeats: int = 1) -> tuple[T, float]:
-    """Return the result of an action and the median of its CPU time in s over the repeats.
-
-    CPU time is that of this process, so that others on the same core hardly matter.
-    """
-    durations = []
-    for _ in range(repeats):
-        start_s = time.process_time()
-        result = action()
-        durations.append(time.process_time() - start_s)
-    return result, float(np.median(durations))
+def measure_time(action: Callable[[], T]) -> tuple[T, float]:
+    """Return the result of an action and the CPU time of this process in s."""
+    start_s = time.process_time()
+    result = action()
+    return result, time.process_time() - start_s
 
 
 def measure_reference_kernel_s() -> float:
-    """Return the CPU time in s of `REFERENCE_KERNEL`, by which machines are compared."""
+    """Return the CPU time in s of `REFERENCE_KERNEL`."""
     a = np.random.default_rng(0).standard_normal((512, 512))
     matrix = a @ a.T + 512 * np.eye(512)
     cholesky(matrix)
     return measure_time(lambda: [cholesky(matrix, lower=True) for _ in range(200)])[1]
-
-
-def read_peak_mb() -> float:
-    """Return the peak resident memory of this process in MB; `ru_maxrss` would include that of its parent."""
-    status = Path('/proc/self/status')
-    lines = status.read_text().splitlines() if status.is_file() else []
-    return next((int(line.split()[1]) / 1024 for line in lines if line.startswith('VmHWM')), float('nan'))
-
-
-def _run_and_read_peak(action: Callable[..., T], *arguments: Any) -> tuple[T, float]:
-    return action(*arguments), read_peak_mb()
-
-
-def run_in_process(action: Callable[..., T], *arguments: Any, fresh: bool = False) -> tuple[T, float]:
-    """Run a function of a module in a process of its own; return its result and its peak memory in MB.
-
-    Unless it is `fresh`, the process has what this one has loaded and compiled.
-    """
-    with ProcessPoolExecutor(1, get_context('spawn' if fresh else 'fork')) as process:
-        return process.submit(_run_and_read_peak, action, *arguments).result()
 
 
 def show_progress(items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:

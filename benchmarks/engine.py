@@ -1,418 +1,220 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The engine: time of a frame by stage, how it grows, and the targets for speed and for the live result.
+"""Speed and memory: the tracker alone, a replay, and the node over real DDS.
 
-All times are for one core and one BLAS thread. Before each section the reference kernel is measured, by which runs
-at different times and machines are compared. Sections of `--only`:
+With `--reference FOLDER`, another checkout is measured in turn with this one, and the table shows the ratios;
+other programs on the machine then hardly matter. Times of the tracker are CPU times of one core and one BLAS
+thread. Sections of `--only`:
 
-    stages   mean CPU time of one frame in the node by stage, beside those of version 0.1; a picture
-    growth   CPU time of the tracker against people, window, base poses and frame rate; memory by person
-    tracker  CPU time of the tracker by person and frame, and its longest single piece of work
-    solver   one solution of 120 frames, and the comparison with scipy.optimize.least_squares
-    node     latency and memory of the node over real DDS
-    crowd    the largest number of people that the node tracks at 30 Hz (six minutes; not with --quick)
-    start    time from the start of the node's process to its first answer, with a warm and with an empty cache
-             (with --quick only the former)
-    past     the live result against a solution from scratch of the same past (ten minutes; trains a lifter without
-             the tested subjects if it is missing, half an hour)
+    tracker  ms a person and frame, for 1, 10 and 30 people
+    replay   a recording of one person, times real time
+    node     latency from keypoints to skeleton, and memory of the node with ten people
+    start    CPU time and time from the start of the node's process to its first answer
+    crowd    the largest number of people that the node tracks at 30 Hz for a minute with recording
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
+import subprocess
+import sys
 import tempfile
 import time
-import tracemalloc
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import common
-import matplotlib as mpl
-import matplotlib.pyplot as plt
 import numpy as np
-import solvers
-from experiments import past_only
-from experiments.node import HZ, MAX_PEOPLE, START_TIMEOUT_S, Peer, choose_domain, measure_usage, run_node
-from experiments.stages import OTHER, STAGES, measure_stages
-from matplotlib.figure import Figure
-from numpy.typing import NDArray
-from reconstruction import provide_held_out
-from report import Record, Report, add_sections, group, run
+from node import HZ, MAX_PEOPLE, TIMEOUT_S, Peer, measure_usage, run_node
+from report import Report, run
 
-from mocap_ros.config import Config, with_values
-from mocap_ros.keypoints.person import Person2D
-from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.skeleton import CMU15
-from mocap_ros.tracking.tracker import Tracker
-from mocap_ros.units import NS_PER_S
+Found = dict[str, float]
 
-mpl.use('Agg')
-Array = NDArray[np.float64]
-
-BEFORE = Path(__file__).resolve().parent / 'history' / '0.1.0.json'  # what the releases are compared with
-STAGE_PEOPLE = (1, 10, 30)  # crowds whose stages are measured
-GROWTH_PEOPLE = (1, 2, 5, 10, 20, 30, 50)
-GROWTH_TRIAL = '09_12'  # a walk of 16 s
-CROWD_S = 60.0  # s for which a crowd must be tracked without a dropped frame
-# Figures of the table of targets: the one to reach and the one beyond; True where more is better.
+# Figures of the table: the one to reach and the one beyond; True where more is better.
 TARGETS: Mapping[str, tuple[float, float, bool]] = {
-    'tracker_ms_person_frame_1': (1.0, 0.7, False),
-    'tracker_ms_person_frame_10': (0.6, 0.4, False),
-    'people_at_30hz': (30, 45, True),
-    'latency_ms_p50_1': (4, 3, False),
-    'latency_ms_p99_1': (12, 6, False),
-    'latency_ms_p99_10': (33, 20, False),
-    'longest_piece_ms': (3, 2, False),
-    'solve_ms_120_frames': (30, 15, False),
-    'times_faster_than_scipy': (15, 30, True),
-    'live_over_past_only': (1.05, 1.0, False),
-    'node_start_warm_s': (3, 2, False),
-    'node_start_cold_s': (60, 30, False),
-    'peak_mb': (260, 200, False),
+    'ms a person and frame, 1 person': (0.60, 0.36, False),
+    'ms a person and frame, 10 people': (0.45, 0.26, False),
+    'ms a person and frame, 30 people': (0.40, 0.23, False),
+    'longest deferred piece, ms': (3, 2, False),
+    'people at 30 Hz for 60 s, with recording': (50, 80, True),
+    'replay of one person, times real time': (18, 30, True),
+    'latency of one person, median, ms': (4, 3, False),
+    'latency of one person, 99 %, ms': (4, 3, False),
+    'latency of ten people, 99 %, ms': (20, 15, False),
+    'memory of the node, ten people, MB': (150, 110, False),
+    'start of the node, s': (2, 1.5, False),
+    'start of the node, CPU s': (1.5, 1, False),
 }
+DEMO = Path('mocap_ros', 'demo', 'demo.npz')  # in a checkout
+CROWD_S = 60.0  # s for which a crowd must be tracked without a dropped frame
+WARM_UP_FRAMES = 75  # of the tracker, that do not count
+# Tracks people side by side, by the public tracker; what it defers is done after each frame, as the node does it.
+TRACK = """
+import json, sys, time
+from mocap_ros.runtime import cpu_setup
+cpu_setup.configure_process()
+import numpy as np, mocap_ros
+sequence, people, frames = mocap_ros.read(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+tracker = mocap_ros.Tracker(sequence.joint_names, image_size=(3840, 2160))
+run_deferred_work = getattr(tracker._tracker, 'run_deferred_work', lambda: None)
+shifts = np.array([[300.0 * (n % 12), 400.0 * (n // 12), 0.0] for n in range(people)])
+updates, pieces = [], []
+for frame in range(frames):
+    seen = sequence.keypoints[frame % len(sequence)] + shifts[:, None]
+    start = time.thread_time()
+    tracker.update((frame + 1) / 30, seen, ids=[f'p{n}' for n in range(people)])
+    between = time.thread_time()
+    run_deferred_work()
+    updates.append(between - start)
+    pieces.append(time.thread_time() - between)
+print(json.dumps([updates, pieces]))
+"""
 
 
-def measure_all_stages(quick: bool) -> list[dict[str, Any]]:
-    """Return the stages of each crowd in ms a frame and person, of the fastest of several runs."""
-    frames, warm_up, repeats = (60, 20, 1) if quick else (240, HZ, 3)
-    domain = choose_domain()
-    rows = []
-    for people in STAGE_PEOPLE[:2] if quick else STAGE_PEOPLE:
-        runs = [measure_stages(domain, people, frames, warm_up) for _ in range(repeats)]
-        fastest = min(runs, key=lambda stages: sum(stages.values()))
-        whole = measure_stages(domain, people, frames, warm_up, {})[OTHER]
-        by_person = {stage: ms / people for stage, ms in fastest.items()}
-        rows.append(
-            {'people': people, **by_person, 'sum': sum(by_person.values()), 'sum, unwrapped': whole / people}
+def make_environment(root: Path) -> dict[str, str]:
+    """Return the environment of a process that runs the package of a checkout."""
+    return {**os.environ, 'PYTHONPATH': f'{root}{os.pathsep}{os.environ.get("PYTHONPATH", "")}'}
+
+
+def measure_tracker(root: Path, quick: bool) -> Found:
+    out, longest = Found(), 0.0
+    for people in (1, 10) if quick else (1, 10, 30):
+        command = [sys.executable, '-c', TRACK, str(root / DEMO), str(people), '120' if quick else '300']
+        done = subprocess.run(
+            command, env=make_environment(root), cwd=root, capture_output=True, text=True, check=True
         )
-    return rows
+        updates, pieces = np.array(json.loads(done.stdout))[:, WARM_UP_FRAMES:] * 1e3
+        out[f'ms a person and frame, {people} {"person" if people == 1 else "people"}'] = float(
+            np.median(updates) / people
+        )
+        longest = max(longest, float(pieces.max()))
+    return {**out, 'longest deferred piece, ms': longest}
 
 
-def load_before() -> dict[str, Any]:
-    """Return this benchmark's results of version 0.1, with the machine."""
-    entry = json.loads(BEFORE.read_text(encoding='utf-8'))['engine']
-    return {**entry['results'], 'machine': entry['machine']}
+def measure_replay(root: Path, _quick: bool) -> Found:
+    with tempfile.TemporaryDirectory() as name:
+        folder, environment = Path(name), make_environment(root)
+        program = [sys.executable, '-c', 'import sys; from mocap_ros.cli.main import main; sys.exit(main())']
+
+        def replay(bag: Path, out: str) -> float:
+            start_s = time.perf_counter()
+            command = [*program, 'replay', str(bag), '-o', str(folder / out)]
+            subprocess.run(command, env=environment, cwd=root, check=True, stdout=subprocess.DEVNULL)
+            return time.perf_counter() - start_s
+
+        bags, seconds = [folder / 'short.mcap', folder / 'long.mcap'], []
+        with np.load(root / DEMO) as archive:
+            whole = dict(archive)
+        for bag, frames in zip(bags, (30, len(whole['timestamps'])), strict=True):
+            timed = ('keypoints', 'timestamps', 'joints3d')
+            np.savez(folder / 'part.npz', **{k: v[:frames] if k in timed else v for k, v in whole.items()})
+            command = [*program, 'reconstruct', str(folder / 'part.npz'), '-o', str(bag)]
+            subprocess.run(command, env=environment, cwd=root, check=True, stdout=subprocess.DEVNULL)
+            seconds.append(replay(bag, bag.stem))
+    # the start of the process is in both
+    stream_s = (len(whole['timestamps']) - 30) / HZ
+    return {'replay of one person, times real time': stream_s / (seconds[1] - seconds[0])}
 
 
-def show_stages(report: Report, rows: Sequence[Record], before: Record) -> None:
-    """Show the stages as rows, and the crowds before and now as columns."""
-    old = {r['people']: r for r in before.get('stages', ())}
-    columns = {}
-    for row in rows:
-        if row['people'] in old:
-            columns[f'{row["people"]}, before'] = old[row['people']]
-        columns[f'{row["people"]}, now'] = row
-    stages = [
-        {'stage': stage, **{name: f'{found[stage]:.3f}' for name, found in columns.items()}}
-        for stage in (*STAGES, OTHER, 'sum', 'sum, unwrapped')
-    ]
-    report.rows('Mean CPU time of one frame in the node, ms by person', stages, page='engine.stages')
-    report.text(f'Before: {before["machine"]}')
+@contextmanager
+def run_peer_and_node(root: Path) -> Iterator[tuple[Peer, int]]:
+    """Run a node of a checkout with a peer; give the peer, and the process of the node, which is ready."""
+    environment = make_environment(root)
+    with (
+        tempfile.TemporaryDirectory() as name,
+        Peer() as peer,
+        run_node(Path(name), environment=environment) as node,
+    ):
+        peer.wait_for_node()
+        yield peer, node.pid
 
 
-def draw_stages(rows: Sequence[Record], before: Record) -> Figure:
-    """Draw the stages of each crowd as stacked bars, before and now side by side."""
-    figure, axes = plt.subplots(figsize=(7, 4), layout='constrained')
-    colours = plt.colormaps['tab20'](np.linspace(0, 1, 20))
-    old = {r['people']: r for r in before.get('stages', ())}
-    ticks: list[float] = []
-    labels: list[str] = []
-    for place, row in enumerate(rows):
-        for offset, when, found in ((-0.2, 'before', old.get(row['people'])), (0.2, 'now', row)):
-            if found is None:
-                continue
-            bottom = 0.0
-            for stage, colour in zip((*STAGES, OTHER), colours, strict=False):
-                name = stage if not ticks else None
-                axes.bar(place + offset, found[stage], 0.36, bottom, color=colour, label=name)
-                bottom += found[stage]
-            axes.text(place + offset, bottom, f'{bottom:.2f}', ha='center', va='bottom', fontsize=8)
-            ticks.append(place + offset)
-            labels.append(f'{row["people"]}\n{when}')
-    axes.set_xticks(ticks, labels)
-    axes.set(xlabel='people', ylabel='CPU time by person and frame, ms')
-    figure.legend(*axes.get_legend_handles_labels(), loc='outside right upper', frameon=False, reverse=True)
-    return figure
-
-
-def report_stages(report: Report, quick: bool) -> dict[str, Any]:
-    rows, before = measure_all_stages(quick), load_before()
-    show_stages(report, rows, before)
-    if not quick:
-        report.picture(draw_stages(rows, before), 'docs/img/engine/stages.png')
-    return {'stages': rows}
-
-
-def make_stream(people: int, rate: float, frames: int) -> list[list[Person2D]]:
-    """Return the frames of people who walk side by side, each seen from another side, at a rate in Hz.
-
-    The people are 1.5 m apart, and further crowds of twelve stand in the same places with other names.
-    """
-    views = common.make_views(GROWTH_TRIAL, np.arange(12) * 30, frames=480)
-    times = views[0].sequence['timestamps']
-    at = np.arange(frames) / rate
-    tracks = []
-    for number in range(people):
-        points = views[number % 12].window.points.reshape(len(times), -1)
-        sampled = np.stack([np.interp(at, times, column) for column in points.T], axis=-1).reshape(frames, -1, 2)
-        tracks.append(sampled + [common.load_protocol().PX_PER_M * 1.5 * number, 0.0])
-    score = np.ones(len(CMU15.joints))
-    return [[Person2D(f'p{n}', CMU15.joints, t[f], score) for n, t in enumerate(tracks)] for f in range(frames)]
-
-
-def measure_tracker(
-    people: int, rate: float = 30.0, seconds: float = 8.0, repeats: int = 1, **values: Any
-) -> dict[str, float]:
-    """Measure the CPU time of the tracker by person and frame, of the fastest of several runs.
-
-    Args:
-        people: number of people; all of them appear in the first frame.
-        rate: Hz.
-        seconds: s, length of the stream; the first third does not count, but for the longest pieces of work.
-        repeats: number of runs.
-        values: parameters of the tracker.
-    """
-    config = with_values(Config(), {f'tracker.{name}': value for name, value in values.items()})
-    frames = make_stream(people, rate, round(seconds * rate))
-    (view,) = common.make_views(GROWTH_TRIAL, [0], frames=1)
-    runs = [_measure_stream(frames, rate, config, view) for _ in range(repeats)]
-    return min(runs, key=lambda run: run['median ms'])
-
-
-def _measure_stream(
-    frames: Sequence[Sequence[Person2D]], rate: float, config: Config, view: common.View
-) -> dict[str, float]:
-    tracker = Tracker(load_base_pose_models(config.tracker.model), config)
-    people, updates, pieces = len(frames[0]), [], []
-    for number, seen in enumerate(frames):
-        start_s = time.thread_time()
-        tracker.update(round(number / rate * NS_PER_S) + 1, seen, view.intrinsics)
-        between_s = time.thread_time()
-        tracker.run_deferred_work()
-        updates.append((between_s - start_s) * 1e3)
-        pieces.append((time.thread_time() - between_s) * 1e3)
-    update, piece = np.array(updates), np.array(pieces)
-    late = slice(len(frames) // 3, None)
-    return {
-        'median ms': float(np.median(update[late])) / people,
-        'p99 ms': float(np.percentile(update[late], 99)) / people,
-        'mean ms with deferred work': float((update + piece)[late].mean()) / people,
-        'first update, ms': float(update[0]),
-        'longest update, ms': float(update.max()),
-        'longest deferred piece, ms': float(piece.max()),
-    }
-
-
-def report_growth(report: Report, quick: bool) -> dict[str, Any]:
-    """Measure the tracker against people, window, base poses and frame rate, one at a time, and its memory."""
-    seconds = 2.0 if quick else 8.0
-    windows, components = ((1.0,), (20,)) if quick else ((0.5, 1.0, 2.0, 4.0, 8.0), (5, 10, 20, 30, 39))
-    crowds, rates = (GROWTH_PEOPLE[:3:2], (60.0,)) if quick else (GROWTH_PEOPLE, (15.0, 30.0, 60.0))
-    one = {'people': 1, 'seconds': seconds}
-    cases: dict[str, list[tuple[dict[str, Any], dict[str, Any]]]] = {
-        'people': [({'people': n}, one | {'people': n}) for n in crowds],
-        'window': [({'window s': w}, one | {'window': w, 'seconds': seconds + w}) for w in windows],
-        'base poses': [({'K': k}, one | {'components': k}) for k in components],
-        'rate': [({'rate Hz': r}, one | {'rate': r}) for r in rates],
-    }
-    growth = {}
-    for name, rows in cases.items():
-        shown = common.show_progress(rows, name)
-        growth[name] = [{**label, **measure_tracker(**options)} for label, options in shown]
-        report.rows(f'CPU time of the tracker by person and frame, against {name}', growth[name])
-    memory = measure_memory_by_person(quick)
-    report.text(f'Memory that the tracker keeps: {memory["memory_kb_person"]:.0f} kB by person')
-    return {'growth': growth, **memory}
-
-
-def measure_memory_by_person(quick: bool) -> dict[str, float]:
-    """Return the memory that a tracker keeps for each person, kB: the difference of two crowds, full windows."""
-    few, many = (1, 5) if quick else (1, 31)
-    kept = [_measure_kept_bytes(people) for people in (few, many)]
-    return {'memory_kb_person': (kept[1] - kept[0]) / (many - few) / 1e3}
-
-
-def _measure_kept_bytes(people: int) -> int:
-    frames = make_stream(people, 30.0, 75)
-    (view,) = common.make_views(GROWTH_TRIAL, [0], frames=1)
-    tracker = Tracker(load_base_pose_models('auto'), Config())
-    tracemalloc.start()
-    for number, seen in enumerate(frames):
-        tracker.update(round(number / 30 * NS_PER_S) + 1, seen, view.intrinsics)
-    kept, _ = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    return kept
-
-
-def measure_targets_of_tracker(report: Report, quick: bool) -> dict[str, Any]:
-    seconds, repeats = (3.0, 1) if quick else (8.0, 3)
-    found = {people: measure_tracker(people, seconds=seconds, repeats=repeats) for people in (1, 10)}
-    rows = [{'people': n, **r} for n, r in found.items()]
-    report.rows('CPU time of the tracker by person and frame, defaults', rows, page='engine.tracker')
-    return {
-        'tracker': {str(n): r for n, r in found.items()},
-        **{f'tracker_ms_person_frame_{n}': r['median ms'] for n, r in found.items()},
-        'longest_piece_ms': max(r['longest deferred piece, ms'] for r in found.values()),
-    }
-
-
-def measure_targets_of_solver(report: Report, quick: bool) -> dict[str, Any]:
-    config = common.make_config(components=solvers.TARGET_COMPONENTS)
-    one = solvers.measure_solver([solvers.WALK.window], solvers.WALK.model, config, 5 if quick else 25)
-    setting = next(iter(solvers.SCIPY_OPTIONS))
-    cases = solvers.CASES[:1] if quick else solvers.CASES
-    records = [solvers.compare_with_scipy(c, [setting], 3 if quick else 9) for c in cases]
-    solvers.show_scipy(report, records)
-    report.text(f'120 frames, K = {solvers.TARGET_COMPONENTS}, one start: {one["ms"]:.1f} ms')
-    by_scipy = [r['scipy'][setting] for r in records]
-    ratios = [r['times faster'] for r in by_scipy]
-    to_its_optimum = min(r.get('times faster to its optimum', float('nan')) for r in by_scipy)
-    return {
-        'solve_ms_120_frames': one['ms'],
-        'times_faster_than_scipy': min(ratios),
-        'times_faster_than_scipy_most': max(ratios),
-        'times_faster_than_scipy_to_its_optimum': to_its_optimum,
-        'scipy': records,
-    }
-
-
-def measure_targets_of_node(_report: Report, quick: bool) -> dict[str, Any]:
-    """Measure the latency of crowds who appear at once, CPU and memory; for one person without the first 2 s."""
-    out: dict[str, Any] = {}
-    seconds, streams = (3.0, 1) if quick else (20.0, 3)
-    peer = Peer(choose_domain())
-    try:
-        with tempfile.TemporaryDirectory() as name, run_node(Path(name)) as process:
-            peer.wait_for_node()
-            for people in (1, 10) if quick else (1, 5, 10):
-                cpu_s, start_s = measure_usage(process)[0], time.perf_counter()
-                warm_up = 2.0 if people == 1 else 0.0
-                found = [peer.stream(people, seconds, warm_up) for _ in range(streams)]
-                share = (measure_usage(process)[0] - cpu_s) / (time.perf_counter() - start_s)
-                latency, missing = np.concatenate([f[0] for f in found]), sum(f[1] for f in found)
-                first = np.concatenate([f[0][:HZ] for f in found])
-                out |= {
-                    f'latency_ms_p50_{people}': float(np.percentile(latency, 50)),
-                    f'latency_ms_p99_{people}': float(np.percentile(latency, 99)),
-                    f'latency_ms_max_{people}': float(latency.max()),
-                    f'latency_ms_p99_{people}_first_second': float(np.percentile(first, 99)),
-                    f'dropped_{people}': missing,
-                    f'cpu_percent_{people}': 100 * share,
-                }
-            out['peak_mb'] = measure_usage(process)[1]
-    finally:
-        peer.close()
+def measure_node(root: Path, quick: bool) -> Found:
+    out, seconds = Found(), 3.0 if quick else 20.0
+    with run_peer_and_node(root) as (peer, pid):
+        for people, words in ((1, 'one person'), (10, 'ten people')):
+            latency, _ = peer.stream(people, seconds)
+            if people == 1:
+                out[f'latency of {words}, median, ms'] = float(np.median(latency))
+            out[f'latency of {words}, 99 %, ms'] = float(np.percentile(latency, 99))
+        out['memory of the node, ten people, MB'] = measure_usage(pid).peak_mb
     return out
 
 
-def measure_people_at_30hz(_report: Report, quick: bool) -> dict[str, Any]:
+def measure_start(root: Path, _quick: bool) -> Found:
+    environment = make_environment(root)
+    with ExitStack() as stack:
+        folder, peer = stack.enter_context(tempfile.TemporaryDirectory()), stack.enter_context(Peer())
+        messages, start_s = peer.encode_stream(1), time.perf_counter()
+        node = stack.enter_context(run_node(Path(folder), environment=environment))
+        while not peer.arrived:
+            if time.perf_counter() - start_s > TIMEOUT_S:
+                raise TimeoutError('the node did not answer')
+            peer.keypoints.publish(next(messages)[1])
+            peer.spin_until(time.perf_counter() + 1 / HZ)
+        taken_s = min(peer.arrived.values()) - start_s
+        return {'start of the node, s': taken_s, 'start of the node, CPU s': measure_usage(node.pid).cpu_s}
+
+
+def measure_crowd(root: Path, quick: bool) -> Found:
     """Find the largest crowd whose frames are all answered for `CROWD_S`, by bisection."""
     if quick:
         return {}
     sustained, failed = 0, MAX_PEOPLE + 1
-    peer = Peer(choose_domain())
-    try:
-        with tempfile.TemporaryDirectory() as name, run_node(Path(name)):
-            peer.wait_for_node()
-            while failed - sustained > 1:
-                people = (sustained + failed) // 2
-                _, missing = peer.stream(people, CROWD_S, 0.0)
-                sustained, failed = (sustained, people) if missing else (people, failed)
-    finally:
-        peer.close()
-    return {'people_at_30hz': sustained, 'people_at_30hz_s': CROWD_S}
+    with run_peer_and_node(root) as (peer, _):
+        while failed - sustained > 1:
+            people = (sustained + failed) // 2
+            _, missing = peer.stream(people, CROWD_S, 0.0)
+            sustained, failed = (sustained, people) if missing else (people, failed)
+    return {'people at 30 Hz for 60 s, with recording': sustained}
 
 
-def measure_start(peer: Peer, cache: Path | None) -> float:
-    """Return the time in s from the start of the node's process to its first answer.
-
-    Args:
-        peer: sends a person at `HZ` until an answer arrives.
-        cache: folder in which the node keeps its compiled functions; None for the usual one.
-    """
-    peer.arrived.clear()
-    messages = peer.encode_stream(1)
-    start_s = time.perf_counter()
-    environment = {} if cache is None else {'NUMBA_CACHE_DIR': str(cache)}
-    with tempfile.TemporaryDirectory() as name, run_node(Path(name), **environment):
-        while not peer.arrived:
-            if time.perf_counter() - start_s > START_TIMEOUT_S:
-                raise TimeoutError
-            peer.keypoints.publish(next(messages)[1])
-            peer.spin_until(time.perf_counter() + 1 / HZ)
-        return min(peer.arrived.values()) - start_s
-
-
-def measure_starts(_report: Report, quick: bool) -> dict[str, Any]:
-    peer = Peer(choose_domain())
-    try:
-        if quick:
-            return {'node_start_warm_s': measure_start(peer, None)}
-        with tempfile.TemporaryDirectory() as cache:
-            cold = measure_start(peer, Path(cache))
-            warm = [measure_start(peer, Path(cache)) for _ in range(5)]
-    finally:
-        peer.close()
-    return {'node_start_cold_s': cold, 'node_start_warm_s': float(np.median(warm))}
-
-
-def report_past(report: Report, quick: bool) -> dict[str, Any]:
-    found = past_only.compare_all(*provide_held_out(), quick)
-    out: dict[str, Any] = {'live_over_past_only': past_only.compute_ratio(found)}
-    for attribute in ('detector', 'category', 'camera'):
-        rows = [
-            {
-                attribute: name,
-                'views': len(mine),
-                'live, mm': common.mean_error(mine, 'live'),
-                'from scratch, mm': common.mean_error(mine, 'scratch'),
-                'live / from scratch': past_only.compute_ratio(mine),
-            }
-            for (name,), mine in group(found, attribute).items()
-        ]
-        report.rows(f'Live result and solution from scratch of the same past, by {attribute}', rows)
-        out[f'live_over_past_only_by_{attribute}'] = {r[attribute]: r['live / from scratch'] for r in rows}
-    return out | {'past': found}
-
-
-SECTIONS: Mapping[str, Callable[[Report, bool], dict[str, Any]]] = {
-    'stages': report_stages,
-    'growth': report_growth,
-    'tracker': measure_targets_of_tracker,
-    'solver': measure_targets_of_solver,
-    'node': measure_targets_of_node,
-    'crowd': measure_people_at_30hz,
-    'start': measure_starts,
-    'past': report_past,
+SECTIONS: Mapping[str, Callable[[Path, bool], Found]] = {
+    'tracker': measure_tracker,
+    'replay': measure_replay,
+    'node': measure_node,
+    'start': measure_start,
+    'crowd': measure_crowd,
 }
 
 
-def format_verdict(key: str, value: float) -> str:
-    reach, beyond, is_more_better = TARGETS[key]
-    if (value >= beyond) if is_more_better else (value <= beyond):
-        return 'beyond'
-    return 'reached' if ((value >= reach) if is_more_better else (value <= reach)) else 'not reached'
+def measure_section(report: Report, measure: Callable[[Path, bool], Found]) -> dict[str, Any]:
+    """Measure this checkout and the reference in turn, and show the table so far: medians of the rounds."""
+    folders = {'now': common.ROOT, **({'reference': report.args.reference} if report.args.reference else {})}
+    rounds = 1 if report.quick or measure is measure_crowd else 3
+    found = [{who: measure(folder, report.quick) for who, folder in folders.items()} for _ in range(rounds)]
+    medians = {
+        who: {key: float(np.median([f[who][key] for f in found])) for key in found[0][who]} for who in folders
+    }
+    everything = {who: {**report.results.get(who, {}), **medians[who]} for who in folders}
+    header, rows = (
+        ['quantity', *folders, *(['ratio'] if len(folders) > 1 else []), 'reach', 'beyond', 'verdict'],
+        [],
+    )
+    for key, (reach, beyond, is_more_better) in TARGETS.items():
+        if key in everything['now']:
+            now, *before = (f[key] for f in everything.values())
+            reached = [now >= goal if is_more_better else now <= goal for goal in (reach, beyond)]
+            verdict = 'beyond' if reached[1] else 'reached' if reached[0] else 'not reached'
+            shown = [f'{v:.3g}' for v in (now, *before)] + [f'{now / v:.2f}' for v in before]
+            rows.append([key, *shown, f'{reach:g}', f'{beyond:g}', verdict])
+    report.table(header, rows, page='engine.targets')
+    return everything
 
 
-def measure(args: argparse.Namespace, report: Report) -> None:
-    common.choose_capture('motion')
-    reference_s, found = {}, report.results
-    for section in args.only or SECTIONS:
-        reference_s[section] = common.measure_reference_kernel_s()
-        report.text(f'Reference kernel before section {section}: {reference_s[section]:.3f} s')
-        report.add(**SECTIONS[section](report, args.quick), reference_s=reference_s)
-    before = load_before()
-    rows = [
-        [key, before.get(key), f'{found[key]:.3g}', reach, beyond, format_verdict(key, found[key])]
-        for key, (reach, beyond, _) in TARGETS.items()
-        if key in found
-    ]
-    header = ['quantity', 'version 0.1', 'now', 'reach', 'beyond', 'verdict']
-    report.table(header, rows, 'Targets', page='engine.targets')
+def add_options(parser: argparse.ArgumentParser) -> None:
+    help_text = 'another checkout, measured in turn with this one'
+    parser.add_argument('--reference', type=lambda p: Path(p).resolve(), metavar='FOLDER', help=help_text)
 
 
 if __name__ == '__main__':
-    run(__doc__, 'The engine', measure, lambda p: add_sections(p, SECTIONS))
+    sections = {
+        name: lambda report, measure=measure: measure_section(report, measure)
+        for name, measure in SECTIONS.items()
+    }
+    run(__doc__, sections, add_options)

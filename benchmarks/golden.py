@@ -26,7 +26,7 @@ from typing import Any, Literal
 
 import common
 import numpy as np
-from experiments.detector_views import CLEAN, DETECTORS, load_middle, load_motion
+from detected import CLEAN, DETECTORS, load_middle, load_motion
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 from tqdm import tqdm

@@ -4,69 +4,60 @@
 """The README's table: how good the result is, in a row for each kind of input.
 
 What ships is measured here: on the recorded detections, whose person no model saw, and on the recording of the
-demo. The other rows show what other benchmarks have measured, as `figures.json` has it; this one runs last.
+demo. The other rows show what other benchmarks have measured, as the record has it; this one runs last.
 """
 
 from __future__ import annotations
 
-import argparse
 import re
-from collections.abc import Sequence
 from importlib.resources import files
 
 import common
 import numpy as np
-from detectors import PAGE_NAMES, Measurement, load_models, measure_recordings
-from experiments.detector_views import CLEAN, DETECTORS
-from figure_record import RECORD, find_cell, load_record
-from reconstruction import WAYS
-from report import Records, Report, run, select
+from detected import CLEAN, DETECTORS
+from detectors import PAGE_NAMES, measure_recordings
+from figures import find_cell, load_record
+from report import Records, Report, run
 
 import mocap_ros
-from mocap_ros.compiled.kernel import compile_kernels
-from mocap_ros.config import Config
 from mocap_ros.skeleton import BODY26
 
-ERRORS = ('mpjpe_mm', 'pa_mpjpe_mm')
-HEADER = ('input', 'MPJPE', 'PA', 'measured by')
-OURS = ('this project', 'algorithm 1', 'periodic, one sine')  # rows of the rivals' table that are this project's
-BEST = 'this project, joint solver'  # of these rows
+OURS = ('this project', 'Algorithm 1')  # rows of the rivals' table that are this project's
 
 
 def find_numbers(table: str, row: str, column: str) -> list[float]:
     """Return the numbers in a cell of the record.
 
     Raises:
-        ValueError: the record has no such cell.
+        ValueError: the record has no such cell, or there are none in it.
     """
-    cell = find_cell(load_record(common.ROOT / RECORD), table, (row.casefold(),), column)
-    numbers = re.findall(r'\d+(?:\.\d+)?', cell)
+    numbers = re.findall(r'\d+(?:\.\d+)?', find_cell(table, row, column, common.ROOT))
     if not numbers:
-        raise ValueError(f'{table} has no numbers in the row {row} and the column {column}')
+        raise ValueError(f'there is no number in table {table}, row {row}, column {column}')
     return [float(n) for n in numbers]
 
 
-def describe_range(records: Records, key: str) -> str:
-    """Return the smallest and the largest of some errors in mm."""
-    errors = [r[key] for r in records]
-    return f'{min(errors):.0f} to {max(errors):.0f}'
-
-
-def list_recordings(quick: bool) -> list[list[str]]:
+def list_recordings() -> list[list[str]]:
     """Return the rows of the recorded detections, by the models that ship."""
-    models, config = load_models(True, Config())
-    records = measure_recordings(Measurement(models, config, quick, 'held-out', DETECTORS, (0,), WAYS[:1], None))
-    own = [describe_range(select(records, way="the detector's own 3D"), key) for key in ERRORS]
+    records = measure_recordings('all', {}, common.WAYS[:1])
+
+    def describe(some: Records) -> list[str]:
+        errors = [[r[key] for r in some] for key in ('mpjpe_mm', 'pa_mpjpe_mm')]
+        return [f'{min(e):.0f} to {max(e):.0f}' for e in errors]
+
+    own = describe([r for r in records if r['way'] not in common.WAYS])
     names = {
         'openpose': 'OpenPose, a person balancing on a beam, a motion that no model was trained on, three views',
         'mediapipe': f"MediaPipe's 2D points of the same (MediaPipe's own 3D: {own[0]}, PA {own[1]})",
     }
-    rows = []
-    for detector, name in names.items():
-        found = select(records, detector=detector, way=WAYS[0])
-        errors = [describe_range(found, key) for key in ERRORS]
-        rows.append([f'**real detections**: {name}', *errors, '`benchmarks/readme.py`'])
-    return rows
+    return [
+        [
+            f'**real detections**: {name}',
+            *describe([r for r in records if r['detector'] == detector and r['way'] in common.WAYS]),
+            '`benchmarks/readme.py`',
+        ]
+        for detector, name in names.items()
+    ]
 
 
 def list_modelled_detectors() -> list[list[str]]:
@@ -102,56 +93,38 @@ def list_demo() -> list[list[str]]:
             joints[frame] = person.joints
     live = mocap_ros.evaluate(joints, sequence.truth, times=sequence.timestamps)
     whole = mocap_ros.evaluate(mocap_ros.reconstruct(sequence), sequence.truth)
-    name = '`make demo`: live, noisy synthetic detector, a person that no model was trained on'
-    return [
-        [name, f'{live.mpjpe_mm:.0f}', f'{live.pa_mpjpe_mm:.0f}', '`make demo`'],
-        [
-            'the same recording as a whole',
-            f'{whole.mpjpe_mm:.0f}',
-            f'{whole.pa_mpjpe_mm:.0f}',
-            '`mocap-ros evaluate mocap_ros/demo/demo.npz`',
-        ],
-    ]
+    names = {
+        '`make demo`: live, noisy synthetic detector, a person that no model was trained on': (live, 'make demo'),
+        'the same recording as a whole': (whole, 'mocap-ros evaluate mocap_ros/demo/demo.npz'),
+    }
+    return [[n, f'{e.mpjpe_mm:.0f}', f'{e.pa_mpjpe_mm:.0f}', f'`{by}`'] for n, (e, by) in names.items()]
 
 
 def list_clean_points() -> list[list[str]]:
     """Return the rows of points without errors."""
-    targets = 'paper.targets'
-    *_, category_known = find_numbers(targets, 'subject left out, category known: 35_02', 'measured')
-    same_person, *_ = find_numbers(targets, '35_02, walk; trained on the other walk', 'measured')
+    *_, left_out = find_numbers('paper.targets', 'subject left out, category known: 35_02', 'measured')
+    same_person, *_ = find_numbers('paper.targets', '35_02, walk; trained on the other walk', 'measured')
     columns = [f'fixed: {category}' for category in ('walk', 'run', 'jump')]
-    ours = ' / '.join(f'{find_numbers("rivals.errors", BEST, c)[1]:.0f}' for c in columns)
-    others = list_rivals(columns)
+    ours = [find_numbers('rivals.errors', 'this project, joint solver', c)[1] for c in columns]
+    lines = load_record(common.ROOT)['rivals.errors']['text'].splitlines()[2:]
+    names = [name for name in (line.strip('| ').split(' | ')[0] for line in lines) if not name.startswith(OURS)]
+    others = [find_numbers('rivals.errors', name, column)[1] for name in names for column in columns]
     link = '[other methods](docs/accuracy.md#other-methods-on-the-same-views)'
     rivals = f'{link}: {min(others):.0f} to {max(others):.0f}'
-    left_out = 'CMU walking and running of persons whom no model was trained on, base poses of the category'
+    category = 'CMU walking and running of persons whom no model was trained on, base poses of the category'
     own = "a CMU walk, base poses of the same person's other walks, `solver.prior: pca`"
     rows = (
-        (left_out, f'{category_known:.0f}', 'paper.py --only targets'),
-        (f'walk / run / jump before a fixed camera ({rivals})', ours, 'table1.py'),
+        (category, f'{left_out:.0f}', 'paper.py --only targets'),
+        (f'walk / run / jump before a fixed camera ({rivals})', ' / '.join(f'{e:.0f}' for e in ours), 'table1.py'),
         (own, f'{same_person:.1f}', 'paper.py --only targets'),
     )
     return [[f'clean points: {name}', error, '', f'`benchmarks/{command}`'] for name, error, command in rows]
 
 
-def list_rivals(columns: Sequence[str]) -> list[float]:
-    """Return the MPJPE in mm of all other methods of the rivals' table in some columns."""
-    record = load_record(common.ROOT / RECORD)
-    rows = [line.strip('| ') for line in record['table1']['tables']['rivals.errors'].splitlines()[2:]]
-    names = [name for name, *_ in (row.split(' | ') for row in rows) if not name.casefold().startswith(OURS)]
-    return [find_numbers('rivals.errors', name, column)[1] for name in names for column in columns]
-
-
-def measure(args: argparse.Namespace, report: Report) -> None:
-    compile_kernels()
-    rows = [
-        *list_recordings(args.quick),
-        *list_modelled_detectors(),
-        *list_demo(),
-        *list_clean_points(),
-    ]
-    report.table(HEADER, rows, page='readme.accuracy')
+def report_accuracy(report: Report) -> None:
+    rows = [*list_recordings(), *list_modelled_detectors(), *list_demo(), *list_clean_points()]
+    report.table(('input', 'MPJPE', 'PA', 'measured by'), rows, page='readme.accuracy')
 
 
 if __name__ == '__main__':
-    run(__doc__, 'README', measure, one_core=False)
+    run(__doc__, {'accuracy': report_accuracy})

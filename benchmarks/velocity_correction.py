@@ -9,8 +9,7 @@ extra `train`).
 
 The least mean distances along and across the line of sight are fitted, each rounded off near 0: along it errors
 are larger, and alone they would cost the others. Some people are shown again as if they were moved otherwise than
-their limbs move, as by a robot that drives, by wheels or a treadmill: training has none of these. At last it tells
-how large errors of persons who were left out are, and how many are within their deviations.
+their limbs move, as by a robot that drives, by wheels or a treadmill: training has none of these.
 """
 
 from __future__ import annotations
@@ -21,14 +20,10 @@ from pathlib import Path
 
 import common
 import numpy as np
-from experiments.detector_views import load_motion
-from experiments.robot_scenes import make_robot_scene
+from detected import make_robot_scene, track_scene
 from motion_predictor import WARM_UP, list_views
 from numpy.typing import NDArray
-from reconstruction import list_people, provide_held_out
 
-from mocap_ros.compiled.kernel import compile_kernels
-from mocap_ros.config import with_values
 from mocap_ros.models.model_file import VELOCITY_NAME
 from mocap_ros.models.velocity_correction import (
     INPUT_LIMIT,
@@ -38,11 +33,8 @@ from mocap_ros.models.velocity_correction import (
     build_inputs,
 )
 from mocap_ros.npz_file import write_npz
-from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CMU15
-from mocap_ros.tracking.output import CORRECTED_STD, CORRECTION_STD, find_motion, sample_velocity_past
-from mocap_ros.tracking.tracker import Tracker
-from mocap_ros.units import NS_PER_S
+from mocap_ros.tracking.output import find_motion, sample_velocity_past
 
 Array = NDArray[np.float64]
 
@@ -57,41 +49,36 @@ BATCH = 512  # samples of a step
 LEARNING_RATE = 2e-3  # largest
 WEIGHT_DECAY = 0.05
 LEAST_SCALE = 1e-3  # of an input, which is divided by it
-FOLDS = 3  # groups of persons, each left out once
 MIRRORED = np.array([1.0, -1.0, 1.0])  # of the axes of the body
 FILE = common.ROOT / 'mocap_ros' / 'models' / 'shipped' / f'{VELOCITY_NAME}.npz'
 
 
-def collect(frames: int) -> tuple[list[VelocityPast], Array, NDArray[np.str_]]:
+def collect(frames: int) -> tuple[list[VelocityPast], Array]:
     """Track people until so many frames are tracked.
 
     Returns:
-        What the correction of N samples rests on, the true velocities (N, 15, 3) m/s, and who it is.
+        What the correction of N samples rests on, and the true velocities (N, 15, 3) m/s.
     """
-    (models, held_out), rows = provide_held_out(), load_motion()[2]
+    model, held_out = common.provide_held_out()
     pasts: list[VelocityPast] = []
-    velocities, persons, done = [], [], 0
+    velocities, done = [], 0
     for view, (trial, number, most) in enumerate(common.show_progress(list_views(), 'trials')):
         if done >= frames:
             break
         scene, step = make_robot_scene(trial, number, most), STEPS[view // 4 % len(STEPS)]
-        tracker = Tracker(models, with_values(held_out, {'tracker.body_height': scene.stature}))
         truth = np.gradient(scene.view.true_poses, 1 / common.FPS, axis=0)
-        times = scene.view.sequence['timestamps']
-        for frame, seen in list(enumerate(list_people(scene.view)))[:-1:step]:
-            stamp_ns = round(times[frame] * NS_PER_S) + 1
-            people = tracker.update(stamp_ns, [seen], scene.view.intrinsics)
-            done += 1
-            if people and not people[0].tentative and not people[0].predicted and frame >= WARM_UP:
-                (track,) = tracker.tracks
-                model, newest = tracker.models[track.solved.model_name], track.newest
-                past = sample_velocity_past(track, model, find_motion(track, newest, model))
-                if past is not None and np.isfinite(past.std).all():
-                    pasts.append(past)
-                    velocities.append(truth[frame])
-                    persons.append(rows[trial]['subject'])
-            tracker.run_deferred_work()
-    return pasts, np.array(velocities), np.array(persons)
+        parameters = {**held_out, 'tracker.body_height': scene.stature}
+        for frame, tracker, person in track_scene(scene, model, parameters, step=step):
+            if person.predicted or frame < WARM_UP or frame + 1 == scene.view.frames:
+                continue
+            (track,) = tracker.tracks
+            poses = tracker.models[track.solved.model_name]
+            past = sample_velocity_past(track, poses, find_motion(track, track.newest, poses))
+            if past is not None and np.isfinite(past.std).all():
+                pasts.append(past)
+                velocities.append(truth[frame])
+        done += len(range(0, scene.view.frames - 1, step))
+    return pasts, np.array(velocities)
 
 
 def fit(pasts: list[VelocityPast], velocity: Array, seed: int = 0) -> VelocityCorrection:
@@ -151,37 +138,15 @@ def _train(inputs: Array, sights: Array, targets: Array, seed: int) -> list[NDAr
     return [a.detach().numpy().T.copy() for layer in (first, last) for a in (layer.weight, layer.bias)]
 
 
-def test_on_others(pasts: list[VelocityPast], velocity: Array, persons: NDArray[np.str_]) -> None:
-    """Print errors and calibration on persons who were left out."""
-    before = np.array([past.velocity for past in pasts])
-    correction = np.empty_like(before)
-    for left_out in np.array_split(np.random.default_rng(0).permutation(np.unique(persons)), FOLDS):
-        is_out = np.isin(persons, left_out)
-        network = fit([pasts[n] for n in np.flatnonzero(~is_out)], velocity[~is_out])
-        correction[is_out] = [network.correct(pasts[n]) for n in np.flatnonzero(is_out)]
-    after = before + correction
-    rms = [float(np.sqrt(((v - velocity) ** 2).sum(axis=-1).mean())) for v in (before, after)]
-    print(f'on persons who were left out: {rms[0]:.3f} m/s RMS before, {rms[1]:.3f} after')
-    length = np.linalg.norm(correction, axis=-1)
-    std = np.hypot(CORRECTED_STD * np.array([past.std for past in pasts]), CORRECTION_STD * length)
-    ratio = np.linalg.norm(after - velocity, axis=-1) / std
-    print(f'joints within one and two deviations: {(ratio < 1).mean():.2f}, {(ratio < 2).mean():.2f}')
-    at_root = [(v[:, HIPS[0]] + v[:, HIPS[1]]) / 2 for v in (after - velocity, correction)]
-    print(f'root: {np.sqrt((at_root[0] ** 2).mean(axis=0))} m/s RMS')
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('-o', '--output', type=Path, default=FILE, metavar='FILE')
     parser.add_argument('--frames', type=int, default=64_000, metavar='N', help='to track (five minutes)')
     args = parser.parse_args()
-    common.choose_capture('motion')
-    compile_kernels()
-    samples = collect(args.frames)
-    network = fit(*samples[:2])
+    pasts, velocities = collect(args.frames)
+    network = fit(pasts, velocities)
     write_npz(args.output, asdict(network))
-    print(f'{args.output}: fitted to {len(samples[0])} samples')
-    test_on_others(*samples)
+    print(f'{args.output}: fitted to {len(pasts)} samples')
 
 
 if __name__ == '__main__':

@@ -129,7 +129,7 @@ class SolverConfig:
 class ClassifierConfig:
     """Thresholds between periodic and non-periodic motion.
 
-    They were chosen on CMU walk, run and jump trials (benchmarks/classification.py).
+    They were chosen on CMU walk, run and jump trials.
     """
 
     # s, length of the newest section of the window, which is classified

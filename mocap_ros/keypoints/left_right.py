@@ -88,8 +88,8 @@ STATES = 8  # bit 0: whole body, bit 1: legs, bit 2: arms
 STATE_BITS = np.array([[s >> bit & 1 for bit in range(3)] for s in range(STATES)])
 SWAPPED_PARTS = (STATE_BITS ^ (STATE_BITS[:, :1] & [0, 1, 1])).astype(bool)  # (8, 3) parts with wrong labels
 
-# The values were tuned on motion capture as models of three real detectors see it; `benchmarks/detectors.py`
-# measures their effect on other people (docs/tracker.md). The probabilities are per 1/30 s, for the whole body,
+# The values were tuned on motion capture as models of three real detectors see it. The
+# probabilities are per 1/30 s, for the whole body,
 # the legs and the arms: real detectors swap the whole body in 0.1 % of the frames, for 0.3 s, legs and arms in 0.3
 # to 3 %, for 0.06 s.
 ENTER_PROBABILITY = np.array([0.0005, 0.003, 0.003])  # a, the probability that a swap begins

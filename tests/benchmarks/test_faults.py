@@ -19,9 +19,8 @@ from pathlib import Path
 import faults
 from report import Report
 root = Path(sys.argv[1])
-kinds = ('recording', 'splitting', 'closing', 'recovering')
-kills = faults.measure_kills(root, dict.fromkeys(kinds, 1))
-found = faults.measure_faults(root, Report(), every=9)
+kills = faults.do_all(faults.kill_once, [(kind, 0, root) for kind in faults.KILLS], root, 'kills')
+found = faults.measure_steps(root, Report(None, {}), every=9)
 Path(sys.argv[2]).write_text(json.dumps({'kills': [k.fault for k in kills], **found}))
 """
 
@@ -38,4 +37,4 @@ def test_bags_survive_kills_and_failing_disks(tmp_path: Path) -> None:
     results = json.loads(found.read_text())
     assert results['kills'] == [''] * 4, completed.stdout
     assert results['steps'] > 30
-    assert results['wrong_after_fault'] == 0, completed.stdout
+    assert results['wrong'] == 0, completed.stdout

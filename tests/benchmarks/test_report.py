@@ -1,17 +1,18 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What benchmarks share: tables of records, the file of results, and the scale by which poses are compared."""
+"""What benchmarks share: tables of records, what a run leaves, and the scale by which poses are compared."""
 
 from __future__ import annotations
 
+import argparse
 import json
 from pathlib import Path
 
 import common
 import numpy as np
 import pytest
-from report import Report, cross, group, select
+from report import Report, cross, group
 
 RECORDS = [
     {'detector': 'a', 'way': 'live', 'error': 1.0},
@@ -22,33 +23,31 @@ RECORDS = [
 
 def test_records_are_grouped_and_crossed_in_the_order_in_which_they_appear() -> None:
     assert list(group(RECORDS, 'detector', 'way')) == [('a', 'live'), ('b', 'whole')]
-    assert select(RECORDS, detector='a', way='live') == [RECORDS[0], RECORDS[2]]
-    header, rows = cross(
-        RECORDS, 'detector', 'way', lambda r: common.mean_error(r, 'error'), {'b': 'B', 'detector': 'points'}
-    )
+    names = {'b': 'B', 'detector': 'points'}
+    header, rows = cross(RECORDS, 'detector', 'way', lambda r: common.mean_error(r, 'error'), names)
     assert header == ['points', 'live', 'whole']
     assert rows == [['a', 2.0, None], ['B', None, 2.0]]
     assert cross([], 'detector', 'way', len) == (['detector'], [])
 
 
-def test_the_file_of_results_holds_every_table_of_a_page(
+def test_a_run_leaves_the_tables_of_pages_and_its_results(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    report = Report(tmp_path / 'found.json', {'machine': 'm'})
-    report.table(['a', 'b'], [[1, 0.5]], 'Title', 'Note.', page='page.one')
-    report.keep('page.two', ['c'], [[None]])
-    report.rows('Rows', [{'x': 1}, {'y': 2}])
-    report.add(number=np.float64(3.0))
-    assert json.loads((tmp_path / 'found.json').read_text()) == {
+    report = Report(argparse.Namespace(json=tmp_path / 'a' / 'found.json'), {'machine': 'm'})
+    report.table(['a', 'b'], [[1, 0.5]], 'Title', page='page.one')
+    report.rows('Rows', [{'x': 1}, {'y': None}])
+    report.quantities({'speed': 2000.0}, {'speed': 'fast'}, page='page.two')
+    report.results['number'] = np.float64(3.0)
+    report.save()
+    assert json.loads((tmp_path / 'a' / 'found.json').read_text()) == {
         'machine': 'm',
-        'number': 3.0,
-        'tables': {'page.one': '| a | b |\n| --- | --- |\n| 1 | 0.50 |', 'page.two': '| c |\n| --- |\n| - |'},
-        'pictures': [],
+        'tables': {
+            'page.one': '| a | b |\n| --- | --- |\n| 1 | 0.50 |',
+            'page.two': '| quantity | measured | target |\n| --- | --- | --- |\n| speed | 2000 | fast |',
+        },
+        'results': {'speed': 2000.0, 'number': 3.0},
     }
-    printed = capsys.readouterr().out
-    assert printed.startswith('\n## Title\n\nNote.\n\n| a | b |')
-    assert '| c |' not in printed
-    assert printed.endswith('| x | y |\n| --- | --- |\n| 1 | - |\n| - | 2 |\n')
+    assert '## Rows\n\n| x | y |\n| --- | --- |\n| 1 | - |\n| - | - |' in capsys.readouterr().out
 
 
 def test_poses_are_compared_with_one_scale_of_the_frames_that_were_found(rng: np.random.Generator) -> None:

@@ -1,4 +1,0 @@
-# Copyright 2026 mocap_ros developers
-# SPDX-License-Identifier: Apache-2.0
-
-"""What `paper.py` and `solvers.py` run, by theme."""

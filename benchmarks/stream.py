@@ -1,0 +1,404 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The node and its recorder under long and heavy streams over DDS. Sections of `--only`:
+
+soak   many hours' worth of stream as fast as the node takes it: three people at the stamps of a camera of 30 Hz,
+       and the next image follows when the skeletons of the one before have come. People come and go, the detector
+       restarts, time loops, parameters change, and recordings end, are counted and removed
+loads  more people, images and cameras than a node can take, and a subscriber that does not read: the age of an
+       image when its skeletons arrive, and whether every image is answered or counted as dropped
+"""
+
+from __future__ import annotations
+
+import common
+
+# isort: split
+import argparse
+import random
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from itertools import count, pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from node import IMAGE_SIZE, Peer, make_crowd, measure_usage, run_node
+from report import Report, run
+
+from mocap_ros.bags.reader import Bag
+from mocap_ros.demo.scene import make_recording
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.messages.cdr import Header, decode
+from mocap_ros.messages.keypoints import encode_keypoints
+from mocap_ros.ros.diagnostics import DIAGNOSTICS
+from mocap_ros.units import NS_PER_S
+
+HZ = 30  # Hz, rate of the stamps
+PEOPLE = 3  # people at once, at most
+SOAK_SIZE = 1280, 720  # px
+START_NS = 1000 * NS_PER_S  # stamp of the first image
+PRESENT_S = 20.0, 90.0  # s, shortest and longest stay of a person
+ABSENT_S = 0.0, 8.0  # s, shortest and longest time without a person in that place
+DETECTOR_GAP_S = 3.0  # s without images while the detector restarts
+# s of stream between two events of each kind
+EVENTS_S = {'detector': 290.0, 'loop': 1310.0, 'parameters': 430.0, 'recording': 1790.0, 'sample': 20.0}
+ANSWER_S = 2.0  # s, after which an image is taken as lost
+SETTLED_S = 600.0  # s of stream after which memory should not grow
+HOUR_S = 3600.0  # s
+# Parameters that are set in turn; the last ones restore the first.
+CHANGES = (('tracker.iterations', 3), ('node.queue', 20), ('tracker.iterations', 2), ('node.queue', 10))
+RELIABLE = 'qos_overrides./keypoints.subscription.reliability:=reliable'
+
+LOAD_S, QUICK_LOAD_S = 15.0, 3.0  # s of each load
+WARM_UP_S = 1.0  # s at the start of each load, which do not count
+GAP_NS = 100 * NS_PER_S  # between the stamps of two loads, so that nobody is continued
+TEMPLATES = 60  # messages that are encoded before a load; encoding 50 people takes too long for 200 Hz
+STAMP, STAMP_OFFSET = struct.Struct('<iI'), 4  # s and ns of the stamp in a message, and the byte where they are
+SETTLE_S = 15.0  # s after a load, in which the last answers and a status come
+OF_ALL_TOPICS = 'dropped: queue full'  # the one number in the diagnostics that is not of images alone
+# Reads nothing that it has subscribed to, reliably and with a long history.
+SLEEPER = """
+import sys, rclpy
+from rclpy.qos import HistoryPolicy, QoSProfile
+from mocap_ros.ros.message_types import load_interface_class
+from mocap_ros.runtime.outputs import OUTPUTS
+rclpy.init()
+node = rclpy.create_node('sleeper')
+qos = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+for topic, msgtype in OUTPUTS.items():
+    node.create_subscription(load_interface_class(msgtype), topic, print, qos, raw=True)
+print('ready', flush=True)
+sys.stdin.read()  # until the benchmark ends
+"""
+
+
+class Crowd:
+    """People in `PEOPLE` places who come and go; each is somebody new."""
+
+    def __init__(self) -> None:
+        sequence = make_recording().sequence()
+        self._frames = [sequence.person(n) for n in range(len(sequence.stamps_ns))]
+        self._random = random.Random(0)
+        self.restart(0.0)
+
+    def restart(self, now_s: float) -> None:
+        """Give everybody an id that has been used before, as a detector that restarts does."""
+        self._ids = 0
+        # of each place: id, first frame of the recording, and times in s of coming and going
+        self._places = [self._invite(now_s) for _ in range(PEOPLE)]
+
+    def _invite(self, now_s: float) -> tuple[str, int, float, float]:
+        self._ids += 1
+        coming_s = now_s + self._random.uniform(*ABSENT_S)
+        going_s = coming_s + self._random.uniform(*PRESENT_S)
+        return f'p{self._ids}', self._random.randrange(len(self._frames)), coming_s, going_s
+
+    def list_people(self, number: int, now_s: float) -> list[Person2D]:
+        """Return the people of an image."""
+        people = []
+        for place, (name, first, coming_s, going_s) in enumerate(self._places):
+            if now_s >= going_s:
+                self._places[place] = self._invite(now_s)
+            elif now_s >= coming_s:
+                one = self._frames[(first + number) % len(self._frames)]
+                shift = np.array([100.0 + 380.0 * place - 270.0, 60.0])
+                people.append(Person2D(name, one.joints, one.points + shift, one.score))
+        return people
+
+
+def call(peer: Peer, service_class: Any, name: str, **request: Any) -> Any:
+    """Call a service of the node; return its answer, or None if there is none in time."""
+    client: Any = peer.node.create_client(service_class, f'mocap_node/{name}')
+    peer.wait(client.service_is_ready)
+    future = client.call_async(service_class.Request(**request))
+    peer.executor.spin_until_future_complete(future, timeout_sec=20.0)
+    peer.node.destroy_client(client)
+    return future.result() if future.done() else None
+
+
+def set_parameter(peer: Peer, name: str, value: Any) -> None:
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
+
+    given = [Parameter(name, value=value).to_parameter_msg()]
+    answer = call(peer, SetParameters, 'set_parameters', parameters=given)
+    assert answer is not None and answer.results[0].successful, name  # noqa: PT018
+
+
+@dataclass
+class Soak:
+    """One run: the stream, its events and what was measured.
+
+    Attributes:
+        peer: node that sends and receives.
+        pid: process of the node.
+        node: rows of time of the stream in s, memory in MB, threads, open files, and CPU time in s.
+        latencies: rows of time in s and latency in ms, of every answered image.
+        counts: numbers of events, lost images, and messages that are missing in recordings.
+    """
+
+    peer: Peer
+    pid: int
+    node: list[tuple[float, ...]] = field(default_factory=list)
+    latencies: list[tuple[float, float]] = field(default_factory=list)
+    counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys((*EVENTS_S, 'lost', 'missing'), 0))
+
+    def __post_init__(self) -> None:
+        self._crowd = Crowd()
+        self._number = 0  # of the image
+        self._sent_in_recording = 0
+        self._shift_s = 0.0  # by which stamps differ from the time of the stream
+        self._due = {**EVENTS_S, 'sample': 0.0}
+
+    @property
+    def stream_s(self) -> float:
+        return self._number / HZ
+
+    def send_next(self) -> None:
+        """Let happen what is due, send the next image, and wait for its skeletons."""
+        now_s = self.stream_s
+        happen: dict[str, Callable[[float], None]] = {
+            'detector': self._restart_detector,
+            'loop': self._loop,
+            'parameters': lambda _: set_parameter(self.peer, *CHANGES[self.counts['parameters'] % len(CHANGES)]),
+            'recording': self.count_recording,
+            'sample': self._sample,
+        }
+        for event, every_s in EVENTS_S.items():
+            if now_s >= self._due[event]:
+                self._due[event] += every_s
+                happen[event](now_s)
+                self.counts[event] += 1
+        stamp = START_NS + round((now_s + self._shift_s) * NS_PER_S)
+        raw = encode_keypoints(Header(stamp, 'camera'), SOAK_SIZE, self._crowd.list_people(self._number, now_s))
+        sent_s = time.perf_counter()
+        self.peer.keypoints.publish(raw)
+        self._sent_in_recording += 1
+        if self.peer.wait(lambda: stamp in self.peer.arrived, ANSWER_S):
+            self.latencies.append((now_s, (self.peer.arrived.pop(stamp) - sent_s) * 1e3))
+        else:
+            self.counts['lost'] += 1
+        self._number += 1
+
+    def _sample(self, now_s: float) -> None:
+        usage = measure_usage(self.pid)
+        self.node.append((now_s, usage.memory_mb, usage.threads, usage.open_files, usage.cpu_s))
+
+    def _loop(self, now_s: float) -> None:
+        self._shift_s = -now_s
+        self.peer.arrived.clear()
+
+    def _restart_detector(self, now_s: float) -> None:
+        """Replace the publisher; ids begin anew, and the images of a few seconds are missing."""
+        self.peer.node.destroy_publisher(self.peer.keypoints)
+        self.peer.advertise()
+        self.peer.wait_for_node()
+        self._crowd.restart(now_s)
+        self._shift_s += DETECTOR_GAP_S
+
+    def count_recording(self, _now_s: float, *, is_last: bool = False) -> None:
+        """End the recording, count its messages and remove it; begin the next."""
+        from std_srvs.srv import SetBool
+
+        answer = call(self.peer, SetBool, 'record', data=False)
+        self.counts['missing'] += 2 * self._sent_in_recording
+        if answer is not None and answer.success:
+            folder = Path(answer.message)
+            self.peer.wait((folder / 'metadata.yaml').is_file)
+            with Bag(folder) as bag:
+                self.counts['missing'] -= bag.count(['/keypoints']) + bag.count(['/skeletons'])
+            shutil.rmtree(folder)
+        self._sent_in_recording = 0
+        if not is_last:
+            set_parameter(self.peer, 'recorder.enabled', True)
+
+    def describe(self) -> list[list[object]]:
+        """Return the rows of the table."""
+        node, latencies = np.array(self.node), np.array(self.latencies)
+        settled = node[node[:, 0] >= min(SETTLED_S, node[-1, 0])]
+        tenth = max(1, len(settled) // 10)
+        early, last = settled[:tenth], settled[-tenth:]
+        memory = [float(np.median(part[:, 1])) for part in (early, last)]
+        grown = [f'{last[:, i].max() - early[:, i].max():.0f}' for i in (2, 3)]
+        cpu_ms = np.diff(settled[:, 4]) / (np.diff(settled[:, 0]) * HZ) * 1e3
+        hours = latencies[:, 0] < HOUR_S, latencies[:, 0] >= latencies[-1, 0] - HOUR_S
+        p99 = [float(np.percentile(latencies[hour, 1], 99)) for hour in hours]
+        count, events = len(self.latencies) + self.counts['lost'], list(EVENTS_S)[:4]
+        names = 'detector restarts, time loops, parameter changes, recordings'
+        return [
+            ['stream', f'{self.stream_s / HOUR_S:.1f} h, {count} images', '8 h'],
+            [names, ', '.join(str(self.counts[e]) for e in events), None],
+            ['images without an answer within 2 s', self.counts['lost'], '0'],
+            ['messages missing in recordings', self.counts['missing'], '0'],
+            [
+                'growth of the memory after the first ten minutes',
+                f'{100 * (memory[1] / memory[0] - 1):.1f} % of {memory[0]:.0f} MB',
+                '2 %',
+            ],
+            ['growth of threads, and of open files', ', '.join(grown), '0'],
+            ['CPU time of an image', f'{np.median(cpu_ms) if len(cpu_ms) else float("nan"):.1f} ms', None],
+            ['latency, median', f'{np.median(latencies[:, 1]):.1f} ms', None],
+            [
+                'latency, 99 %, and its growth from the first to the last hour',
+                f'{p99[0]:.0f} ms, {100 * (p99[1] / p99[0] - 1):+.0f} %',
+                '10 %',
+            ],
+        ]
+
+
+@contextmanager
+def run_recording_node() -> Iterator[tuple[Peer, subprocess.Popen[bytes]]]:
+    """Run a node that records, and a peer that it is connected to."""
+    with ExitStack() as stack:
+        folder, peer = Path(stack.enter_context(tempfile.TemporaryDirectory())), stack.enter_context(Peer())
+        given = 'recorder.split_seconds:=600.0', RELIABLE
+        process = stack.enter_context(run_node(folder / 'bags', folder / 'log', *given))
+        peer.wait_for_node()
+        yield peer, process
+        problems = (folder / 'log').read_text(errors='replace').splitlines()
+        print(*[line for line in problems if not line.startswith('[INFO]')][:20], sep='\n')
+
+
+def report_soak(report: Report) -> dict[str, Any]:
+    stream_s = 60.0 if report.quick else report.args.hours * HOUR_S
+    end_s = time.monotonic() + (25.0 if report.quick else 60.0 * report.args.minutes)
+    with run_recording_node() as (peer, process):
+        one = Soak(peer, process.pid)
+        while one.stream_s < stream_s and time.monotonic() < end_s and process.poll() is None:
+            one.send_next()
+        if process.poll() is None:
+            one.count_recording(one.stream_s, is_last=True)
+            one.counts['recording'] += 1
+    report.table(['quantity', 'measured', 'target'], one.describe(), page='soak.targets')
+    return {'node': one.node, 'counts': one.counts}
+
+
+@dataclass(frozen=True)
+class Load:
+    """What is sent to the node: people in each image, images a second of each camera, and of how many cameras.
+
+    Without `is_read` there is one more subscriber, which does not read.
+    """
+
+    name: str
+    people: int
+    hz: float
+    cameras: int = 1
+    is_read: bool = True
+
+
+LOADS = (
+    Load('3 people, 30 Hz', 3, 30.0),
+    Load('the same, and a subscriber that does not read', 3, 30.0, is_read=False),
+    Load('the same, from two cameras', 3, 30.0, cameras=2),
+    Load('1 person, 200 Hz', 1, 200.0),
+    Load('50 people, 30 Hz', 50, 30.0),
+    Load('50 people, 200 Hz', 50, 200.0),
+)
+
+
+class StatusReader:
+    """Reads the numbers of images from the node's diagnostics."""
+
+    def __init__(self, peer: Peer) -> None:
+        from mocap_ros.ros.message_types import load_interface_class
+
+        self._values: dict[str, str] = {}
+        peer.node.create_subscription(load_interface_class(DIAGNOSTICS), '/diagnostics', self._read, 10, raw=True)
+
+    def _read(self, raw: bytes) -> None:
+        (status,) = decode(raw, DIAGNOSTICS).status
+        self._values = {v.key: v.value for v in status.values}
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Numbers of images so far: accepted, invalid, dropped and lost, by reason."""
+        kinds = ('accepted', 'invalid', 'dropped', 'lost')
+        return {k: int(v) for k, v in self._values.items() if k.startswith(kinds) and k != OF_ALL_TOPICS}
+
+
+@contextmanager
+def run_beside(program: str) -> Iterator[None]:
+    """Run a Python program that prints a line when it is ready, and ends when its standard input does."""
+    command = [sys.executable, '-c', program]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline(), 'the program has ended'
+        yield
+    finally:
+        process.communicate(timeout=20.0)
+
+
+def send_load(peer: Peer, status: StatusReader, load: Load, seconds: float, first_ns: int) -> list[object]:
+    """Send a load, and account for its images; return the row of the table."""
+    crowd = make_crowd(load.people)[:TEMPLATES]
+    templates = [
+        [bytearray(encode_keypoints(Header(1, f'camera{n}'), IMAGE_SIZE, frame)) for frame in crowd]
+        for n in range(load.cameras)
+    ]
+    before, sent = status.counts, dict[int, float]()
+    peer.arrived.clear()
+    start_s = due_s = time.perf_counter()
+    for number in count():
+        if time.perf_counter() - start_s > WARM_UP_S + seconds:
+            break
+        peer.spin_until(due_s)
+        peer.executor.spin_once(timeout_sec=0.0)
+        for camera in range(load.cameras):
+            stamp = first_ns + round((number + camera / load.cameras) / load.hz * NS_PER_S)
+            raw = templates[camera][number % TEMPLATES]
+            STAMP.pack_into(raw, STAMP_OFFSET, *divmod(stamp, NS_PER_S))
+            sent[stamp] = time.perf_counter()
+            peer.keypoints.publish(bytes(raw))
+        due_s += 1 / load.hz
+    elapsed_s = time.perf_counter() - start_s
+
+    def count_images() -> dict[str, int]:
+        return {k: v - before.get(k, 0) for k, v in status.counts.items()}
+
+    peer.wait(lambda: sum(count_images().values()) >= len(sent), SETTLE_S)
+    counts = count_images()
+    order = [stamp for stamp in peer.arrived if stamp in sent]
+    if any(later < earlier for earlier, later in pairwise(order)):
+        print(f'{load.name}: an older image was answered after a newer one')
+    ages_ms = [(peer.arrived[s] - sent[s]) * 1e3 for s in order if sent[s] - start_s > WARM_UP_S]
+    by_kind = [sum(v for k, v in counts.items() if k.startswith(kind)) for kind in ('dropped', 'invalid', 'lost')]
+    accounted = [counts.get('accepted', 0), *by_kind]
+    shown = (f'{np.percentile(ages_ms, p):.0f}' if ages_ms else None for p in (50, 99, 100))
+    hz = len(sent) / load.cameras / elapsed_s
+    return [load.name, f'{hz:.0f}', len(sent), *accounted, len(sent) - sum(accounted), *shown]
+
+
+def report_loads(report: Report) -> None:
+    rows = []
+    with run_recording_node() as (peer, process):
+        status = StatusReader(peer)
+        peer.wait(lambda: status.counts)
+        for number, load in enumerate(common.show_progress(LOADS[: 3 if report.quick else None], 'loads'), 1):
+            with ExitStack() as beside:
+                if not load.is_read:
+                    beside.enter_context(run_beside(SLEEPER))
+                seconds = QUICK_LOAD_S if report.quick else LOAD_S
+                rows.append(send_load(peer, status, load, seconds, number * GAP_NS))
+        assert process.poll() is None
+    header = ['load', 'Hz achieved', 'images sent', 'answered', 'dropped', 'refused', 'lost before the node']
+    report.table([*header, 'unaccounted', 'age: median, ms', '99 %', 'worst'], rows, page='overload.loads')
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('--hours', type=float, default=8.0, help='h of stream of the soak (default: %(default)s)')
+    parser.add_argument('--minutes', type=float, default=600.0, help='after which it ends (default: %(default)s)')
+
+
+if __name__ == '__main__':
+    run(__doc__, {'soak': report_soak, 'loads': report_loads}, add_options)
