@@ -33,7 +33,7 @@ from mocap_ros.training.motion_library import balance_trials
 BASE_POSE_OPTIONS = ('name', 'components', 'alignment', 'mirror', 'bodies')  # options without --lifter only
 LIFTER_OPTIONS = ('steps', 'checkpoint', 'start_from', 'seed', 'threads')  # options with --lifter only
 DEFAULT_COMPONENTS = 45  # base poses
-DEFAULT_STEPS = 60000  # optimiser steps; more gain more (docs/lifter.md)
+DEFAULT_STEPS = 60000  # optimiser steps; more gain more
 MAX_SEED = 2**63 - 1  # the largest that PyTorch takes for sure
 
 

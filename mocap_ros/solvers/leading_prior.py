@@ -26,7 +26,7 @@ from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import ALL_MOTIONS
 
 # The constants were chosen on people whom neither the lifter nor the general base poses were trained on
-# (docs/lifter.md, "Own base poses").
+# (docs/method.md, "Base poses of your own").
 LIFTER_SHARE = 0.1  # share of `lifter_weight` that the lifted poses keep where the base poses lead
 MAX_NOISE_RATIO = 1.05  # residuals of base poses that fit a person are at most so much larger where they lead
 NEGLIGIBLE_NOISE = 0.003  # m; below it, base poses of a person differ from the person more than the points do

@@ -50,7 +50,7 @@ Array = NDArray[np.float64]
 
 AUTO, NONE = 'auto', 'none'  # values of `tracker.vertical` besides three numbers
 # Constants of the formulas above; angles in degrees. All were measured on training persons seen by the protocol's
-# detectors from elevations of 0 to 32 degrees (docs/solvers.md, "The vertical").
+# detectors from elevations of 0 to 32 degrees.
 MEMORY_S = 20.0  # s; T: long for people who turn about, short enough for a camera that is moved
 DIRECTION_STD_DEG = 8.0  # S: of the direction that a lifted pose tells
 CORRELATION_S = 4.0  # s; C: means over so long still differ by almost as much as those of single frames

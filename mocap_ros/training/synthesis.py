@@ -10,7 +10,7 @@ history (newest first), J joints of `skeleton.BODY26`,
 J_c of its core `skeleton.CMU15`.
 
 The magnitudes are estimates. The mixture as a whole was chosen on CMU subjects 02, 16 and 49, with lifters that
-had seen neither these nor the test subjects (docs/lifter.md, "Training"). Shares are shares of the examples.
+had seen neither these nor the test subjects. Shares are shares of the examples.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ from mocap_ros.skeleton import CMU15
 
 Array = NDArray[np.float64]
 
-# the settings of rotation, scale and robustness were tuned on CMU motion capture (docs/keyframes.md)
+# the settings of rotation, scale and robustness were tuned on CMU motion capture
 ROBUST_SCALE_M = 0.06  # m; scale of Cauchy's loss in the alignment, so that outliers do not pull a pose
 ALIGNMENT_ITERATIONS = 8  # Gauss-Newton iterations; a fixed number, since all frames are solved at once
 ROTATION_STD = np.radians(3.0)  # rad, of the prior on the rotation: key poses are in the camera's frame already

@@ -93,7 +93,7 @@ def interpolate_gaps(points: Array, seen: Mask, times: Array, max_gap: float) ->
     return out, known
 
 
-# the costs and spreads below were tuned on CMU motion capture with injected outliers (docs/keyframes.md)
+# the costs and spreads below were tuned on CMU motion capture with injected outliers
 MAX_LINK_S = 0.7  # s; two inliers further apart are not compared
 POINT_NOISE_M = 0.03  # m, n: noise of a correct point's displacement, without motion
 MAX_SPEED = 3.0  # m/s, v: speed of a correct point relative to the interpolated motion

@@ -124,7 +124,7 @@ def solve_hypotheses(
     The second camera is the Necker reversal of the first. `config.hypotheses` is the number of cameras, or
     `config.heading_hypotheses` for base poses that were aligned by heading. With base poses of the right category
     the second gains nothing; those of all motions need it for people seen from the front or from behind
-    (docs/solvers.md). Lifted poses already tell the front from the back, so that one start is enough.
+    (docs/method.md). Lifted poses already tell the front from the back, so that one start is enough.
 
     Args:
         windows: the sequences.

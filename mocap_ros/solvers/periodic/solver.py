@@ -55,7 +55,7 @@ MAX_INITIAL_ITERATIONS = 12  # steps of the joint solver for initial values; a c
 NOISE_ROUNDS = 2  # estimates of the image noise, each after a minimisation under the last estimate
 NOISE_ROUND_TOLERANCE = 0.05  # relative decrease of E that ends a round, whose minimum need not be exact
 # m; image noise from which further hypotheses are tried. Under less, a still camera is wrong too often: clean
-# views from an orbiting camera had an error of 33 mm instead of 18 (docs/solvers.md).
+# views from an orbiting camera had an error of 33 mm instead of 18.
 MIN_NOISE_FOR_HYPOTHESES = 0.03
 # relative decrease of E; hypotheses compared before they had converged selected half the true cadence.
 HYPOTHESIS_TOLERANCE = 2e-3
