@@ -31,7 +31,7 @@ from scipy.linalg import cholesky
 from tqdm import tqdm
 
 import mocap_ros
-from mocap_ros.config import SolverConfig, TrackerConfig
+from mocap_ros.config import TrackerConfig
 from mocap_ros.formats.mocap.trials import Trial, load_trials, select_trials
 from mocap_ros.formats.sequence_file import create_intrinsics, load_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -85,11 +85,7 @@ def load_protocol() -> ModuleType:
 
 
 def choose_capture(name: str) -> None:
-    """Choose the motion capture of this program: a key of `CAPTURE_FILES`; `cmu` if no program chooses.
-
-    The models for detectors are trained and tested on `motion`, whose wrists are those of people. The papers'
-    experiments keep `cmu`, whose wrists are two thirds down the forearm.
-    """
+    """Choose the capture: `motion`, with the wrists of people, or `cmu` of the paper's experiments (default)."""
     _chosen_capture[:] = [name]
     for cached in (load_capture, list_trials, train_base_poses):
         cached.cache_clear()
@@ -187,13 +183,7 @@ class View:
 
 
 def make_views(trial: str | Array, headings: Iterable[float] = HEADINGS_DEG, **options: Any) -> list[View]:
-    """Make one view for each heading of a trial.
-
-    Args:
-        trial: name of a trial, or poses (F, 15, 3) in mm with y up.
-        headings: degrees.
-        options: options of `make_view` of the protocol.
-    """
+    """Make a view by the protocol for each heading in degrees of a trial, or of poses (F, 15, 3) mm with y up."""
     motion, joints = load_capture()
     xyz = motion[trial] if isinstance(trial, str) else trial
     return [View(load_protocol().make_view(xyz, joints, h, **options), h) for h in headings]
@@ -212,7 +202,7 @@ def choose_trials(
     without_subjects: Sequence[str] = (),
     only_subjects: Sequence[str] = (),
 ) -> list[Trial]:
-    """Choose the trials to train on; arguments as of `train_base_poses`."""
+    """Choose the trials to train on."""
     return select_trials(
         list_trials(),
         categories=category.split('+') if category else [],
@@ -233,14 +223,8 @@ def train_base_poses(
 ) -> BasePoses:
     """Train base poses as `mocap-ros train` does, scaled to the body height that the tracker assumes.
 
-    Those of `cmu` are not balanced, for the papers' are not.
-
-    Args:
-        category: names of categories joined by `+`; empty for all motions.
-        without_trials: trials that are left out.
-        without_subjects: subjects that are left out.
-        only_subjects: subjects to train on; empty for all.
-        plain: train on the poses alone, without their mirror images and without other bone lengths.
+    `category` is empty for all motions. Those that are `plain` are trained without mirror images and other bone
+    lengths; those of `cmu` are not balanced, for the papers' are not.
     """
     chosen = choose_trials(category, without_trials, without_subjects, only_subjects)
     augmented = bool(category) and not plain
@@ -286,13 +270,7 @@ def reconstruct_whole(
 
 @dataclass(frozen=True, eq=False)
 class TrackedSequence:
-    """The output of the tracker for a sequence of one person; NaN in frames without output.
-
-    Attributes:
-        joints: (F, 26, 3) m.
-        std: (F, 26) m.
-        inferred: (F, 26).
-    """
+    """Joints (F, 26, 3) m, their deviations and what was inferred, live; NaN in frames without output."""
 
     joints: Array
     std: Array
@@ -320,11 +298,6 @@ def reconstruct(
     if way == 'whole':
         return reconstruct_whole(view, model, parameters)
     return track(view, model, parameters).joints
-
-
-def make_config(**overrides: Any) -> SolverConfig:
-    """Return the default configuration of the solver with some values replaced."""
-    return replace(SolverConfig(), **overrides)
 
 
 def compute_errors(

@@ -1,12 +1,12 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Many recordings by `mocap-ros batch`: what Dask adds to the work, how two workers share it, and killed workers.
+"""Many recordings by `mocap-ros batch`: what Dask adds to the work, and killed workers.
 
 Times are CPU seconds with one BLAS thread, so that they mean the same on a machine that does other work. The bags
 are of the demo recording. Sections of `--only`:
 
-    overhead  whole commands: `replay` of every bag beside `batch` with one and with two workers
+    overhead  whole commands: `replay` of every bag beside `batch` with one worker
     kills     a worker is killed again and again; nothing may be lost, and no result may differ
 """
 
@@ -84,10 +84,7 @@ def report_overhead(report: Report) -> None:
 
         def measure(some: Sequence[Path], label: str) -> list[float]:
             plain = run_command('replay', *some, '-o', root / f'plain_{label}')
-            by_workers = [
-                run_command('batch', some[0].parent, '-o', root / f'{label}_{n}', '--workers', n) for n in (1, 2)
-            ]
-            return [plain, *by_workers]
+            return [plain, run_command('batch', some[0].parent, '-o', root / label, '--workers', 1)]
 
         fixed, whole = measure(short, 'short'), measure(paths, 'long')
         each = [(w - f) / bags for w, f in zip(whole, fixed, strict=True)]
@@ -96,10 +93,8 @@ def report_overhead(report: Report) -> None:
     shown = '{:.1f} and {:.1f} s'.format(*fixed)
     rows = [
         ['work on an hour of recording', f'{hour_s:.0f} core s', ''],
-        ['a thousand hours, extrapolated', f'{hour_s * 1000 / 3600:.0f} core hours', ''],
         ['a run beside its recordings: `replay`, and `batch` with one worker', shown, ''],
         ['a recording: Dask with one worker over a plain process', f'{each[1] / each[0]:.3f}', 'under 1.03'],
-        ['a recording: two workers over a plain process', f'{each[2] / each[0]:.3f}', 'under 1.05'],
     ]
     report.results['rows'] = rows
 

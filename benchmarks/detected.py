@@ -58,11 +58,8 @@ def load_middle(trial: str, frames: int) -> Array:
 def choose_trials(persons: str, count: int, min_frames: int = 0) -> list[str]:
     """Return the longest trials of each kind of motion, so that no person and no motion dominates.
 
-    Args:
-        persons: `held-out` for people on whom no model is trained, each with trials of their own; `training` for
-            all others together.
-        count: largest number of trials for each category, and for each of the held-out people.
-        min_frames: frames of the shortest trial.
+    `persons` are `held-out`, on whom no model is trained, each with `count` trials of a kind of motion, or
+    `training`, all others together.
     """
     groups: dict[tuple[str, str], list[tuple[int, str]]] = {}
     for name, row in load_motion()[2].items():
@@ -75,16 +72,7 @@ def choose_trials(persons: str, count: int, min_frames: int = 0) -> list[str]:
 
 @dataclass(frozen=True)
 class ViewOptions:
-    """How a trial is seen.
-
-    Attributes:
-        trial: name of the trial.
-        detector: name of the detector.
-        camera: key of `CAMERAS`.
-        heading: degrees, direction from which the camera looks at the person.
-        frames: largest number of frames, from the middle.
-        seed: seed of the detector's errors.
-    """
+    """How a trial is seen: by one of `CAMERAS`, from a heading in degrees, with a detector's errors of a seed."""
 
     trial: str
     detector: str
@@ -96,11 +84,6 @@ class ViewOptions:
     @property
     def category(self) -> str:
         return load_motion()[2][self.trial]['category']
-
-    @property
-    def body(self) -> Array:
-        """True joints (F, 26, 3) m with y up."""
-        return load_middle(self.trial, self.frames) / 1e3
 
     def make_view(self) -> View:
         options: dict[str, Any] = {'frames': self.frames, 'seed': self.seed, **CAMERAS[self.camera]}
@@ -132,15 +115,7 @@ def list_views(
 
 @dataclass(frozen=True, eq=False)
 class RobotScene:
-    """One person before a robot's camera.
-
-    Attributes:
-        category: kind of the motion.
-        detector: name of the detector.
-        view: the sequence, truth included.
-        stature: m, true body height.
-        floor: floor that the robot believes.
-    """
+    """One person of a stature in m before a robot's camera, and the floor that the robot believes."""
 
     category: str
     detector: str
@@ -159,23 +134,16 @@ class RobotScene:
         return np.asarray(self.view.select_truth(('lhip', 'rhip')).mean(axis=1))
 
 
-def make_robot_scene(
-    trial: str, number: int, frames: int, stature: float | None = None, detector: str | None = None
-) -> RobotScene:
-    """Return the middle of a trial before a camera that depends on a number.
+def make_robot_scene(trial: str, number: int, frames: int, stature: float | None = None) -> RobotScene:
+    """Return the middle of a trial before a camera and a detector that depend on a number.
 
-    Args:
-        trial: name of the trial.
-        number: seed of the camera and of the detector's errors, and which detector it is.
-        frames: most frames.
-        stature: m, body height that the person is scaled to; None for the own one.
-        detector: name of the detector; None for that of the number.
+    The person is scaled to the stature in m, if one is given.
     """
     _, joints, rows = load_motion()
     rng, poses = np.random.default_rng(number), load_middle(trial, frames).astype(float)
     own = estimate_stature(poses[:, [joints.index(n) for n in CMU15.joints]] / 1e3, CMU15)
     poses = poses * ((stature or own) / own)
-    detector = detector or DETECTORS[number % len(DETECTORS)]
+    detector = DETECTORS[number % len(DETECTORS)]
     elevation, distance = float(rng.uniform(*ELEVATIONS_DEG)), float(rng.uniform(*DISTANCES_M))
     options: dict[str, Any] = {'frames': frames, 'seed': number, 'distance': distance}
     if detector != CLEAN:

@@ -14,7 +14,7 @@ were not trained on the tested people. Sections of `--only`:
     extremities where heads and feet point, and how far off toes, hands and faces are
 
 `--persons training` tests other people, for tuning. `--against FILE` compares with the JSON of an earlier run,
-view by view. No model saw the person of the recordings, so `--models shipped` tests there what ships.
+view by view.
 """
 
 from __future__ import annotations
@@ -60,12 +60,9 @@ OUTER = {
 }
 
 
-def load_models(args: argparse.Namespace) -> tuple[BasePoses | str, dict[str, Any]]:
+def load_models(args: argparse.Namespace) -> tuple[BasePoses, dict[str, Any]]:
     """Return base poses and parameters with a lifter; those of `--set` have precedence."""
     given = {name: yaml.safe_load(text) for name, _, text in (a.partition('=') for a in args.set)}
-    if args.models == 'shipped':
-        common.choose_capture('motion')
-        return 'all', given
     model, parameters = common.provide_held_out()
     return model, parameters | given
 
@@ -220,7 +217,6 @@ def report_extremities(report: Report) -> dict[str, Any]:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--persons', choices=('held-out', 'training'), default='held-out')
-    parser.add_argument('--models', choices=('held-out', 'shipped'), default='held-out')
     parser.add_argument('--detectors', nargs='+', choices=DETECTORS, default=list(DETECTORS))
     parser.add_argument('--seeds', nargs='+', type=int, metavar='N', default=[0, 1, 2], help='of the errors')
     parser.add_argument('--set', action='append', default=[], metavar='NAME=VALUE', help='set a parameter')

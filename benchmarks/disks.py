@@ -31,18 +31,12 @@ SLOW_S = 0.02  # s, which a step of the slow disk takes
 
 
 class Disk:
-    """Counts the steps on a disk and lets them fail.
+    """Counts the steps on a disk, `steps`, and lets them fail from the step `at` on.
 
-    Args:
-        fault: `none`, `kill` (the process is killed in the middle of the step), `full` (the step takes a part of
-            the data, and then every step that needs space fails), `full once` (the step takes nothing, and the
-            next ones work), `read-only` (every step fails from there on), `removed` (the folder is removed before
-            the step) or `slow` (every step takes `SLOW_S`).
-        at: Number of the step at which the fault begins.
-        folder: Folder that is removed.
-
-    Attributes:
-        steps: Names of the steps so far.
+    The fault is `none`, `kill` (the process is killed in the middle of the step), `full` (the step takes a part of
+    the data, and then every step that needs space fails), `full once` (the step takes nothing, and the next ones
+    work), `read-only` (every step fails from there on), `removed` (the folder is removed before the step) or
+    `slow` (every step takes `SLOW_S`).
     """
 
     def __init__(self, fault: str = 'none', at: int = 0, folder: Path | None = None) -> None:
@@ -153,13 +147,7 @@ class _Node:
 
 
 class ForgetfulDisk:
-    """The operations of the file system, as `fuse.FUSE` calls them.
-
-    Args:
-        images: Folder into which each power cut writes what the disk holds.
-        sync_s: Time that the disk takes for each sync, in s.
-        seed: Of the random parts.
-    """
+    """The operations of the file system, as `fuse.FUSE` calls them; a sync takes `sync_s`."""
 
     def __init__(self, images: Path, sync_s: float, seed: int) -> None:
         self._images = images

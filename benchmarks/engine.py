@@ -24,7 +24,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -122,7 +122,7 @@ def measure_replay(root: Path, _quick: bool) -> Found:
 
 
 @contextmanager
-def run_peer_and_node(root: Path) -> Iterator[tuple[Peer, int]]:
+def run_peer_and_node(root: Path, *, waits: bool = True) -> Iterator[tuple[Peer, int]]:
     """Run a node of a checkout with a peer; give the peer, and the process of the node, which is ready."""
     environment = make_environment(root)
     with (
@@ -130,7 +130,8 @@ def run_peer_and_node(root: Path) -> Iterator[tuple[Peer, int]]:
         Peer() as peer,
         run_node(Path(name), environment=environment) as node,
     ):
-        peer.wait_for_node()
+        if waits:
+            peer.wait_for_node()
         yield peer, node.pid
 
 
@@ -147,18 +148,15 @@ def measure_node(root: Path, quick: bool) -> Found:
 
 
 def measure_start(root: Path, _quick: bool) -> Found:
-    environment = make_environment(root)
-    with ExitStack() as stack:
-        folder, peer = stack.enter_context(tempfile.TemporaryDirectory()), stack.enter_context(Peer())
-        messages, start_s = peer.encode_stream(1), time.perf_counter()
-        node = stack.enter_context(run_node(Path(folder), environment=environment))
+    with run_peer_and_node(root, waits=False) as (peer, pid):
+        start_s, messages = time.perf_counter(), peer.encode_stream(1)
         while not peer.arrived:
             if time.perf_counter() - start_s > TIMEOUT_S:
                 raise TimeoutError('the node did not answer')
             peer.keypoints.publish(next(messages)[1])
             peer.spin_until(time.perf_counter() + 1 / HZ)
         taken_s = min(peer.arrived.values()) - start_s
-        return {'start of the node, s': taken_s, 'start of the node, CPU s': measure_usage(node.pid).cpu_s}
+        return {'start of the node, s': taken_s, 'start of the node, CPU s': measure_usage(pid).cpu_s}
 
 
 def measure_crowd(root: Path, quick: bool) -> Found:

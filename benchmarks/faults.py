@@ -20,7 +20,7 @@ from __future__ import annotations
 import common
 
 # isort: split
-import hashlib
+import importlib.util
 import mmap
 import os
 import signal
@@ -30,7 +30,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,7 @@ from typing import Any
 import numpy as np
 from disks import CUT, Disk, FaultyPath, ForgetfulDisk, mount
 from node import Peer, run_node
-from report import Report, run
+from report import Report, group, run
 
 from mocap_ros.bags.background import BackgroundRecorder
 from mocap_ros.bags.reader import Bag
@@ -96,11 +96,11 @@ class Kill:
 
 
 def make_batch(frame: int, time_ns: int) -> list[RecordedMessage]:
-    """Return the messages of a frame, of which every byte is known."""
     return [RecordedMessage(t, kind, make_message(t, frame), time_ns, time_ns) for t, kind in TOPICS.items()]
 
 
 def make_message(topic: str, frame: int) -> bytes:
+    """Return a message of which every byte is known."""
     start = frame * 97 % (len(NOISE) - BYTES[topic])
     return NUMBER.pack(frame) + NOISE[start : start + BYTES[topic] - NUMBER.size]
 
@@ -173,16 +173,8 @@ def find_first_missing(numbers: Sequence[int]) -> int:
     return next(n for n in range(len(present) + 1) if n not in present)
 
 
-def hash_folder(folder: Path) -> dict[str, str]:
-    return {f.name: hashlib.sha256(f.read_bytes()).hexdigest() for f in sorted(folder.iterdir())}
-
-
 def recover_bag(bag: Path, out: Path) -> float:
-    """Recover a bag, or find that it is complete; return the seconds that the recovery took.
-
-    Raises:
-        MocapError: nothing could be read.
-    """
+    """Recover a bag, or find that it is complete; return the seconds that the recovery took."""
     try:
         with Bag(bag) as complete:
             complete.count(list(TOPICS))
@@ -196,13 +188,14 @@ def recover_bag(bag: Path, out: Path) -> float:
 
 def kill_recovery(bag: Path, out: Path, after_s: float) -> str:
     """Kill a recovery; return what is wrong with the damaged bag afterwards, an empty string where nothing is."""
-    before = hash_folder(bag)
+    before = {f.name: f.read_bytes() for f in bag.iterdir()}
     pid = fork(recover, bag, out)
     time.sleep(after_s)
     kill(pid)
     if out.exists():  # it was faster
         out.rename(out.with_name('first'))
-    return '' if hash_folder(bag) == before else 'a recovery that was killed changed the bag'
+    now = {f.name: f.read_bytes() for f in bag.iterdir()}
+    return '' if now == before else 'a recovery that was killed changed the bag'
 
 
 def kill_once(job: tuple[str, int, Path]) -> Kill:
@@ -282,14 +275,7 @@ def cut_power(job: tuple[int, Path]) -> list[Kill]:
 
 
 def compare_after_cut(kind: str, image: Path, state: tuple[int, ...], cut_ns: int) -> Kill:
-    """Recover what a disk holds after a power cut.
-
-    Args:
-        kind: of the cut, by the disk.
-        image: folder with what the disk holds.
-        state: state of the recorder before the cut, as in `STATE`.
-        cut_ns: ns, time of the cut.
-    """
+    """Recover the image of what a disk holds after a power cut, before which the recorder was in a `STATE`."""
     phase, count, first_ns, last_ns = state
     end_ns = last_ns if phase >= CLOSING else cut_ns
     fault, recovery_s, whole_until_ns = '', 0.0, first_ns
@@ -314,13 +300,12 @@ def do_all(action: Callable[[Any], Any], jobs: Sequence[Any], root: Path, name: 
         return list(common.show_progress(pool.map(action, jobs), name, len(jobs)))
 
 
-def show_kills(report: Report, kills: Sequence[Kill], what: str) -> dict[str, Any]:
-    """Show a row for each kind; return how many bags were not readable, and the losses."""
-    rows = list[Sequence[object]](report.results.get('kill_rows', []))
-    for kind in dict.fromkeys(k.kind for k in kills):
-        mine = [k for k in kills if k.kind == kind]
-        lost = [k.loss_s for k in mine if not k.fault]
-        took = [k.recovery_s for k in mine if k.recovery_s] or [0.0]
+def show_kills(report: Report, kills: Sequence[Kill], what: str, goal_s: float) -> dict[str, Any]:
+    """Show a row for each kind, and targets for all of them."""
+    rows = report.results.get('kill_rows', [])
+    for (kind,), mine in group([asdict(k) for k in kills], 'kind').items():
+        lost = [k['loss_s'] for k in mine if not k['fault']]
+        took = [k['recovery_s'] for k in mine if k['recovery_s']] or [0.0]
         shown = [f'{v:.3f}' for v in (np.median(lost), np.percentile(lost, 99), max(lost))]
         rows.append([kind, len(mine), len(mine) - len(lost), *shown, f'{np.median(took):.2f}', f'{max(took):.2f}'])
     for one in [k for k in kills if k.fault][:20]:
@@ -328,34 +313,20 @@ def show_kills(report: Report, kills: Sequence[Kill], what: str) -> dict[str, An
     header = ['killed while', 'times', 'unreadable', 'loss: median, s', '99 %', 'worst']
     report.table([*header, 'recovery: median, s', 'worst'], rows, page='faults.kills')
     lost = [k.loss_s for k in kills if not k.fault]
-    found = {
-        'count': len(kills),
-        'unreadable': len(kills) - len(lost),
-        'median': np.median(lost),
-        'worst': max(lost),
-    }
-    show_targets(report, **{what: found})
+    claim = f'bags that `recover` could not read, or with a gap, of {len(kills)} {what}'
+    show_targets(
+        report,
+        [claim, len(kills) - len(lost), '0'],
+        [f'loss, median of the {what}', f'{np.median(lost):.3f} s', None],
+        [f'loss, worst of the {what}', f'{max(lost):.3f} s', f'{goal_s:g} s'],
+    )
     return {'kill_rows': rows}
 
 
-def show_targets(report: Report, **found: Any) -> None:
+def show_targets(report: Report, *rows: list[object]) -> None:
     """Show the table of targets, with what has been measured so far."""
-    report.results |= found
-    rows: list[list[object]] = []
-    if kills := report.results.get('kills'):
-        claim = f'bags that `recover` could not read, or with a gap, of {kills["count"]} kills'
-        rows = [
-            [claim, kills['unreadable'], '0'],
-            ['loss, median', f'{kills["median"]:.3f} s', '0.1 s'],
-            ['loss, worst', f'{kills["worst"]:.3f} s', '0.3 s'],
-        ]
-    if cuts := report.results.get('cuts'):
-        claim = f'bags that `recover` could not read after {cuts["count"]} power cuts'
-        rows += [[claim, cuts['unreadable'], '0'], ['loss by a power cut, worst', f'{cuts["worst"]:.3f} s', '1 s']]
-    if steps := report.results.get('steps'):
-        claim = f'faults at a step of the recorder that came out wrong, of {steps["tried"]}'
-        rows.append([claim, steps['wrong'], '0'])
-    report.table(['quantity', 'measured', 'target'], rows, page='faults.targets')
+    report.results['targets'] = [*report.results.get('targets', []), *rows]
+    report.table(['quantity', 'measured', 'target'], report.results['targets'], page='faults.targets')
 
 
 def report_kills(report: Report) -> dict[str, Any]:
@@ -365,17 +336,17 @@ def report_kills(report: Report) -> dict[str, Any]:
         jobs = [(kind, seed, root) for kind, count in counts.items() for seed in range(count)]
         kills = do_all(kill_once, jobs, root, 'kills')
         kills += [kill_node(seed, root) for seed in range(1 if report.quick else NODE_KILLS)]
-    return show_kills(report, kills, 'kills')
+    return show_kills(report, kills, 'kills', 0.3)
 
 
 def report_cuts(report: Report) -> dict[str, Any]:
-    if not Path('/dev/fuse').exists():
-        report.text('There is no /dev/fuse, so no power is cut.')
+    if importlib.util.find_spec('fuse') is None or not Path('/dev/fuse').exists():
+        report.text('No power is cut: that needs fusepy and /dev/fuse.')
         return {}
     count = len(SYNC_S) if report.quick else CUTS // CUTS_PER_RECORDER
     with tempfile.TemporaryDirectory() as name:
         done = do_all(cut_power, [(seed, Path(name)) for seed in range(count)], Path(name), 'cuts')
-    return show_kills(report, [one for cuts in done for one in cuts], 'cuts')
+    return show_kills(report, [one for cuts in done for one in cuts], 'power cuts', 1.0)
 
 
 def record_steps(
@@ -383,13 +354,8 @@ def record_steps(
 ) -> int:
     """Record `FRAMES` frames with all that a recorder does: chunks, a further file, and the end.
 
-    Args:
-        folder: folder of the bag.
-        jump: from which frame on the clock differs, and by how many seconds.
-        note_frame: called when the disk has taken a frame.
-
-    Returns:
-        Number of the frames that were written before the recording failed.
+    From a frame on the clock may jump by so many seconds; `note_frame` is called when the disk has taken a frame.
+    Return how many frames were written before the recording failed.
     """
     config, frame = RecorderConfig(chunk_seconds=0.2, split_seconds=0.5, min_free_mb=0), 0
     try:
@@ -471,7 +437,9 @@ def measure_steps(root: Path, report: Report, every: int = 1) -> dict[str, int]:
 
 def report_steps(report: Report) -> None:
     with tempfile.TemporaryDirectory() as name:
-        show_targets(report, steps=measure_steps(Path(name), report, every=6 if report.quick else 1))
+        found = measure_steps(Path(name), report, every=6 if report.quick else 1)
+    claim = f'faults at a step of the recorder that came out wrong, of {found["tried"]}'
+    show_targets(report, [claim, found['wrong'], '0'])
 
 
 if __name__ == '__main__':

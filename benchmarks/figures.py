@@ -11,12 +11,8 @@ Commands:
     check             find pages that differ from the record; with --release, tables that were measured before the
                       last change of the package as well
 
-The record, `figures.json`, holds every table with its command, commit, date and machine. A page shows a table
-between two marks, and edits between them are overwritten:
-
-    <!-- table: rivals.errors -->
-    ...
-    <!-- end of table -->
+The record, `figures.json`, holds every table with its command, commit, date and machine. A page shows one between
+the marks `<!-- table: NAME -->` and `<!-- end of table -->`; edits between them are overwritten.
 """
 
 from __future__ import annotations
@@ -40,7 +36,6 @@ BENCHMARKS: Mapping[str, Sequence[str]] = {
     'detectors': ('--detectors', 'mediapipe', '--seeds', '0'),
     'table1': (),
     'paper': (),
-    'lifter': (),
     'tracker': (),
     'keyframes': (),
     'robots': (),

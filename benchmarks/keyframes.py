@@ -53,14 +53,7 @@ MAX_BLUR_S, BLUR_INTERVAL_S = 0.3, 5.0  # s, longest burst of motion blur, and m
 
 @dataclass(frozen=True, eq=False)
 class DegradedView:
-    """A view with the errors of a bad detector.
-
-    Attributes:
-        view: the view with the degraded keypoints.
-        wrong: (F, J) whether a point is an outlier.
-        corrupted: (F,) whether a frame has an outlier or lies in a burst of blur or in a gap.
-        untouched: (F, J) whether a point is the same as in the clean view.
-    """
+    """A view with a bad detector's errors: outliers (F, J), frames with any error (F,), sound points (F, J)."""
 
     view: View
     wrong: Mask

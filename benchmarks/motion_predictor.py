@@ -142,13 +142,10 @@ def collect(frames: int) -> tuple[list[Past], Array, NDArray[np.str_]]:
 
 
 def fit_predictor(pasts: Sequence[Past], future: Array, persons: NDArray[np.str_]) -> MotionPredictor:
-    """Return the predictor that is fitted to N samples.
+    """Return the predictor that is fitted to N samples of N persons.
 
-    Args:
-        pasts: what was known of the motion.
-        future: (N, K, J, 3) m, true joints at the `TIMES_S` after, moved so that the root was right at the newest
-            frame; NaN where not known.
-        persons: (N,) who it is.
+    `future` (N, K, J, 3) m are the true joints at the `TIMES_S` after, moved so that the root was right at the
+    newest frame; NaN where not known.
     """
     features = compute_features(pasts)
     now = np.array([past.joints for past in pasts])
@@ -202,7 +199,9 @@ def _fit_network(features: Features, displacement: Array) -> MotionPredictor:
     mean = limbs.mean(axis=0)
     directions = np.linalg.eigh(np.cov((limbs - mean).T))[1][:, ::-1][:, :DIRECTIONS]
     inputs = np.concatenate([(limbs - mean) @ directions, collect_inputs(both)], axis=1)
-    joints, root = _express_targets(features, displacement)
+    root = _centre(displacement)
+    joints = (displacement - root[:, :, None]) @ features.body[:, None]
+    root = root @ features.line_of_sight
     mirrored_joints = joints[:, :, list(CMU15.mirror)] * MIRRORED
     targets = np.concatenate([joints, mirrored_joints]), np.concatenate([root, root * MIRRORED])
     turns = both.line_of_sight.swapaxes(1, 2) @ both.body
@@ -218,13 +217,6 @@ def _fit_network(features: Features, displacement: Array) -> MotionPredictor:
         **{f'{kind}_{i}': np.zeros(0) for kind in ('weight', 'bias') for i in range(LAYERS)},
     )
     return replace(untrained, **_train(untrained.build_inputs(both), *targets, turns))
-
-
-def _express_targets(features: Features, displacement: Array) -> tuple[Array, Array]:
-    """Return displacements (N, K, J, 3) about the root in the axes of bodies, and those of the root (N, K, 3)."""
-    root = _centre(displacement)
-    about = displacement - root[:, :, None]
-    return about @ features.body[:, None], root @ features.line_of_sight
 
 
 def _train(inputs: Array, joints: Array, root: Array, turns: Array) -> dict[str, Array]:

@@ -73,14 +73,7 @@ def measure_usage(pid: int) -> Usage:
 def run_node(
     folder: Path, log: Path | None = None, *arguments: str, environment: Mapping[str, str] | None = None
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a node that records into a folder, with its log in a file.
-
-    Args:
-        folder: folder of the recordings.
-        log: file of the log, or None.
-        arguments: parameters of the node, such as `recorder.split_seconds:=600.0`.
-        environment: variables beside those of this process.
-    """
+    """Run a node that records into a folder; `arguments` are parameters such as `node.queue:=20`."""
     given = ('recorder.enabled:=true', f'recorder.folder:={folder}', f'node.max_people:={MAX_PEOPLE}', *arguments)
     command = [sys.executable, '-m', 'mocap_ros.ros.main', '--ros-args']
     command += [word for parameter in given for word in ('-p', parameter)]
@@ -175,11 +168,7 @@ class Peer:
             yield stamp, encode_keypoints(Header(stamp, 'camera'), IMAGE_SIZE, crowd[number % len(crowd)])
 
     def stream(self, people: int, seconds: float, warm_up: float = 2.0) -> tuple[list[float], int]:
-        """Stream people at `HZ`.
-
-        Returns:
-            The latencies in ms of the frames after the warm-up, and the number of frames without an answer.
-        """
+        """Stream people at `HZ`; return the latencies in ms after the warm-up, and how many had no answer."""
         sent: dict[int, float] = {}
         messages = self.encode_stream(people)
         stamp, raw = next(messages)

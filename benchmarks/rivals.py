@@ -57,25 +57,15 @@ def stack_points(points: Array) -> Array:
 
 
 def factorise(measurements: Array, shapes: int) -> tuple[Array, Array]:
-    """Factorise W (2F, J) with rank 3K into M' (F, 2, 3K), with entries as large as those of rotations, and B'.
-
-    Raises:
-        ValueError: W has too few points or frames for that rank.
-    """
+    """Factorise W (2F, J) with rank 3K into M' (F, 2, 3K), with entries as large as those of rotations, and B'."""
     rank = 3 * shapes
-    if rank > min(measurements.shape):
-        raise ValueError(f'{shapes} basis shapes need {rank} points and half as many frames')
     u, s, vt = np.linalg.svd(measurements, full_matrices=False)
     size = np.sqrt(len(u) / 3)
     return (u[:, :rank] * size).reshape(-1, 2, rank), s[:rank, None] / size * vt[:rank]
 
 
 def solve_gram_matrix(rows: Array) -> Array:
-    """Solve r_f Q r_f^T = I for Q (3, 3) by linear least squares (Tomasi, Kanade 1992); return G, G G^T = Q.
-
-    Args:
-        rows: (F, 2, 3) rows of the cameras before the upgrade.
-    """
+    """Solve r_f Q r_f^T = I for Q by linear least squares, of rows r_f (F, 2, 3); return G, G G^T = Q."""
     i, j = np.triu_indices(3)
 
     def pair(a: Array, b: Array) -> Array:
@@ -93,11 +83,7 @@ def solve_gram_matrix(rows: Array) -> Array:
 
 
 def find_rotations(motion: Array) -> Array:
-    """Find the cameras of M' (F, 2, 3K) by the orthonormality constraints.
-
-    Returns:
-        (F, 3, 3) rotations from the frame of the shapes to the camera's optical frame.
-    """
+    """Find the cameras (F, 3, 3), to the optical frame, of M' (F, 2, 3K) by the orthonormality constraints."""
     frames, _, columns = motion.shape
     rng = np.random.default_rng(0)
     leading = np.zeros((columns, 3))
@@ -129,11 +115,7 @@ def find_rotations(motion: Array) -> Array:
 
 
 def find_coefficients(motion: Array, rotations: Array, shapes: int) -> Array:
-    """Find the coefficients (F, K) of the basis shapes from M' (F, 2, 3K) and known cameras (F, 3, 3).
-
-    The equations M'_f G_k = c_fk R_f say that M'_f G_k has no part perpendicular to R_f; their normal matrix has K
-    vectors G_k to the smallest eigenvalues.
-    """
+    """Find the coefficients (F, K) of the shapes: M'_f G_k has no part perpendicular to R_f, as K eigenvectors."""
     frames, _, columns = motion.shape
     direction = rotations[:, :2].reshape(frames, 6) / np.sqrt(2)
     each = np.einsum('fac,bd->fabcd', motion, np.eye(3)).reshape(frames, 6, 3 * columns)
@@ -198,15 +180,12 @@ def improve_cameras(images: Array, poses: Array, rotations: Array, scales: Array
 
 
 def represent_sparsely(points: Array, dictionary: Array, sparsity: float) -> Array:
-    """Reconstruct the pose of each image alone, from example poses.
+    """Reconstruct the pose of each image alone, (N, J, 3) m in the camera's optical frame, centred.
 
     Args:
         points: (N, J, 2) m, image points of weak-perspective cameras.
         dictionary: (L, J, 3) example poses, turned to one heading.
         sparsity: a, for images and example poses whose mean square is 1.
-
-    Returns:
-        (N, J, 3) m in the camera's optical frame, centred.
     """
     images = points - points.mean(axis=1, keepdims=True)
     sizes = np.sqrt((images**2).mean(axis=(1, 2)))[:, None, None]
@@ -264,11 +243,7 @@ def _relax(images: Array, dictionary: Array, sparsity: float) -> Array:
 
 
 def shrink_spectral_norm(matrices: Array, amount: Array | float) -> Array:
-    """Return prox_{amount |.|_2} of matrices (..., 2, 3).
-
-    Of the two singular values s1 >= s2, the larger is lowered to max(s2, s1 - amount), and where they meet both to
-    (s1 + s2 - amount) / 2, at least 0. The singular vectors are those of A A^T.
-    """
+    """Return prox_{amount |.|_2} of matrices (..., 2, 3), whose two singular values s1 >= s2 are lowered alike."""
     xx, yy = (matrices[..., 0, :] ** 2).sum(-1), (matrices[..., 1, :] ** 2).sum(-1)
     xy = (matrices[..., 0, :] * matrices[..., 1, :]).sum(-1)
     mean, half, spread = (xx + yy) / 2, (xx - yy) / 2, np.hypot((xx - yy) / 2, xy)

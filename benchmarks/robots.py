@@ -9,19 +9,17 @@ knows nothing more, their heights, or the floor, whose tilt it has wrong by 0.3 
 
 Errors of predictions are those of the joints when the place of the root at the time of the image counts as right.
 The ratio is that of the mean error over all samples to the better of two others: standing still, and going on with
-the velocities that are published. Bodies are put about the true joints, by stated girths (`bodies.py`): of their
+the velocities that are published. Bodies are put about the true joints, by stated girths (`LIMBS`): of their
 volume, shares are in the capsules, as these are published, and when the place of the root counts as right.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import common
 import numpy as np
-from bodies import sample_body
 from detected import RobotScene, choose_trials, look_ahead, make_robot_scene, track_scene
 from numpy.typing import NDArray
 from report import Report, run
@@ -30,7 +28,7 @@ from mocap_ros.bridges.capsules import compute_capsules
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.joint_std import compute_joint_covariance
 from mocap_ros.people import HIPS, Person3D
-from mocap_ros.skeleton import CORE_COUNT
+from mocap_ros.skeleton import BODY26, CORE_COUNT
 
 Array = NDArray[np.float64]
 Records = Sequence[Mapping[str, Any]]
@@ -40,7 +38,7 @@ WAYS = 'nothing', 'height', 'floor'  # what the robot knows besides
 KNOWN_HEIGHT_STD_M = 0.02  # of a body height that somebody measured or stated
 TIMES_S = 0.2, 0.4, 0.6, 1.0  # of the predictions
 GAITS = 'walk', 'run'
-MIN_FRAMES = 120  # of a trial
+MIN_FRAMES, MAX_FRAMES = 120, 180  # of a trial
 WARM_UP = 15  # frames at the beginning of a trial that are not scored
 WITHIN_95 = 7.815  # 1; squared Mahalanobis distance of 95 of 100 in three dimensions
 CAPSULE_STEP = 5  # frames between two whose capsules are scored
@@ -52,6 +50,32 @@ TARGETS = {
     **{f'coverage95_prediction_{t:g}': '0.95 within 0.05' for t in (0.4, 1.0)},
     'prediction_ratio_walk_run': '0.7', 'prediction_ratio_general': '0.9', 'capsule_inside': '0.95',
 }  # fmt: skip
+
+STATURE_M = 1.75  # m; of the body with the girths below, those of an adult of usual weight without clothes
+POINTS = 400  # of a body, shared by volume
+HEAD_HALF_AXES_M = np.array([0.1, 0.078, 0.115])  # m; forward, to the left, up: a head 0.2 m long and 0.23 m high
+HEAD_OVER_EARS_M = 0.02  # m; of the middle of the head
+# Each limb: the joints whose middles are its start and its end; m, half axes at the start and at the end, the
+# first from left to right of the body where they differ; and how far it reaches beyond start and end, as a share
+# of its length. Girths of 0.33 m (upper arm), 0.29 and 0.18 m (forearm, wrist), 0.6 and 0.4 m (thigh, above the
+# knee), 0.39 and 0.24 m (calf, ankle) and 0.38 m (neck) are radii of girth / 2 pi; a trunk is 0.34 by 0.24 m at
+# the hips and 0.32 by 0.2 m at the shoulders. A hand with half-bent fingers and a foot are 0.16 and 0.26 m long.
+LIMBS = (
+    (('lhip', 'rhip'), ('lshoulder', 'rshoulder'), ((0.17, 0.12), (0.16, 0.1)), (0.0, 0.0)),
+    (('lshoulder', 'rshoulder'), ('lear', 'rear'), ((0.06, 0.06), (0.06, 0.06)), (0.0, 0.0)),
+    *(
+        ((side + start,), (side + end,), axes, beyond)
+        for side in 'lr'
+        for start, end, axes, beyond in (
+            ('shoulder', 'elbow', ((0.053, 0.053), (0.045, 0.045)), (0.0, 0.0)),
+            ('elbow', 'wrist', ((0.046, 0.046), (0.029, 0.029)), (0.0, 0.0)),
+            ('wrist', 'hand', ((0.04, 0.03), (0.03, 0.02)), (0.0, 0.6)),
+            ('hip', 'knee', ((0.095, 0.095), (0.064, 0.064)), (0.0, 0.0)),
+            ('knee', 'ankle', ((0.062, 0.062), (0.038, 0.038)), (0.0, 0.0)),
+            ('heel', 'toe', ((0.035, 0.04), (0.045, 0.025)), (0.1, 0.25)),
+        )
+    ),
+)
 
 
 def follow(scene: RobotScene, way: str, model: BasePoses, parameters: common.Parameters) -> list[dict[str, Any]]:
@@ -111,12 +135,60 @@ def measure_inside(scene: RobotScene, frame: int, person: Person3D) -> tuple[flo
     return find_share(body + person.root - scene.root[frame]), find_share(body)
 
 
+def sample_body(joints: Array, stature: float, rng: np.random.Generator) -> Array:
+    """Return points (N, 3) m in the volume of a body.
+
+    Args:
+        joints: (26, 3) m, true joints in the order of `BODY26`.
+        stature: m, true stature.
+        rng: draws the points.
+    """
+    size, at = stature / STATURE_M, dict(zip(BODY26.joints, joints, strict=True))
+    left = at['lhip'] - at['rhip'] + at['lshoulder'] - at['rshoulder']
+    cones, volumes = [], []
+    for start, end, axes, (before, beyond) in LIMBS:
+        p, q = (np.mean([at[name] for name in ends], axis=0) for ends in (start, end))
+        p, q = p - before * (q - p), q + beyond * (q - p)
+        half = np.array(axes) * size
+        cones.append((p, q, half))
+        volumes.append(float(np.linalg.norm(q - p) * np.pi * half.prod(axis=1).mean()))
+    head = HEAD_HALF_AXES_M * size
+    volumes.append(float(4 / 3 * np.pi * head.prod()))
+    counts = np.maximum(np.round(np.array(volumes) / sum(volumes) * POINTS), 1).astype(int).tolist()
+    found = [_sample_cone(*cone, left, count, rng) for cone, count in zip(cones, counts[:-1], strict=True)]
+    ears = (at['lear'] + at['rear']) / 2
+    forward, side = at['nose'] - ears, at['lear'] - at['rear']
+    frame = np.stack([_unit(forward), _unit(np.cross(np.cross(forward, side), forward)), np.zeros(3)])
+    frame[2] = np.cross(frame[0], frame[1])
+    inside = rng.normal(size=(counts[-1], 3))
+    inside *= (rng.random(len(inside)) ** (1 / 3) / np.linalg.norm(inside, axis=1))[:, None]
+    return np.concatenate([*found, ears + (inside * head + [0, 0, HEAD_OVER_EARS_M * size]) @ frame])
+
+
+def _sample_cone(p: Array, q: Array, axes: Array, left: Array, count: int, rng: np.random.Generator) -> Array:
+    """Return points (count, 3) in an elliptic cone from p to q (3,) with half axes a, b (2,) at either end.
+
+    They are p + s (q - p) + sqrt(u) (a(s) cos w e_1 + b(s) sin w e_2), with s of the
+    density a(s) b(s), u and w uniform.
+    """
+    way = rng.random(8 * count)
+    area = (axes[0] + way[:, None] * (axes[1] - axes[0])).prod(axis=1)
+    way = rng.choice(way, count, p=area / area.sum())
+    half = axes[0] + way[:, None] * (axes[1] - axes[0])
+    along = _unit(q - p)
+    first = _unit(left - (left @ along) * along)
+    angle, radius = rng.uniform(0, 2 * np.pi, count), np.sqrt(rng.random(count))
+    across = (radius * np.cos(angle) * half[:, 0])[:, None] * first
+    across += (radius * np.sin(angle) * half[:, 1])[:, None] * np.cross(along, first)
+    return np.asarray(p + way[:, None] * (q - p) + across)
+
+
+def _unit(vector: Array) -> Array:
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-9))
+
+
 def stack(records: Records, key: str) -> Array:
     return np.array([r[key] for r in records])
-
-
-def is_gait(records: Records) -> NDArray[np.bool_]:
-    return np.array([r['category'] in GAITS for r in records])
 
 
 def compute_coverage(error: Array, covariance: Array) -> float:
@@ -134,7 +206,10 @@ def score_places(records: Mapping[str, Records]) -> dict[str, float]:
     known = records['height']
     out = {f'root_share_{w}': float(np.median(np.abs(stack(records[w], 'depth_share')))) for w in records}
     velocity = stack(known, 'velocity')
-    for name, chosen in (('walk', stack(known, 'category') == 'walk'), ('general', ~is_gait(known))):
+    for name, chosen in (
+        ('walk', stack(known, 'category') == 'walk'),
+        ('general', ~np.isin(stack(known, 'category'), GAITS)),
+    ):
         if chosen.any():
             out[f'velocity_rms_{name}'] = compute_rms(velocity[chosen])
     out['velocity_over_differences'] = compute_rms(velocity) / compute_rms(stack(known, 'difference'))
@@ -153,7 +228,7 @@ def score_predictions(records: Records) -> tuple[dict[str, float], list[list[obj
     """Return what is measured of predictions, and a row of errors in mm for each kind of motion and time."""
     moved = stack(records, 'root')[:, None, None]  # error of the root at the time of the image
     errors = {k: stack(records, k) - moved for k in ('still', 'constant', 'predicted')}
-    gait, out = is_gait(records), dict[str, float]()
+    gait, out = np.isin(stack(records, 'category'), GAITS), dict[str, float]()
     rows: list[list[object]] = []
     known = np.asarray(np.isfinite(errors['still']).all(axis=(2, 3)))
     for name, chosen in (('walk_run', gait), ('general', ~gait)):
@@ -179,9 +254,8 @@ def score_predictions(records: Records) -> tuple[dict[str, float], list[list[obj
 
 def report_people(report: Report) -> None:
     model, parameters = common.provide_held_out()
-    trials, frames = choose_trials('held-out', report.args.trials, MIN_FRAMES), report.args.frames
-    if report.quick:
-        trials, frames = trials[::6], 90
+    trials = choose_trials('held-out', 1, MIN_FRAMES)[:: 6 if report.quick else 1]
+    frames = 90 if report.quick else MAX_FRAMES
     records: dict[str, list[dict[str, Any]]] = {way: [] for way in WAYS}
     for number, trial in enumerate(common.show_progress(trials, 'trials')):
         scene = make_robot_scene(trial, number, frames, STATURES_M[number // 4 % 4])
@@ -198,10 +272,5 @@ def report_people(report: Report) -> None:
     report.table(['detector', *WAYS], by_detector, 'Distance, % (median)', 'robots.distances')
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('--trials', type=int, default=1, metavar='N', help='of each kind of motion and person')
-    parser.add_argument('--frames', type=int, default=180, metavar='N', help='of a trial, at 30 Hz')
-
-
 if __name__ == '__main__':
-    run(__doc__, {'people': report_people}, add_options)
+    run(__doc__, {'people': report_people})

@@ -12,18 +12,14 @@ loads  more people, images and cameras than a node can take, and a subscriber th
 
 from __future__ import annotations
 
-import common
-
-# isort: split
 import argparse
 import random
 import shutil
 import struct
 import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from itertools import count, pairwise
@@ -65,20 +61,6 @@ TEMPLATES = 60  # messages that are encoded before a load; encoding 50 people ta
 STAMP, STAMP_OFFSET = struct.Struct('<iI'), 4  # s and ns of the stamp in a message, and the byte where they are
 SETTLE_S = 15.0  # s after a load, in which the last answers and a status come
 OF_ALL_TOPICS = 'dropped: queue full'  # the one number in the diagnostics that is not of images alone
-# Reads nothing that it has subscribed to, reliably and with a long history.
-SLEEPER = """
-import sys, rclpy
-from rclpy.qos import HistoryPolicy, QoSProfile
-from mocap_ros.ros.message_types import load_interface_class
-from mocap_ros.runtime.outputs import OUTPUTS
-rclpy.init()
-node = rclpy.create_node('sleeper')
-qos = QoSProfile(history=HistoryPolicy.KEEP_ALL)
-for topic, msgtype in OUTPUTS.items():
-    node.create_subscription(load_interface_class(msgtype), topic, print, qos, raw=True)
-print('ready', flush=True)
-sys.stdin.read()  # until the benchmark ends
-"""
 
 
 class Crowd:
@@ -136,14 +118,8 @@ def set_parameter(peer: Peer, name: str, value: Any) -> None:
 
 @dataclass
 class Soak:
-    """One run: the stream, its events and what was measured.
-
-    Attributes:
-        peer: node that sends and receives.
-        pid: process of the node.
-        node: rows of time of the stream in s, memory in MB, threads, open files, and CPU time in s.
-        latencies: rows of time in s and latency in ms, of every answered image.
-        counts: numbers of events, lost images, and messages that are missing in recordings.
+    """One run: `node` has rows of time of the stream in s, memory in MB, threads, open files, and CPU time in s,
+    `latencies` of time in s and latency in ms; `counts` are of events, lost images and messages not recorded.
     """
 
     peer: Peer
@@ -234,24 +210,18 @@ class Soak:
         p99 = [float(np.percentile(latencies[hour, 1], 99)) for hour in hours]
         count, events = len(self.latencies) + self.counts['lost'], list(EVENTS_S)[:4]
         names = 'detector restarts, time loops, parameter changes, recordings'
+        memory_growth = f'{100 * (memory[1] / memory[0] - 1):.1f} % of {memory[0]:.0f} MB'
+        late = f'{p99[0]:.0f} ms, {100 * (p99[1] / p99[0] - 1):+.0f} %'
         return [
             ['stream', f'{self.stream_s / HOUR_S:.1f} h, {count} images', '8 h'],
             [names, ', '.join(str(self.counts[e]) for e in events), None],
             ['images without an answer within 2 s', self.counts['lost'], '0'],
             ['messages missing in recordings', self.counts['missing'], '0'],
-            [
-                'growth of the memory after the first ten minutes',
-                f'{100 * (memory[1] / memory[0] - 1):.1f} % of {memory[0]:.0f} MB',
-                '2 %',
-            ],
+            ['growth of the memory after the first ten minutes', memory_growth, '2 %'],
             ['growth of threads, and of open files', ', '.join(grown), '0'],
             ['CPU time of an image', f'{np.median(cpu_ms) if len(cpu_ms) else float("nan"):.1f} ms', None],
             ['latency, median', f'{np.median(latencies[:, 1]):.1f} ms', None],
-            [
-                'latency, 99 %, and its growth from the first to the last hour',
-                f'{p99[0]:.0f} ms, {100 * (p99[1] / p99[0] - 1):+.0f} %',
-                '10 %',
-            ],
+            ['latency, 99 %, and its growth from the first to the last hour', late, '10 %'],
         ]
 
 
@@ -282,28 +252,14 @@ def report_soak(report: Report) -> dict[str, Any]:
     return {'node': one.node, 'counts': one.counts}
 
 
-@dataclass(frozen=True)
-class Load:
-    """What is sent to the node: people in each image, images a second of each camera, and of how many cameras.
-
-    Without `is_read` there is one more subscriber, which does not read.
-    """
-
-    name: str
-    people: int
-    hz: float
-    cameras: int = 1
-    is_read: bool = True
-
-
-LOADS = (
-    Load('3 people, 30 Hz', 3, 30.0),
-    Load('the same, and a subscriber that does not read', 3, 30.0, is_read=False),
-    Load('the same, from two cameras', 3, 30.0, cameras=2),
-    Load('1 person, 200 Hz', 1, 200.0),
-    Load('50 people, 30 Hz', 50, 30.0),
-    Load('50 people, 200 Hz', 50, 200.0),
-)
+# People in each image, images a second of each camera, and number of cameras, by the names of the loads.
+LOADS: Mapping[str, tuple[int, float, int]] = {
+    '3 people, 30 Hz': (3, 30.0, 1),
+    'the same, from two cameras': (3, 30.0, 2),
+    '1 person, 200 Hz': (1, 200.0, 1),
+    '50 people, 30 Hz': (50, 30.0, 1),
+    '50 people, 200 Hz': (50, 200.0, 1),
+}
 
 
 class StatusReader:
@@ -326,25 +282,13 @@ class StatusReader:
         return {k: int(v) for k, v in self._values.items() if k.startswith(kinds) and k != OF_ALL_TOPICS}
 
 
-@contextmanager
-def run_beside(program: str) -> Iterator[None]:
-    """Run a Python program that prints a line when it is ready, and ends when its standard input does."""
-    command = [sys.executable, '-c', program]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        assert process.stdout.readline(), 'the program has ended'
-        yield
-    finally:
-        process.communicate(timeout=20.0)
-
-
-def send_load(peer: Peer, status: StatusReader, load: Load, seconds: float, first_ns: int) -> list[object]:
+def send_load(peer: Peer, status: StatusReader, name: str, seconds: float, first_ns: int) -> list[object]:
     """Send a load, and account for its images; return the row of the table."""
-    crowd = make_crowd(load.people)[:TEMPLATES]
+    people, hz, cameras = LOADS[name]
+    crowd = make_crowd(people)[:TEMPLATES]
     templates = [
         [bytearray(encode_keypoints(Header(1, f'camera{n}'), IMAGE_SIZE, frame)) for frame in crowd]
-        for n in range(load.cameras)
+        for n in range(cameras)
     ]
     before, sent = status.counts, dict[int, float]()
     peer.arrived.clear()
@@ -354,13 +298,13 @@ def send_load(peer: Peer, status: StatusReader, load: Load, seconds: float, firs
             break
         peer.spin_until(due_s)
         peer.executor.spin_once(timeout_sec=0.0)
-        for camera in range(load.cameras):
-            stamp = first_ns + round((number + camera / load.cameras) / load.hz * NS_PER_S)
+        for camera in range(cameras):
+            stamp = first_ns + round((number + camera / cameras) / hz * NS_PER_S)
             raw = templates[camera][number % TEMPLATES]
             STAMP.pack_into(raw, STAMP_OFFSET, *divmod(stamp, NS_PER_S))
             sent[stamp] = time.perf_counter()
             peer.keypoints.publish(bytes(raw))
-        due_s += 1 / load.hz
+        due_s += 1 / hz
     elapsed_s = time.perf_counter() - start_s
 
     def count_images() -> dict[str, int]:
@@ -370,13 +314,13 @@ def send_load(peer: Peer, status: StatusReader, load: Load, seconds: float, firs
     counts = count_images()
     order = [stamp for stamp in peer.arrived if stamp in sent]
     if any(later < earlier for earlier, later in pairwise(order)):
-        print(f'{load.name}: an older image was answered after a newer one')
+        print(f'{name}: an older image was answered after a newer one')
     ages_ms = [(peer.arrived[s] - sent[s]) * 1e3 for s in order if sent[s] - start_s > WARM_UP_S]
     by_kind = [sum(v for k, v in counts.items() if k.startswith(kind)) for kind in ('dropped', 'invalid', 'lost')]
     accounted = [counts.get('accepted', 0), *by_kind]
     shown = (f'{np.percentile(ages_ms, p):.0f}' if ages_ms else None for p in (50, 99, 100))
-    hz = len(sent) / load.cameras / elapsed_s
-    return [load.name, f'{hz:.0f}', len(sent), *accounted, len(sent) - sum(accounted), *shown]
+    achieved = len(sent) / cameras / elapsed_s
+    return [name, f'{achieved:.0f}', len(sent), *accounted, len(sent) - sum(accounted), *shown]
 
 
 def report_loads(report: Report) -> None:
@@ -384,12 +328,9 @@ def report_loads(report: Report) -> None:
     with run_recording_node() as (peer, process):
         status = StatusReader(peer)
         peer.wait(lambda: status.counts)
-        for number, load in enumerate(common.show_progress(LOADS[: 3 if report.quick else None], 'loads'), 1):
-            with ExitStack() as beside:
-                if not load.is_read:
-                    beside.enter_context(run_beside(SLEEPER))
-                seconds = QUICK_LOAD_S if report.quick else LOAD_S
-                rows.append(send_load(peer, status, load, seconds, number * GAP_NS))
+        for number, name in enumerate(list(LOADS)[: 3 if report.quick else None], 1):
+            seconds = QUICK_LOAD_S if report.quick else LOAD_S
+            rows.append(send_load(peer, status, name, seconds, number * GAP_NS))
         assert process.poll() is None
     header = ['load', 'Hz achieved', 'images sent', 'answered', 'dropped', 'refused', 'lost before the node']
     report.table([*header, 'unaccounted', 'age: median, ms', '99 %', 'worst'], rows, page='overload.loads')

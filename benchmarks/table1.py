@@ -18,20 +18,11 @@ from typing import Any
 
 import common
 import numpy as np
+import paper
 import rivals
 from common import View
 from numpy.typing import NDArray
-from paper import (
-    ALGORITHM_1,
-    BETAS,
-    CAMERAS,
-    JOINT,
-    PERIODIC,
-    PRINTED_CM,
-    TABLE_1_TRIALS,
-    Method,
-    choose_headings,
-)
+from paper import ALGORITHM_1, CAMERAS, JOINT, PERIODIC, TABLE_1_TRIALS, Method
 from report import Report, run
 from scipy.cluster.vq import kmeans2
 
@@ -45,7 +36,6 @@ Solver = Callable[['Case'], Sequence[Array]]
 CHOICE_HEADINGS = (0.0, 90.0)  # degrees; on these views, from the front and the side, the setting is chosen
 # cm, the printed errors of the reference on these motions.
 PRINTED_BREGLER_CM = {'walk': 4.557, 'run': 10.821, 'jump': 8.531}
-EXAMPLE_SEED = 0  # of the choice of example poses; any fixed number
 EXAMPLE_EVERY = 5  # frames; neighbours are much alike
 
 
@@ -72,13 +62,8 @@ class Case:
 class Row:
     """A row of the table.
 
-    Attributes:
-        name: as printed.
-        settings: the grid.
-        categories: motions that the method can do.
-        is_mirrored: whether the method cannot tell a motion from its mirror image in depth, so that the better one
-            counts.
-        printed: errors in cm that the paper prints for this row, by motion.
+    Where `is_mirrored`, the method cannot tell a motion from its mirror image in depth, so that the better one
+    counts; `printed` are the errors in cm that the paper prints, by motion.
     """
 
     name: str
@@ -112,7 +97,7 @@ def list_methods(quick: bool) -> list[Row]:
         return solve
 
     shapes = (3,) if quick else (1, 2, 3, 4)
-    betas, sizes, sparsities = ((1.0,), (16,), (0.1,)) if quick else (BETAS, (16, 64), (0.01, 0.1))
+    betas, sizes, sparsities = ((1.0,), (16,), (0.1,)) if quick else (paper.BETAS, (16, 64), (0.01, 0.1))
     return [
         Row('this project, joint solver', [by(JOINT)]),
         Row('this project, all motions', [by(JOINT, '')]),
@@ -120,7 +105,7 @@ def list_methods(quick: bool) -> list[Row]:
         Row(
             'Algorithm 1, best',
             [by(ALGORITHM_1, bone_weight=b, tolerance=2e-4) for b in betas],
-            printed=PRINTED_CM['best'],
+            printed=paper.PRINTED_CM['best'],
         ),
         Row(
             'Bregler et al. 2000, full upgrade',
@@ -138,7 +123,7 @@ def choose_examples(category: str, trial: str, size: int) -> Array:
     chosen = common.choose_trials(category, without_trials=(trial,))
     poses = centre_poses(np.concatenate([t.poses for t in chosen])[::EXAMPLE_EVERY])
     _, aligned = align_to_mean(poses, np.full(len(poses), 1 / len(poses)), fit_heading_rotation)
-    centres, _ = kmeans2(aligned.reshape(len(aligned), -1), size, minit='++', seed=EXAMPLE_SEED)
+    centres, _ = kmeans2(aligned.reshape(len(aligned), -1), size, minit='++', seed=0)
     return np.asarray(centres.reshape(size, -1, 3))
 
 
@@ -163,7 +148,7 @@ def measure_method(method: Row, case: Case) -> tuple[str, float]:
 
 
 def report_errors(report: Report) -> None:
-    methods, headings = list_methods(report.quick), choose_headings(report.quick)
+    methods, headings = list_methods(report.quick), paper.choose_headings(report.quick)
     cases = [
         (camera, Case(category, trial, common.make_views(trial, headings, **CAMERAS[camera])))
         for camera in list(CAMERAS)[: 1 if report.quick else 3]

@@ -105,13 +105,9 @@ def _move(past: VelocityPast, rng: np.random.Generator) -> VelocityPast:
 
 
 def _train(inputs: Array, sights: Array, targets: Array, seed: int) -> list[NDArray[np.float32]]:
-    """Return weights and biases of a network.
+    """Return weights and biases of a network, of inputs (N, I) and corrections (N, J, 3) m/s.
 
-    Args:
-        inputs: (N, I) centred and scaled.
-        sights: (N, 3) unit vectors along the line of sight, in the axes of the body.
-        targets: (N, J, 3) m/s, corrections in these axes.
-        seed: of the first weights, and of the order of the samples.
+    `sights` (N, 3) are unit vectors along the line of sight, in the axes of the body as the corrections are.
     """
     import torch
 
