@@ -29,8 +29,7 @@ from mocap_ros.evaluation.evaluate import (
     evaluate,
     measure_person_size,
 )
-from mocap_ros.formats.result_file import StoredResult
-from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence, check_timestamps
+from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence, StoredResult, check_timestamps
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.runtime.input_kind import InputKind, require_kind
 from mocap_ros.runtime.load_keypoints import load_sequence_file

@@ -23,9 +23,6 @@ MAX_QUOTED_CHARACTERS = 60  # of a line in an error message
 # Positions of all joints in all frames of motion capture, of some 100 bytes each with the rotations. An hour of 80
 # joints at 120 Hz has 35 million; a frame may take two bytes of a file, so the size of the file is no limit.
 MAX_POSITIONS = 40_000_000
-# Errors of folders where files may be written but neither created nor replaced: those of others, read-only ones,
-# and files that are mounted one by one, as in containers.
-IRREPLACEABLE = frozenset((errno.EACCES, errno.EPERM, errno.EROFS, errno.EBUSY))
 
 
 def read_text(path: Path, errors: str = 'strict', max_bytes: int = MAX_FILE_BYTES) -> str:
@@ -101,50 +98,33 @@ def replace_output(path: Path, *sources: Path) -> Iterator[Path]:
 
     The yielded path has the name of the file, in a temporary folder beside it. An error or an interrupt in the
     block leaves the old file as it was, and nothing of the new one. A link stays, and the file that it points to
-    is replaced; an existing file keeps its permissions. Paths in /dev and /proc, devices, and a file in a folder
-    that takes no new files are written directly: then `path` itself is yielded.
+    is replaced; an existing file keeps its permissions. Paths in /dev and /proc and devices are written directly:
+    then `path` itself is yielded.
 
     Raises:
         MocapError: `check_output`, which has the same arguments, refuses the path, or the file cannot be written;
             the error names `path`, also if the block raised it with the name of the temporary file.
     """
     check_output(path, *sources)
-    try:
-        folder = _create_folder_beside(path)
-        if folder is None:
+    if path.exists() and (not path.is_file() or path.absolute().parts[1:2] in (('dev',), ('proc',))):
+        with _naming_output(path):
             yield path
-            return
-        with folder as name:
-            unfinished = Path(name) / path.name
-            try:
-                yield unfinished
-            except MocapError as error:
-                raise type(error)(str(error).replace(str(unfinished), str(path))) from None
-            _put_in_place(unfinished, Path(os.path.realpath(path)))
+        return
+    place = Path(os.path.realpath(path))
+    with _naming_output(path), TemporaryDirectory(dir=place.parent, prefix='.mocap_ros_') as folder:
+        unfinished = Path(folder) / path.name
+        try:
+            yield unfinished
+        except MocapError as error:
+            raise type(error)(str(error).replace(str(unfinished), str(path))) from None
+        if place.exists():
+            shutil.copymode(place, unfinished)
+        unfinished.replace(place)
+
+
+@contextmanager
+def _naming_output(path: Path) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         raise MocapError(f'{path}: cannot be written: {error.strerror or error}') from None
-
-
-def _create_folder_beside(path: Path) -> TemporaryDirectory[str] | None:
-    """Create a temporary folder beside the file that a path or link names; None where the file is not replaced."""
-    is_descriptor = path.absolute().parts[1:2] in (('dev',), ('proc',))
-    if path.exists() and (not path.is_file() or is_descriptor):
-        return None
-    try:
-        return TemporaryDirectory(dir=Path(os.path.realpath(path)).parent, prefix='.mocap_ros_')
-    except OSError as error:
-        if error.errno in IRREPLACEABLE and path.exists():
-            return None
-        raise
-
-
-def _put_in_place(new: Path, old: Path) -> None:
-    """Replace an old file, whose permissions are kept, by a new one; the old one need not exist."""
-    if old.exists():
-        shutil.copymode(old, new)
-    try:
-        new.replace(old)
-    except OSError as error:
-        if error.errno not in IRREPLACEABLE or not old.exists():
-            raise
-        shutil.copyfile(new, old)

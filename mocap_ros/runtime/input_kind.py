@@ -13,7 +13,7 @@ from mocap_ros.bags.reader import is_bag
 from mocap_ros.errors import InputError
 from mocap_ros.formats.detector_json import FILE_SUFFIX
 from mocap_ros.formats.npz_arrays import list_keys
-from mocap_ros.formats.result_file import is_result_file
+from mocap_ros.formats.sequence_file import is_result_file
 from mocap_ros.input_file import NEITHER_FILE_NOR_FOLDER, is_special_file
 
 VIDEO_SUFFIXES = ('.mp4', '.m4v', '.mov', '.avi', '.mkv', '.webm', '.mpg', '.mpeg', '.wmv', '.flv', '.gif')

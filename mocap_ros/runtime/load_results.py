@@ -12,7 +12,7 @@ import numpy as np
 
 from mocap_ros.bags.reader import Bag, is_bag
 from mocap_ros.errors import InputError, naming
-from mocap_ros.formats.result_file import StoredResult, is_result_file, load_result_file
+from mocap_ros.formats.sequence_file import StoredResult, is_result_file, load_result_file
 from mocap_ros.messages.skeletons import SKELETONS, RecordedSkeletons, decode_skeletons
 from mocap_ros.units import NS_PER_S
 

@@ -25,8 +25,7 @@ from mocap_ros.config import Config, format_value, load_yaml
 from mocap_ros.errors import FrameDropped, InputError, SkeletonError
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.npz_arrays import ArrayReader, read_arrays
-from mocap_ros.formats.result_file import load_result_file
-from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
+from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations, load_result_file
 from mocap_ros.formats.text_files import read_text
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import average_vertical

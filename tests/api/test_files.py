@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import json
-import logging
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,6 @@ from mocap_ros.cli.main import main
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.runtime.save_results import SUFFIXES
-from tests.support import blob_people
 from tests.support.keypoint_files import flatten_keypoints
 
 FPS = 30.0  # Hz
@@ -58,18 +56,6 @@ def test_write_gives_what_the_command_gives(
         content = own.read_bytes()
         assert content.replace(b'own', b'command') == command.read_bytes() or content == command.read_bytes()
     assert np.abs(whole.joints - result.joints).max() < 1e-3
-
-
-def test_a_bag_is_read_back(result: mocap_ros.PoseSequence, tmp_path: Path, caplog: Any) -> None:
-    mocap_ros.write(tmp_path / 'walk.mcap', result)
-    with caplog.at_level(logging.WARNING, 'mocap_ros'):
-        sequence = mocap_ros.read(tmp_path / 'walk.mcap')
-    np.testing.assert_allclose(sequence.keypoints, result.sequence.keypoints, atol=1e-3)
-    np.testing.assert_allclose(sequence.timestamps, result.times, atol=1e-9)
-    assert sequence.image_size == (640, 480)
-    (record,) = caplog.records
-    assert record.name == 'mocap_ros'
-    assert record.getMessage().endswith("walk.mcap: person 'person_1', seen in 40 of 40 frames")
 
 
 @pytest.mark.parametrize('model', ['plumb_bob', 'equidistant'])
@@ -141,22 +127,6 @@ def test_what_cannot_be_written_is_refused(
     with pytest.raises(mocap_ros.InputError, match=r'path: .* give the path first'):
         mocap_ros.write(sequence, 'walk.npz')  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())
-
-
-def test_a_video_is_read_with_a_detector(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    people = blob_people.walk(12)
-    video = blob_people.write_video(
-        tmp_path / 'walk.mkv', [blob_people.draw([p]) for p in people], [i / 30 for i in range(12)]
-    )
-    model = blob_people.save_movenet(tmp_path / 'movenet.onnx')
-    sequence = mocap_ros.read(video, detector=model)
-    assert len(sequence) == 12
-    assert sequence.joint_names == blob_people.COCO.joints
-    assert f'{video}: keypoints by MoveNet (movenet.onnx)' in caplog.messages
-    with pytest.raises(mocap_ros.ModelError, match=r'none\.onnx: no such file'):
-        mocap_ros.read(video, detector='none.onnx')
-    with pytest.raises(mocap_ros.InputError, match=r'walk\.mkv: is a video, to which fps does not apply'):
-        mocap_ros.read(video, detector=model, fps=30)
 
 
 def test_the_names_of_options_are_those_of_arguments_but_paths_are_kept(tmp_path: Path) -> None:

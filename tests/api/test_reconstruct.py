@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -55,16 +54,6 @@ def test_the_result_is_that_of_the_solver(sequence: mocap_ros.KeypointSequence, 
     else:
         np.testing.assert_array_equal(result.orientation, expected.orientation)
         np.testing.assert_array_equal(result.turn_inferred, expected.turn_inferred)
-
-
-def test_masked_keypoints_are_not_seen(sequence: mocap_ros.KeypointSequence) -> None:
-    hidden = np.zeros(sequence.keypoints.shape, bool)
-    hidden[10:14] = True
-    given = {**arguments_of(sequence), 'model': 'walk'}
-    unseen = mocap_ros.reconstruct(**{**given, 'keypoints': np.where(hidden, np.nan, sequence.keypoints)})
-    masked = mocap_ros.reconstruct(**{**given, 'keypoints': np.ma.MaskedArray(sequence.keypoints, hidden)})
-    np.testing.assert_array_equal(masked.joints, unseen.joints)
-    assert not masked.seen[10:14].any()
 
 
 def test_the_weak_perspective_cameras_show_the_joints_where_they_were_seen(
@@ -184,24 +173,3 @@ def test_a_sequence_brings_its_own_arguments(sequence: mocap_ros.KeypointSequenc
     given: dict[str, Any] = {argument: (640, 480)}
     with pytest.raises(mocap_ros.InputError, match=f'{argument}: the KeypointSequence has its own'):
         mocap_ros.reconstruct(sequence, **given)
-
-
-def test_stamps_of_a_recording_are_used_as_long_as_the_timestamps_are_theirs(
-    sequence: mocap_ros.KeypointSequence,
-) -> None:
-    stamps = tuple(1_700_000_000_000_000_001 + 33_333_333 * i for i in range(len(sequence)))
-    recorded = replace(sequence, timestamps=np.array(stamps) / 1e9, recorded_ns=stamps)
-    whole = mocap_ros.reconstruct(recorded, parameters=QUICK).sequence
-    assert whole.stamps_ns == list(stamps)
-    cut = replace(recorded, keypoints=recorded.keypoints[10:], timestamps=recorded.timestamps[10:], truth=None)
-    moved = replace(recorded, timestamps=recorded.timestamps + 1000)
-    for changed in (cut, moved):
-        found = mocap_ros.reconstruct(changed, parameters=QUICK).sequence
-        assert found.stamps_ns == [round(t * 1e9) for t in changed.timestamps.tolist()]
-
-
-def test_keypoints_outside_the_image_are_logged(
-    sequence: mocap_ros.KeypointSequence, caplog: pytest.LogCaptureFixture
-) -> None:
-    mocap_ros.reconstruct(**{**arguments_of(sequence), 'image_size': (64, 48)})
-    assert any(r.getMessage().endswith('% of the seen keypoints lie outside 64 x 48 px') for r in caplog.records)

@@ -44,15 +44,6 @@ def test_the_people_are_those_of_the_node_s_tracker(sequence: mocap_ros.Keypoint
     assert len(people[0].joint_names) == len(people[0].joints)
 
 
-def test_resetting_forgets_people_and_times(sequence: mocap_ros.KeypointSequence) -> None:
-    tracker = make_tracker()
-    first = tracker.update(5.0, [sequence.keypoints[0]])
-    tracker.reset()
-    assert repr(tracker).endswith('px, 0 frames')
-    again = tracker.update(5.0, [sequence.keypoints[0]])
-    np.testing.assert_array_equal(again[0].joints, first[0].joints)
-
-
 def test_a_repeated_time_drops_the_frame(keypoints: np.ndarray) -> None:
     tracker = make_tracker()
     tracker.update(1.0, [keypoints])

@@ -110,20 +110,6 @@ def test_a_full_disk_is_one_error_and_the_bag_is_readable(tmp_path: Path, limit:
     assert read == [make_keypoints(i) for i in range(len(read))]
 
 
-@pytest.mark.parametrize('chunk_bytes', [1024, 4096])
-def test_a_chunk_is_closed_when_it_is_large_enough(tmp_path: Path, chunk_bytes: int) -> None:
-    recorder = Recorder(tmp_path / 'bag', RecorderConfig(chunk_bytes=chunk_bytes, chunk_seconds=10.0))
-    for frame in range(40):
-        recorder.write('/keypoints', KEYPOINTS, make_keypoints(frame), START_NS, START_NS)
-    recorder.close()
-    with (tmp_path / 'bag' / 'bag_0.mcap').open('rb') as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    _, *sizes = [chunk.uncompressed_size for chunk in summary.chunk_indexes]  # the first holds the definitions too
-    assert min(sizes[:-1]) >= chunk_bytes
-    assert max(sizes) < chunk_bytes + 2 * len(make_keypoints(0))
-
-
 def test_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     free_bytes = iter([300_000_000, 250_000_000, 199_000_000])
     monkeypatch.setattr('shutil.disk_usage', lambda _: SimpleNamespace(free=next(free_bytes)))
@@ -176,25 +162,6 @@ def test_a_bag_continues_in_further_files(tmp_path: Path, limit: dict[str, Any])
         assert statistics.message_start_time == description['starting_time']['nanoseconds_since_epoch']
         duration = statistics.message_end_time - statistics.message_start_time
         assert duration == description['duration']['nanoseconds']
-
-
-def test_a_file_that_is_begun_repeats_nothing_and_is_no_empty_one(tmp_path: Path) -> None:
-    attachment = Attachment('a.txt', 'text/plain', b'in each file')
-    with Recorder(tmp_path / 'bag', RecorderConfig(), [attachment]) as recorder:
-        recorder.declare_topic('/latched', SKELETON_DEFINITION, latched=True)
-        for i in range(3):
-            recorder.begin_file()
-            recorder.begin_file()
-            recorder.write('/latched', SKELETON_DEFINITION, bytes([i]), START_NS + i, START_NS)
-    contents = []
-    for file in sorted((tmp_path / 'bag').glob('*.mcap')):
-        with file.open('rb') as stream:
-            reader = make_reader(stream)
-            assert [a.data for a in reader.iter_attachments()] == [b'in each file']
-            contents.append([m.data for _, _, m in reader.iter_messages()])
-    assert contents == [[b'\0'], [b'\1'], [b'\2']]
-    with pytest.raises(RecordingError, match='the recording is closed'):
-        recorder.begin_file()
 
 
 @pytest.mark.parametrize('end', ['flush', 'close', 'split'])

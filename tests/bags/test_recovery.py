@@ -29,7 +29,7 @@ from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError, RecordingError
 from mocap_ros.messages.cdr import Header, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
-from mocap_ros.messages.skeletons import SKELETON_DEFINITION, SKELETONS
+from mocap_ros.messages.skeletons import SKELETON_DEFINITION
 from mocap_ros.units import NS_PER_S
 
 METADATA = {'offered_qos_profiles': encode_yaml([dict(q) for q in make_topic('/keypoints', KEYPOINTS).qos])}
@@ -122,17 +122,6 @@ def test_a_flipped_bit_loses_at_most_a_chunk_and_is_always_reported(tmp_path: Pa
         )
 
 
-def test_recovery_continues_behind_garbage(tmp_path: Path) -> None:
-    data = write_bag(tmp_path / 'bag')
-    middle = len(data) // 3
-    garbage = random.Random(2).randbytes(2000)
-    frames, losses = recover_frames(data[:middle] + garbage + data[middle + 500 :], tmp_path / 'x')
-    assert len(frames) > FRAMES - 40
-    assert frames[0] == 0
-    assert frames[-1] == FRAMES - 1
-    assert any('damaged at byte' in loss for loss in losses)
-
-
 def test_attachments_and_qos_of_a_split_bag_are_recovered(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -192,25 +181,6 @@ def test_a_recovered_bag_has_the_files_and_messages_of_the_other_and_no_more(
     number_of_files = 4 if split_seconds else 1
     assert len(list((tmp_path / 'out').glob('*.mcap'))) == number_of_files
     assert report.messages == {'/keypoints': FRAMES, '/latched': 2 * number_of_files}
-
-
-@pytest.mark.parametrize('storage', [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_a_file_whose_messages_cannot_be_read_is_left_out(tmp_path: Path, storage: StoragePlugin) -> None:
-    suffix = 'mcap' if storage == StoragePlugin.MCAP else 'db3'
-    for number in range(3):
-        with Writer(tmp_path / f'bag{number}', version=9, storage_plugin=storage) as writer:
-            connection = writer.add_connection('/keypoints', KEYPOINTS, typestore=typestore())
-            if number < 2:
-                writer.write(connection, number, MESSAGES[number])
-    (tmp_path / 'bag').mkdir()
-    for number in range(3):
-        file = tmp_path / f'bag{number}' / f'bag{number}.{suffix}'
-        file.rename(tmp_path / 'bag' / f'bag_{number}.{suffix}')
-    recover(tmp_path / 'bag', tmp_path / 'out')
-    assert [[m[3] for m in messages] for messages, _ in read_files(tmp_path / 'out')] == [
-        [MESSAGES[0]],
-        [MESSAGES[1]],
-    ]
 
 
 def raise_io_error(*_: object) -> bytes:
@@ -344,20 +314,6 @@ def test_messages_that_are_none_of_ros_2_are_counted_and_metadata_are_kept(tmp_p
     ]
     with (tmp_path / 'out' / 'out_0.mcap').open('rb') as stream:
         assert {m.name: m.metadata for m in make_reader(stream).iter_metadata()}['robot'] == {'name': 'ann'}
-
-
-def test_messages_of_another_type_than_their_topic_are_counted(tmp_path: Path) -> None:
-    for number, msgtype in enumerate((KEYPOINTS, SKELETONS)):
-        with Recorder(tmp_path / f'bag{number}', RecorderConfig()) as recorder:
-            recorder.write('/people', msgtype, MESSAGES[number], number, number)
-    (tmp_path / 'bag').mkdir()
-    for number in range(2):
-        (tmp_path / f'bag{number}' / f'bag{number}_0.mcap').rename(tmp_path / 'bag' / f'bag_{number}.mcap')
-    report = recover(tmp_path / 'bag', tmp_path / 'out')
-    assert report.messages == {'/people': 1}
-    (loss,) = (loss.partition('bag_1.mcap: ')[2] for loss in report.losses)
-    reason = f'their type is {SKELETONS}, but the topic has the type {KEYPOINTS}'
-    assert loss == f'1 messages of /people are lost, because {reason}'
 
 
 def test_an_interrupted_recovery_leaves_no_bag(tmp_path: Path) -> None:

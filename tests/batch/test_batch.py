@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -27,9 +26,7 @@ from mocap_ros.cli.main import main
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.sequence_file import load_sequence, save_sequence
-from mocap_ros.units import NS_PER_S
 from tests.support.bag_corpus import FAST_ARGUMENTS, read_outputs, write_corpus, write_demo_bag
-from tests.support.keypoint_files import FPS, flatten_keypoints, make_walker
 from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import FAST_CONFIG
 
@@ -212,22 +209,6 @@ def test_whatever_changes_results_changes_their_key(tmp_path: Path) -> None:
     assert keys[3] == keys[5]  # the content of a detector's model counts, and not its name
     with pytest.raises(InputError, match=r'no\.onnx: No such file or directory$'):
         replace(settings, video=Video(detector=tmp_path / 'no.onnx')).seal()
-
-
-def test_options_apply_to_those_recordings_that_need_them(client: Any, tmp_path: Path) -> None:
-    corpus = tmp_path / 'in'
-    write_demo_bag(corpus / 'bag', 12)
-    sequence = make_walker()
-    save_sequence(corpus / 'sequence.npz', sequence)
-    keypoints = flatten_keypoints(sequence)
-    (corpus / 'coco.json').write_text(
-        json.dumps([{'image_id': i, 'keypoints': k} for i, k in enumerate(keypoints)])
-    )
-    options = {'work': Work.KEYFRAMES, 'video': Video(fps=FPS), 'topic': '/keypoints'}
-    outcomes = run(client, corpus, tmp_path / 'out', **options)
-    assert statuses(outcomes) == dict.fromkeys(('bag', 'sequence', 'coco'), 'done')
-    (row,) = outcomes['coco'].rows
-    assert row['to_ns'] - row['from_ns'] == pytest.approx((len(sequence) - 1) / FPS * NS_PER_S)
 
 
 def test_set_changes_single_parameters_of_the_recorded_runs(client: Any, tmp_path: Path) -> None:

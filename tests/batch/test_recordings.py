@@ -64,12 +64,6 @@ def test_what_is_not_replayed_is_said(root: str) -> None:
     assert lines == [f'{root}: 2 recordings are no bags and are left out; --work reconstruct takes them']
 
 
-def test_a_folder_may_have_the_characters_of_a_pattern_in_its_name(tmp_path: Path) -> None:
-    (tmp_path / 'corpus[2024]').mkdir()
-    (tmp_path / 'corpus[2024]' / 'y.mcap').write_bytes(b'y')
-    assert names(str(tmp_path / 'corpus[2024]')) == ['y']
-
-
 def test_patterns_lists_and_single_recordings(root: str, tmp_path: Path) -> None:
     assert names(f'{root}/day2/*.db3') == ['c']
     assert names(f'{root}/*/b*') == ['day2/b', 'day1/bag_a']
@@ -78,10 +72,6 @@ def test_patterns_lists_and_single_recordings(root: str, tmp_path: Path) -> None
     listed = tmp_path / 'list.txt'
     listed.write_text(f'# comment\n{root}/day2/c.db3\n\n{root}/day1/bag_a\n')
     assert names(str(listed)) == ['day1/bag_a', 'day2/c']
-
-
-def test_the_folder_of_the_results_is_not_searched(root: str) -> None:
-    assert names(root, Work.REPLAY, f'{root}/day2', f'{root}/day1/bag') == ['day1/bag_a']
 
 
 @pytest.mark.parametrize(
@@ -97,12 +87,6 @@ def test_what_holds_no_recording_is_refused_in_one_line(root: str, source: str, 
     with pytest.raises(InputError, match=reason) as raised:
         find_recordings(f'{root}/{source}', Work.REPLAY)
     assert str(raised.value).startswith(f'{root}/{source}')
-
-
-@pytest.mark.parametrize('url', ['data:,hello', 'reference://', 'nowhere://x'])
-def test_a_file_system_without_files_is_refused_in_one_line(url: str) -> None:
-    with pytest.raises(InputError, match=f'^{url}: '):
-        find_recordings(url, Work.REPLAY)
 
 
 @pytest.mark.parametrize('other', ['day2/b.db3', 'day2/b/c.mcap'])
@@ -134,16 +118,3 @@ def test_a_name_without_a_scheme_is_a_local_path_whatever_is_in_it(tmp_path: Pat
     assert (found.name, found.url) == ('a::b/c::d', str(bag))
     assert names(str(bag.parent)) == names(str(bag)) == names(f'{bag.parent}/*.mcap') == ['c::d']
     assert len(compute_content_key(found)) == 64
-
-
-def test_links_are_followed_and_each_folder_is_searched_once(tmp_path: Path) -> None:
-    corpus, elsewhere = tmp_path / 'corpus', tmp_path / 'elsewhere'
-    for folder in (corpus / 'day1', elsewhere):
-        folder.mkdir(parents=True)
-    (corpus / 'day1' / 'a.mcap').write_bytes(b'aa')
-    (elsewhere / 'b.mcap').write_bytes(b'b')
-    for name, target in {'abroad': elsewhere, 'again': elsewhere, 'all': corpus, 'day0': corpus / 'day1'}.items():
-        (corpus / name).symlink_to(target)
-    (corpus / 'broken.mcap').symlink_to(tmp_path / 'nothing')
-    assert names(str(corpus)) == ['day1/a', 'abroad/b']
-    assert names(str(corpus / 'again')) == ['b']

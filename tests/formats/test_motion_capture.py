@@ -136,17 +136,6 @@ def test_unit_and_vertical_axis_are_found(poses: np.ndarray, up: int) -> None:
         assert find_vertical_axis(-rolled, usual=0) == ~up
 
 
-def test_the_only_skeleton_beside_a_motion_is_its_own(tmp_path: Path, poses: np.ndarray) -> None:
-    (tmp_path / 'walk_01.amc').write_text(':DEGREES\n1\nroot 0 0 0 0 0 0\n')
-    rest = (poses[0] - poses[0, 8]) @ Z_UP_TO_Y_UP.T / LENGTH_UNITS_M['unit of the CMU database']
-    (tmp_path / 'ann.asf').write_text(make_cmu_asf(rest))
-    (trial,) = load_trials(tmp_path / 'walk_01.amc')
-    assert trial.poses[0] == pytest.approx(poses[0] - poses[0, 8], abs=1e-6)
-    (tmp_path / 'ben.asf').write_text(make_cmu_asf(rest))
-    with pytest.raises(InputError, match=r'walk_01\.amc: no skeleton beside it'):
-        load_trials(tmp_path / 'walk_01.amc')
-
-
 def test_an_archive_is_in_mm_unless_another_unit_is_given(tmp_path: Path, poses: np.ndarray) -> None:
     np.savez(tmp_path / 'm.npz', _joints=np.array(CMU15.joints), t=poses)
     np.savez(tmp_path / 'mm.npz', _joints=np.array(CMU15.joints), t=1000 * poses)

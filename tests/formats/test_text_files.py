@@ -15,7 +15,6 @@ from pathlib import Path
 import pytest
 
 from mocap_ros.errors import InputError, MocapError
-from mocap_ros.formats import text_files
 from mocap_ros.formats.text_files import replace_output
 
 
@@ -110,48 +109,3 @@ def test_the_standard_output_is_written_directly(tmp_path: Path, name: str, is_f
     else:
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
         assert done.stdout == 'content'
-
-
-@pytest.mark.parametrize('number', [errno.EACCES, errno.EROFS, errno.ENOSPC])
-def test_a_file_in_a_folder_that_takes_no_new_files_is_written_directly(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
-    """The folder is only said to take none, because tests may run as root; of a full disk the file is kept."""
-
-    def refuse(**_: object) -> None:
-        raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(text_files, 'TemporaryDirectory', refuse)
-    path = tmp_path / 'out.npz'
-    with pytest.raises(MocapError, match=r'out\.npz: cannot be written'), replace_output(path):
-        pass
-    path.write_text('old')
-    if number == errno.ENOSPC:
-        with pytest.raises(MocapError, match='No space left'), replace_output(path):
-            pass
-        assert path.read_text() == 'old'
-        return
-    with replace_output(path) as place:
-        assert place == path
-        place.write_text('new')
-    assert path.read_text() == 'new'
-
-
-def test_a_file_that_cannot_be_replaced_is_overwritten_when_the_new_one_is_complete(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As a file that is mounted by itself in a container."""
-
-    def refuse(*_: object) -> None:
-        raise OSError(errno.EBUSY, os.strerror(errno.EBUSY))
-
-    monkeypatch.setattr(Path, 'replace', refuse)
-    path = tmp_path / 'out.npz'
-    with pytest.raises(MocapError, match=r'out\.npz: cannot be written'), replace_output(path) as unfinished:
-        unfinished.write_text('new')
-    path.write_text('old')
-    with replace_output(path) as unfinished:
-        unfinished.write_text('new')
-        assert path.read_text() == 'old'
-    assert path.read_text() == 'new'
-    assert list(tmp_path.iterdir()) == [path]

@@ -104,13 +104,6 @@ def test_reading_ahead_keeps_the_order_and_the_error() -> None:
     assert seen == list(range(100))
 
 
-def test_who_stops_reading_stops_the_thread() -> None:
-    numbers = read_ahead(iter(range(10**9)))
-    assert next(numbers) == 0
-    numbers.close()
-    assert 'read_ahead' not in [thread.name for thread in threading.enumerate()]
-
-
 def test_a_camera_that_gives_no_image_is_not_closed_while_it_is_read(tmp_path: Path) -> None:
     """FFmpeg would crash; a video takes the place of the camera."""
     is_read, is_released = threading.Event(), threading.Event()

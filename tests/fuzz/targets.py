@@ -30,8 +30,7 @@ from mocap_ros.errors import MAX_MESSAGE_CHARACTERS, MocapError
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.mocap.joint_maps import load_marker_map
 from mocap_ros.formats.mocap.trials import TrialOptions, load_trials
-from mocap_ros.formats.result_file import load_result_file
-from mocap_ros.formats.sequence_file import SEQUENCE_KEYS, load_sequence
+from mocap_ros.formats.sequence_file import SEQUENCE_KEYS, load_result_file, load_sequence
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.foreign.definitions import HRI_IDS, HRI_SKELETON
 from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE, decode_image
@@ -286,7 +285,7 @@ _MESSAGES = (
     *('messages.input_types', 'messages.keypoint', 'messages.skeletons', 'messages.transform_tree'),
     *('bags.journal', 'keypoints.validation'),
 )
-_NPZ = ('formats.npz_arrays', 'formats.sequence_file', 'formats.result_file', 'npz_file', 'models.model_file')
+_NPZ = ('formats.npz_arrays', 'formats.sequence_file', 'npz_file', 'models.model_file')
 _BAGS = ('bags.reader', 'messages.versions')
 _RECOVERY = ('bags.recovery', 'bags.mcap_scan')
 TARGETS = {

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
-from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import Header, decode, encode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
@@ -124,20 +123,6 @@ def test_nan_and_scores_above_one_are_accepted() -> None:
     assert frame.people[1].score[3] == 0
     frame = decode_keypoints(edit_keypoints(set_element('score', 3, 8)), LIMITS)
     assert frame.people[1].score.max() == frame.people[1].score[3] == 1
-
-
-def test_joint_names_in_any_spelling_override_the_layout() -> None:
-    names = [
-        'nose',
-        'Neck',
-        *(f'{side}_{part}' for side in ('left', 'right') for part in ('hip', 'knee', 'ankle')),
-    ]
-    values = {
-        field: np.arange(8, dtype='f4') / 8 * maximum for field, maximum in (('x', 90), ('y', 90), ('score', 1))
-    }
-    frame = decode_keypoints(edit_keypoints(set_fields(skeleton='unknown', joint_names=names, **values)), LIMITS)
-    mapped, _ = build_joint_map(frame.people[1].joints).apply(frame.people[1].points, frame.people[1].score)
-    np.testing.assert_array_equal(mapped[CMU15.index('rankle')], [values['x'][7], values['y'][7]])
 
 
 VALID = encode_keypoints(HEADER, SIZE, [make_person_2d('a'), make_person_2d('b')])

@@ -9,14 +9,12 @@ import numpy as np
 
 from mocap_ros.config import Config
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
-from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.geometry.rotations import centre_poses
 from mocap_ros.offline.whole_sequence import (
     SEEN_SHARE,
     draw_points,
     find_unexplained_points,
     hide_unexplained_points,
-    turn_like,
 )
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import observe_sequence
@@ -57,17 +55,6 @@ def test_points_are_drawn_to_where_the_solution_has_them(rng: np.random.Generato
     seen = corrected.weight > 0
     before, after = ((r - joints[..., :2] / joints[..., 2:])[seen] for r in (observed.rays, corrected.rays))
     np.testing.assert_allclose(after, SEEN_SHARE * before, atol=1e-9)
-
-
-def test_lifted_poses_are_turned_like_those_of_the_solution(rng: np.random.Generator) -> None:
-    body, _ = make_swinging_body(5)
-    poses = centre_poses(body)
-    turns = np.array([rotation_from_vector(v) for v in rng.normal(0, 0.5, (5, 3))])
-    others = rng.normal(0, 0.3, (5, 11, 3))  # face, feet and hands turn with the core
-    lifted = np.concatenate([poses, others], axis=1)
-    lifted[2] = np.nan  # a frame that was not lifted
-    turned = turn_like(LiftedPoses(lifted, np.ones_like(lifted)), 3 * poses @ np.swapaxes(turns, -1, -2) + 1.0)
-    np.testing.assert_allclose(turned.joints, lifted @ np.swapaxes(turns, -1, -2), atol=1e-12)
 
 
 def test_unexplained_points_stand_out_from_the_other_errors_of_the_sequence() -> None:

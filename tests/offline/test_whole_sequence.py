@@ -95,22 +95,6 @@ def test_where_nobody_is_no_joint_was_seen(walk_model: BasePoses) -> None:
     assert not result.turn_inferred[3:].all()
 
 
-@pytest.mark.parametrize('values', [{}, {'solver.prior': 'learned'}, {'solver.method': 'alternation'}])
-def test_who_walks_on_unseen_is_on_the_way(walk_model: BasePoses, values: dict[str, str]) -> None:
-    theta, cameras, _, times = make_walk(walk_model, 90)
-    poses = walk_model.poses(theta) @ np.swapaxes(cameras.rotation, -1, -2)
-    truth = poses + np.stack([1.4 * np.sin(2 * times), 0 * times, 4.0 + 0 * times], axis=-1)[:, None]
-    keypoints = np.concatenate([CAMERA.project(truth), np.ones((90, 15, 1))], axis=-1)
-    keypoints[40:55, :, 2] = 0
-    config = with_settings(CONFIG, values)
-    roots = reconstruct_sequence(keypoints, CMU15.joints, times, CAMERA, walk_model, config).core.mean(axis=1)
-    direction = roots[:, :2] / roots[:, 2:]
-    step = np.linalg.norm(np.diff(direction, axis=0), axis=1)
-    assert step[39:55].max() < 2 * step[20:39].max(), 'no jump at the ends of the gap'
-    seen = direction[[39, 55]]
-    assert direction[47] == pytest.approx(seen.mean(axis=0), abs=0.15 * np.ptp(seen, axis=0).max())
-
-
 def test_the_learned_prior_is_better_than_the_base_poses_alone() -> None:
     walk_model = load_base_poses('walk')
     theta, cameras, points, times = make_walk(walk_model, frames=45)
