@@ -207,6 +207,7 @@ cdef class JointProblem:
     cdef readonly object point, diagonal, gradient, bone_vectors, coupling, corners
     cdef readonly object cost, damping, iterations, status, is_done
     cdef int width
+    cdef dict fields
     cdef double[:, ::1] current, trial, linearised
     cdef double[:, :, ::1] blocks, vectors, couplings, last_inverse
     cdef double[:, :, :, ::1] corner_blocks
@@ -244,7 +245,15 @@ cdef class JointProblem:
         cdef int N = self.frames, J = self.joints, B = self.bones_count, K = self.components, n = K + CAMERA
         cdef int D = max(orders, default=1)
         self.unknowns, self.distances = n, D
-        self.width = K + 12 + 7 * J + 5 * B + FEATURES
+        self.fields, self.width = {}, 0
+        for name, size, shape in (
+            ('theta', K, (N, K)), ('features', FEATURES, (N, FEATURES)), ('rotation', 9, (N, 3, 3)), ('log_scale', 1, N),
+            ('translation', 2, (N, 2)), ('scaled_pose', 3 * J, (N, J, 3)), ('depth', J, (N, J)),
+            ('error', 2 * J, (N, J, 2)), ('squared', J, (N, J)), ('direction', 3 * B, (N, B, 3)), ('length', B, (N, B)),
+            ('excess', B, (N, B)),
+        ):
+            self.fields[name] = self.width, size, shape
+            self.width += size
         self.point = np.zeros((N, self.width))
         self.current, self.trial = self.point, np.zeros((N, self.width))
         self.linearised = np.zeros((N, self.width))
@@ -627,6 +636,11 @@ cdef class JointProblem:
             multiply_3x3(turn, before.rotation, after.rotation)
             after.log_scale[0] += min(max(-self.step[t, K + 3], -MAX_LOG_SCALE_STEP), MAX_LOG_SCALE_STEP)
 
+    cdef void begin_sequence(self, int p, double damping) noexcept nogil:
+        self.dampings[p], self.tried[p], self.ends[p] = damping, 0, MAX_ITERATIONS
+        self.done[p], self.has_step[p] = False, False
+        self.linearise(p)
+
     cdef bint take_step(self, int p, double tolerance) noexcept nogil:
         """Try a step of a sequence, set its next damping or its end, and return whether the step is taken."""
         cdef double cost, gain = 0
@@ -769,10 +783,9 @@ cdef class JointProblem:
     def begin(self, double damping):
         """Set the damping of the first step of all sequences, and compute the normal equations."""
         cdef int p
-        for p in range(self.sequences):
-            self.dampings[p], self.tried[p], self.ends[p] = damping, 0, MAX_ITERATIONS
-            self.done[p], self.outdated[p], self.has_step[p] = False, True, False
-        self.update_equations()
+        with nogil:
+            for p in range(self.sequences):
+                self.begin_sequence(p, damping)
 
     def update_equations(self):
         """Compute the normal equations of the sequences that have moved and are not done."""
@@ -781,6 +794,27 @@ cdef class JointProblem:
             for p in range(self.sequences):
                 if self.outdated[p] and not self.done[p]:
                     self.linearise(p)
+
+    def minimise(self, int max_iterations, double tolerance, double damping):
+        """Minimise all objectives, one after the other, so that the matrices of a sequence stay in the cache.
+
+        Returns:
+            Objectives (I + 1, P) at the start and after each step, as of `levenberg_marquardt.minimise_stepwise`.
+        """
+        cdef int p, i
+        history = np.empty((max_iterations + 1, self.sequences))
+        cdef double[:, ::1] costs = history
+        with nogil:
+            for p in range(self.sequences):
+                self.begin_sequence(p, damping)
+                costs[0, p] = self.costs[p]
+                for i in range(max_iterations):
+                    if self.outdated[p] and not self.done[p]:
+                        self.linearise(p)
+                    if not self.done[p]:
+                        self.take_step(p, tolerance)
+                    costs[i + 1, p] = self.costs[p]
+        return history
 
     def try_steps(self, double tolerance):
         """Try a step of each sequence; return how many were taken, and how many sequences are not done.
@@ -795,21 +829,37 @@ cdef class JointProblem:
                     remaining += not self.done[p]
         return taken, remaining
 
+    def describe(self, const double[::1] units):
+        """Return joints (N, J, 3) m, scales (N,) px/m, translations (N, 2) px and residuals (N,) px of all frames.
+
+        They are those of `solvers.window.Reconstruction`; units (P,) px/m.
+        """
+        cdef int p, t, j, i, seen
+        cdef double scale, total
+        cdef Frame f
+        joints, scales = np.empty((self.frames, self.joints, 3)), np.empty(self.frames)
+        translations, residuals = np.empty((self.frames, 2)), np.empty(self.frames)
+        cdef double[:, :, ::1] joint = joints
+        cdef double[::1] scale_px = scales, residual = residuals
+        cdef double[:, ::1] translation = translations
+        for p in range(self.sequences):
+            for t in range(self.starts[p], self.starts[p] + self.counts[p]):
+                f, seen, total = self.view(&self.current[t, 0]), 0, 0
+                scale = exp(f.log_scale[0])
+                for j in range(self.joints):
+                    for i in range(3):
+                        joint[t, j, i] = f.scaled_pose[3 * j + i] / scale
+                    if self.score[t, j] > 0:
+                        total += f.squared[j]
+                        seen += 1
+                scale_px[t], residual[t] = scale * units[p], (units[p] * sqrt(total / seen) if seen > 0 else NAN)
+                translation[t, 0], translation[t, 1] = f.translation[0] * units[p], f.translation[1] * units[p]
+        return joints, scales, translations, residuals
+
     def read(self, str name):
         """Return an array (N, ...) of the current point by the name of the field of `Frame`."""
-        K, J, B = self.components, self.joints, self.bones_count
-        shapes = {
-            'theta': (K,), 'features': (FEATURES,), 'rotation': (3, 3), 'log_scale': (), 'translation': (2,),
-            'scaled_pose': (J, 3), 'depth': (J,), 'error': (J, 2), 'squared': (J,), 'direction': (B, 3),
-            'length': (B,), 'excess': (B,),
-        }
-        first = 0
-        for field, shape in shapes.items():
-            size = int(np.prod(shape))
-            if field == name:
-                return self.point[:, first : first + size].reshape(-1, *shape).copy()
-            first += size
-        raise KeyError(name)
+        first, size, shape = self.fields[name]
+        return self.point[:, first : first + size].reshape(shape)
 
 
 cdef double find_largest_root(double determinant, double constant) noexcept nogil:

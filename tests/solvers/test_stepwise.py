@@ -84,7 +84,6 @@ def test_each_piece_has_one_step_at_most(walk_model: BasePoses, monkeypatch: pyt
         return minimise_stepwise(CountedProblem(problem, steps), max_iterations, tolerance, damping)
 
     monkeypatch.setattr(PeriodicEquations, 'solve_step', count_and_solve)
-    monkeypatch.setattr(joint.solver, 'minimise_stepwise', count_and_try)
     monkeypatch.setattr(joint.noise_annealing, 'minimise_stepwise', count_and_try)
     all_work: list[Stepwise[object]] = [
         joint.solve_stepwise([window], walk_model, CONFIG),

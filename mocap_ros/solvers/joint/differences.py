@@ -40,7 +40,6 @@ Array = NDArray[np.float64]
 
 CAMERA_FEATURES = 13  # s R[:2], R[:2] and log s
 VERTICAL_FEATURES = (8, 11)  # of the camera: the image of the body's z axis
-LOG_SCALE_FEATURE = 12
 MIN_TIME_STEP_S = 1e-4  # s; guards the division by time steps, far below that of any camera
 MAX_NOISE_RATIO = 1.9  # R; with it the weight of a run is 0.1 to 0.4 of that of rest, whatever the detector
 ACTIVITY_SPAN_S = 0.5  # s; a step of a run takes 0.35 s, and a motion that begins or ends should show soon
@@ -96,11 +95,6 @@ def measure_features(state: State) -> Array:
     rows = state.rotation[:, :2].reshape(len(state.theta), 6)
     scaled = np.exp(state.log_scale)[:, None] * rows
     return np.concatenate([state.theta, scaled, rows, state.log_scale[:, None]], axis=1)
-
-
-def weigh_features(of_pose: Array, *, matrix: float = 0.0, direction: float = 0.0) -> Array:
-    """Return the weights (K + 13,) of features: those of the base poses (K,), of s R[:2] and of R[:2]."""
-    return np.concatenate([of_pose, np.repeat([matrix, direction, 0.0], [6, 6, 1])])
 
 
 def invert_time_steps(batch: Batch) -> Array:

@@ -14,17 +14,18 @@ the reprojection is divided by the ratio of the variances, as the maximum of the
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint as engine
-from mocap_ros.models.base_poses import BasePoses, arrange_model
+from mocap_ros.models.base_poses import MAX_MODELS, BasePoses, arrange_model
 from mocap_ros.solvers.joint.batch import Batch, State
 from mocap_ros.solvers.joint.differences import (
     CAMERA_FEATURES,
-    LOG_SCALE_FEATURE,
     TYPICAL_OF_CAMERA,
     TYPICAL_OF_POSE,
     VERTICAL_FEATURES,
@@ -32,7 +33,6 @@ from mocap_ros.solvers.joint.differences import (
     invert_time_steps,
     limit_acceleration,
     measure_activity,
-    weigh_features,
     weigh_velocity_change,
 )
 
@@ -40,6 +40,46 @@ Array = NDArray[np.float64]
 
 NOISE_REFERENCE = 0.01  # m; image noise at the body for which the weights in the configuration are given
 MIN_ROBUST_SCALE = 1e-6  # m; a smaller `robust_scale` selects least squares
+
+
+class Weights(NamedTuple):
+    """Weights of the terms under one configuration.
+
+    Attributes:
+        prior: (K,) lambda / sigma_l^2.
+        of_bones: (B,) beta.
+        of_velocity: (K + 13,) of the features in differences of order 1: mu / sigma_l^2, gamma, tau and sigma.
+        of_pose: (K + 13,) 1 for the weights of the base poses.
+        of_direction: (K + 13,) 1 for the elements of R[:2].
+    """
+
+    prior: Array
+    of_bones: Array
+    of_velocity: Array
+    of_pose: Array
+    of_direction: Array
+
+
+@lru_cache(maxsize=MAX_MODELS)
+def choose_weights(model: BasePoses, config: SolverConfig, has_lifted: bool) -> Weights:
+    """Return the weights for base poses, with or without lifted poses."""
+    prior, smooth, flip, tilt = config.prior_weight, config.smooth_weight, config.flip_weight, 0.0
+    if model.aligned_by_heading:
+        prior, flip = config.heading_prior_factor * prior, config.heading_flip_factor * flip
+        tilt = config.tilt_weight
+    if has_lifted:
+        prior, smooth = config.lifter_prior_factor * prior, config.lifter_smooth_factor * smooth
+        flip = config.lifter_flip_factor * flip
+    of_camera = np.repeat([flip, 0.0, config.scale_weight], [6, 6, 1])
+    of_camera[list(VERTICAL_FEATURES)] = tilt
+    k, directions = len(model.std), np.repeat([0.0, 1.0, 0.0], [6, 6, 1])
+    return Weights(
+        prior=prior / model.std**2,
+        of_bones=np.full(len(model.skeleton.bones), config.bone_weight),
+        of_velocity=np.concatenate([smooth / model.std**2, of_camera]),
+        of_pose=np.repeat([1.0, 0.0], [k, CAMERA_FEATURES]),
+        of_direction=np.concatenate([np.zeros(k), directions]),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,38 +129,26 @@ class JointObjective:
                 differences keep their balance with the image, and there are none of order 2.
             activity: (N,) m^2/s^4 and (N,) 1/s^4, mean square accelerations of poses and cameras; None for rest.
         """
-        prior, smooth, flip, tilt = config.prior_weight, config.smooth_weight, config.flip_weight, 0.0
-        if model.aligned_by_heading:
-            prior, flip = config.heading_prior_factor * prior, config.heading_flip_factor * flip
-            tilt = config.tilt_weight
-        if len(batch.lifted):
-            prior, smooth = config.lifter_prior_factor * prior, config.lifter_smooth_factor * smooth
-            flip = config.lifter_flip_factor * flip
+        weights = choose_weights(model, config, len(batch.lifted) > 0)
         noise_ratio = np.ones(len(batch.starts)) if noise is None else noise / NOISE_REFERENCE
         inverse = invert_time_steps(batch)
         root = np.sqrt(inverse if share is None else batch.repeat_per_frame(share) * inverse)
-        weight = weigh_features(smooth / model.std**2, matrix=flip)
-        for feature in VERTICAL_FEATURES:
-            weight[len(model.std) + feature] = tilt
-        weight[len(model.std) + LOG_SCALE_FEATURE] = config.scale_weight
-        differences = [FiniteDifference(np.stack([-root, root], axis=1), weight)]
+        differences = [FiniteDifference(np.stack([-root, root], axis=1), weights.of_velocity)]
         if share is None and config.pose_acceleration_weight > 0:
             change, ratio = weigh_velocity_change(batch), batch.repeat_per_frame(noise_ratio)
-            none = np.zeros(len(model.std))
-            for alpha, typical, mean_square, features in (
-                (config.pose_acceleration_weight, TYPICAL_OF_POSE, 0, weigh_features(none + 1)),
-                (config.camera_acceleration_weight, TYPICAL_OF_CAMERA, 1, weigh_features(none, direction=1.0)),
-            ):
-                square = np.zeros(len(ratio)) if activity is None else activity[mean_square]
-                factors = limit_acceleration(alpha, typical, change, square, ratio)
-                differences.append(FiniteDifference(factors, features))
+            of_pose, of_camera = activity or (np.zeros(len(ratio)), np.zeros(len(ratio)))
+            alpha, kappa = config.pose_acceleration_weight, config.camera_acceleration_weight
+            pose = limit_acceleration(alpha, TYPICAL_OF_POSE, change, of_pose, ratio)
+            camera = limit_acceleration(kappa, TYPICAL_OF_CAMERA, change, of_camera, ratio)
+            differences.append(FiniteDifference(pose, weights.of_pose))
+            differences.append(FiniteDifference(camera, weights.of_direction))
         return JointObjective(
             batch=batch,
             model=model,
             noise_ratio=noise_ratio,
             robust_scale=config.robust_scale if config.robust_scale > MIN_ROBUST_SCALE else np.inf,
-            bone_weight=np.full(len(model.skeleton.bones), config.bone_weight),
-            prior=prior / model.std**2,
+            bone_weight=weights.of_bones,
+            prior=weights.prior,
             lifter_weight=config.lifter_weight,
             lifter_robust_scale=config.lifter_robust_scale,
             differences=tuple(differences),

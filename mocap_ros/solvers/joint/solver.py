@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,7 @@ from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint as engine
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.joint.batch import Batch, State
+from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.joint.lifted_start import fit_initial_values
 from mocap_ros.solvers.joint.noise_annealing import (
     COARSE_FRAME_STEP_S,
@@ -30,9 +29,9 @@ from mocap_ros.solvers.joint.noise_annealing import (
     CONTINUED_DAMPING,
     anneal_stepwise,
     get_given_noise,
+    minimise,
 )
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, JointObjective, measure_activities, read_state
-from mocap_ros.solvers.levenberg_marquardt import minimise_stepwise
 from mocap_ros.solvers.stepwise import Stepwise, run_to_end
 from mocap_ros.solvers.window import (
     Reconstruction,
@@ -77,13 +76,20 @@ def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> 
     Raises:
         InputError: no frame of a window has four seen joints, or only some of the windows have lifted poses.
     """
-    return run_to_end(solve_stepwise(windows, model, config))
+    return run_to_end(_solve(windows, model, config, at_once=True))
 
 
 def solve_stepwise(
     windows: Sequence[Window], model: BasePoses, config: SolverConfig
 ) -> Stepwise[tuple[JointReconstruction, ...]]:
     """Reconstruct as `solve` does, in steps."""
+    return (yield from _solve(windows, model, config, at_once=False))
+
+
+def _solve(
+    windows: Sequence[Window], model: BasePoses, config: SolverConfig, *, at_once: bool
+) -> Stepwise[tuple[JointReconstruction, ...]]:
+    """Reconstruct in steps, or with all steps of a minimisation in one."""
     if config.components < len(model.std):
         model = model.truncate(config.components)
     is_warm = all(w.start is not None and (w.noise is not None or not config.adapt_noise) for w in windows)
@@ -99,7 +105,7 @@ def solve_stepwise(
         settled = JointObjective.build(batch, model, config).compile(state, settle_steps)
         yield
         problem, earlier_iterations = yield from anneal_stepwise(
-            batch, read_state(settled), model, windows, config
+            batch, read_state(settled), model, windows, config, at_once=at_once
         )
     else:
         noise, activity = None, None
@@ -111,7 +117,7 @@ def solve_stepwise(
         objective = JointObjective.build(batch, model, config, noise, None, activity)
         problem = objective.compile(state, settle_steps, at_reference=True)
         yield
-    history = yield from minimise_stepwise(problem, config.max_iterations, config.tolerance, damping)
+    history = yield from minimise(problem, config.max_iterations, config.tolerance, damping, at_once=at_once)
     yield
     return make_reconstructions(problem, batch, windows, units, history, earlier_iterations)
 
@@ -131,24 +137,31 @@ def solve_hypotheses(
         model: base poses, metric.
         config: as for `solve`.
     """
-    return run_to_end(solve_hypotheses_stepwise(windows, model, config))
+    return run_to_end(_solve_hypotheses(windows, model, config, at_once=True))
 
 
 def solve_hypotheses_stepwise(
     windows: Sequence[Window], model: BasePoses, config: SolverConfig
 ) -> Stepwise[tuple[JointReconstruction, ...]]:
     """Reconstruct as `solve_hypotheses` does, in steps."""
+    return (yield from _solve_hypotheses(windows, model, config, at_once=False))
+
+
+def _solve_hypotheses(
+    windows: Sequence[Window], model: BasePoses, config: SolverConfig, *, at_once: bool
+) -> Stepwise[tuple[JointReconstruction, ...]]:
+    """Reconstruct in steps, or with all steps of a minimisation in one."""
     count = config.heading_hypotheses if model.aligned_by_heading else config.hypotheses
     if all(w.lifted is not None for w in windows):
         count = 1
     if count == 1:
-        return (yield from solve_stepwise(windows, model, config))
+        return (yield from _solve(windows, model, config, at_once=at_once))
     batch: list[Window] = []
     for window in windows:
         start, unit = choose_initial_values(window, model.truncate(config.components), config.start_window)
         batch += [replace(window, start=s, unit=unit) for s in (start, reverse_depth(start))]
         yield
-    results = yield from solve_stepwise(batch, model, config)
+    results = yield from _solve(batch, model, config, at_once=at_once)
     return tuple(
         min(pair, key=lambda r: negative_log_posterior(r, w, config))
         for pair, w in zip(zip(results[::2], results[1::2], strict=True), windows, strict=True)
@@ -171,31 +184,6 @@ def negative_log_posterior(result: JointReconstruction, window: Window, config: 
     return result.cost / NOISE_REFERENCE**2 + 2 * coordinates * math.log(noise / NOISE_REFERENCE)
 
 
-class PointValues(NamedTuple):
-    """What the current point of a problem says about all frames of its batch, as in `Reconstruction`."""
-
-    state: State
-    joints: Array
-    scale: Array
-    translation: Array
-    residual: Array
-
-    @staticmethod
-    def read(problem: engine.JointProblem, batch: Batch, units: Array) -> PointValues:
-        """Return the values; units (P,) px/m, by which the image points were divided."""
-        state, per_frame = read_state(problem), batch.repeat_per_frame(units)
-        scale, seen = np.exp(state.log_scale), batch.score > 0
-        with np.errstate(invalid='ignore'):  # a frame without seen joints has the residual 0 / 0 = NaN
-            residual = np.sqrt((seen * problem.read('squared')).sum(axis=1) / seen.sum(axis=1))
-        return PointValues(
-            state,
-            problem.read('scaled_pose') / scale[:, None, None],
-            scale * per_frame,
-            state.translation * per_frame[:, None],
-            residual * per_frame,
-        )
-
-
 def make_reconstructions(
     problem: engine.JointProblem,
     batch: Batch,
@@ -205,18 +193,19 @@ def make_reconstructions(
     earlier_iterations: NDArray[np.int64],
 ) -> tuple[JointReconstruction, ...]:
     """Return the reconstruction of each sequence of a batch; units (P,) px/m."""
-    values = PointValues.read(problem, batch, units)
+    joints, scale, translation, residual = problem.describe(units)
+    theta, rotation = problem.read('theta'), problem.read('rotation')
     noise, joint_std = problem.estimate_noise(), problem.measure_joint_std()
     costs, out = np.array(history).T.tolist(), []
     for i, own in enumerate(batch.slices):
         iterations = int(problem.iterations[i])
         out.append(
             JointReconstruction(
-                joints=values.joints[own],
-                theta=values.state.theta[own],
-                cameras=WeakPerspectiveCameras(values.scale[own], values.state.rotation[own]),
-                translation=interpolate_unseen(values.translation[own], windows[i]),
-                residual=values.residual[own],
+                joints=joints[own],
+                theta=theta[own],
+                cameras=WeakPerspectiveCameras(scale[own], rotation[own]),
+                translation=interpolate_unseen(translation[own], windows[i]),
+                residual=residual[own],
                 status=SolverStatus(problem.status[i]),
                 history=tuple(costs[i][: iterations + 1]),
                 iterations=int(earlier_iterations[i]) + iterations,
@@ -229,7 +218,6 @@ def make_reconstructions(
 
 def make_reconstruction(
     problem: engine.JointProblem,
-    batch: Batch,
     window: Window,
     unit: float,
     status: SolverStatus,
@@ -240,20 +228,19 @@ def make_reconstruction(
 
     Args:
         problem: at the final point.
-        batch: the measurements.
         window: the sequence.
         unit: px/m, by which its image points were divided.
         status: why the solver stopped.
         history: m^2, objective at the start and after each step.
         iterations: number of steps that were tried.
     """
-    values = PointValues.read(problem, batch, np.array([unit]))
+    joints, scale, translation, residual = problem.describe(np.array([unit]))
     return Reconstruction(
-        joints=values.joints,
-        theta=values.state.theta,
-        cameras=WeakPerspectiveCameras(values.scale, values.state.rotation),
-        translation=interpolate_unseen(values.translation, window),
-        residual=values.residual,
+        joints=joints,
+        theta=problem.read('theta'),
+        cameras=WeakPerspectiveCameras(scale, problem.read('rotation')),
+        translation=interpolate_unseen(translation, window),
+        residual=residual,
         status=status,
         history=tuple(history),
         iterations=iterations,

@@ -331,9 +331,9 @@ class Search:
 
     def make_reconstruction(self, window: Window, unit: float, iterations: int) -> Reconstruction:
         """Return the reconstruction of a window at the current point; `unit` in px/m."""
-        problem, batch = self.objective.problem, self.objective.body.batch
+        problem = self.objective.problem
         problem.start(*self.point.body)
-        return make_reconstruction(problem, batch, window, unit, self.status, self.history, iterations)
+        return make_reconstruction(problem, window, unit, self.status, self.history, iterations)
 
     def estimate_noise(self) -> float:
         """Return the image noise (m); the effective parameters may be those of the point before the last step."""
