@@ -47,11 +47,11 @@ class Problem(Protocol):
 
 def minimise_stepwise(
     problem: Problem, max_iterations: int, tolerance: float, damping: float
-) -> Stepwise[list[Array]]:
+) -> Stepwise[Array]:
     """Minimise the objectives from the current point, in pieces: a step is one, its normal equations the next.
 
     Returns:
-        Objectives (P,) at the start and after each step that was tried.
+        Objectives (I + 1, P) at the start and after each step that was tried.
     """
     problem.begin(damping)
     history, is_outdated = [problem.cost.copy()], False
@@ -65,4 +65,4 @@ def minimise_stepwise(
         if not remaining:
             break
         is_outdated = taken > 0
-    return history
+    return np.array(history)

@@ -80,7 +80,7 @@ def test_each_piece_has_one_step_at_most(walk_model: BasePoses, monkeypatch: pyt
 
     def count_and_try(
         problem: Problem, max_iterations: int, tolerance: float, damping: float
-    ) -> Stepwise[list[np.ndarray]]:
+    ) -> Stepwise[np.ndarray]:
         return minimise_stepwise(CountedProblem(problem, steps), max_iterations, tolerance, damping)
 
     monkeypatch.setattr(PeriodicEquations, 'solve_step', count_and_solve)

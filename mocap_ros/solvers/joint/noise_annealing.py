@@ -61,7 +61,7 @@ class Annealed(NamedTuple):
 
 def minimise(
     problem: engine.JointProblem, max_iterations: int, tolerance: float, damping: float, *, at_once: bool
-) -> Stepwise[Sequence[Array]]:
+) -> Stepwise[Array]:
     """Minimise as `minimise_stepwise` does; all steps in one piece take less time."""
     if at_once:
         return problem.minimise(max_iterations, tolerance, damping)

@@ -189,14 +189,14 @@ def make_reconstructions(
     batch: Batch,
     windows: Sequence[Window],
     units: Array,
-    history: Sequence[Array],
+    history: Array,
     earlier_iterations: NDArray[np.int64],
 ) -> tuple[JointReconstruction, ...]:
     """Return the reconstruction of each sequence of a batch; units (P,) px/m."""
     joints, scale, translation, residual = problem.describe(units)
     theta, rotation = problem.read('theta'), problem.read('rotation')
     noise, joint_std = problem.estimate_noise(), problem.measure_joint_std()
-    costs, out = np.array(history).T.tolist(), []
+    costs, out = history.T.tolist(), []
     for i, own in enumerate(batch.slices):
         iterations = int(problem.iterations[i])
         out.append(
