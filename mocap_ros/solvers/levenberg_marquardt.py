@@ -45,9 +45,7 @@ class Problem(Protocol):
         """
 
 
-def minimise_stepwise(
-    problem: Problem, max_iterations: int, tolerance: float, damping: float
-) -> Stepwise[Array]:
+def minimise_stepwise(problem: Problem, max_iterations: int, tolerance: float, damping: float) -> Stepwise[Array]:
     """Minimise the objectives from the current point, in pieces: a step is one, its normal equations the next.
 
     Returns:
