@@ -7,7 +7,7 @@
 Sizes: F frames, S keypoints of the detector, A alternatives, J joints of the model, E extremities.
 """
 
-from libc.math cimport INFINITY, fabs, hypot, isfinite, tan
+from libc.math cimport INFINITY, NAN, fabs, hypot, isfinite, tan
 
 import numpy as np
 
@@ -26,11 +26,13 @@ cdef extern from *:
     const double MIN_SCORED_WEIGHT, MAX_POINT_PX, MAX_SCORE
 
 
-cdef double find_least_score(const double* points, Py_ssize_t dimensions, Vector score, Vector weights) noexcept nogil:
+cdef double find_least_score(
+    const double* points, const double* score, const double* weights, Py_ssize_t sources, Py_ssize_t dimensions
+) noexcept nogil:
     """Least score of the keypoints (S, D) whose weights count; 0 if a keypoint of the sum was not seen."""
     cdef Py_ssize_t s, d
     cdef double least = INFINITY
-    for s in range(weights.shape[0]):
+    for s in range(sources):
         if weights[s] == 0:
             continue
         if not score[s] > 0:
@@ -54,29 +56,36 @@ def map_joints(Stack points, Rows score, Stack weights, Rows score_factor):
         weights: (A, J, S) W.
         score_factor: (A, J) factors on the least score.
     """
-    cdef Py_ssize_t n, t, a, s, d, dimensions = points.shape[2]
-    cdef double least
     frames, joints = points.shape[0], score_factor.shape[1]
-    mapped, mapped_score = np.full((frames, joints, dimensions), np.nan), np.zeros((frames, joints))
-    cdef double[:, :, ::1] out = mapped
-    cdef double[:, ::1] out_score = mapped_score
+    mapped, mapped_score = np.empty((frames, joints, points.shape[2])), np.empty((frames, joints))
+    map_frames(points, score, weights, score_factor, mapped, mapped_score)
+    return mapped, mapped_score
+
+
+cdef void map_frames(
+    Stack points, Rows score, Stack weights, Rows score_factor, double[:, :, ::1] out, double[:, ::1] out_score
+) noexcept nogil:
+    cdef Py_ssize_t n, t, a, s, d, dimensions = points.shape[2], sources = points.shape[1]
+    cdef double least
     for n in range(points.shape[0]):
         for t in range(score_factor.shape[1]):
+            out_score[n, t] = 0.0
+            for d in range(dimensions):
+                out[n, t, d] = NAN
             for a in range(score_factor.shape[0]):
                 if not score_factor[a, t] > 0:
                     continue
-                least = find_least_score(&points[n, 0, 0], dimensions, score[n], weights[a, t])
+                least = find_least_score(&points[n, 0, 0], &score[n, 0], &weights[a, t, 0], sources, dimensions)
                 if not least > 0:
                     continue
                 out_score[n, t] = least * score_factor[a, t]
                 for d in range(dimensions):
                     out[n, t, d] = 0.0
-                for s in range(points.shape[1]):
+                for s in range(sources):
                     if weights[a, t, s] != 0:
                         for d in range(dimensions):
                             out[n, t, d] += weights[a, t, s] * points[n, s, d]
                 break
-    return mapped, mapped_score
 
 
 def convert_to_rays(
@@ -97,16 +106,16 @@ def convert_to_rays(
     """
     cdef Py_ssize_t n, s, t
     cdef double max_ray = tan(MAX_RAY_ANGLE)  # beyond it no camera shows anything
-    used = np.zeros((score.shape[0], score.shape[1]))
-    cdef double[:, ::1] used_score = used
+    cdef double[:, ::1] used = np.zeros((score.shape[0], score.shape[1]))
+    joints = np.empty((score.shape[0], score_factor.shape[1], 2)), np.empty((score.shape[0], score_factor.shape[1]))
+    cdef double[:, :, ::1] rays = joints[0]
+    cdef double[:, ::1] weight = joints[1]
     for n in range(score.shape[0]):
         for s in range(score.shape[1]):
             if (fabs(points[n, s, 0]) < MAX_POINT_PX and fabs(points[n, s, 1]) < MAX_POINT_PX
                     and score[n, s] >= min_score):
-                used_score[n, s] = min(score[n, s], MAX_SCORE)
-    joints, joint_score = map_joints(points, used, weights, score_factor)
-    cdef double[:, :, ::1] rays = joints
-    cdef double[:, ::1] weight = joint_score
+                used[n, s] = min(score[n, s], MAX_SCORE)
+    map_frames(points, used, weights, score_factor, rays, weight)
     for n in range(weight.shape[0]):
         for t in range(weight.shape[1]):
             if weight[n, t] > 0:
@@ -117,7 +126,7 @@ def convert_to_rays(
                 if fabs(rays[n, t, 0]) <= max_ray and fabs(rays[n, t, 1]) <= max_ray:
                     continue
             rays[n, t, 0] = rays[n, t, 1] = weight[n, t] = 0.0
-    return joints, joint_score
+    return joints
 
 
 def drop_far_points(double[:, :, ::1] rays, double[:, ::1] weight, const long long[:, ::1] anchors, Vector reach):

@@ -6,34 +6,25 @@
 import numpy as np
 import pytest
 
+from mocap_ros.engine.left_right import compute_attachment_cost, compute_transition_cost
 from mocap_ros.keypoints.association import measure_extent
 from mocap_ros.keypoints.left_right import (
-    ATTACHMENT_COST,
-    ATTACHMENT_SCALE,
-    ATTACHMENT_TIME_S,
-    CONFUSION_COST,
-    ENTER_PROBABILITY,
-    LEAVE_PROBABILITY,
-    MAX_VELOCITY_GAP_S,
-    MIN_STEP_S,
-    OUTLIER_PROBABILITY,
-    OUTLIER_STD,
     PARTS,
-    PREDICTION_STD,
-    PREDICTION_STD_PER_S,
-    PREDICTION_STD_PER_S2,
-    VELOCITY_TIME_S,
     BodySides,
     SwapFilter,
     ViterbiPaths,
-    compute_attachment_cost,
-    compute_transition_cost,
     exchange_sides,
     find_swapped_parts,
 )
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15, keypoint_layout
 from tests.support.synthetic_walk import make_walk
+
+ENTER_PROBABILITY, LEAVE_PROBABILITY = np.array([0.0005, 0.003, 0.003]), np.array([0.2, 0.55, 0.55])
+PREDICTION_STD, PREDICTION_STD_PER_S, PREDICTION_STD_PER_S2 = 0.05, 1.0, 2.0
+OUTLIER_PROBABILITY, OUTLIER_STD, CONFUSION_COST = 0.1, 0.3, 12.0
+ATTACHMENT_COST, ATTACHMENT_SCALE, ATTACHMENT_TIME_S = 5.0, 0.25, 0.1
+VELOCITY_TIME_S, MAX_VELOCITY_GAP_S, MIN_STEP_S = 0.08, 0.2, 1e-3
 
 SIDES = BodySides.of(CMU15)
 JOINTS = np.arange(15)

@@ -1,0 +1,42 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+Indices: TypeAlias = NDArray[np.int64]
+
+def compute_transition_cost(elapsed_s: float) -> Array: ...
+def compute_attachment_cost(
+    points: Array, weight: Array, body_size: float, mirror: Indices, upper: Indices, lower: Indices
+) -> Array: ...
+def begin_paths(
+    time_s: float,
+    points: Array,
+    weight: Array,
+    body_size: float,
+    mirror: Indices,
+    part: Indices,
+    upper: Indices,
+    lower: Indices,
+) -> tuple[Array, Array, Array, Array]: ...
+def continue_paths(
+    path_cost: Array,
+    path_points: Array,
+    velocity: Array,
+    last_seen_s: Array,
+    time_s: float,
+    points: Array,
+    weight: Array,
+    body_size: float,
+    mirror: Indices,
+    part: Indices,
+    upper: Indices,
+    lower: Indices,
+) -> tuple[Indices, Array, Array, Array, Array]: ...
+def exchange_sides(
+    points: Array, weight: Array, is_part_swapped: NDArray[np.uint8], mirror: Indices, part: Indices
+) -> tuple[Array, Array]: ...

@@ -1,0 +1,271 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+
+"""Viterbi's algorithm for left and right exchanged by a detector; the formulas are in `keypoints.left_right`.
+
+Sizes: J joints, F frames, 8 states, 3 parts: shoulders, legs and arms. Bits 0, 1 and 2 of a state: whole body, legs
+and arms are exchanged. The values were tuned on motion capture as models of three real detectors see it. The probabilities are per 1/30 s: real detectors swap
+the whole body in 0.1 % of the frames, for 0.3 s, legs and arms in 0.3 to 3 %, for 0.06 s.
+"""
+
+from libc.math cimport INFINITY, exp, hypot, log, pow, tanh
+
+import numpy as np
+
+ctypedef const double[::1] Vector
+ctypedef const double[:, ::1] Rows
+ctypedef const double[:, :, ::1] Stack
+ctypedef const long long[::1] Indices
+
+cdef extern from *:
+    """
+    static const double ENTER[3] = {0.0005, 0.003, 0.003};  /* a, the probability that a swap begins */
+    static const double LEAVE[3] = {0.2, 0.55, 0.55};       /* b, the probability that it ends */
+    static const double INITIAL_COST[3] = {7.0, 5.0, 5.0};  /* nats; the shares of frames above */
+    #define PREDICTION_STD 0.05      /* body sizes; std of a predicted coordinate at once: image noise */
+    #define PREDICTION_STD_PER_S 1.0   /* body sizes/s; for the velocity is not known exactly */
+    #define PREDICTION_STD_PER_S2 2.0  /* body sizes/s^2; makes either labelling acceptable after a gap */
+    #define OUTLIER_PROBABILITY 0.1  /* eps; share of points that are far from where the joint is */
+    #define OUTLIER_STD 0.3          /* body sizes (s); such points are still on the body */
+    #define CONFUSION_COST 12.0      /* nats; more than to enter a swap of legs or arms, so that these show at once */
+    #define ATTACHMENT_COST 5.0      /* nats; log odds that the much shorter lines are those of the right labels */
+    #define ATTACHMENT_SCALE 0.25    /* body sizes; lines longer by this have log odds of about 4 nats */
+    #define ATTACHMENT_TIME_S 0.1    /* s; frames that follow each other more closely say the same */
+    #define VELOCITY_TIME_S 0.08     /* s; tau, of the smoothing of velocities and of their decay in a prediction */
+    #define MAX_VELOCITY_GAP_S 0.2   /* s; a joint that was not seen for longer restarts with velocity 0 */
+    #define MIN_STEP_S 1e-3          /* s; guards divisions by a time step, for images may be a millisecond apart */
+    #define REFERENCE_FRAME_S (1.0 / 30)  /* s; frame interval that the transition probabilities refer to */
+    """
+    const double* ENTER
+    const double* LEAVE
+    const double* INITIAL_COST
+    const double PREDICTION_STD, PREDICTION_STD_PER_S, PREDICTION_STD_PER_S2, OUTLIER_PROBABILITY, OUTLIER_STD
+    const double CONFUSION_COST, ATTACHMENT_COST, ATTACHMENT_SCALE, ATTACHMENT_TIME_S
+    const double VELOCITY_TIME_S, MAX_VELOCITY_GAP_S, MIN_STEP_S, REFERENCE_FRAME_S
+
+cdef enum:
+    STATES = 8
+    PARTS = 3
+
+
+cdef inline int has_bit(int state, int bit) noexcept nogil:
+    return state >> bit & 1
+
+
+cdef inline int is_swapped(int state, Py_ssize_t part) noexcept nogil:
+    """Whether a state exchanges a part: legs and arms by their own bit or that of the whole body, not by both."""
+    return has_bit(state, 0) if part == 0 else has_bit(state, part) ^ has_bit(state, 0)
+
+
+cdef void find_transition_cost(double elapsed_s, double[STATES][STATES] cost) noexcept nogil:
+    """Write -log P(z_t | z_(t-1)) in nats; rows are states before, columns states after a step."""
+    cdef int bit, before, after
+    cdef double frames = max(elapsed_s, MIN_STEP_S) / REFERENCE_FRAME_S, mixing
+    cdef double[4] step
+    for before in range(STATES):
+        for after in range(STATES):
+            cost[before][after] = 0
+    for bit in range(PARTS):
+        mixing = (1 - pow(1 - ENTER[bit] - LEAVE[bit], frames)) / (ENTER[bit] + LEAVE[bit])
+        step[0], step[1] = -log(1 - ENTER[bit] * mixing), -log(ENTER[bit] * mixing)
+        step[2], step[3] = -log(LEAVE[bit] * mixing), -log(1 - LEAVE[bit] * mixing)
+        for before in range(STATES):
+            for after in range(STATES):
+                cost[before][after] += step[2 * has_bit(before, bit) + has_bit(after, bit)]
+
+
+cdef void find_attachment_cost(
+    Rows points, Vector weight, double body_size, Indices mirror, Indices upper, Indices lower, double[PARTS] cost
+) noexcept nogil:
+    """Write what it costs to exchange left and right of a part, but not of the shoulders, in nats."""
+    cdef Py_ssize_t part, left, right, near, far
+    cdef double longer
+    for part in range(PARTS):
+        cost[part] = 0
+        if upper[part] < 0:
+            continue
+        left, right, near, far = upper[part], mirror[upper[part]], lower[part], mirror[lower[part]]
+        if weight[left] > 0 and weight[right] > 0 and weight[near] > 0 and weight[far] > 0:
+            longer = (
+                measure(points, left, far) + measure(points, right, near)
+                - measure(points, left, near) - measure(points, right, far)
+            )
+            cost[part] = ATTACHMENT_COST * max(0.0, tanh(longer / body_size / ATTACHMENT_SCALE))
+
+
+def compute_transition_cost(double elapsed_s):
+    """Return -log P(z_t | z_(t-1)), (8, 8) in nats; rows are states before, columns states after a step."""
+    cdef double[STATES][STATES] cost
+    find_transition_cost(elapsed_s, cost)
+    return np.array(<double[:STATES, :STATES]> &cost[0][0])
+
+
+def compute_attachment_cost(Rows points, Vector weight, double body_size, Indices mirror, Indices upper, Indices lower):
+    """Return what it costs to exchange left and right of a part, but not of the shoulders, (3,) in nats."""
+    cdef double[PARTS] cost
+    find_attachment_cost(points, weight, body_size, mirror, upper, lower, cost)
+    return np.array(<double[:PARTS]> &cost[0])
+
+
+cdef inline double measure(Rows points, Py_ssize_t a, Py_ssize_t b) noexcept nogil:
+    return hypot(points[a, 0] - points[b, 0], points[a, 1] - points[b, 1])
+
+
+def begin_paths(
+    double time_s, Rows points, Vector weight, double body_size, Indices mirror, Indices part, Indices upper,
+    Indices lower,
+):
+    """Return the paths that consist of a first frame: costs, points, velocities and times of `ViterbiPaths`."""
+    cdef Py_ssize_t j, source, joints = weight.shape[0]
+    cdef int state, bit
+    cdef double[PARTS] attachment
+    find_attachment_cost(points, weight, body_size, mirror, upper, lower, attachment)
+    arrays = np.zeros(STATES), np.empty((STATES, joints, 2)), np.zeros((STATES, joints, 2)), np.full(
+        (STATES, joints), -np.inf
+    )
+    cdef double[::1] cost = arrays[0]
+    cdef double[:, :, ::1] path_points = arrays[1]
+    cdef double[:, ::1] last_seen_s = arrays[3]
+    for state in range(STATES):
+        for bit in range(PARTS):
+            cost[state] += has_bit(state, bit) * (INITIAL_COST[bit] + attachment[bit])
+        for j in range(joints):
+            source = mirror[j] if part[j] >= 0 and is_swapped(state, part[j]) else j
+            path_points[state, j, 0], path_points[state, j, 1] = points[source, 0], points[source, 1]
+            if weight[source] > 0:
+                last_seen_s[state, j] = time_s
+    return arrays
+
+
+cdef void add_label_cost(
+    Stack path_points, Stack velocity, Rows last_seen_s, double time_s, Rows points, Vector weight, double body_size,
+    Indices mirror, Indices part, double[STATES][PARTS][2] cost,
+) noexcept nogil:
+    """Add the costs C_g(l) of a frame in nats: for each path, part and label, 1 for exchanged."""
+    cdef Py_ssize_t j, source
+    cdef int path, label
+    cdef double age, known_age = -1, horizon = 0, growth, x, y, variance, likelihood
+    for path in range(STATES):
+        for j in range(mirror.shape[0]):
+            if part[j] < 0 or last_seen_s[path, j] == -INFINITY:
+                continue
+            age = time_s - last_seen_s[path, j]
+            if age != known_age:  # most joints were seen in the same frame
+                known_age, horizon = age, VELOCITY_TIME_S * (1 - exp(-age / VELOCITY_TIME_S))
+            growth = PREDICTION_STD + PREDICTION_STD_PER_S * age + PREDICTION_STD_PER_S2 * age * age
+            for label in range(2):
+                source = mirror[j] if label else j
+                if weight[source] > 0:
+                    x = points[source, 0] - (path_points[path, j, 0] + velocity[path, j, 0] * horizon)
+                    y = points[source, 1] - (path_points[path, j, 1] + velocity[path, j, 1] * horizon)
+                    variance = growth * (2 - weight[source])
+                    variance *= variance
+                    likelihood = (1 - OUTLIER_PROBABILITY) * exp(
+                        -0.5 * ((x * x + y * y) / (body_size * body_size * variance))
+                    ) / variance
+                    likelihood += OUTLIER_PROBABILITY / (variance + OUTLIER_STD * OUTLIER_STD)
+                    cost[path][part[j]][label] -= log(likelihood)
+
+
+def continue_paths(
+    Vector path_cost, Stack path_points, Stack velocity, Rows last_seen_s, double time_s, Rows points, Vector weight,
+    double body_size, Indices mirror, Indices part, Indices upper, Indices lower,
+):
+    """Return the paths continued by a frame: which path each state continues (8,), then as `begin_paths`.
+
+    Args:
+        path_cost: with the next three, the attributes of `ViterbiPaths`.
+        path_points: likewise.
+        velocity: likewise.
+        last_seen_s: likewise.
+        time_s: s, of the frame.
+        points: (J, 2) as the detector labelled them.
+        weight: (J,) scores.
+        body_size: in the units of the points.
+        mirror: with the next three, the attributes of `BodySides`.
+        part: likewise.
+        upper: likewise.
+        lower: likewise.
+    """
+    cdef Py_ssize_t j, d, source, before, joints = mirror.shape[0]
+    cdef int path, state, p, label, bit
+    cdef double elapsed_s = -INFINITY, share, age, blend, measured, total, least = INFINITY
+    cdef double[STATES][PARTS][2] label_cost
+    cdef double[STATES][STATES] transition
+    cdef double[PARTS] attachment
+    cdef bint[STATES][PARTS][2] is_confused  # whether the path exchanges the part in its own past
+    for path in range(STATES):
+        for p in range(PARTS):
+            label_cost[path][p][0] = label_cost[path][p][1] = 0
+    for j in range(joints):
+        elapsed_s = max(elapsed_s, last_seen_s[0, j])
+    elapsed_s = time_s - elapsed_s
+    add_label_cost(
+        path_points, velocity, last_seen_s, time_s, points, weight, body_size, mirror, part, label_cost
+    )
+    for path in range(STATES):
+        for p in range(PARTS):
+            total = min(label_cost[path][p][0], label_cost[path][p][1]) + CONFUSION_COST
+            for label in range(2):
+                is_confused[path][p][label] = label_cost[path][p][label] > total
+                label_cost[path][p][label] = min(label_cost[path][p][label], total)
+    find_transition_cost(elapsed_s, transition)
+    find_attachment_cost(points, weight, body_size, mirror, upper, lower, attachment)
+    arrays = np.zeros(STATES, np.int64), np.full(STATES, np.inf), np.empty((STATES, joints, 2)), np.empty(
+        (STATES, joints, 2)
+    ), np.empty((STATES, joints))
+    cdef long long[::1] predecessor = arrays[0]
+    cdef double[::1] cost = arrays[1]
+    cdef double[:, :, ::1] new_points = arrays[2], new_velocity = arrays[3]
+    cdef double[:, ::1] new_last_seen_s = arrays[4]
+    share = min(elapsed_s / ATTACHMENT_TIME_S, 1.0)
+    for state in range(STATES):
+        for path in range(STATES):
+            total = path_cost[path] + transition[path][state]
+            for p in range(PARTS):
+                total += label_cost[path][p][is_swapped(state, p)]
+            if total < cost[state]:
+                cost[state], predecessor[state] = total, path
+        for bit in range(PARTS):
+            cost[state] += has_bit(state, bit) * attachment[bit] * share
+        least = min(least, cost[state])
+        path = predecessor[state]
+        for j in range(joints):
+            source = before = j
+            if part[j] >= 0:
+                label = is_swapped(state, part[j])
+                source = mirror[j] if label else j
+                before = mirror[j] if is_confused[path][part[j]][label] else j
+            if not weight[source] > 0:
+                for d in range(2):
+                    new_points[state, j, d] = path_points[path, before, d]
+                    new_velocity[state, j, d] = velocity[path, before, d]
+                new_last_seen_s[state, j] = last_seen_s[path, before]
+                continue
+            age = max(time_s - last_seen_s[path, before], MIN_STEP_S)
+            blend = 1 - exp(-age / VELOCITY_TIME_S)
+            for d in range(2):
+                measured = (points[source, d] - path_points[path, before, d]) / age
+                new_points[state, j, d] = points[source, d]
+                new_velocity[state, j, d] = velocity[path, before, d] + blend * (measured - velocity[path, before, d])
+                if not age < MAX_VELOCITY_GAP_S:
+                    new_velocity[state, j, d] = 0.0
+            new_last_seen_s[state, j] = time_s
+    for state in range(STATES):
+        cost[state] -= least
+    return arrays
+
+
+def exchange_sides(Stack points, Rows weight, const unsigned char[:, ::1] is_part_swapped, Indices mirror, Indices part):
+    """Return points (F, J, 2) and weights (F, J) with left and right of some parts (F, 3) exchanged."""
+    cdef Py_ssize_t frame, j, source
+    arrays = np.empty((weight.shape[0], weight.shape[1], 2)), np.empty((weight.shape[0], weight.shape[1]))
+    cdef double[:, :, ::1] out = arrays[0]
+    cdef double[:, ::1] out_weight = arrays[1]
+    for frame in range(weight.shape[0]):
+        for j in range(weight.shape[1]):
+            source = mirror[j] if part[j] >= 0 and is_part_swapped[frame, part[j]] else j
+            out[frame, j, 0], out[frame, j, 1] = points[frame, source, 0], points[frame, source, 1]
+            out_weight[frame, j] = weight[frame, source]
+    return arrays
