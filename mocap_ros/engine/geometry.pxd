@@ -1,5 +1,6 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
+# cython: cdivision=True
 
 """Rotations, rays and lens distortion of single points, for the other modules of the engine.
 

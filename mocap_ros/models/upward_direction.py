@@ -27,6 +27,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.engine import vertical as engine
 from mocap_ros.skeleton import CMU15
 
 Array = NDArray[np.float64]
@@ -60,9 +61,8 @@ def _share_masses() -> Array:
 
 MASSES = _share_masses()  # (J,) of all joints of `CMU15`
 _NECK, _PELVIS = (CMU15.joints.index(name) for name in ('neck', 'pelvis'))
-_LSHOULDER, _RSHOULDER = (CMU15.joints.index(name) for name in ('lshoulder', 'rshoulder'))
-_LHIP, _LKNEE, _LANKLE = (CMU15.joints.index('l' + name) for name in ('hip', 'knee', 'ankle'))
-_RHIP, _RKNEE, _RANKLE = (CMU15.joints.index('r' + name) for name in ('hip', 'knee', 'ankle'))
+# (2, 4) indices of the joints of the left and of the right side
+_SIDES = np.array([[CMU15.joints.index(s + n) for n in ('shoulder', 'hip', 'knee', 'ankle')] for s in 'lr'])
 
 
 def find_upward(joints: Array) -> Array:
@@ -70,28 +70,13 @@ def find_upward(joints: Array) -> Array:
 
     The joints, in any unit, are those of `CMU15` or of `BODY26`; NaN gives NaN.
     """
-    legs = joints[:, [_LHIP, _LKNEE, _RHIP, _RKNEE]] - joints[:, [_LKNEE, _LANKLE, _RKNEE, _RANKLE]]
-    trunk = joints[:, [_NECK]] - joints[:, [_PELVIS]]
-    size = np.linalg.norm(np.concatenate([trunk, legs / 2], axis=1), axis=2).sum(axis=1, keepdims=True)
-    feet = (joints[:, _LANKLE] + joints[:, _RANKLE]) / 2
-    weighted = MASSES[:, None, None] * joints[:, : len(MASSES)].swapaxes(0, 1)
-    lever = np.concatenate([-feet[None], weighted]).sum(axis=0)
-    across = joints[:, _LHIP] - joints[:, _RHIP] + joints[:, _LSHOULDER] - joints[:, _RSHOULDER]
-    ahead = np.cross(across, lever)
-    upward = lever - SUPPORT_AHEAD * size / _measure_length(ahead) * ahead
-    return np.asarray(upward / _measure_length(upward))
-
-
-def _measure_length(vectors: Array) -> Array:
-    return np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), MIN_LENGTH)
+    poses = np.ascontiguousarray(joints)
+    return engine.find_upward(poses, MASSES, _SIDES, _NECK, _PELVIS, SUPPORT_AHEAD, MIN_LENGTH)
 
 
 def find_standing(joints: Array) -> Array:
     """Return the shares (N,) to which poses stand: 1 with a straight hip, 0 if both are bent as on a chair."""
-    trunk = joints[:, None, _NECK] - joints[:, None, _PELVIS]
-    thighs = joints[:, [_LHIP, _RHIP]] - joints[:, [_LKNEE, _RKNEE]]
-    lengths = np.linalg.norm(trunk, axis=-1) * np.linalg.norm(thighs, axis=-1)
-    cosines = (trunk * thighs).sum(axis=-1) / np.maximum(lengths, MIN_LENGTH)
-    flexion_deg = np.degrees(np.arccos(cosines.max(axis=1).clip(-1, 1)))
+    cosines = engine.find_hip_cosines(np.ascontiguousarray(joints), _SIDES, _NECK, _PELVIS, MIN_LENGTH)
+    flexion_deg = np.degrees(np.arccos(cosines.clip(-1, 1)))
     share = (SEATED_FLEXION_DEG - flexion_deg) / (SEATED_FLEXION_DEG - STANDING_FLEXION_DEG)
     return np.asarray(share.clip(0, 1))

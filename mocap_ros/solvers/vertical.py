@@ -35,11 +35,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, FLOATS_3D, INPUT_1D, INPUT_2D, INPUT_3D, kernel
 from mocap_ros.config import TrackerConfig
+from mocap_ros.engine import vertical as engine
 from mocap_ros.errors import ConfigError
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.upward_direction import find_standing, find_upward
@@ -54,15 +53,9 @@ AUTO, NONE = 'auto', 'none'  # values of `tracker.vertical` besides three number
 MEMORY_S = 20.0  # s; T: long for people who turn about, short enough for a camera that is moved
 DIRECTION_STD_DEG = 8.0  # S: of the direction that a lifted pose tells
 CORRELATION_S = 4.0  # s; C: means over so long still differ by almost as much as those of single frames
-OUTLIER_DEG = 10.0  # A: who lies or tumbles does not tell the vertical
-MIN_STANDING = 0.02  # 1; P: where nobody stands at all, a vertical is better than none
 MAX_STD_DEG = 25.0  # of a vertical of which next to nothing is known: that of people who sit all the time
-LEAN_PER_DEPTH = 0.36  # 1; KAPPA: share of the depths' errors that is a lean of the whole body
-BALANCE_STD_DEG = 6.0  # s_u
-MAX_TURN_DEG = 20.0  # B: a larger angle is rather a person who does not stand
 GIVEN_STD_DEG = 1.0  # s_v of a vertical that is given: that of a spirit level or an accelerometer at rest
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for
-ROBUST_ROUNDS = 4  # rounds of weights and means of a whole sequence; more change nothing
 UNIT_TOLERANCE = 0.01  # 1; difference of a given direction's length from 1 that rounding may cause
 
 
@@ -114,11 +107,11 @@ class Vertical:
             return self
         age_s = (stamp_ns - self.stamp_ns) / NS_PER_S
         faded = math.exp(-age_s / MEMORY_S)
-        kept = self.direction * (faded * self.weight)
-        direction, weight, seconds = _advance(
-            self.direction, kept, min(age_s, MAX_STEP_S), np.ascontiguousarray(upward), standing
+        kept, step_s = faded * self.weight, min(age_s, MAX_STEP_S)
+        direction, weight, seconds = engine.add_frame(
+            self.direction, kept, step_s, np.ascontiguousarray(upward), standing
         )
-        return Vertical(direction, faded * self.seconds + seconds, stamp_ns, faded * self.weight + weight)
+        return Vertical(direction, faded * self.seconds + seconds, stamp_ns, kept + weight)
 
     def forget(self) -> Vertical | None:
         """Return what is left when the camera may have changed: a vertical that was given."""
@@ -169,13 +162,14 @@ def turn_towards_vertical(lifted: LiftedPoses, vertical: Array, std: Array) -> L
         vertical: (F, 3) vertical in the same axes.
         std: (F,) rad, standard deviation of the vertical.
     """
-    joints = _turn(
+    joints = engine.turn_poses(
         np.ascontiguousarray(lifted.joints),
         np.ascontiguousarray(lifted.std),
         find_upward(lifted.joints),
         np.ascontiguousarray(vertical),
         np.ascontiguousarray(std),
         find_standing(lifted.joints),
+        CORE_COUNT,
     )
     return LiftedPoses(joints, lifted.std)
 
@@ -199,107 +193,6 @@ def find_vertical(times: Array, upward: Array, standing: Array) -> tuple[Array, 
     steps[-1] = steps[-2] if len(steps) > 1 else MAX_STEP_S
     weight = np.where(known, np.maximum(steps, 1e-9), 0.0)
     shares = np.where(known, standing, 0.0)
-    directions, seconds = _find(times, np.where(known[:, None], upward, 0.0), weight, shares)
+    directions, seconds = engine.find_sequence(times, np.where(known[:, None], upward, 0.0), weight, shares)
     std_deg = DIRECTION_STD_DEG * np.sqrt(CORRELATION_S / np.maximum(seconds, 1e-9))
     return directions, np.radians(np.minimum(std_deg, MAX_STD_DEG))
-
-
-@kernel(FLOAT(FLOATS_1D, INPUT_2D, types.int64))
-def _discount(direction: Array, upward: Array, row: int) -> float:
-    """Return 1 / (1 + (angle / A)^2) of the angle between a direction (3,) and a row of others (N, 3)."""
-    cosine = direction[0] * upward[row, 0] + direction[1] * upward[row, 1] + direction[2] * upward[row, 2]
-    angle = math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
-    return 1 / (1 + (angle / OUTLIER_DEG) ** 2)
-
-
-@kernel(types.Tuple((FLOATS_1D, FLOAT, FLOAT))(INPUT_1D, INPUT_1D, FLOAT, INPUT_2D, INPUT_1D))
-def _advance(
-    direction: Array, kept: Array, step: float, upward: Array, standing: Array
-) -> tuple[Array, float, float]:
-    """Return the new direction (3,), and what the new frame adds to the weight and the seconds.
-
-    Args:
-        direction: (3,) of the frame before.
-        kept: (3,) s, the direction times the weight that it has now.
-        step: s, time that the new frame stands for.
-        upward: (P, 3) directions of the new frame.
-        standing: (P,) shares to which these people stand.
-    """
-    old, out, total, seconds = direction.copy(), kept.copy(), 0.0, 0.0
-    for p in range(len(upward)):
-        discounted = step * _discount(old, upward, p)
-        if not (discounted >= 0 and standing[p] >= 0):  # not known
-            continue
-        weight = discounted * max(standing[p], MIN_STANDING)
-        total += weight
-        seconds += discounted * standing[p]
-        for i in range(3):
-            out[i] += weight * upward[p, i]
-    norm = math.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2)
-    return (out / norm if norm > 0 else old), total, seconds
-
-
-@kernel(types.Tuple((FLOATS_2D, FLOATS_1D))(INPUT_1D, INPUT_2D, INPUT_1D, INPUT_1D))
-def _find(times: Array, upward: Array, weight: Array, standing: Array) -> tuple[Array, Array]:
-    """Return the directions (F, 3) and their seconds (F,) of a whole sequence.
-
-    Args:
-        times: (F,) s.
-        upward: (F, 3) directions that poses tell.
-        weight: (F,) s, time that each frame stands for; 0 where it tells nothing.
-        standing: (F,) shares to which the poses stand.
-    """
-    frames = len(times)
-    directions, seconds, robust = np.empty((frames, 3)), np.empty(frames), weight.copy()
-    total = np.zeros(4)
-    for _ in range(ROBUST_ROUNDS):
-        total[:] = 0.0
-        for t in range(frames):  # frames before t and itself
-            if t > 0:
-                total *= math.exp((times[t - 1] - times[t]) / MEMORY_S)
-            total[3] += standing[t] * robust[t]
-            for i in range(3):
-                total[i] += max(standing[t], MIN_STANDING) * robust[t] * upward[t, i]
-                directions[t, i] = total[i]
-            seconds[t] = total[3]
-        total[:] = 0.0
-        for t in range(frames - 2, -1, -1):  # frames after t
-            total[3] += standing[t + 1] * robust[t + 1]
-            for i in range(3):
-                total[i] += max(standing[t + 1], MIN_STANDING) * robust[t + 1] * upward[t + 1, i]
-            total *= math.exp((times[t] - times[t + 1]) / MEMORY_S)
-            for i in range(3):
-                directions[t, i] += total[i]
-            seconds[t] += total[3]
-        for t in range(frames):
-            norm = math.sqrt(directions[t, 0] ** 2 + directions[t, 1] ** 2 + directions[t, 2] ** 2)
-            for i in range(3):
-                directions[t, i] /= max(norm, 1e-300)
-            robust[t] = weight[t] * _discount(directions[t], upward, t)
-    return directions, seconds
-
-
-@kernel(FLOATS_3D(INPUT_3D, INPUT_3D, INPUT_2D, INPUT_2D, INPUT_1D, INPUT_1D))
-def _turn(
-    joints: Array, std: Array, upward: Array, vertical: Array, vertical_std: Array, standing: Array
-) -> Array:
-    """Compute `turn_towards_vertical`: joints and std (F, J, 3), upward and vertical (F, 3), the others (F,)."""
-    out = joints.copy()
-    count = joints.shape[1]
-    for t in range(len(joints)):
-        u, v = upward[t], vertical[t]
-        angle = math.atan2(u[1] * v[2] - u[2] * v[1], u[1] * v[1] + u[2] * v[2])
-        spread = radius = 0.0
-        for j in range(CORE_COUNT):
-            spread += std[t, j, 2] ** 2
-            radius += joints[t, j, 1] ** 2 + joints[t, j, 2] ** 2
-        lean = LEAN_PER_DEPTH**2 * spread / max(radius, 1e-300)
-        share = standing[t] * lean / (lean + math.radians(BALANCE_STD_DEG) ** 2 + vertical_std[t] ** 2)
-        turn = share * angle / (1 + (angle / math.radians(MAX_TURN_DEG)) ** 2)
-        if not math.isfinite(turn):
-            continue
-        cosine, sine = math.cos(turn), math.sin(turn)
-        for j in range(count):
-            out[t, j, 1] = cosine * joints[t, j, 1] - sine * joints[t, j, 2]
-            out[t, j, 2] = sine * joints[t, j, 1] + cosine * joints[t, j, 2]
-    return out

@@ -15,42 +15,30 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from mocap_ros.compiled.kernel import compile_kernels
-from mocap_ros.skeleton import CMU15
-from mocap_ros.solvers.body_segments import (
-    FOOT_REST,
-    HAND_REST,
-    HEAD_REST,
-    PART_SEGMENTS,
-    SEGMENT_COUNT,
-    write_core_segments,
-    write_orientations,
-    write_quaternions,
-)
+from mocap_ros.skeleton import BODY26, CMU15
+from mocap_ros.solvers.body_segments import FOOT_REST, HAND_REST, HEAD_REST, PART_SEGMENTS, SEGMENT_COUNT
+from mocap_ros.solvers.extremities import TEMPLATE, ExtremityEvidence, ExtremityState, attach
 from tests.support.upright_body import UPRIGHT
 
 Array = NDArray[np.float64]
 
 STEP_S = 1 / 30
+# from the body's axes to the optical frame of a camera that the body faces
+FACING = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 
 
-@pytest.fixture(scope='module', autouse=True)
-def compiled() -> None:
-    compile_kernels()
-
-
-def follow(poses: Array) -> tuple[Array, Array]:
-    """Return the segments (F, 15, 3, 3) and the turns of the limbs (F, 4, 3) of poses (F, 15, 3)."""
-    segments, twist = np.tile(np.eye(3), (SEGMENT_COUNT, 1, 1)), np.zeros((4, 3))
-    found = []
-    for frame, pose in enumerate(poses):
-        write_core_segments(segments, twist, np.ascontiguousarray(pose), STEP_S if frame else math.inf)
-        found.append((segments.copy(), twist.copy()))
-    return tuple(map(np.array, zip(*found, strict=True)))  # type: ignore[return-value]
+def follow(poses: Array) -> list[ExtremityState]:
+    """Return the states of a body of which the core (F, 15, 3) alone is known."""
+    evidence = [ExtremityEvidence.without_image(pose) for pose in poses]
+    states = [ExtremityState.begin(evidence[0], 1.75)]
+    for known in evidence[1:]:
+        states.append(states[-1].advance(STEP_S, known, 1.75))
+    return states
 
 
 def find_segments(poses: Array) -> Array:
-    return follow(poses)[0]
+    """Return the segments (F, 15, 3, 3) as the core has them."""
+    return np.array([state.read('segments') for state in follow(poses)])
 
 
 def at(name: str) -> int:
@@ -106,29 +94,33 @@ def test_any_pose_gives_rotations(poses: Array) -> None:
 
 
 def test_feet_turn_straight_legs_and_unseen_limbs_are_flagged() -> None:
-    segments, twist = (a[0] for a in follow(UPRIGHT[None]))
-    out_turned = Rotation.from_rotvec([0, 0, math.radians(30)]).as_matrix()
-    parts = np.tile(out_turned, (5, 1, 1))
-    out, told = np.empty_like(segments), np.empty(SEGMENT_COUNT, bool)
-    is_part_told, seen = np.array([True, True, False, False, False]), np.ones(SEGMENT_COUNT, bool)
-    seen[at('lshoulder')] = False
-    write_orientations(out, told, segments, twist, parts, is_part_told, seen)
-    heading = Rotation.from_matrix(out[at('lknee')]).as_rotvec(degrees=True)
-    assert heading == pytest.approx([0, 0, heading[2]], abs=1e-9)
-    assert 15 < heading[2] < 30  # between the pelvis and the foot
-    assert out[at('head')] == pytest.approx(out_turned)
-    names = {name for name, is_told in zip(CMU15.joints, told, strict=True) if is_told}
-    assert names == {'head', 'pelvis', 'lankle', 'lknee', 'lhip'}
+    upright = UPRIGHT @ FACING.T + [0.0, 0.8, 4.0]
+    out_turned = Rotation.from_rotvec([0, 0, math.radians(20)]).as_matrix()
+    joints = attach(upright, 1.75 * TEMPLATE @ (FACING @ out_turned).T)
+    weight = np.ones(len(BODY26.joints))
+    weight[[BODY26.index(n) for n in ('lshoulder', 'ltoe', 'lheel', 'lhand', 'rhand')]] = 0
+    unknown = np.full(joints.shape, np.nan)
+    evidence = ExtremityEvidence(upright, unknown, unknown, joints[:, :2] / joints[:, 2:], weight, 0.003)
+    state = ExtremityState.begin(evidence, 1.75)
+    for _ in range(60):
+        state = state.advance(STEP_S, evidence, 1.75)
+    turns = FACING.T @ Rotation.from_quat(state.quaternions).as_matrix()
+    heading = np.degrees(Rotation.from_matrix(turns).as_rotvec())[:, 2]
+    assert 5 < heading[at('rknee')] < heading[at('rankle')]  # between the pelvis and the foot
+    assert abs(heading[at('lknee')]) < 5
+    names = {name for name, is_told in zip(CMU15.joints, state.is_turn_told, strict=True) if is_told}
+    assert names == {'head', 'pelvis', 'rankle', 'rknee', 'rhip'}
 
 
 @given(st.integers(0, 2**32 - 1))
 def test_quaternions_of_a_motion_do_not_jump(seed: int) -> None:
-    axes = np.random.default_rng(seed).normal(size=(4, 3))
-    turns = [Rotation.from_rotvec(0.3 * frame * axes) for frame in range(60)]
-    quaternions, before = np.zeros((4, 4)), None
-    for turn in turns:
-        write_quaternions(quaternions, turn.as_matrix())
-        assert Rotation.from_quat(quaternions).as_matrix() == pytest.approx(turn.as_matrix(), abs=1e-9)
-        assert before is None or (np.abs(quaternions - before) < 0.9).all()
-        assert before is not None or (quaternions[:, 3] >= 0).all()
-        before = quaternions.copy()
+    axis = np.random.default_rng(seed).normal(size=3)
+    poses = [Rotation.from_rotvec(0.2 * frame * axis).apply(UPRIGHT) for frame in range(60)]
+    states = follow(np.array(poses))
+    quaternions = np.array([state.quaternions for state in states])
+    segments = np.array([state.read('segments') for state in states])
+    core = [at(name) for name in ('pelvis', 'neck', 'lshoulder', 'relbow')]
+    found = Rotation.from_quat(quaternions[:, core].reshape(-1, 4)).as_matrix()
+    assert found == pytest.approx(segments[:, core].reshape(-1, 3, 3), abs=1e-9)
+    assert (quaternions[0, :, 3] >= 0).all()
+    assert (np.abs(np.diff(quaternions[:, core], axis=0)) < 0.9).all()

@@ -177,9 +177,9 @@ def test_poses_are_turned_about_the_horizontal_axis_by_the_share_of_the_formula(
     turned = turn_towards_vertical(lifted, np.array(vertical), np.full(4, 0.03))
     for pose, std, angle, result in zip(lifted.joints, lifted.std, angles, turned.joints, strict=True):
         radius = math.sqrt((pose[:, 1:] ** 2).sum() / 15)
-        lean = module.LEAN_PER_DEPTH * math.sqrt((std[:, 2] ** 2).mean()) / radius
-        share = lean**2 / (lean**2 + math.radians(module.BALANCE_STD_DEG) ** 2 + 0.03**2)
-        turn = share * angle / (1 + (angle / math.radians(module.MAX_TURN_DEG)) ** 2)
+        lean = 0.36 * math.sqrt((std[:, 2] ** 2).mean()) / radius
+        share = lean**2 / (lean**2 + math.radians(6.0) ** 2 + 0.03**2)
+        turn = share * angle / (1 + (angle / math.radians(20.0)) ** 2)
         assert result == pytest.approx(Rotation.from_rotvec([turn, 0, 0]).apply(pose), abs=1e-12)
     assert turned.std is lifted.std
 

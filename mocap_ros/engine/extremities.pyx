@@ -1,0 +1,698 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+
+"""Orientations of the segments of a body, and face, feet and hands as rigid parts that hang on its core.
+
+The formulas of segments are in `solvers.body_segments`, those of parts in `solvers.extremities`. Matrices are 9
+numbers in the order of their rows. Sizes: 15 core joints and segments, 4 limbs, 5 parts, 11 points of these, 3 sizes.
+"""
+
+from libc.math cimport INFINITY, exp, isfinite, sqrt
+from libc.string cimport memcpy, memset
+
+import numpy as np
+
+from mocap_ros.engine.geometry cimport dot, multiply, multiply_transposed, rotation_from_vector, vector_from_rotation
+
+cdef extern from *:
+    """
+    #define MIN_LENGTH_M 1e-6      /* far under any bone, guards divisions */
+    #define WEAK_SINE 0.2          /* W; sine of 12 degrees, by which a bent joint differs from a straight, noisy one */
+    #define REST_SINE 0.15         /* D; weight of the direction without evidence: that of a limb bent by 9 degrees */
+    #define FOOT_SINE 0.3          /* D_f; weight of the foot: that of a knee bent by 17 degrees */
+    #define KNOWN_SINE 0.3         /* |v| from which the bend of a limb says how it is turned, and not its rest */
+    #define LIMB_MEMORY_S 0.3      /* T; so long a straight limb keeps the direction that it had when it was bent */
+    #define LIFTED_MEMORY_S 0.1    /* T of the lifter's errors; more would leave turning heads and stepping feet behind */
+    #define IMAGE_MEMORY_S 1.0     /* T of the detector's errors, most of which last for a whole sequence */
+    #define SHIFT_STD_M 0.05       /* s: std of a core joint's error and of a detector's idea of it */
+    #define RAY_STD_M 0.03         /* at the body; error of a seen point besides the image noise: detectors' offsets */
+    #define ROBUST_STDS 2.5        /* standard deviations from which an image point counts less */
+    #define STEPS 2                /* of Gauss and Newton; a third changes directions by less than 0.1 degrees */
+    #define MAX_STEP_RAD 0.5       /* a longer step would leave the range in which the linearisation holds */
+    #define MIN_DEPTH_M 0.1        /* a nearer point has no image */
+    #define MIN_ANGLE 1e-9         /* rad; guards a division */
+    #define MIN_PIVOT 1e-12        /* guards the square roots of a Cholesky factorisation against rounding */
+    #define MAX_SIZE_STDS 5.0      /* of people's sizes; there is no such face, foot or hand */
+    #define SIZE_MEMORY_S 60.0     /* a person's size does not change, but the detector may */
+    #define MAX_TURN_STD_RAD 0.4363323129985824 /* 25 degrees; a turn that is known no better counts as unknown */
+    #define VELOCITY_MEMORY_S 0.1  /* over which the velocity of a point about its anchor is averaged */
+    """
+    const double MIN_LENGTH_M, WEAK_SINE, REST_SINE, FOOT_SINE, KNOWN_SINE, LIMB_MEMORY_S, LIFTED_MEMORY_S
+    const double IMAGE_MEMORY_S, SHIFT_STD_M, RAY_STD_M, ROBUST_STDS, MAX_STEP_RAD, MIN_DEPTH_M, MIN_ANGLE, MIN_PIVOT
+    const double MAX_SIZE_STDS, SIZE_MEMORY_S, MAX_TURN_STD_RAD, VELOCITY_MEMORY_S
+    const int STEPS
+
+cdef enum:
+    CORE = 15
+    LIMBS = 4
+    PARTS = 5
+    POINTS = 11
+    SIZES = 3
+
+ctypedef const double[::1] Vector
+ctypedef const double[:, ::1] Rows
+ctypedef const double[:, :, ::1] Stack
+
+cdef struct State:  # of a person in a frame, the fields of `solvers.extremities.STATE`
+    double segments[CORE][9]
+    double twist[LIMBS][3]
+    double turns[PARTS][9]
+    double covariances[PARTS][9]
+    double sizes[SIZES][2]
+    double offsets[POINTS][3]
+    double offset_std[POINTS]
+    double velocity[POINTS][3]
+    double quaternions[CORE][4]
+    double is_turn_known[CORE]
+
+
+cdef struct Evidence:  # of a frame, the attributes of `ExtremityEvidence`, and the stature
+    const double* core
+    const double* lifted
+    const double* lifted_std
+    const double* rays
+    const double* weight
+    double noise, stature
+
+
+cdef struct Sums:  # halves of the derivatives of a sum of squares by turn, displacement and size of a part
+    double hessian[7][7]
+    double gradient[7]
+
+
+cdef void write_axes(const double* left, const double* up, double* out) noexcept nogil:
+    """Write the axes forward, left and up, in columns, of two vectors; `out` stays where they are parallel."""
+    cdef double[3] x
+    cdef double up_length = sqrt(dot(up, up)), length
+    cdef int i
+    cross(left, up, x)
+    length = sqrt(dot(x, x))
+    if not length > MIN_LENGTH_M * MIN_LENGTH_M or not up_length > MIN_LENGTH_M:
+        return
+    for i in range(3):
+        out[3 * i], out[3 * i + 2] = x[i] / length, up[i] / up_length
+    for i in range(3):
+        out[3 * i + 1] = (
+            out[3 * ((i + 1) % 3) + 2] * out[3 * ((i + 2) % 3)] - out[3 * ((i + 2) % 3) + 2] * out[3 * ((i + 1) % 3)]
+        )
+
+
+cdef inline void cross(const double* a, const double* b, double* out) noexcept nogil:
+    out[0], out[1], out[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+cdef inline void subtract(const double* a, const double* b, double* out) noexcept nogil:
+    out[0], out[1], out[2] = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+cdef inline void transform(const double* matrix, const double* vector, double* out) noexcept nogil:
+    out[0], out[1], out[2] = dot(matrix, vector), dot(matrix + 3, vector), dot(matrix + 6, vector)
+
+
+cdef inline void find_unit(const double* a, const double* b, double* out) noexcept nogil:
+    """Write the direction from a to b."""
+    cdef double length
+    subtract(b, a, out)
+    length = max(sqrt(dot(out, out)), MIN_LENGTH_M)
+    out[0], out[1], out[2] = out[0] / length, out[1] / length, out[2] / length
+
+
+cdef inline void column(const double* matrix, int index, double sign, double* out) noexcept nogil:
+    out[0], out[1], out[2] = sign * matrix[index], sign * matrix[3 + index], sign * matrix[6 + index]
+
+
+cdef void swing(const double* direction, const double* parent, double* out) noexcept nogil:
+    """Write f y_s of a limb: the parent's y, swung by the smallest rotation from its -z to the limb's direction.
+
+    With the axis a = r x d of the rotation and the cosine c = r . d, R y = c y + a x y + (a . y) a / (1 + c); and
+    with f = (1 + c) / 2 nothing is divided by 0.
+    """
+    cdef double[3] rest, left, axis, turned
+    cdef double cosine
+    cdef int i
+    column(parent, 2, -1.0, rest)
+    column(parent, 1, 1.0, left)
+    cross(rest, direction, axis)
+    cross(axis, left, turned)
+    cosine = dot(rest, direction)
+    for i in range(3):
+        out[i] = (1 + cosine) / 2 * (cosine * left[i] + turned[i]) + dot(axis, left) * axis[i] / 2
+
+
+cdef void write_quaternion(const double* r, double* out) noexcept nogil:
+    """Write the unit quaternion x, y, z, w of a rotation by Shepperd's method: of the two, that nearer to `out`.
+
+    Where `out` holds zeros, it is the one with w >= 0. So the quaternions of a motion do not jump.
+    """
+    cdef double[4] q
+    cdef double trace = r[0] + r[4] + r[8], length, along
+    cdef int i, j, k
+    if trace >= max(r[0], max(r[4], r[8])):
+        q[0], q[1], q[2], q[3] = r[7] - r[5], r[2] - r[6], r[3] - r[1], 1 + trace
+    else:
+        i = 0 if r[0] >= max(r[4], r[8]) else 1 if r[4] >= r[8] else 2
+        j, k = (i + 1) % 3, (i + 2) % 3
+        q[i], q[3] = 1 + 2 * r[4 * i] - trace, r[3 * k + j] - r[3 * j + k]
+        q[j], q[k] = r[3 * i + j] + r[3 * j + i], r[3 * i + k] + r[3 * k + i]
+    length = sqrt(dot(q, q) + q[3] * q[3])
+    along = dot(out, q) + out[3] * q[3]
+    if along < 0 or (along == 0 and q[3] < 0):
+        length = -length
+    for i in range(4):
+        out[i] = q[i] / length
+
+
+cdef void invert(double* matrix, int n, double* out) noexcept nogil:
+    """Write the inverse of a positive definite matrix (n, n), which is overwritten, by Cholesky's method."""
+    cdef int i, j, k, c
+    cdef double rest
+    for i in range(n):
+        for j in range(i + 1):
+            rest = matrix[n * i + j]
+            for k in range(j):
+                rest -= matrix[n * i + k] * matrix[n * j + k]
+            matrix[n * i + j] = sqrt(max(rest, MIN_PIVOT)) if i == j else rest / matrix[n * j + j]
+    for c in range(n):
+        for i in range(n):
+            rest = 1.0 if i == c else 0.0
+            for k in range(i):
+                rest -= matrix[n * i + k] * out[n * k + c]
+            out[n * i + c] = rest / matrix[n * i + i]
+        for i in range(n - 1, -1, -1):
+            rest = out[n * i + c]
+            for k in range(i + 1, n):
+                rest -= matrix[n * k + i] * out[n * k + c]
+            out[n * i + c] = rest / matrix[n * i + i]
+
+
+cdef void write_arm(const double* template, const double* turn, double size, double* arm, double[3][7] slopes) noexcept nogil:
+    """Write the offset of a point from its anchor, and its derivatives by d, t (0: it is not displaced) and b."""
+    cdef int i
+    transform(turn, template, arm)
+    memset(slopes, 0, 21 * sizeof(double))
+    for i in range(3):
+        arm[i] *= size
+        slopes[i][6] = arm[i]
+    slopes[0][1], slopes[0][2] = arm[2], -arm[1]
+    slopes[1][0], slopes[1][2] = -arm[2], arm[0]
+    slopes[2][0], slopes[2][1] = arm[1], -arm[0]
+
+
+cdef void add_lifted(
+    Sums* sums, const double[3][7] slopes, const double* error, const double* sight, double across, double along
+) noexcept nogil:
+    """Add the squared distance of a point from the lifted one: `error` m apart, across and along the line of sight."""
+    cdef int a, b
+    cdef double in_depth = dot(sight, error)
+    cdef double[7] depth_slopes
+    for a in range(7):
+        depth_slopes[a] = sight[0] * slopes[0][a] + sight[1] * slopes[1][a] + sight[2] * slopes[2][a]
+    for a in range(7):
+        sums.gradient[a] += (
+            across * (slopes[0][a] * error[0] + slopes[1][a] * error[1] + slopes[2][a] * error[2])
+            + (along - across) * depth_slopes[a] * in_depth
+        )
+        for b in range(7):
+            sums.hessian[a][b] += (
+                across * (slopes[0][a] * slopes[0][b] + slopes[1][a] * slopes[1][b] + slopes[2][a] * slopes[2][b])
+                + (along - across) * depth_slopes[a] * depth_slopes[b]
+            )
+
+
+cdef void add_ray(
+    Sums* sums, const double[3][7] slopes, const double* point, const double* ray, double variance, double share
+) noexcept nogil:
+    """Add the robust distance of a point's image from a ray; variance in m^2 at the body."""
+    cdef int a, b
+    cdef double u = point[0] / point[2], v = point[1] / point[2]
+    cdef double error_x = (u - ray[0]) * point[2], error_y = (v - ray[1]) * point[2], information
+    cdef double[7] x, y
+    information = (error_x * error_x + error_y * error_y) / variance
+    information = share / (variance * (1 + information / (ROBUST_STDS * ROBUST_STDS)))
+    for a in range(7):
+        x[a], y[a] = slopes[0][a] - u * slopes[2][a], slopes[1][a] - v * slopes[2][a]
+    for a in range(7):
+        sums.gradient[a] += information * (x[a] * error_x + y[a] * error_y)
+        for b in range(7):
+            sums.hessian[a][b] += information * (x[a] * x[b] + y[a] * y[b])
+
+
+cdef void add_seen(
+    Sums* sums, double[3][7] slopes, double* point, const double* origin, const double* shift, const double* ray,
+    double weight, double noise, double share,
+) noexcept nogil:
+    """Add what the image says of a displaced point, if it was seen and is in front of the camera.
+
+    The offset `point` from its anchor `origin` and the derivatives are overwritten by those of its place.
+    """
+    cdef int i
+    for i in range(3):
+        point[i] += origin[i] + shift[i]
+        slopes[i][3 + i] = 1.0
+    if weight > 0 and point[2] > MIN_DEPTH_M:
+        add_ray(sums, slopes, point, ray, (noise * noise + RAY_STD_M * RAY_STD_M) / weight, share)
+
+
+cdef void take_step(Sums* sums, double* turn, double* turned, double* shift, double* inverse) noexcept nogil:
+    """Take a step of Gauss and Newton: R, d and t are changed; write the covariance (6, 6) of d and t."""
+    cdef int i, j
+    cdef double[36] factor
+    cdef double[6] step
+    cdef double[3] vector
+    cdef double[9] rotation, old
+    cdef double length
+    for i in range(6):
+        memcpy(&factor[6 * i], sums.hessian[i], 6 * sizeof(double))
+    invert(factor, 6, inverse)
+    for i in range(6):
+        step[i] = 0
+        for j in range(6):
+            step[i] -= inverse[6 * i + j] * sums.gradient[j]
+    length = min(1.0, MAX_STEP_RAD / max(sqrt(dot(step, step)), MIN_ANGLE))
+    for i in range(3):
+        vector[i] = step[i] * length
+        turned[i] += vector[i]
+        shift[i] += step[3 + i]
+    rotation_from_vector(vector, rotation)
+    memcpy(old, turn, sizeof(old))
+    multiply(rotation, old, turn)
+
+
+cdef void add_estimate(
+    double* information, double* pull, const double* own, const double* other, const double* added, double sign
+) noexcept nogil:
+    """Add the estimate of a rotation and its information to what is known (sign 1), or take it away (-1).
+
+    `pull` is the information times the rotation vectors from `own`, about which everything is linearised.
+    """
+    cdef double[9] relative
+    cdef double[3] vector, weighed
+    cdef int i
+    multiply_transposed(other, own, relative)
+    vector_from_rotation(relative, vector)
+    transform(added, vector, weighed)
+    for i in range(9):
+        information[i] += sign * added[i]
+    for i in range(3):
+        pull[i] += sign * weighed[i]
+
+
+cdef class Body:
+    """How segments and parts hang together; what the arguments are is said in `body_segments` and `extremities`."""
+
+    cdef Py_ssize_t head, neck, pelvis, lshoulder, rshoulder, lhip, rhip
+    cdef Py_ssize_t[LIMBS][4] limbs
+    cdef Py_ssize_t[PARTS] part_segments, size_of, point_counts
+    cdef Py_ssize_t[POINTS] part_of
+    cdef double[LIMBS] bends
+    cdef double[9] head_rest
+    cdef double[LIMBS][9] end_rest
+    cdef double[POINTS][3] template
+    cdef double[PARTS][3] rest_std
+    cdef double[PARTS] rest_memory_s
+    cdef double[SIZES] size_std
+
+    def __init__(self, joints, limbs, bends, head_rest, end_rest, part_segments, part_of, size_of, template, rest_std,
+                 rest_memory_s, size_std):
+        self.head, self.neck, self.pelvis, self.lshoulder, self.rshoulder, self.lhip, self.rhip = joints
+        self.limbs, self.bends, self.part_segments, self.part_of, self.size_of = (
+            limbs, bends, part_segments, part_of, size_of
+        )
+        self.point_counts = [list(part_of).count(part) for part in range(PARTS)]
+        self.head_rest, self.end_rest = np.ravel(head_rest), [np.ravel(rest) for rest in end_rest]
+        self.template, self.rest_std, self.rest_memory_s, self.size_std = template, rest_std, rest_memory_s, size_std
+
+    cdef void turn_limb(self, State* state, const double* joints, int limb, double step_s) noexcept nogil:
+        """Turn the three segments of a limb; that of its parent is of this frame already."""
+        cdef Py_ssize_t a = self.limbs[limb][0], b = self.limbs[limb][1], c = self.limbs[limb][2]
+        cdef double* parent = state.segments[self.limbs[limb][3]]
+        cdef double* twist = state.twist[limb]
+        cdef double[3] upper, lower, left, bend, column_of
+        cdef double confidence, gain
+        cdef int i
+        find_unit(joints + 3 * a, joints + 3 * b, upper)
+        find_unit(joints + 3 * b, joints + 3 * c, lower)
+        swing(upper, parent, left)
+        cross(upper, lower, bend)
+        for i in range(3):
+            left[i] = self.bends[limb] * bend[i] + REST_SINE * left[i]
+        confidence = dot(left, left)
+        gain = 1 - exp(-step_s * (1 + confidence / (WEAK_SINE * WEAK_SINE)) / LIMB_MEMORY_S)
+        for i in range(3):  # v is kept in the axes of the parent segment, and so turns with it
+            column(parent, i, 1.0, column_of)
+            twist[i] += gain * (dot(column_of, left) - twist[i])
+        transform(parent, twist, left)
+        for i in range(3):
+            upper[i], lower[i] = -upper[i], -lower[i]
+        write_axes(left, upper, state.segments[a])
+        column(state.segments[a], 1, 1.0, left)
+        write_axes(left, lower, state.segments[b])
+        multiply(state.segments[b], self.end_rest[limb], state.segments[c])
+
+    cdef void turn_segments(self, State* state, const double* joints, double step_s) noexcept nogil:
+        """Turn the segments as the core joints (15, 3) say, a time after the frame before."""
+        cdef double[3] left, up
+        cdef double[9] bone
+        cdef int i, limb
+        subtract(joints + 3 * self.lhip, joints + 3 * self.rhip, left)
+        for i in range(3):
+            up[i] = (joints[3 * self.lshoulder + i] + joints[3 * self.rshoulder + i]
+                     - joints[3 * self.lhip + i] - joints[3 * self.rhip + i]) / 2
+        write_axes(left, up, state.segments[self.pelvis])
+        subtract(joints + 3 * self.lshoulder, joints + 3 * self.rshoulder, left)
+        subtract(joints + 3 * self.neck, joints + 3 * self.pelvis, up)
+        write_axes(left, up, state.segments[self.neck])
+        memcpy(bone, state.segments[self.neck], sizeof(bone))
+        column(bone, 1, 1.0, left)
+        subtract(joints + 3 * self.head, joints + 3 * self.neck, up)
+        write_axes(left, up, bone)
+        multiply(bone, self.head_rest, state.segments[self.head])
+        for limb in range(LIMBS):
+            self.turn_limb(state, joints, limb, step_s)
+
+    cdef void write_orientations(self, State* state, const double* weight, const bint* is_part_known) noexcept nogil:
+        """Write the quaternions of all segments, and whether the image says how they are turned about themselves."""
+        cdef double[CORE][9] rotations
+        cdef double[3] left, foot, up
+        cdef Py_ssize_t part, a, b, c, j
+        cdef int limb, i
+        cdef bint known
+        memcpy(rotations, state.segments, sizeof(rotations))
+        memset(state.is_turn_known, 0, sizeof(state.is_turn_known))
+        for part in range(PARTS):
+            memcpy(rotations[self.part_segments[part]], state.turns[part], 9 * sizeof(double))
+            state.is_turn_known[self.part_segments[part]] = is_part_known[part]
+        state.is_turn_known[self.pelvis] = weight[self.lhip] > 0 and weight[self.rhip] > 0
+        state.is_turn_known[self.neck] = weight[self.lshoulder] > 0 and weight[self.rshoulder] > 0
+        for limb in range(LIMBS):
+            a, b, c = self.limbs[limb][0], self.limbs[limb][1], self.limbs[limb][2]
+            known = sqrt(dot(state.twist[limb], state.twist[limb])) >= KNOWN_SINE
+            known = known and weight[a] > 0 and weight[b] > 0 and weight[c] > 0
+            state.is_turn_known[a] = known
+            if limb < 2:
+                continue
+            known = known or (state.is_turn_known[c] > 0 and weight[b] > 0)
+            state.is_turn_known[a] = state.is_turn_known[b] = known
+            column(rotations[c], 1, FOOT_SINE, foot)
+            transform(state.segments[self.limbs[limb][3]], state.twist[limb], left)
+            for i in range(3):
+                left[i] += foot[i]
+            column(state.segments[a], 2, 1.0, up)
+            write_axes(left, up, rotations[a])
+            column(state.segments[b], 2, 1.0, up)
+            write_axes(left, up, rotations[b])
+        for j in range(CORE):
+            write_quaternion(rotations[j], state.quaternions[j])
+
+    cdef void predict_part(self, State* state, Py_ssize_t part, const double* old_rest, double step_s) noexcept nogil:
+        """Move the rotation of a part to the next frame: it returns to where the core has it."""
+        cdef double* turn = state.turns[part]
+        cdef double* covariance = state.covariances[part]
+        cdef double* rest = state.segments[self.part_segments[part]]
+        cdef double[9] relative, moved, product
+        cdef double[3] vector
+        cdef double kept = exp(-step_s / self.rest_memory_s[part]), spread
+        cdef int i, j, k
+        for i in range(3):
+            for j in range(3):
+                relative[3 * i + j] = old_rest[i] * turn[j] + old_rest[3 + i] * turn[3 + j] + old_rest[6 + i] * turn[6 + j]
+        multiply_transposed(rest, old_rest, moved)
+        vector_from_rotation(relative, vector)
+        for i in range(3):
+            vector[i] *= kept
+        rotation_from_vector(vector, relative)
+        multiply(rest, relative, turn)
+        multiply(moved, covariance, product)
+        multiply_transposed(product, moved, covariance)
+        for i in range(3):
+            for j in range(3):
+                spread = 0
+                for k in range(3):
+                    spread += rest[3 * i + k] * self.rest_std[part][k] * self.rest_std[part][k] * rest[3 * j + k]
+                covariance[3 * i + j] = kept * kept * covariance[3 * i + j] + (1 - kept * kept) * spread
+
+    cdef void correct_part(
+        self, State* state, Py_ssize_t part, const Evidence* seen, double step_s, double* size_sums
+    ) noexcept nogil:
+        """Correct the rotation of a part by what a frame says; add its i and -j to the sums (2,)."""
+        cdef Py_ssize_t anchor = self.part_segments[part], p, joint
+        cdef const double* origin = seen.core + 3 * anchor
+        cdef double* turn = state.turns[part]
+        cdef double* covariance = state.covariances[part]
+        cdef double size = seen.stature * exp(state.sizes[self.size_of[part]][0])
+        cdef double lifted_share = min(1.0, step_s / LIFTED_MEMORY_S) / self.point_counts[part]
+        cdef double image_share = min(1.0, step_s / IMAGE_MEMORY_S), distance, information, slope
+        cdef bint has_lifted = isfinite(seen.lifted[3 * anchor])
+        cdef double[9] prior, work
+        cdef double[36] inverse
+        cdef double[3] sight, error, arm, turned = [0, 0, 0], shift = [0, 0, 0]
+        cdef double[3][7] slopes
+        cdef Sums sums
+        cdef int i, j, step
+        distance = max(sqrt(dot(origin, origin)), MIN_DEPTH_M)
+        for i in range(3):
+            sight[i] = origin[i] / distance
+        memcpy(work, covariance, sizeof(work))
+        invert(work, 3, prior)
+        for step in range(STEPS):
+            memset(&sums, 0, sizeof(sums))
+            for i in range(3):
+                for j in range(3):
+                    sums.hessian[i][j] = prior[3 * i + j]
+                    sums.gradient[i] += prior[3 * i + j] * turned[j]
+                sums.hessian[3 + i][3 + i] = 1 / (SHIFT_STD_M * SHIFT_STD_M)
+                sums.gradient[3 + i] = shift[i] / (SHIFT_STD_M * SHIFT_STD_M)
+            for p in range(POINTS):
+                if self.part_of[p] != part:
+                    continue
+                joint = CORE + p
+                write_arm(self.template[p], turn, size, arm, slopes)
+                if has_lifted:
+                    for i in range(3):
+                        error[i] = arm[i] - seen.lifted[3 * joint + i] + seen.lifted[3 * anchor + i]
+                    add_lifted(
+                        &sums, slopes, error, sight, lifted_share / square(seen.lifted_std[3 * joint]),
+                        lifted_share / square(seen.lifted_std[3 * joint + 2]),
+                    )
+                add_seen(&sums, slopes, arm, origin, shift, seen.rays + 2 * joint, seen.weight[joint], seen.noise,
+                         image_share)
+            memset(slopes, 0, sizeof(slopes))
+            arm[0] = arm[1] = arm[2] = 0.0  # the anchor itself was seen, too
+            add_seen(&sums, slopes, arm, origin, shift, seen.rays + 2 * anchor, seen.weight[anchor], seen.noise,
+                     image_share)
+            take_step(&sums, turn, turned, shift, inverse)
+        information, slope = sums.hessian[6][6], sums.gradient[6]
+        for i in range(6):
+            for j in range(6):
+                information -= sums.hessian[6][i] * inverse[6 * i + j] * sums.hessian[j][6]
+                slope -= sums.hessian[6][i] * inverse[6 * i + j] * sums.gradient[j]
+        for i in range(3):
+            memcpy(covariance + 3 * i, inverse + 6 * i, 3 * sizeof(double))
+        size_sums[0] += information
+        size_sums[1] -= slope
+
+    cdef void advance(
+        self, State* state, const Evidence* seen, double step_s, bint is_learning, double* predicted_turns,
+        double* predicted_covariances,
+    ) noexcept nogil:
+        """Advance segments, parts and sizes by a frame; write (5, 9) what was predicted, where that is wanted."""
+        cdef double[CORE][9] old
+        cdef double[SIZES][2] sums
+        cdef Py_ssize_t part, kind
+        cdef double size, limit
+        memset(sums, 0, sizeof(sums))
+        memcpy(old, state.segments, sizeof(old))
+        self.turn_segments(state, seen.core, step_s)
+        for part in range(PARTS):
+            self.predict_part(state, part, old[self.part_segments[part]], step_s)
+            if predicted_turns != NULL:
+                memcpy(predicted_turns + 9 * part, state.turns[part], 9 * sizeof(double))
+                memcpy(predicted_covariances + 9 * part, state.covariances[part], 9 * sizeof(double))
+            self.correct_part(state, part, seen, step_s, sums[self.size_of[part]])
+        if not is_learning:
+            return
+        for kind in range(SIZES):
+            state.sizes[kind][1] *= exp(-min(step_s, SIZE_MEMORY_S) / SIZE_MEMORY_S)
+            state.sizes[kind][1] += sums[kind][0]
+            size = state.sizes[kind][0] + sums[kind][1] / (state.sizes[kind][1] + 1 / square(self.size_std[kind]))
+            limit = MAX_SIZE_STDS * self.size_std[kind]
+            state.sizes[kind][0] = min(max(size, -limit), limit)
+
+    cdef void write_result(self, State* state, const double* weight, double stature) noexcept nogil:
+        """Write what rotations and sizes mean for points, their deviations and the orientations of segments."""
+        cdef bint[PARTS] is_part_known
+        cdef Py_ssize_t p, part, kind
+        cdef double* offset
+        cdef double* covariance
+        cdef double[3] product, axis
+        cdef double size, squared, trace, quadratic
+        memset(is_part_known, 0, sizeof(is_part_known))
+        for p in range(POINTS):
+            part, offset = self.part_of[p], state.offsets[p]
+            kind, covariance = self.size_of[part], state.covariances[part]
+            size = stature * exp(state.sizes[kind][0])
+            transform(state.turns[part], self.template[p], offset)
+            offset[0], offset[1], offset[2] = size * offset[0], size * offset[1], size * offset[2]
+            squared, trace = dot(offset, offset), covariance[0] + covariance[4] + covariance[8]
+            transform(covariance, offset, product)
+            quadratic = dot(offset, product)
+            state.offset_std[p] = sqrt(
+                max(trace * squared - quadratic, 0.0)
+                + squared / (state.sizes[kind][1] + 1 / square(self.size_std[kind]))
+            )
+            column(state.turns[part], 2, 1.0, axis)
+            transform(covariance, axis, product)
+            if weight[CORE + p] > 0 and self.point_counts[part] > 1:
+                is_part_known[part] |= dot(axis, product) < MAX_TURN_STD_RAD * MAX_TURN_STD_RAD
+        self.write_orientations(state, weight, is_part_known)
+
+    def follow(
+        self, double[::1] state, Rows core, Rows lifted, Rows lifted_std, Rows rays, Vector weight, double noise,
+        double stature, double step_s,
+    ):
+        """Overwrite the state of a person by that of the next frame, which is `step_s` later; infinite: the first.
+
+        The evidence in this frame is the attributes of `ExtremityEvidence`; stature in m.
+        """
+        cdef State* person = <State*> &state[0]
+        cdef Evidence seen = Evidence(
+            &core[0, 0], &lifted[0, 0], &lifted_std[0, 0], &rays[0, 0], &weight[0], noise, stature
+        )
+        cdef double[POINTS][3] old
+        cdef double share
+        cdef int p, i
+        memcpy(old, person.offsets, sizeof(old))
+        self.advance(person, &seen, step_s, True, NULL, NULL)
+        self.write_result(person, &weight[0], stature)
+        if not isfinite(step_s):
+            memset(person.velocity, 0, sizeof(person.velocity))
+            return
+        share = 1 - exp(-step_s / VELOCITY_MEMORY_S)
+        for p in range(POINTS):
+            for i in range(3):
+                person.velocity[p][i] += share * (
+                    (person.offsets[p][i] - old[p][i]) / step_s - person.velocity[p][i]
+                )
+
+    cdef void smooth_part(
+        self, State* state, Py_ssize_t part, const double* backward_turn, const double* backward_covariance
+    ) noexcept nogil:
+        """Join the rotation of a part with what was predicted backwards, each of which holds the spread at rest."""
+        cdef double* turn = state.turns[part]
+        cdef double* covariance = state.covariances[part]
+        cdef double* rest = state.segments[self.part_segments[part]]
+        cdef double[9] work, information, added, rotation, own
+        cdef double[3] pull = [0, 0, 0], vector
+        cdef int i, j, k
+        memcpy(own, turn, sizeof(own))
+        memcpy(work, covariance, sizeof(work))
+        invert(work, 3, information)
+        memcpy(work, backward_covariance, sizeof(work))
+        invert(work, 3, added)
+        add_estimate(information, pull, own, backward_turn, added, 1.0)
+        for i in range(3):
+            for j in range(3):
+                added[3 * i + j] = 0
+                for k in range(3):
+                    added[3 * i + j] += rest[3 * i + k] / square(self.rest_std[part][k]) * rest[3 * j + k]
+        add_estimate(information, pull, own, rest, added, -1.0)
+        invert(information, 3, covariance)
+        transform(covariance, pull, vector)
+        rotation_from_vector(vector, rotation)
+        multiply(rotation, own, turn)
+
+    def smooth(
+        self, double[::1] start, Stack core, Stack lifted, Stack lifted_std, Stack rays, Rows weight, double noise,
+        double stature, Vector steps,
+    ):
+        """Return the states (F, N) of a person in the frames of a sequence, smoothed.
+
+        Args:
+            start: (N,) the state before the first frame.
+            core: with the next five, the attributes of `ExtremityEvidence` in all frames.
+            lifted: likewise.
+            lifted_std: likewise.
+            rays: likewise.
+            weight: likewise.
+            noise: likewise.
+            stature: m.
+            steps: (F,) s, time since the frame before; infinite for the first.
+        """
+        cdef Py_ssize_t f, k, part, frames = core.shape[0]
+        cdef int round_
+        result = np.empty((frames, start.shape[0]))
+        cdef double[:, ::1] states = result
+        cdef double[:, :, :, ::1] predicted = np.empty((2, frames, PARTS, 9))  # backwards: turns and covariances
+        cdef State state
+        cdef Evidence seen
+        cdef double step_s
+        memcpy(&state, &start[0], sizeof(state))
+        for round_ in range(3):  # forwards to learn the sizes, forwards with these, backwards with these
+            for k in range(frames):
+                f = k if round_ < 2 else frames - 1 - k
+                step_s = steps[f] if round_ < 2 else steps[f + 1] if k > 0 else INFINITY
+                seen = Evidence(&core[f, 0, 0], &lifted[f, 0, 0], &lifted_std[f, 0, 0], &rays[f, 0, 0],
+                                &weight[f, 0], noise, stature)
+                if k == 0:
+                    reset(&state, <State*> &start[0])
+                if round_ < 2:
+                    self.advance(&state, &seen, step_s, round_ == 0, NULL, NULL)
+                    memcpy(&states[f, 0], &state, sizeof(state))
+                else:
+                    self.advance(&state, &seen, step_s, False, &predicted[0, f, 0, 0], &predicted[1, f, 0, 0])
+        for f in range(frames):
+            for part in range(PARTS):
+                self.smooth_part(<State*> &states[f, 0], part, &predicted[0, f, part, 0], &predicted[1, f, part, 0])
+            if f > 0:
+                memcpy((<State*> &states[f, 0]).quaternions, (<State*> &states[f - 1, 0]).quaternions,
+                       sizeof(state.quaternions))
+            self.write_result(<State*> &states[f, 0], &weight[f, 0], stature)
+        return result
+
+
+cdef void reset(State* state, const State* start) noexcept nogil:
+    """Overwrite all but the sizes."""
+    cdef double[SIZES][2] sizes
+    memcpy(sizes, state.sizes, sizeof(sizes))
+    memcpy(state, start, sizeof(state[0]))
+    memcpy(state.sizes, sizes, sizeof(sizes))
+
+
+def sum_derivatives(
+    Vector template, Rows turn, double size, Vector origin, Vector lifted, double across, double along, Vector ray,
+    double variance, double share,
+):
+    """Return the halved derivatives (7, 7) and (7,) of a point's sum of squares by d, t and b, at d = t = 0.
+
+    Args:
+        template: (3,) T of the point.
+        turn: (3, 3) R of the part.
+        size: m, e^b H.
+        origin: (3,) m, the anchor.
+        lifted: (3,) m, the point less the anchor in the lifted pose.
+        across: 1/m^2, information of the lifted pose across the line of sight.
+        along: 1/m^2, information along it.
+        ray: (2,) where the point was seen.
+        variance: m^2, of its image at the body.
+        share: g of the image.
+    """
+    cdef Sums sums
+    cdef double[3][7] slopes
+    cdef double[3] arm, error, sight
+    cdef int i
+    memset(&sums, 0, sizeof(sums))
+    write_arm(&template[0], &turn[0, 0], size, arm, slopes)
+    subtract(arm, &lifted[0], error)
+    for i in range(3):
+        sight[i] = origin[i] / sqrt(dot(&origin[0], &origin[0]))
+    add_lifted(&sums, slopes, error, sight, across, along)
+    for i in range(3):
+        arm[i] += origin[i]
+        slopes[i][3 + i] = 1.0
+    add_ray(&sums, slopes, arm, &ray[0], variance, share)
+    return np.array(<double[:7, :7]> &sums.hessian[0][0]), np.array(<double[:7]> sums.gradient)
+
+
+cdef inline double square(double x) noexcept nogil:
+    return x * x

@@ -1,0 +1,29 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+
+def add_frame(
+    direction: Array, weight: float, step_s: float, upward: Array, standing: Array
+) -> tuple[Array, float, float]: ...
+def find_sequence(times: Array, upward: Array, weight: Array, standing: Array) -> tuple[Array, Array]: ...
+def turn_poses(
+    joints: Array, std: Array, upward: Array, vertical: Array, vertical_std: Array, standing: Array, core: int
+) -> Array: ...
+def find_upward(
+    joints: Array,
+    masses: Array,
+    sides: NDArray[np.int64],
+    neck: int,
+    pelvis: int,
+    support_ahead: float,
+    min_length: float,
+) -> Array: ...
+def find_hip_cosines(
+    joints: Array, sides: NDArray[np.int64], neck: int, pelvis: int, min_length: float
+) -> Array: ...

@@ -1,0 +1,297 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Face, feet and hands of a person: rigid parts that hang on the core joints, followed over time.
+
+The head, the feet and the hands are rigid parts k. Each hangs on a core joint c_k (`head`, ankles, wrists) and
+turns by R_k, from its own axes (x forward, y left, z up; `body_segments.py`) to the camera's optical frame. Its
+points are
+
+    p_i = c_k + e^(b_k) H R_k T_i
+
+with the template T_i of an average person (1 of the stature), the stature H (m) and the person's logarithmic
+size b_k of face, feet or hands. Without evidence a part is as the core has it, A_k (the segments of
+`body_segments.py`). From frame to frame, h seconds apart, it returns there with the time constant tau and the
+spread S_k of training data:
+
+    R_k <- A_k exp(a log(A_k'^T R_k')),    P_k <- a^2 P_k + (1 - a^2) S_k,    a = e^(-h / tau)
+
+where the prime marks the frame before and P_k (rad^2) is the covariance of the rotation. The frame then corrects
+it by the rotation d and the displacement t (m) of the whole part that minimise, in two steps of Gauss and
+Newton,
+
+    d^T P_k^-1 d + |t|^2 / s^2 + g_l sum_i |C_i^(-1/2) (p_i - c_k - o_i)|^2 / N
+                               + g_r sum_i rho(|z (pi(p_i + t) - r_i)| / n_i)
+
+with p_i at the turned R_k = exp(d) R_k. o_i is the offset of point i from c_k in the lifted pose, C_i its
+covariance, and N the number of points of the part, whose errors in the lifted pose are one and the same. r_i is
+the ray of a point that was seen, that of c_k included, pi the projection, z the depth, n_i the image noise (m at
+the body) by its score, and rho Cauchy's loss. The errors of the lifter and of the detector last for some time T,
+so a frame counts g = min(1, h / T). The displacement is forgotten, so that bones keep their lengths: it is the
+error of c_k and of the detector's idea of the joints. The information i and the gradient j of b_k, d and t
+eliminated, are added over the parts of one size:
+
+    b_k <- b_k - j / (I + i + 1 / s_b^2)
+
+where I is the sum of earlier i, which fades, and s_b the spread of people. A step beyond the range in which it
+is linear could give a part any size: b_k stays within five s_b of 0.
+
+A whole sequence is followed forwards (f) and backwards (b, before its correction), with the sizes that were
+learnt from all frames, and smoothed: with the rotation vectors d_b = log(R_b R_f^T) and d_A = log(A R_f^T),
+
+    P^-1 = P_f^-1 + P_b^-1 - S^-1,    R = exp(P (P_b^-1 d_b - S^-1 d_A)) R_f
+
+The constants and the code are in `engine/extremities.pyx`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.engine import extremities as engine
+from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT
+from mocap_ros.solvers import body_segments as segments
+from mocap_ros.solvers.body_segments import PART_SEGMENTS, SEGMENT_COUNT, rotation_about
+from mocap_ros.solvers.observed_window import ObservedWindow
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+EXTREMITIES = BODY26.joints[CORE_COUNT:]
+PARTS = ('head', 'lfoot', 'rfoot', 'lhand', 'rhand')
+HEAD = 0  # index of the part
+
+# Points (m per m of stature) in the axes of their part: the mean of the people of the training data. The line from
+# the ears to the nose is 19.6 degrees below the horizontal in people who walk.
+_FACE_PITCH = rotation_about(1, 19.6)
+_TEMPLATES = {
+    'toe': (0.115, 0.0, -0.0314),
+    'heel': (-0.0307, 0.0, -0.0314),
+    'hand': (0.0, 0.0, -0.0433),
+    'nose': tuple(_FACE_PITCH @ (0.0710, 0.0, -0.0283)),
+    'leye': tuple(_FACE_PITCH @ (0.0583, 0.0188, -0.0098)),
+    'reye': tuple(_FACE_PITCH @ (0.0583, -0.0188, -0.0098)),
+    'lear': tuple(_FACE_PITCH @ (0.0110, 0.0441, -0.0283)),
+    'rear': tuple(_FACE_PITCH @ (0.0110, -0.0441, -0.0283)),
+}
+TEMPLATE = np.array([_TEMPLATES.get(name, _TEMPLATES.get(name[1:])) for name in EXTREMITIES])
+# index of the part of each point
+PART_OF = np.array(
+    [
+        HEAD
+        if n == 'nose' or n[1:] in ('eye', 'ear')
+        else PARTS.index(n[0] + ('hand' if n[1:] == 'hand' else 'foot'))
+        for n in EXTREMITIES
+    ]
+)
+ANCHORS = PART_SEGMENTS[PART_OF]  # (11,) index of the core joint on which each point hangs
+# (26,) index of the segment that turns about each joint or holds it
+SEGMENT_OF = np.concatenate([np.arange(CORE_COUNT), ANCHORS])
+SIZE_OF = np.array([0, 1, 1, 2, 2])  # parts of one size: face, feet, hands
+SIZE_COUNT = 3
+# rad; S_k, standard deviations of head, feet and hands about x, y, z from where the core has them, in the training
+# data; those of feet are a quarter wider, as solved shanks are worse than true ones. The turn of a hand about its
+# own axis, which nothing measures, is chosen by judgement.
+REST_STD = np.radians(
+    [[8.0, 14.0, 22.0], [10.0, 18.0, 26.0], [10.0, 18.0, 26.0], [20.0, 20.0, 30.0], [20.0, 20.0, 30.0]]
+)
+REST_MEMORY_S = np.array([0.7, 0.4, 0.4, 0.4, 0.4])  # s; tau: half a step for feet, a look for heads
+# 1; s_b: std of b of face, feet and hands in the training data, and of what detectors take for toe and hand
+SIZE_STD = np.array([0.06, 0.12, 0.15])
+ANGULAR_SPEED_STD = 1.5  # rad/s; of heads, feet and hands about their anchors, for the deviation of velocities
+
+_BODY = engine.Body(
+    (
+        *(segments.HEAD, segments.NECK, segments.PELVIS),
+        *(segments.LSHOULDER, segments.RSHOULDER, segments.LHIP, segments.RHIP),
+    ),
+    segments.LIMBS,
+    segments.BENDS,
+    segments.HEAD_REST,
+    np.array([*segments.HAND_REST, segments.FOOT_REST, segments.FOOT_REST]),
+    PART_SEGMENTS,
+    PART_OF,
+    SIZE_OF,
+    TEMPLATE,
+    REST_STD,
+    REST_MEMORY_S,
+    SIZE_STD,
+)
+# What is known of the extremities of a person in a frame, as the engine has it.
+STATE = np.dtype(
+    [
+        ('segments', float, (SEGMENT_COUNT, 3, 3)),  # rotations of the segments as the core has them
+        ('twist', float, (len(segments.LIMBS), 3)),  # v of the limbs
+        ('turns', float, (len(PARTS), 3, 3)),  # R
+        ('covariances', float, (len(PARTS), 3, 3)),  # rad^2; P
+        ('sizes', float, (SIZE_COUNT, 2)),  # b and I of face, feet and hands
+        ('offsets', float, (EXTREMITY_COUNT, 3)),  # m, points less the core joints on which they hang
+        ('offset_std', float, EXTREMITY_COUNT),  # m
+        ('velocity', float, (EXTREMITY_COUNT, 3)),  # m/s, of the offsets
+        ('quaternions', float, (SEGMENT_COUNT, 4)),  # x, y, z, w, orientations of the segments
+        (
+            'is_turn_told',
+            float,
+            SEGMENT_COUNT,
+        ),  # 1 where the image says how a segment is turned about itself
+    ]
+)
+_START = np.zeros(1, STATE)
+for _name in ('segments', 'turns', 'covariances'):
+    _START[_name] = np.eye(3)
+
+
+def attach(core: Array, offsets: Array) -> Array:
+    """Return all joints (..., 26, 3) m of core joints (..., 15, 3) and offsets (..., 11, 3) of extremities."""
+    return np.concatenate([core, core[..., ANCHORS, :] + offsets], axis=-2)
+
+
+class ExtremityEvidence(NamedTuple):
+    """What is known of the extremities in one frame, or in F with arrays (F, ...), in the camera's optical frame.
+
+    Attributes:
+        core: (15, 3) m, solved core joints.
+        lifted: (26, 3) m, lifted joints about any origin; NaN without a lifter.
+        lifted_std: (26, 3) m, their standard deviations across (twice) and along the line of sight.
+        rays: (26, 2) rays of all joints.
+        weight: (26,) confidence scores of all joints; 0 where not seen.
+        noise: m, image noise at the body.
+    """
+
+    core: Array
+    lifted: Array
+    lifted_std: Array
+    rays: Array
+    weight: Array
+    noise: float
+
+    def select_frame(self, frame: int) -> ExtremityEvidence:
+        """Return that of one frame of a sequence."""
+        core, lifted, lifted_std, rays, weight = (a[frame] for a in self[:5])
+        return ExtremityEvidence(core, lifted, lifted_std, rays, weight, self.noise)
+
+    @staticmethod
+    def without_image(core: Array) -> ExtremityEvidence:
+        """Return the evidence of a frame of which only the core (15, 3) m is known."""
+        joints = CORE_COUNT + EXTREMITY_COUNT
+        unknown = np.full((joints, 3), np.nan)
+        return ExtremityEvidence(core, unknown, unknown, np.zeros((joints, 2)), np.zeros(joints), 0.0)
+
+    def arrays(self) -> tuple[Array, Array, Array, Array, Array, float]:
+        """Return the attributes as the engine takes them."""
+        core, lifted, lifted_std, rays, weight = (np.ascontiguousarray(a, float) for a in self[:5])
+        return core, lifted, lifted_std, rays, weight, float(self.noise)
+
+
+def collect_evidence(
+    core: Array, observed: ObservedWindow, noise: float, frames: slice = slice(None)
+) -> ExtremityEvidence:
+    """Return what F frames of a window say of the extremities, each array with a first dimension F.
+
+    Args:
+        core: (F, 15, 3) m, solved core joints of these frames in the real camera's frame.
+        observed: the window, lifted if there is a lifter.
+        noise: m, image noise at the body.
+        frames: the frames.
+    """
+    depth = observed.virtual_camera.select_frames(frames).measure_depth(core.mean(axis=1))[:, None, None]
+    lifted = std = np.full((len(core), len(BODY26.joints), 3), np.nan)
+    if observed.lifted is not None:
+        lifted, std = depth * observed.lifted.joints[frames], depth * observed.lifted.std[frames]
+    rays, weight = np.zeros((len(core), len(BODY26.joints), 2)), np.zeros((len(core), len(BODY26.joints)))
+    rays[:, :CORE_COUNT], weight[:, :CORE_COUNT] = observed.rays[frames], observed.weight[frames]
+    if observed.extremities is not None:
+        rays[:, CORE_COUNT:] = observed.extremities.rays[frames]
+        weight[:, CORE_COUNT:] = observed.extremities.weight[frames]
+    return ExtremityEvidence(core, lifted, std, rays, weight, noise)
+
+
+class ExtremityState:
+    """The extremities of a person in one frame; it does not change, and `advance` returns those of the next.
+
+    Attributes:
+        values: the fields of `STATE`, in their order.
+    """
+
+    def __init__(self, values: Array) -> None:
+        self.values = values
+
+    @staticmethod
+    def begin(evidence: ExtremityEvidence, stature: float) -> ExtremityState:
+        """Return the extremities of a person who is seen for the first time; `stature` in m."""
+        return ExtremityState(_START.view(float)).advance(math.inf, evidence, stature)
+
+    def advance(self, step_s: float, evidence: ExtremityEvidence, stature: float) -> ExtremityState:
+        """Return the extremities in the next frame.
+
+        Args:
+            step_s: s, time since this frame, positive.
+            evidence: what is known of them.
+            stature: m, stature of the person.
+        """
+        values = self.values.copy()
+        _BODY.follow(values, *evidence.arrays(), stature, step_s)
+        return ExtremityState(values)
+
+    def read(self, name: str) -> Array:
+        """Return a field of `STATE`."""
+        return np.asarray(self.values.view(STATE)[name][0])
+
+    @property
+    def offsets(self) -> Array:
+        """(11, 3) m, points less the core joints on which they hang."""
+        return self.read('offsets')
+
+    @property
+    def offset_std(self) -> Array:
+        """(11,) m, standard deviation of each of them."""
+        return self.read('offset_std')
+
+    @property
+    def velocity(self) -> Array:
+        """(11, 3) m/s, velocity of the offsets."""
+        return self.read('velocity')
+
+    @property
+    def quaternions(self) -> Array:
+        """(15, 4) x, y, z, w, orientations of the segments."""
+        return self.read('quaternions')
+
+    @property
+    def is_turn_told(self) -> Bools:
+        """(15,) whether the image says how a segment is turned about its own axis."""
+        return self.read('is_turn_told') > 0
+
+
+class ExtremitySequence(NamedTuple):
+    """The extremities of a person over F frames, smoothed.
+
+    Attributes:
+        offsets: (F, 11, 3) m, points less the core joints on which they hang.
+        offset_std: (F, 11) m, standard deviation of each of them.
+        quaternions: (F, 15, 4) x, y, z, w, orientations of the segments, continuous.
+        is_turn_told: (F, 15) whether the image says how a segment is turned about its own axis.
+    """
+
+    offsets: Array
+    offset_std: Array
+    quaternions: Array
+    is_turn_told: Bools
+
+
+def smooth_extremities(times: Array, evidence: ExtremityEvidence, stature: float) -> ExtremitySequence:
+    """Estimate the extremities of a person over a whole sequence (formulas at the head of this module).
+
+    Args:
+        times: (F,) s, increasing.
+        evidence: that of F frames, each array with a first dimension F; the image noise is one for all.
+        stature: m, stature of the person.
+    """
+    steps = np.append(np.inf, np.diff(times))
+    states = _BODY.smooth(_START.view(float), *evidence.arrays(), stature, steps).view(STATE)[:, 0]
+    offsets, std, quaternions = (np.ascontiguousarray(states[n]) for n in ('offsets', 'offset_std', 'quaternions'))
+    return ExtremitySequence(offsets, std, quaternions, states['is_turn_told'] > 0)
