@@ -1,0 +1,48 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+Array32: TypeAlias = NDArray[np.float32]
+Indices: TypeAlias = NDArray[np.int64]
+
+def extrapolate_state(share: float, theta: Array, rotation: Array, roots: Array) -> tuple[Array, Array, Array]: ...
+def locate_joints(
+    theta: Array, rotation: Array, root: Array, mean: Array, components: Array, size: float
+) -> Array: ...
+def sample_joints(
+    wanted: Array,
+    times: Array,
+    theta: Array,
+    rotation: Array,
+    roots: Array,
+    mean: Array,
+    components: Array,
+    size: float,
+) -> Array: ...
+def split_centre(joints: Array) -> Array: ...
+def read_motion(state: Array, left_hip: int, right_hip: int) -> tuple[Array, Array, Array, Array]: ...
+def advance_motion(state: Array, recent: Array, times: Array, max_jitter: float) -> Array: ...
+def build_inputs(
+    velocity: Array, joints: Array, earlier: Array, axes: Array, spans: Array, mirror: Indices, hips: Indices
+) -> Array: ...
+def correct_velocity(
+    velocity: Array,
+    std: Array,
+    joints: Array,
+    earlier: Array,
+    axes: Array,
+    spans: Array,
+    mirror: Indices,
+    hips: Indices,
+    centre: Array32,
+    scale: Array32,
+    weight_0: Array32,
+    bias_0: Array32,
+    weight_1: Array32,
+    bias_1: Array32,
+) -> Array: ...
