@@ -5,8 +5,9 @@
 """Viterbi's algorithm for left and right exchanged by a detector; the formulas are in `keypoints.left_right`.
 
 Sizes: J joints, F frames, 8 states, 3 parts: shoulders, legs and arms. Bits 0, 1 and 2 of a state: whole body, legs
-and arms are exchanged. The values were tuned on motion capture as models of three real detectors see it. The probabilities are per 1/30 s: real detectors swap
-the whole body in 0.1 % of the frames, for 0.3 s, legs and arms in 0.3 to 3 %, for 0.06 s.
+and arms are exchanged. The values were tuned on motion capture as models of three real detectors see it. The
+probabilities are per 1/30 s: real detectors swap the whole body in 0.1 % of the frames, for 0.3 s, legs and arms in
+0.3 to 3 %, for 0.06 s.
 """
 
 from libc.math cimport INFINITY, exp, hypot, log, pow, tanh
