@@ -134,7 +134,7 @@ def collect(frames: int) -> tuple[list[Past], Array, NDArray[np.str_]]:
                 continue
             (track,) = tracker.tracks
             upward = None if tracker.vertical is None else tracker.vertical.direction
-            pasts.append(sample_past(track, tracker.models[track.solved.model_name], upward))
+            pasts.append(sample_past(track, upward))
             persons.append(rows[trial]['subject'])
             futures.append(look_ahead(truth, frame, TIMES_S) + person.root - scene.root[frame])
         done += scene.view.frames

@@ -72,8 +72,7 @@ def collect(frames: int) -> tuple[list[VelocityPast], Array]:
             if person.predicted or frame < WARM_UP or frame + 1 == scene.view.frames:
                 continue
             (track,) = tracker.tracks
-            poses = tracker.models[track.solved.model_name]
-            past = sample_velocity_past(track, poses, find_motion(track, track.newest, poses))
+            past = sample_velocity_past(track, find_motion(track, track.newest))
             if past is not None and np.isfinite(past.std).all():
                 pasts.append(past)
                 velocities.append(truth[frame])

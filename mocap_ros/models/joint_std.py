@@ -42,18 +42,18 @@ def estimate_joint_std(
     posterior_std: Array,
     inferred: NDArray[np.bool_],
     lifter_std: Array | None = None,
-    noise: float = 0.0,
+    noise: float | Array = 0.0,
     *,
-    size: float = 1.0,
-    depth: float = 1.0,
+    size: float | Array = 1.0,
+    depth: float | Array = 1.0,
 ) -> Array:
-    """Estimate the standard deviation in m of each joint position (J,), relative to the body's origin.
+    """Estimate the standard deviation in m of each joint position (..., J), relative to the body's origin.
 
     Args:
-        posterior_std: (J,) m, of the solver, for the joints that the lifter did not estimate.
-        inferred: (J,) True for joints that were not seen.
-        lifter_std: (J, 3) or more joints, standard deviations of the joints' coordinates, NaN for frames that the
-            lifter did not lift; None without a lifter.
+        posterior_std: (..., J) m, of the solver, for the joints that the lifter did not estimate.
+        inferred: (..., J) True for joints that were not seen.
+        lifter_std: (..., J, 3) or more joints, standard deviations of the joints' coordinates, NaN for frames that
+            the lifter did not lift; None without a lifter.
         noise: m, image noise at the body, as the solver estimated it.
         size: size of the person over that of `posterior_std` and `noise`.
         depth: m, of the unit of `lifter_std`.
@@ -62,7 +62,7 @@ def estimate_joint_std(
     posterior = np.sqrt((factor * size * posterior_std) ** 2 + POSTERIOR_FLOOR_M**2)
     if lifter_std is None:
         return np.asarray(posterior)
-    length = depth * np.sqrt((lifter_std[: len(posterior_std)] ** 2).sum(axis=1))
+    length = depth * np.sqrt((lifter_std[..., : posterior_std.shape[-1], :] ** 2).sum(axis=-1))
     seen = np.sqrt((LIFTER_FACTOR_SEEN * length) ** 2 + (NOISE_FACTOR_SEEN * size * noise) ** 2)
     lifted = np.where(inferred, LIFTER_FACTOR_INFERRED * length, seen)
     return np.where(np.isfinite(length), lifted, posterior)

@@ -40,7 +40,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -48,13 +48,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOAT, FLOATS_2D, INPUT_1D, kernel
 from mocap_ros.config import TrackerConfig
-from mocap_ros.copying import copy_with
 from mocap_ros.errors import ConfigError
 from mocap_ros.geometry.level import Floor
-from mocap_ros.models.joint_std import spread_along_sight
-from mocap_ros.people import HIPS, Person3D
+from mocap_ros.models.joint_std import compute_joint_covariance
+from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CMU15
 from mocap_ros.units import NS_PER_S
 
@@ -116,24 +114,30 @@ class FloorContact:
 
     @staticmethod
     def advance(
-        before: FloorContact | None, stamp_ns: int, person: Person3D, floor: Floor, body_height: float
+        before: FloorContact | None,
+        stamp_ns: int,
+        joints: Array,
+        velocity: Array,
+        floor: Floor,
+        body_height: float,
     ) -> FloorContact | None:
         """Return what is known after another frame.
 
         Args:
             before: what was known; None if nothing was.
             stamp_ns: ns, stamp of the frame.
-            person: person of the assumed size, in the camera's optical frame.
+            joints: (J, 3) m, joints of the person of the assumed size in the camera's optical frame.
+            velocity: (J, 3) m/s, their velocities.
             floor: floor in that frame.
             body_height: m, assumed body height.
         """
-        ankles, height = person.joints[list(ANKLES)], floor.camera_height
+        ankles, height = joints[list(ANKLES)], floor.camera_height
         if height is None:
             return before
         drops = -(ankles @ floor.upward)
         lower = int(np.argmax(drops))
         drop, ankle = float(drops[lower]), ankles[lower]
-        rise = float(person.velocity[ANKLES[lower]] @ floor.upward)
+        rise = float(velocity[ANKLES[lower]] @ floor.upward)
         if not (drop > MIN_DROP_SHARE * height and abs(rise) < MAX_RISE_M_S):
             return before
         found = math.log(height / (ANKLE_SHARE * body_height + drop))
@@ -196,46 +200,17 @@ def assume_size(config: TrackerConfig, person_id: str = '', *, is_focal_known: b
     return BodySize(height / config.body_height, share, 0.0 if is_focal_known else FOCAL_SHARE)
 
 
-def resize(person: Person3D, size: BodySize) -> Person3D:
-    """Return a person of the assumed size with another size, which has the same image."""
-    ratio = size.ratio
-    return copy_with(
-        person,
-        joints=person.joints * ratio,
-        std=person.std * ratio,
-        scale=person.scale / ratio,
-        velocity=person.velocity * ratio,
-        velocity_std=person.velocity_std * ratio,
-        root_covariance=find_root_covariance(person.joints, person.std, size),
-        root_velocity_covariance=person.root_velocity_covariance * ratio**2,
-    )
-
-
-def find_root_covariance(joints: Array, std: Array, size: BodySize) -> Array:
-    """Return the covariance (3, 3) m^2 of the root of a person of some size.
+def estimate_root_covariance(joints: Array, std: Array, sizes: Sequence[BodySize]) -> Array:
+    """Return the covariances (P, 3, 3) m^2 of the roots of P people (formula of the module).
 
     Args:
-        joints: (J, 3) m, those of the person of the assumed size.
-        std: (J,) m, their standard deviations.
-        size: what is known of the person's size.
+        joints: (P, J, 3) m, those of people of the assumed size.
+        std: (P, J) m, their standard deviations; NaN if unknown.
+        sizes: what is known of their sizes.
     """
-    root = (joints[HIPS[0]] + joints[HIPS[1]]) / 2
-    return estimate_root_covariance(root, std, size.share, size.focal_share) * size.ratio**2
-
-
-@kernel(FLOATS_2D(INPUT_1D, INPUT_1D, FLOAT, FLOAT))
-def estimate_root_covariance(root: Array, std: Array, share: float, focal_share: float) -> Array:
-    """Return the covariance (3, 3) m^2 of the place of a person (formula of the module).
-
-    Args:
-        root: (3,) m, the place in the camera's optical frame.
-        std: (J,) m, standard deviations of the person's joints; NaN if unknown.
-        share: s, standard deviation of the size as a share of it.
-        focal_share: t, that of the focal length as a share of it.
-    """
-    out = spread_along_sight(ROOT_FACTOR * (std[HIPS[0]] + std[HIPS[1]]) / 2, root)
-    for i in range(3):
-        for k in range(3):
-            out[i, k] += share**2 * root[i] * root[k]
-    out[2, 2] += (focal_share * root[2]) ** 2
-    return out
+    ratio, share, focal_share = np.array(sizes).T
+    roots = (joints[:, HIPS[0]] + joints[:, HIPS[1]]) / 2
+    covariance = compute_joint_covariance(ROOT_FACTOR * (std[:, HIPS[0]] + std[:, HIPS[1]]) / 2, roots)
+    covariance += share[:, None, None] ** 2 * roots[:, :, None] * roots[:, None, :]
+    covariance[:, 2, 2] += (focal_share * roots[:, 2]) ** 2
+    return np.asarray(covariance * ratio[:, None, None] ** 2)

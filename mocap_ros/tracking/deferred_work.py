@@ -143,8 +143,7 @@ def _check(checker: HypothesisChecker, then: Track, now: Track, turns: tuple[str
     found = yield from checker.check(then, turns[(then.schedule.check_count - 1) % len(turns)])
     kept = None if found is None else found.drop_oldest(_count_dropped(then, now))
     if kept is not None:
-        own, models = now.solved, checker.models
-        now.solution = kept.follow(own, models[own.model_name], models[kept.model_name])
+        now.solution = kept.follow(now.solved)
     now.schedule.finish_check(now.solved.noise, len(turns))
 
 

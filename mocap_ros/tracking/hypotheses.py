@@ -148,7 +148,7 @@ class HypothesisChecker:
         """Remember some poses of a solved track that is lost."""
         frames = track.select_frames(KEY_POSE_STEP_S, self.config.tracker.window)
         observed = track.observed.select_frames(frames)
-        joints = track.solved.compute_joints(self.models[track.solved.model_name], frames)
+        joints = track.solved.compute_joints(frames)
         poses = observed.virtual_camera.to_virtual_camera(joints)
         for points, weight, pose in zip(observed.points, observed.weight, poses, strict=True):
             memory.remember(points, weight, pose)
@@ -224,7 +224,7 @@ class HypothesisChecker:
         if track.schedule.is_from_scratch(track.age_s) or model_name == own.model_name:
             other = yield from self._solve_from_scratch(window, model_name, own)
         else:
-            rotation, theta = own.convert_poses(self.models[own.model_name], model, frames)
+            rotation, theta = own.convert_poses(model, frames)
             converted = observed.convert_to_initial_values(theta, rotation, own.roots[frames])
             other = Hypothesis(model_name, converted, own.noise)
         hypotheses = other, Hypothesis(own.model_name, start, own.noise)
@@ -317,7 +317,7 @@ class HypothesisChecker:
         """Return the solution of a track that follows from a reconstruction of some of its frames, refined."""
         model, observed, earlier = self.models[model_name], track.observed, track.solved
         if earlier.model_name != model_name:
-            earlier = earlier.change_model(self.models[earlier.model_name], model_name, model)
+            earlier = earlier.change_model(model_name, model)
         interpolate = partial(TrackSolution.interpolate, base_poses_lead=base_poses_lead)
         solution = interpolate(reconstruction, observed, frames, model_name, model, earlier)
         solver = replace(self._choose_solver(base_poses_lead), max_iterations=ADOPTION_MAX_ITERATIONS)
@@ -374,14 +374,13 @@ class HypothesisChecker:
 
     def _measure_speed(self, track: Track) -> float:
         """Return the RMS speed in m/s of a track's joints about the body's origin, over its window."""
-        solution, model = track.solved, self.models[track.solved.model_name]
-        times = track.times_s
+        solution, times = track.solved, track.times_s
         later = np.arange(times[-1], times[0] + SPEED_STEP_S, -SPEED_STEP_S)
         if len(later) == 0:
             return 0.0
         theta = interpolate_linearly(np.append(later, later[-1] - SPEED_STEP_S), times, solution.theta)
         moved = np.diff(theta, axis=0) / (SPEED_STEP_S * solution.stature_ratio)
-        return float(np.sqrt((moved**2).sum(axis=1).mean() / len(model.mean)))
+        return float(np.sqrt((moved**2).sum(axis=1).mean() / len(solution.model.mean)))
 
     def _fit_periodic_motion(self, track: Track, name: str) -> Slices[Motion | None]:
         """Return the motion as one periodic model explains it; None if that model does not explain it."""
@@ -418,10 +417,9 @@ class HypothesisChecker:
         """Return the poses of the track's solution, with the bias of its noise estimate removed."""
         has_lifter = track.observed.lifted is not None
         noise = track.solved.noise / (NOISE_RATIO_WITH_LIFTER if has_lifter else NOISE_RATIO)
-        model = self.models[track.solved.model_name]
-        joints = model.poses(start.theta) @ np.swapaxes(start.cameras.rotation, -1, -2)
+        joints = track.solved.model.poses(start.theta) @ np.swapaxes(start.cameras.rotation, -1, -2)
         times = track.times_s
-        images = track.solved.compute_joints(model, np.arange(len(times)))[..., :2]
+        images = track.solved.compute_joints(np.arange(len(times)))[..., :2]
         return EstimatedPoses(joints, start.cameras.scale, noise, measure_tremble(times, images))
 
 

@@ -94,7 +94,6 @@ class CoreMotion(NamedTuple):
 
     Attributes:
         joints: (J, 3) m.
-        root: (3,) m, position of the body's origin, which is the mean of its joints.
         velocity: (J, 3) m/s; NaN if unknown.
         velocity_std: (J,) m/s, standard deviation of each joint's velocity; NaN if unknown.
         root_velocity_covariance: (3, 3) m^2/s^2, covariance of the velocity of the place between the hips; NaN if
@@ -102,7 +101,6 @@ class CoreMotion(NamedTuple):
     """
 
     joints: Array
-    root: Array
     velocity: Array
     velocity_std: Array
     root_velocity_covariance: Array
@@ -158,14 +156,14 @@ class MotionFilter:
         self.motion = CoreMotion(*_read(self.state))
 
 
-@kernel(types.Tuple((FLOATS_2D, FLOATS_1D, FLOATS_2D, FLOATS_1D, FLOATS_2D))(INPUT_3D))
-def _read(state: Array) -> tuple[Array, Array, Array, Array, Array]:
+@kernel(types.Tuple((FLOATS_2D, FLOATS_2D, FLOATS_1D, FLOATS_2D))(INPUT_3D))
+def _read(state: Array) -> tuple[Array, Array, Array, Array]:
     """Return the attributes of `CoreMotion` from the state (5, J + 1, 3) of a filter.
 
     The errors of both hips are mostly the same, so the variance of the place between them is their mean.
     """
     count = state.shape[1] - 1
-    joints, root, velocity = np.empty((count, 3)), np.zeros(3), np.empty((count, 3))
+    joints, velocity = np.empty((count, 3)), np.empty((count, 3))
     std, covariance = np.empty(count), np.zeros((3, 3))
     for j in range(count):
         variance = 0.0
@@ -173,12 +171,11 @@ def _read(state: Array) -> tuple[Array, Array, Array, Array, Array]:
             joints[j, i] = state[_X, j, i] + state[_X, count, i]
             velocity[j, i] = state[_V, j, i] + state[_V, count, i]
             variance += state[_VARIANCE, j, i] + state[_VARIANCE, count, i]
-            root[i] += joints[j, i] / count
         std[j] = math.sqrt(variance)
     for i in range(3):
         of_hips = state[_VARIANCE, HIPS[0], i] + state[_VARIANCE, HIPS[1], i]
         covariance[i, i] = of_hips / 2 + state[_VARIANCE, count, i]
-    return joints, root, velocity, std, covariance
+    return joints, velocity, std, covariance
 
 
 @kernel(FLOATS_2D(INPUT_2D))

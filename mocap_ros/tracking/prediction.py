@@ -10,17 +10,17 @@ Both come from what the window holds of the last 0.8 s, by the learned motion pr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_motion_predictor
 from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past
 from mocap_ros.people import Person3D, PredictedPerson
-from mocap_ros.tracking.body_size import ASSUMED, BodySize, find_root_covariance, resize
-from mocap_ros.tracking.output import find_joint_std, find_motion, make_person
+from mocap_ros.skeleton import Skeleton
+from mocap_ros.solvers.extremities import ExtremityEvidence, ExtremityState
+from mocap_ros.tracking.body_size import BodySize, estimate_root_covariance
+from mocap_ros.tracking.output import Cores, find_joint_std, find_motion, find_published_motion, make_people
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
@@ -34,73 +34,70 @@ UPRIGHT_CAMERA = np.array([0.0, -1.0, 0.0])  # direction upwards in the optical 
 _AGO = np.array(PAST_S)
 
 
-def predict_person(
-    track: Track, stamp_ns: int, model: BasePoses, upward: Array | None = None, size: BodySize = ASSUMED
-) -> Person3D:
-    """Return the person of a track at a time after its last detection.
+def predict_people(
+    tracks: Sequence[Track], stamp_ns: int, upward: Array | None, sizes: Sequence[BodySize], skeleton: Skeleton
+) -> list[Person3D]:
+    """Return the people of tracks at a time after their last detections.
 
     Args:
-        track: a solved track.
+        tracks: P solved tracks, whose extremities have been followed.
         stamp_ns: ns, time of the prediction.
-        model: base poses of the track's solution.
         upward: (3,) unit vector upwards in the optical frame; None for that of a level camera.
-        size: what is known of the person's size.
+        sizes: what is known of each person's size.
+        skeleton: `skeleton.BODY26`, or `skeleton.CMU15` for the core alone.
     """
-    age_s = (stamp_ns - track.stamps_ns[-1]) / NS_PER_S
-    times = np.array([[age_s, age_s + VELOCITY_SPAN_S]])
-    _, of_people = _predict([track], times, [model], upward, [size])
-    last = resize(make_person(track, track.newest, model), size)
-    ahead = Displacements(*(values[0] for values in of_people))
-    velocity = (ahead.joints[1] - ahead.joints[0]) / VELOCITY_SPAN_S
-    joints, root = last.joints + ahead.joints[0], (last.joints + ahead.joints[0]).mean(axis=0)
-    intrinsics = track.intrinsics
-    return replace(
-        last,
-        joints=joints,
-        std=ahead.std[0],
-        inferred=np.ones_like(last.inferred),
-        scale=float(intrinsics.focal / root[2]),
-        translation=intrinsics.project(root),
-        residual=float('nan'),
-        predicted=True,
-        velocity=velocity,
-        velocity_std=np.hypot(last.velocity_std, VELOCITY_STD_M_S),
-        root_covariance=last.root_covariance + ahead.root_covariance[0],
-        root_velocity_covariance=last.root_velocity_covariance + VELOCITY_STD_M_S**2 / 3 * np.eye(3),
-        age=last.age + age_s,
-        unseen_for=age_s,
+    if not tracks:
+        return []
+    ages = [(stamp_ns - t.stamps_ns[-1]) / NS_PER_S for t in tracks]
+    times = np.array(ages)[:, None] + [0.0, VELOCITY_SPAN_S]
+    _, ahead = _predict(tracks, times, upward, sizes)
+    frames = [t.newest for t in tracks]
+    last = Cores.of_tracks(tracks, frames, [find_published_motion(t, t.newest) for t in tracks], sizes)
+    cores = Cores(
+        last.joints + ahead.joints[:, 0],
+        ahead.std[:, 0],
+        (ahead.joints[:, 1] - ahead.joints[:, 0]) / VELOCITY_SPAN_S,
+        np.hypot(last.velocity_std, VELOCITY_STD_M_S),
+        last.root_covariance + ahead.root_covariance[:, 0],
+        last.root_velocity_covariance + VELOCITY_STD_M_S**2 / 3 * np.eye(3),
     )
+    extremities = []
+    for track, core, size in zip(tracks, cores.joints, sizes, strict=True):
+        known, step_s = track.extremity_state, (stamp_ns - track.extremities_ns) / NS_PER_S
+        evidence, stature = ExtremityEvidence.without_image(core / size.ratio), track.solved.model.stature
+        extremities.append(
+            ExtremityState.begin(evidence, stature) if known is None else known.advance(step_s, evidence, stature)
+        )
+    return make_people(tracks, frames, cores, extremities, sizes, skeleton, ages)
 
 
 def predict_ahead(
     tracks: Sequence[Track],
     stamp_ns: int,
     times_s: Sequence[float],
-    models: Sequence[BasePoses],
     upward: Array | None,
     sizes: Sequence[BodySize],
 ) -> list[list[PredictedPerson]]:
     """Return the persons of solved tracks at some times after a frame, in which they need not be detected.
 
     Args:
-        tracks: N solved tracks.
+        tracks: P solved tracks.
         stamp_ns: ns, stamp of the frame.
         times_s: s, T times after the frame.
-        models: base poses of the solution of each track.
         upward: (3,) unit vector upwards in the optical frame; None for that of a level camera.
         sizes: what is known of each person's size.
 
     Returns:
-        T predictions for each of the N persons.
+        T predictions for each of the P persons.
     """
     if not tracks:
         return []
     ages = [(stamp_ns - track.stamps_ns[-1]) / NS_PER_S for track in tracks]
     times = np.array(ages)[:, None] + np.array(times_s)
-    pasts, ahead = _predict(tracks, times, models, upward, sizes)
-    people = [*zip(pasts, sizes, strict=True)]
-    joints = np.array([past.joints * size.ratio for past, size in people])
-    covariances = np.array([find_root_covariance(past.joints, past.std, size) for past, size in people])
+    pasts, ahead = _predict(tracks, times, upward, sizes)
+    joints, std = np.array([past.joints for past in pasts]), np.array([past.std for past in pasts])
+    covariances = estimate_root_covariance(joints, std, sizes)
+    joints = joints * np.array([size.ratio for size in sizes])[:, None, None]
     predicted = joints[:, None] + ahead.joints, ahead.std, covariances[:, None] + ahead.root_covariance
     return [
         [PredictedPerson(track.id, *then) for then in zip(*of_person, strict=True)]
@@ -108,32 +105,30 @@ def predict_ahead(
     ]
 
 
-def sample_past(track: Track, model: BasePoses, upward: Array | None = None) -> Past:
+def sample_past(track: Track, upward: Array | None = None) -> Past:
     """Return what is known of the motion of the core of a person of the assumed size up to the newest frame.
 
     Before the first frame of the window, the person moves as at the newest.
 
     Args:
         track: a solved track.
-        model: base poses of the track's solution.
         upward: (3,) unit vector upwards in the optical frame; None for that of a level camera.
     """
     frame = track.newest
-    last = find_motion(track, frame, model)
+    last = find_motion(track, frame)
     newest, velocity = last.joints, last.velocity
-    places = track.solved.sample_joints(model, track.times_s, -_AGO)
+    places = track.solved.sample_joints(track.times_s, -_AGO)
     is_known = ~np.isnan(places[:, 0, 0])
     if not np.isfinite(velocity).all():  # without a filter, or in the first frame
         velocity = (newest - places[0]) / _AGO[0] if is_known[0] else np.zeros_like(newest)
     earlier = np.where(is_known[:, None, None], places, newest - _AGO[:, None, None] * velocity)
-    heading, std = track.solved.rotation[frame, :, 0], find_joint_std(track, frame, last.root)
+    heading, std = track.solved.rotation[frame, :, 0], find_joint_std([track], [frame], last.joints[None])[0]
     return Past(newest, velocity, std, earlier, heading, UPRIGHT_CAMERA if upward is None else upward)
 
 
 def _predict(
     tracks: Sequence[Track],
     times: Array,
-    models: Sequence[BasePoses],
     upward: Array | None,
     sizes: Sequence[BodySize],
 ) -> tuple[list[Past], Displacements]:
@@ -142,7 +137,7 @@ def _predict(
     The persons are of the assumed size. Their predictions, which have the same image, are enlarged to the sizes.
     Nobody comes nearer to the plane of the camera than `MIN_CLEARANCE_M`, unless they are there already.
     """
-    pasts = [sample_past(t, model, upward) for t, model in zip(tracks, models, strict=True)]
+    pasts = [sample_past(t, upward) for t in tracks]
     ahead = load_motion_predictor().predict_all(pasts, times)
     depths = np.array([past.joints[:, 2] for past in pasts])[:, None]
     ratio = np.array([size.ratio for size in sizes])[:, None, None]

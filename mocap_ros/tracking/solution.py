@@ -71,6 +71,7 @@ class TrackSolution:
 
     Attributes:
         model_name: name of the base-pose model.
+        model: these base poses.
         theta: (S, K) m, weights of the base poses.
         rotation: (S, 3, 3) rotations from the body to the real camera.
         roots: (S, 3) m, positions of the body's origin in the real camera's frame, before `stature_ratio` is
@@ -86,6 +87,7 @@ class TrackSolution:
     """
 
     model_name: str
+    model: BasePoses
     theta: Array
     rotation: Array
     roots: Array
@@ -148,7 +150,6 @@ class TrackSolution:
         observed: ObservedWindow,
         first: int,
         fixed_frames: int,
-        model: BasePoses,
     ) -> TrackSolution:
         """Return the solution of all frames of the window, with new states of the newest ones.
 
@@ -160,12 +161,11 @@ class TrackSolution:
             observed: the whole window.
             first: index of the first frame of the reconstruction, at most S.
             fixed_frames: number of frames at the beginning of the reconstruction that keep their state.
-            model: base poses of the solution.
         """
         camera, count, kept = observed.virtual_camera, len(observed.times), first + fixed_frames
         rotation = camera.body_rotations(reconstruction.cameras)
         roots = camera.root_positions(reconstruction.cameras, reconstruction.translation)
-        lengths = _measure_bones(reconstruction.joints, *model.skeleton.bone_ends)
+        lengths = _measure_bones(reconstruction.joints, *self.model.skeleton.bone_ends)
         old_share = math.exp((first - count) / count) if fixed_frames else 0.0
         states = (
             np.concatenate([self.theta[:kept], reconstruction.theta[fixed_frames:]]),
@@ -175,7 +175,7 @@ class TrackSolution:
             np.concatenate([self.frame_residuals[:first], reconstruction.residual]),
         )
         noise = math.sqrt(old_share * self.noise**2 + (1 - old_share) * reconstruction.noise**2)
-        return _finish(states, reconstruction, noise, self.model_name, model, self.base_poses_lead)
+        return _finish(states, reconstruction, noise, self.model_name, self.model, self.base_poses_lead)
 
     def drop_oldest(self, frames: int) -> TrackSolution | None:
         """Return the solution without so many of the oldest frames; None if no solved frame is left."""
@@ -183,13 +183,11 @@ class TrackSolution:
             return None
         return copy_with(self, **{n: getattr(self, n)[frames:] for n in _STATES}) if frames else self
 
-    def follow(self, own: TrackSolution, own_model: BasePoses, model: BasePoses) -> TrackSolution:
+    def follow(self, own: TrackSolution) -> TrackSolution:
         """Return this solution with states of the newer frames as the person has moved (end of the module's text).
 
         Args:
             own: the person's solution so far, of the same frames and n >= 0 newer ones.
-            own_model: base poses of that.
-            model: base poses of this solution.
         """
         last = len(self.theta) - 1
         if last + 1 == len(own.theta):
@@ -197,11 +195,11 @@ class TrackSolution:
         frames, newer = np.arange(last, len(own.theta)), slice(last + 1, None)
         rotation = own.rotation[newer] @ own.rotation[last].T @ self.rotation[-1]
         roots = self.roots[-1] + (own.roots[newer] - own.roots[last]) * (self.roots[-1, 2] / own.roots[last, 2])
-        joints = own.compute_joints(own_model, frames)
-        joints = self.compute_joints(model, np.array([last])) + joints[1:] - joints[0]
-        theta = model.weights(joints @ rotation)
+        joints = own.compute_joints(frames)
+        joints = self.compute_joints(np.array([last])) + joints[1:] - joints[0]
+        theta = self.model.weights(joints @ rotation)
         lengths, residuals = (
-            model.skeleton.bone_lengths(model.poses(theta)),
+            self.model.skeleton.bone_lengths(self.model.poses(theta)),
             np.full(len(theta), self.frame_residuals[-1]),
         )
         states = zip(_STATES, (theta, rotation, roots, lengths, residuals), strict=True)
@@ -219,25 +217,23 @@ class TrackSolution:
         rays = new.pixels_to_rays(old.project(self.roots))
         return copy_with(self, roots=np.concatenate([rays * depth, depth], axis=-1))
 
-    def change_model(self, model: BasePoses, target_name: str, target_model: BasePoses) -> TrackSolution:
+    def change_model(self, target_name: str, target_model: BasePoses) -> TrackSolution:
         """Return the solution with its poses approximated under another model; its fit is not measured again.
 
         Args:
-            model: base poses of this solution.
             target_name: name of the other base poses.
             target_model: the other base poses.
         """
-        rotation, theta = self.convert_poses(model, target_model, np.arange(len(self.theta)))
+        rotation, theta = self.convert_poses(target_model, np.arange(len(self.theta)))
         lengths = target_model.skeleton.bone_lengths(target_model.poses(theta))
-        return copy_with(self, model_name=target_name, rotation=rotation, theta=theta, bone_lengths=lengths)
+        return copy_with(
+            self, model_name=target_name, model=target_model, rotation=rotation, theta=theta, bone_lengths=lengths
+        )
 
-    def convert_poses(
-        self, model: BasePoses, target_model: BasePoses, frames: NDArray[np.intp]
-    ) -> tuple[Array, Array]:
+    def convert_poses(self, target_model: BasePoses, frames: NDArray[np.intp]) -> tuple[Array, Array]:
         """Approximate the 3D poses of some frames under another model.
 
         Args:
-            model: base poses of the solution.
             target_model: other base poses.
             frames: (n,) indices of the frames.
 
@@ -245,31 +241,30 @@ class TrackSolution:
             rotation: (n, 3, 3) rotations from the body to the real camera under the other model.
             theta: (n, K) m, weights of the other model.
         """
-        joints = self.compute_joints(model, frames)
+        joints = self.compute_joints(frames)
         rotation = fit_rotation(target_model.mean[None], joints)
         return rotation, target_model.weights(joints @ rotation)
 
-    def compute_joints(self, model: BasePoses, frames: NDArray[np.intp]) -> Array:
+    def compute_joints(self, frames: NDArray[np.intp]) -> Array:
         """Return the joints of some frames about the body's origin, (n, J, 3) m in the real camera's axes."""
-        poses = model.poses(self.theta[frames])
+        poses = self.model.poses(self.theta[frames])
         return np.asarray(poses @ np.swapaxes(self.rotation[frames], -1, -2))
 
-    def locate_joints(self, frame: int, model: BasePoses) -> Array:
+    def locate_joints(self, frame: int) -> Array:
         """Return the joints (J, 3) m of a person of the assumed size in the real camera's frame."""
         state = self.theta[frame], self.rotation[frame], self.roots[frame]
-        return _locate_joints(*state, model.mean, model.components, 1 / self.stature_ratio)
+        return _locate_joints(*state, self.model.mean, self.model.components, 1 / self.stature_ratio)
 
-    def sample_joints(self, model: BasePoses, times: Array, wanted: Array) -> Array:
+    def sample_joints(self, times: Array, wanted: Array) -> Array:
         """Return the joints (T, J, 3) m of a person of the assumed size, interpolated between frames.
 
         Args:
-            model: base poses of the solution.
             times: (S,) s, times of the frames.
             wanted: (T,) s, times of the joints, not after the last frame; NaN is returned before the first.
         """
         theta, rotation, roots = (np.ascontiguousarray(v) for v in (self.theta, self.rotation, self.roots))
-        size = 1 / self.stature_ratio
-        return _sample_joints(wanted, times, theta, rotation, roots, model.mean, model.components, size)
+        basis = self.model.mean, self.model.components
+        return _sample_joints(wanted, times, theta, rotation, roots, *basis, 1 / self.stature_ratio)
 
 
 def _finish(
@@ -290,7 +285,17 @@ def _finish(
     theta, rotation, roots, bone_lengths, frame_residuals = states
     stature = float(average_rows(bone_lengths) @ model.skeleton.stature_per_bone)
     return TrackSolution(
-        *(model_name, theta, rotation, roots, bone_lengths, frame_residuals, noise, stature / model.stature),
+        *(
+            model_name,
+            model,
+            theta,
+            rotation,
+            roots,
+            bone_lengths,
+            frame_residuals,
+            noise,
+            stature / model.stature,
+        ),
         *(joint_std, rms_error / body_radius_px, base_poses_lead),
     )
 
@@ -308,7 +313,6 @@ def build_refinement_window(
     stamps_ns: Sequence[int],
     observed: ObservedWindow,
     solution: TrackSolution,
-    model: BasePoses,
     first: int,
     fixed_frames: int,
 ) -> Window:
@@ -318,7 +322,6 @@ def build_refinement_window(
         stamps_ns: ns, stamps of the F frames.
         observed: these frames.
         solution: solution of the first F - 1 frames.
-        model: base poses of the solution.
         first: index of the first frame of the solver's window.
         fixed_frames: number of frames at its beginning that the solver must not change.
     """
@@ -331,7 +334,7 @@ def build_refinement_window(
     if window.lifted is not None:
         newest = window.lifted.select_frames(slice(-1, None))
         if np.isfinite(newest.joints).all():
-            fitted = fit_lifted_poses(newest, model)
+            fitted = fit_lifted_poses(newest, solution.model)
             start.theta[-1], start.cameras.rotation[-1] = fitted.theta[0], fitted.rotation[0]
     return window
 

@@ -36,6 +36,7 @@ from mocap_ros.models.model_file import load_prior_lifter, load_velocity_correct
 from mocap_ros.models.upward_direction import find_standing, find_upward
 from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
 from mocap_ros.skeleton import keypoint_layout
+from mocap_ros.solvers.extremities import ExtremityState
 from mocap_ros.solvers.joint.solver import solve
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, let_base_poses_lead
 from mocap_ros.solvers.observed_window import RAY_FOCAL
@@ -47,14 +48,15 @@ from mocap_ros.solvers.vertical import (
     read_given_vertical,
     turn_towards_vertical,
 )
-from mocap_ros.tracking.body_size import BodySize, FloorContact, assume_size, read_body_heights, resize
+from mocap_ros.tracking.body_size import BodySize, FloorContact, assume_size, read_body_heights
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, FRAME_BUDGET_WITHOUT_LIFTER, DeferredWork
 from mocap_ros.tracking.delayed_output import find_delayed_frame
 from mocap_ros.tracking.hypotheses import HypothesisChecker
 from mocap_ros.tracking.matching import match_detections
-from mocap_ros.tracking.output import complete_prediction, filter_motion, follow_extremities, make_whole_person
+from mocap_ros.tracking.motion_filter import CoreMotion
+from mocap_ros.tracking.output import Cores, filter_motion, find_published_motion, follow_extremities, make_people
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
-from mocap_ros.tracking.prediction import predict_ahead, predict_person
+from mocap_ros.tracking.prediction import predict_ahead, predict_people
 from mocap_ros.tracking.schedule import MIN_CHECK_INTERVAL_S
 from mocap_ros.tracking.solution import build_refinement_window
 from mocap_ros.tracking.track import Detection, Track
@@ -165,7 +167,7 @@ class Tracker:
         self._is_work_pending = False
         self._intrinsics: Intrinsics | None = None
         self._name_count = 0  # names that were given to people without an id
-        self._at_work: Track | None = None  # the person whom a stage works on
+        self._at_work: Sequence[Track] = ()  # the people whom a stage works on
         self.pose_memory = KeyPoseMemory()
         self._vertical = self._vertical and self._vertical.forget()
 
@@ -215,8 +217,8 @@ class Tracker:
             self._initialise(stamp_ns, [t for t in tracks if t.solution is None])
             self._refine([t for t in tracks if t.has_unsolved_frame])
             shown = self._choose_shown(stamp_ns, tracks)
-            self._filter(shown)
-            output = self._make_people(shown, floor) + self._predict_missing(stamp_ns)
+            filtered = self._filter(shown)
+            output = self._make_people(shown, filtered, floor) + self._predict_missing(stamp_ns)
         except Exception:
             self._forget_concerned()
             raise
@@ -239,8 +241,8 @@ class Tracker:
         if self._newest_ns is None:
             return [[] for _ in times_s]
         tracks = self._list_known(self._newest_ns)
-        models, sizes = [self._model_of(t) for t in tracks], [self._find_size(t) for t in tracks]
-        people = predict_ahead(tracks, self._newest_ns, times_s, models, self._upward, sizes)
+        sizes = [*map(self._find_size, tracks)]
+        people = predict_ahead(tracks, self._newest_ns, times_s, self._upward, sizes)
         return [[person[i] for person in people] for i in range(len(times_s))]
 
     def run_deferred_work(self) -> None:
@@ -340,14 +342,14 @@ class Tracker:
     def _forget_concerned(self) -> None:
         """Forget the people at whom a stage was when it raised an error, and those whom it left unsolved."""
         for tracks in (self.tracks, self._leaving):
-            tracks[:] = [t for t in tracks if not (t is self._at_work or t.has_unsolved_frame)]
+            tracks[:] = [t for t in tracks if not (t in self._at_work or t.has_unsolved_frame)]
 
     def _each(self, tracks: Iterable[Track]) -> Iterable[Track]:
         """Yield tracks one by one, so that an error is known to be about one of them."""
         for track in tracks:
-            self._at_work = track
+            self._at_work = (track,)
             yield track
-        self._at_work = None
+        self._at_work = ()
 
     def _associate(self, stamp_ns: int, detections: Sequence[Detection], intrinsics: Intrinsics) -> list[Track]:
         """Match the detections with the known people; return the track of each person with this frame added.
@@ -367,7 +369,7 @@ class Tracker:
         tracks = []
         for detection, known in zip(matches.detections, matches.tracks, strict=True):
             if known is not None:
-                self._at_work = known
+                self._at_work = (known,)
                 known.add_frame(stamp_ns, detection, settings.window, settings.lag)
                 tracks.append(known)
                 continue
@@ -379,7 +381,7 @@ class Tracker:
             camera = intrinsics, focal, is_tentative
             tracks.append(Track.begin(name, stamp_ns, detection, self._new_swap_filter, *camera))
             self.tracks.append(tracks[-1])
-        self._at_work = None
+        self._at_work = ()
         return tracks
 
     def _lift(self, stamp_ns: int, tracks: Sequence[Track]) -> None:
@@ -445,14 +447,14 @@ class Tracker:
         for track in tracks:
             batches.setdefault((track.solved.model_name, track.solved.base_poses_lead), []).append(track)
         for (name, base_poses_lead), batch in batches.items():
-            model, parts = self.models[name], [self._select_refined_frames(t) for t in batch]
+            parts = [self._select_refined_frames(t) for t in batch]
             windows = [
-                build_refinement_window(t.stamps_ns, t.observed, t.solved, model, *part)
+                build_refinement_window(t.stamps_ns, t.observed, t.solved, *part)
                 for t, part in zip(batch, parts, strict=True)
             ]
-            results = solve(windows, model, self._refinement_configs[base_poses_lead])
+            results = solve(windows, self.models[name], self._refinement_configs[base_poses_lead])
             for track, part, result in zip(batch, parts, results, strict=True):
-                track.solution = track.solved.refine(result, track.observed, *part, model)
+                track.solution = track.solved.refine(result, track.observed, *part)
 
     def _select_refined_frames(self, track: Track) -> tuple[int, int]:
         """Return the index of the first frame that the solver gets, and how many frames it must not change."""
@@ -491,26 +493,33 @@ class Tracker:
         people = sorted((*self._leaving, *self.tracks), key=lambda t: t.first_ns)
         return [(t, t.stamps_ns.index(shown_ns)) for t in people if shown_ns in t.stamps_ns]
 
-    def _filter(self, shown: Shown) -> None:
+    def _filter(self, shown: Shown) -> list[tuple[CoreMotion, ExtremityState]]:
         """Filter the motion of people, and follow their extremities, up to the frame that is put out."""
-        frames = dict(shown)
+        frames, found = dict(shown), []
         for track in self._each(frames):
-            frame, model = frames[track], self._model_of(track)
             if self.config.tracker.steady_output and self._is_newest_shown:
-                filter_motion(track, self.output_stamp_ns, frame, model)
-            follow_extremities(track, self.output_stamp_ns, frame, model)
+                filter_motion(track, self.output_stamp_ns, frames[track])
+            motion = find_published_motion(track, frames[track])
+            extremities = follow_extremities(track, self.output_stamp_ns, frames[track], motion.joints)
+            found.append((motion, extremities))
+        return found
 
-    def _make_people(self, shown: Shown, floor: Floor | None) -> list[Person3D]:
+    def _make_people(
+        self, shown: Shown, filtered: Sequence[tuple[CoreMotion, ExtremityState]], floor: Floor | None
+    ) -> list[Person3D]:
         """Return the people who are put out, of the sizes that the floor, if it is known, shows."""
-        frames, people = dict(shown), []
-        for track in self._each(frames):
-            person = make_whole_person(track, frames[track], self._model_of(track), self._skeleton)
-            if floor is not None and person.scale_known and not person.tentative:
-                track.contact = FloorContact.advance(
-                    track.contact, self.output_stamp_ns, person, floor, self.config.tracker.body_height
-                )
-            people.append(resize(person, self._find_size(track)))
-        return people
+        if not shown:
+            return []
+        (tracks, frames), (motions, extremities) = zip(*shown, strict=True), zip(*filtered, strict=True)
+        self._at_work = tracks
+        if floor is not None:
+            for track, motion in zip(tracks, motions, strict=True):
+                if track.intrinsics.is_focal_known and not track.is_tentative:
+                    place = motion.joints, motion.velocity, floor, self.config.tracker.body_height
+                    track.contact = FloorContact.advance(track.contact, self.output_stamp_ns, *place)
+        sizes = [*map(self._find_size, tracks)]
+        cores = Cores.of_tracks(tracks, frames, motions, sizes)
+        return make_people(tracks, frames, cores, extremities, sizes, self._skeleton)
 
     def _find_size(self, track: Track) -> BodySize:
         """Return what is known of a person's size; the detector may say who it is when the track has a name."""
@@ -522,12 +531,9 @@ class Tracker:
 
     def _predict_missing(self, stamp_ns: int) -> list[Person3D]:
         """Return the people who are predicted for this frame, stamp in ns; nobody with `tracker.lag`."""
-        predicted = []
-        for track in self._each(t for t in self._list_known(stamp_ns) if t.stamps_ns[-1] < stamp_ns):
-            model, size = self._model_of(track), self._find_size(track)
-            person = predict_person(track, stamp_ns, model, self._upward, size)
-            predicted.append(complete_prediction(person, track, stamp_ns, model, self._skeleton, size))
-        return predicted
+        missing = [t for t in self._list_known(stamp_ns) if t.stamps_ns[-1] < stamp_ns]
+        self._at_work = missing
+        return predict_people(missing, stamp_ns, self._upward, [*map(self._find_size, missing)], self._skeleton)
 
     def _list_known(self, stamp_ns: int) -> list[Track]:
         """Return the tracks that are seen in this frame, stamp in ns, or predicted; none with `tracker.lag`."""
@@ -536,9 +542,6 @@ class Tracker:
             return []
         longest_ns = settings.predict_for * NS_PER_S
         return [t for t in self.tracks if not t.is_tentative and stamp_ns - t.stamps_ns[-1] <= longest_ns]
-
-    def _model_of(self, track: Track) -> BasePoses:
-        return self.models[track.solved.model_name]
 
     @property
     def _upward(self) -> Array | None:

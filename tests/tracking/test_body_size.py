@@ -29,11 +29,9 @@ from mocap_ros.tracking.body_size import (
     ANKLE_SHARE,
     ANKLES,
     ASSUMED,
-    ROOT_FACTOR,
     BodySize,
     FloorContact,
     assume_size,
-    resize,
 )
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.paths import ROOT
@@ -70,10 +68,16 @@ def make_standing(ratio: float, distance: float = 4.0, lift: float = 0.0) -> Per
     )
 
 
+def advance(
+    before: FloorContact | None, stamp_ns: int, person: Person3D, floor: Floor = LEVEL
+) -> FloorContact | None:
+    return FloorContact.advance(before, stamp_ns, person.joints, person.velocity, floor, HEIGHT_M)
+
+
 def contact_after(frames: int, person: Person3D, floor: Floor = LEVEL) -> FloorContact | None:
     contact = None
     for frame in range(frames):
-        contact = FloorContact.advance(contact, frame * STEP_NS, person, floor, HEIGHT_M)
+        contact = advance(contact, frame * STEP_NS, person, floor)
     return contact
 
 
@@ -112,8 +116,8 @@ def test_the_longer_and_the_nearer_the_surer_but_the_tilt_of_the_camera_stays() 
 )
 def test_what_is_no_foot_on_the_floor_tells_nothing(person: Person3D) -> None:
     known = contact_after(30, make_standing(1.1))
-    assert FloorContact.advance(known, 31 * STEP_NS, person, LEVEL, HEIGHT_M) is known
-    assert FloorContact.advance(None, 0, person, LEVEL, HEIGHT_M) is None
+    assert advance(known, 31 * STEP_NS, person, LEVEL) is known
+    assert advance(None, 0, person, LEVEL) is None
 
 
 @pytest.mark.parametrize('frames', [1, 30])
@@ -121,7 +125,7 @@ def test_a_frame_that_is_put_out_again_tells_nothing_more(frames: int) -> None:
     """With a lag, the same frame is put out again while no newer one is old enough."""
     known = contact_after(frames, make_standing(1.1))
     assert known is not None
-    assert FloorContact.advance(known, known.stamp_ns, make_standing(1.1), LEVEL, HEIGHT_M) is known
+    assert advance(known, known.stamp_ns, make_standing(1.1), LEVEL) is known
 
 
 def test_a_name_that_comes_back_is_measured_anew() -> None:
@@ -145,26 +149,9 @@ def test_a_foot_that_is_lifted_for_a_while_changes_little() -> None:
     contact = contact_after(90, make_standing(1.0))
     assert contact is not None
     for frame in range(90, 105):
-        contact = FloorContact.advance(contact, frame * STEP_NS, make_standing(1.0, lift=0.2), LEVEL, HEIGHT_M)
+        contact = advance(contact, frame * STEP_NS, make_standing(1.0, lift=0.2), LEVEL)
     assert contact is not None
     assert 0 < contact.mean < 0.02, 'of 0.14'
-
-
-@given(st.floats(0.5, 2.0))
-@settings(max_examples=20)
-def test_a_resized_person_has_the_same_image(ratio: float) -> None:
-    person = make_standing(1.0)
-    resized = resize(person, BodySize(ratio, 0.03))
-    np.testing.assert_allclose(CAMERA.project(resized.joints), CAMERA.project(person.joints))
-    np.testing.assert_allclose(resized.joints, person.joints * ratio)
-    np.testing.assert_allclose(resized.std, person.std * ratio)
-    np.testing.assert_allclose(resized.velocity_std, person.velocity_std * ratio)
-    np.testing.assert_allclose(resized.root_velocity_covariance, ratio**2 * np.eye(3))
-    assert resized.scale == pytest.approx(person.scale / ratio)
-    variances, axes = np.linalg.eigh(resized.root_covariance)
-    root = resized.root
-    assert abs(axes[:, 2] @ root) == pytest.approx(np.linalg.norm(root))
-    assert variances[2] == pytest.approx((ROOT_FACTOR * 0.03 * ratio) ** 2 * 2 / 3 + 0.03**2 * root @ root)
 
 
 def test_a_known_height_or_focal_length_makes_the_distance_surer() -> None:
@@ -210,7 +197,7 @@ def test_the_floor_in_the_frame_of_the_outputs() -> None:
         unknown = Floor.find(parse_camera_pose('3 1 1.5 0 0.2 0.7', 'test'), height)
         assert unknown.camera_height is None
         np.testing.assert_array_equal(unknown.upward, floor.upward)
-        assert FloorContact.advance(None, 0, make_standing(1.1), unknown, HEIGHT_M) is None
+        assert advance(None, 0, make_standing(1.1), unknown) is None
     assert [is_level(name) for name in ('map', 'robot_1/odom', 'base_link', 'camera_map')] == [
         True,
         True,
@@ -237,7 +224,7 @@ def test_a_height_that_is_known_of_a_person_and_the_floor_are_weighed(ratio: flo
 def test_the_tracker_puts_out_persons_of_known_heights_where_they_are() -> None:
     model = load_base_pose_models('all')
     sequence = load_sequence(ROOT / 'mocap_ros' / 'demo' / 'demo.npz')
-    roots = []
+    roots, people = [], []
     for text in ('', 'ann=1.36, bob=2.0'):
         tracker = Tracker(model, with_settings(Config(), {'tracker.body_heights': text}))
         for frame in range(4):
@@ -245,9 +232,20 @@ def test_the_tracker_puts_out_persons_of_known_heights_where_they_are() -> None:
             seen = [Person2D('ann', sequence.joint_names, points[:, :2], points[:, 2])]
             (ann,) = tracker.update(frame * STEP_NS, seen, sequence.intrinsics(1.0))
         roots.append(ann.root)
+        people.append(ann)
         ((ahead,),) = tracker.predict((0.0,))
         np.testing.assert_allclose(ahead.root, ann.root, atol=1e-6)
     np.testing.assert_allclose(roots[1], 0.8 * roots[0], rtol=1e-6)
+    for name, power in (
+        ('joints', 1),
+        ('std', 1),
+        ('velocity', 1),
+        ('velocity_std', 1),
+        ('root_velocity_covariance', 2),
+    ):
+        np.testing.assert_allclose(getattr(people[1], name), 0.8**power * getattr(people[0], name), rtol=1e-6)
+    assert people[1].scale == pytest.approx(people[0].scale / 0.8)
+    np.testing.assert_allclose(people[1].translation, people[0].translation)
 
 
 def test_a_height_counts_from_when_the_detector_tells_who_it_is() -> None:

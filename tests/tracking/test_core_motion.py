@@ -17,7 +17,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CORE_COUNT
-from mocap_ros.tracking.body_size import ROOT_FACTOR, estimate_root_covariance
+from mocap_ros.tracking.body_size import ROOT_FACTOR, BodySize, estimate_root_covariance
 from mocap_ros.tracking.motion_filter import MotionFilter
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.swinging_body import STANDING
@@ -102,12 +102,12 @@ def test_differences_are_unknown_at_both_ends_and_beside_gaps() -> None:
 
 
 def test_the_place_of_a_body_is_least_sure_along_the_line_of_sight() -> None:
-    root = np.array([1.0, -0.5, 4.0])
-    share = 0.06
-    covariance = estimate_root_covariance(root, np.full(15, 0.06), share, 0.0)
+    root, share, ratios = np.array([1.0, -0.5, 4.0]), 0.06, (1.0, 1.0, 0.7)
+    sizes = [BodySize(ratio, share, focal) for ratio, focal in zip(ratios, (0.0, 0.2, 0.0), strict=True)]
+    covariance, wider, small = estimate_root_covariance(np.tile(root, (3, 15, 1)), np.full((3, 15), 0.06), sizes)
     variances, axes = np.linalg.eigh(covariance)
     own = (ROOT_FACTOR * 0.06) ** 2
     np.testing.assert_allclose(variances, [own / 6, own / 6, own * 2 / 3 + share**2 * root @ root], rtol=1e-9)
     assert abs(axes[:, 2] @ root) == pytest.approx(np.linalg.norm(root))
-    wider = estimate_root_covariance(root, np.full(15, 0.06), share, 0.2) - covariance
-    np.testing.assert_allclose(wider, np.diag([0, 0, (0.2 * root[2]) ** 2]), atol=1e-12)
+    np.testing.assert_allclose(wider - covariance, np.diag([0, 0, (0.2 * root[2]) ** 2]), atol=1e-12)
+    np.testing.assert_allclose(small, 0.7**2 * covariance, rtol=1e-12)

@@ -83,8 +83,7 @@ def finish(slices: Slices[Any]) -> Any:
 
 
 def test_a_wrong_model_is_replaced(track: Track, checker: HypothesisChecker) -> None:
-    models = checker.models
-    wrong = change(track, solution=track.solved.change_model(models['walk'], 'jump', models['jump']))
+    wrong = change(track, solution=track.solved.change_model('jump', checker.models['jump']))
     found = finish(checker.check(wrong, 'walk'))
     assert (found.model_name, len(found.theta)) == ('walk', FRAMES)
     assert found.noise < 0.01
@@ -120,9 +119,8 @@ def test_there_is_no_margin_within_a_model(
     wrong = change(track, solution=turn_round(track.solved))
     found = finish(checker.check(wrong, 'walk'))
     frames = np.arange(FRAMES - 30, FRAMES)  # the newest second, which is checked
-    model = checker.models['walk']
     error = {
-        name: measure_error(solution.compute_joints(model, frames), walk_model, walk, frames)
+        name: measure_error(solution.compute_joints(frames), walk_model, walk, frames)
         for name, solution in (('wrong', wrong.solved), ('found', found), ('right', track.solved))
     }
     assert error['wrong'] > 150
@@ -172,9 +170,9 @@ def test_a_remembered_pose_is_a_hypothesis(
 ) -> None:
     """After a single step a solution from scratch is still far from the pose, and the remembered one is not."""
     monkeypatch.setattr(hypotheses_module, 'INITIAL_MAX_ITERATIONS', 1)
-    model, frame = checker.models['walk'], 20
+    frame = 20
     unsolved, other = make_track(walk[2][frame : frame + 1]), make_track(walk[2][frame + 15 : frame + 16])
-    joints = track.solved.compute_joints(model, np.array([frame]))
+    joints = track.solved.compute_joints(np.array([frame]))
     newest = unsolved.observed
     pose = newest.virtual_camera.to_virtual_camera(joints)[0]
     memory = KeyPoseMemory()
@@ -183,7 +181,7 @@ def test_a_remembered_pose_is_a_hypothesis(
     errors = []
     for known in (KeyPoseMemory(), memory):
         solution, unlike = checker.initialise([unsolved, other], ['walk'], known)
-        difference = solution.compute_joints(model, np.array([0])) - joints
+        difference = solution.compute_joints(np.array([0])) - joints
         errors.append(np.linalg.norm(difference - difference.mean(axis=1, keepdims=True), axis=-1).mean())
         assert unlike.theta.shape == (1, 20)
     assert errors[1] < 0.5 * errors[0]
@@ -196,8 +194,8 @@ def test_poses_that_look_different_are_remembered(track: Track, checker: Hypothe
     newest = track.observed.select_frames(slice(-1, None))
     recalled = memory.recall(newest.points[0], newest.weight[0])
     assert recalled is not None
-    model, last = checker.models['walk'], np.array([FRAMES - 1])
-    joints = newest.virtual_camera.to_virtual_camera(track.solved.compute_joints(model, last))[0]
+    last = np.array([FRAMES - 1])
+    joints = newest.virtual_camera.to_virtual_camera(track.solved.compute_joints(last))[0]
     assert recalled.pose == pytest.approx(joints - joints.mean(axis=0), abs=1e-9)
 
 

@@ -18,9 +18,10 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15, CORE_COUNT
-from mocap_ros.tracking.body_size import ASSUMED, resize
-from mocap_ros.tracking.output import make_person
-from mocap_ros.tracking.prediction import MIN_CLEARANCE_M, predict_person
+from mocap_ros.tracking.body_size import ASSUMED
+from mocap_ros.tracking.output import find_motion
+from mocap_ros.tracking.prediction import MIN_CLEARANCE_M, predict_people
+from mocap_ros.tracking.track import Track
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.synthetic_walk import make_walk
 from tests.support.tracks import change
@@ -49,10 +50,21 @@ def track_walk(
     tracker = Tracker(
         model, with_settings(Config(), {'solver.components': 8, 'tracker.predict_for': 1.0, **(values or {})})
     )
-    for frame, joints in enumerate(make_scene(model, start, velocity)):
-        tracker.update(frame * STEP_NS, [Person2D('', CMU15.joints, CAMERA.project(joints), ONES)], CAMERA)
+    see_walk(tracker, make_scene(model, start, velocity))
     tracker.run_deferred_work()
     return tracker
+
+
+def see_walk(tracker: Tracker, scene: Array) -> Person3D:
+    """Track joints (FRAMES, 15, 3) m; return the last person."""
+    for frame, joints in enumerate(scene):
+        found = tracker.update(frame * STEP_NS, [Person2D('', CMU15.joints, CAMERA.project(joints), ONES)], CAMERA)
+    return found[0]
+
+
+def predict(track: Track, stamp_ns: int) -> Person3D:
+    (person,) = predict_people([track], stamp_ns, None, [ASSUMED], CMU15)
+    return person
 
 
 def track_walker(model: BasePoses, start: list[float], velocity: list[float], gap: int) -> list[Person3D]:
@@ -64,10 +76,8 @@ def track_walker(model: BasePoses, start: list[float], velocity: list[float], ga
         velocity: m/s.
         gap: frames from the last detection to the prediction.
     """
-    tracker = track_walk(model, start, velocity)
-    (track,) = tracker.tracks
-    model = tracker.models[track.solved.model_name]
-    last = resize(make_person(track, track.newest, model), ASSUMED)
+    tracker = Tracker(model, with_settings(Config(), {'solver.components': 8, 'tracker.predict_for': 1.0}))
+    last = see_walk(tracker, make_scene(model, start, velocity))
     (predicted,) = tracker.update((FRAMES - 1 + gap) * STEP_NS, [], CAMERA)
     return [last, predicted]
 
@@ -98,14 +108,14 @@ def test_a_prediction_is_less_certain_the_longer_the_gap(walk_model: BasePoses) 
 def test_a_person_who_comes_towards_the_camera_is_not_predicted_behind_it(walk_model: BasePoses) -> None:
     tracker = track_walk(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, -2.5])
     (track,) = tracker.tracks
-    solution, model = track.solved, tracker.models[track.solved.model_name]
+    solution = track.solved
     stamp_ns = (FRAMES + 8) * STEP_NS
-    last = make_person(track, FRAMES - 1, model)
+    last = find_motion(track, FRAMES - 1)
     depth = last.joints[:, 2]
-    assert predict_person(track, stamp_ns, model).joints[:, 2].mean() < depth.mean() - 0.2
+    assert predict(track, stamp_ns).joints[:, 2].mean() < depth.mean() - 0.2
     nearer = [0.0, 0.0, depth.max() - 2 * depth.mean() + 0.15]  # m; then the body nearly touches the camera
     near = change(track, solution=replace(solution, roots=solution.roots + nearer), motion_filter=None)
-    stopped, before = predict_person(near, stamp_ns, model), make_person(near, FRAMES - 1, model)
+    stopped, before = predict(near, stamp_ns), find_motion(near, FRAMES - 1)
     depth = stopped.joints[:CORE_COUNT, 2]
     assert 2 * depth.mean() - depth.max() == pytest.approx(MIN_CLEARANCE_M)
     assert stopped.joints[:, 2].min() > 0
@@ -115,11 +125,11 @@ def test_a_person_who_comes_towards_the_camera_is_not_predicted_behind_it(walk_m
 def test_a_person_who_reaches_the_camera_stays_there(walk_model: BasePoses) -> None:
     tracker = track_walk(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, -2.5])
     (track,) = tracker.tracks
-    solution, model = track.solved, tracker.models[track.solved.model_name]
-    depth = make_person(track, FRAMES - 1, model).joints[:, 2]
+    solution = track.solved
+    depth = find_motion(track, FRAMES - 1).joints[:, 2]
     nearer = [0.0, 0.0, depth.max() - 2 * depth.mean() + 0.6]  # m; then some of the way is left
     near = change(track, solution=replace(solution, roots=solution.roots + nearer), motion_filter=None)
-    predicted = [predict_person(near, (FRAMES + gap) * STEP_NS, model) for gap in range(20)]
+    predicted = [predict(near, (FRAMES + gap) * STEP_NS) for gap in range(20)]
     speeds = np.array([person.root_velocity[2] for person in predicted])
     assert speeds[0] < -1
     assert abs(speeds[-1]) < 0.5
@@ -165,6 +175,6 @@ def test_a_prediction_from_a_single_frame_is_finite(walk_model: BasePoses) -> No
     joints = make_scene(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, 0.0])[0]
     tracker.update(0, [Person2D('', CMU15.joints, CAMERA.project(joints), ONES)], CAMERA)
     (track,) = tracker.tracks
-    person = predict_person(track, 10 * STEP_NS, tracker.models[track.solved.model_name])
+    person = predict(track, 10 * STEP_NS)
     assert np.isfinite(person.joints).all()
     assert np.linalg.norm(person.root - track.solved.roots[0]) < 1

@@ -47,6 +47,7 @@ def truth(model: BasePoses) -> TrackSolution:
     theta = 0.1 * number[:, None] * model.std
     return TrackSolution(
         model_name='walk',
+        model=model,
         theta=theta,
         rotation=Rotation.from_rotvec(number[:, None] * [0.01, 0.04, 0.0]).as_matrix() @ BODY_TO_OPTICAL,
         roots=np.array([1.5, -0.3, 4.0]) + number[:, None] * [0.02, 0.01, 0.05],
@@ -60,9 +61,9 @@ def truth(model: BasePoses) -> TrackSolution:
 
 
 @pytest.fixture(scope='module')
-def track(truth: TrackSolution, model: BasePoses) -> Track:
+def track(truth: TrackSolution) -> Track:
     """The track of this person's image, without a solution."""
-    return make_track(CAMERA.project(truth.compute_joints(model, ALL) + truth.roots[:, None]))
+    return make_track(CAMERA.project(truth.compute_joints(ALL) + truth.roots[:, None]))
 
 
 def keep(truth: TrackSolution, frames: int) -> TrackSolution:
@@ -151,7 +152,7 @@ def test_a_refinement_replaces_the_newest_states_and_no_others(
         bone_lengths=truth.bone_lengths[:-1] + 3,
     )
     result = reconstruct(truth, model, observed, slice(5, None))
-    solution = before.refine(result, observed, first=5, fixed_frames=1, model=model)
+    solution = before.refine(result, observed, first=5, fixed_frames=1)
     assert len(solution.theta) == FRAMES
     assert_states(solution, truth, slice(6, None))
     for name in ('theta', 'rotation', 'roots', 'bone_lengths'):
@@ -163,7 +164,7 @@ def test_a_refinement_replaces_the_newest_states_and_no_others(
 def test_a_refinement_of_all_frames_keeps_nothing(truth: TrackSolution, model: BasePoses, track: Track) -> None:
     before = replace(truth, theta=truth.theta + 1, roots=truth.roots + 2, noise=1.0)
     result = reconstruct(truth, model, track.observed, slice(None))
-    solution = before.refine(result, track.observed, first=0, fixed_frames=0, model=model)
+    solution = before.refine(result, track.observed, first=0, fixed_frames=0)
     assert_states(solution, truth)
     assert solution.noise == pytest.approx(0.03)
 
@@ -175,10 +176,10 @@ def test_the_stature_is_that_of_the_poses(truth: TrackSolution, model: BasePoses
     for size in (1, 2):
         grown = replace(model, mean=size * model.mean)
         result = reconstruct(upright, grown, track.observed, slice(None))
-        ratios.append(upright.refine(result, track.observed, 0, 0, grown).stature_ratio)
+        ratios.append(replace(upright, model=grown).refine(result, track.observed, 0, 0).stature_ratio)
     assert ratios[0] == pytest.approx(1.0, abs=0.05)
     assert ratios[1] == pytest.approx(2 * ratios[0])
-    partly = upright.refine(bent, track.observed, 5, 1, model)
+    partly = upright.refine(bent, track.observed, 5, 1)
     stature = estimate_stature(model.poses(partly.theta), model.skeleton)
     assert partly.stature_ratio == pytest.approx(stature / model.stature, rel=1e-12)
     assert abs(partly.stature_ratio - ratios[0]) > 1e-4
@@ -188,7 +189,7 @@ def test_a_posterior_that_is_not_known_is_not_invented(
     truth: TrackSolution, model: BasePoses, track: Track
 ) -> None:
     result = replace(reconstruct(truth, model, track.observed, slice(None)), joint_std=None)
-    assert np.isnan(truth.refine(result, track.observed, 0, 0, model).joint_std).all()
+    assert np.isnan(truth.refine(result, track.observed, 0, 0).joint_std).all()
 
 
 def test_the_fit_leaves_out_frames_without_a_residual(
@@ -198,16 +199,16 @@ def test_the_fit_leaves_out_frames_without_a_residual(
     body_px = np.sqrt((result.joints[-1, :, :2] ** 2).sum(axis=1).mean()) * result.cameras.scale[-1]
     for residual, rms in (([np.nan, 3.0, np.nan, 4.0], np.sqrt(12.5)), ([np.nan] * 4, np.nan)):
         some = replace(result, residual=np.array(residual))
-        found = truth.refine(some, track.observed, 0, 0, model)
+        found = truth.refine(some, track.observed, 0, 0)
         fit = found.residual, found.frame_residuals[-1]
         assert fit == pytest.approx((rms / body_px, residual[-1]), nan_ok=True)
 
 
-def test_joints_between_frames_are_interpolated(truth: TrackSolution, model: BasePoses) -> None:
+def test_joints_between_frames_are_interpolated(truth: TrackSolution) -> None:
     solution, times = replace(truth, stature_ratio=1.1), -np.cumsum(np.linspace(0.02, 0.05, FRAMES))[::-1]
-    joints = (solution.compute_joints(model, ALL) + solution.roots[:, None]) / 1.1
+    joints = (solution.compute_joints(ALL) + solution.roots[:, None]) / 1.1
     wanted = np.array([times[0] - 0.01, times[0], -0.17, -0.1, times[4], times[-1]])
-    found = solution.sample_joints(model, times, wanted)
+    found = solution.sample_joints(times, wanted)
     assert np.isnan(found[0]).all()
     expected = [np.interp(wanted[1:], times, column) for column in joints.reshape(FRAMES, -1).T]
     np.testing.assert_allclose(found[1:].reshape(5, -1).T, expected, atol=1e-12)
@@ -217,9 +218,9 @@ def test_poses_of_another_model_approximate_the_same_joints(truth: TrackSolution
     """A model with all base poses represents the poses of one with some of them; its body frame may be turned."""
     model, turn = walk_model.truncate(COMPONENTS), Rotation.from_rotvec([0, 0, 0.5]).as_matrix()
     target = replace(walk_model, mean=walk_model.mean @ turn, components=walk_model.components @ turn)
-    changed = truth.change_model(model, 'turned', target)
+    changed = truth.change_model('turned', target)
     assert changed.model_name == 'turned'
-    assert changed.compute_joints(target, ALL) == pytest.approx(truth.compute_joints(model, ALL), abs=1e-6)
+    assert changed.compute_joints(ALL) == pytest.approx(truth.compute_joints(ALL), abs=1e-6)
     assert np.abs(changed.rotation - truth.rotation).max() > 0.1
     np.testing.assert_array_equal(changed.roots, truth.roots)
     assert changed.bone_lengths == pytest.approx(truth.bone_lengths, abs=1e-6)
@@ -247,19 +248,19 @@ def test_with_a_lifter_a_new_frame_starts_from_its_lifted_pose(
     lifted[-1] = pose - pose.mean(axis=0)
     poses = LiftedPoses(lifted, np.full_like(lifted, 0.001))  # along the real camera's axes, in the units of rays
     observed = replace(track.observed, lifted=poses)
-    window = build_refinement_window(track.stamps_ns, observed, solution, model, first=5, fixed_frames=1)
+    window = build_refinement_window(track.stamps_ns, observed, solution, first=5, fixed_frames=1)
     assert window.start is not None
     assert window.lifted is not None
     start = window.start.cameras
     joints = model.poses(window.start.theta[-1]) @ start.rotation[-1].T
     size = np.linalg.norm(window.lifted.joints[-1]) / np.linalg.norm(joints)
     assert np.abs(size * joints - window.lifted.joints[-1]).max() < 0.05 * np.abs(window.lifted.joints[-1]).max()
-    plain = build_refinement_window(track.stamps_ns, track.observed, solution, model, first=5, fixed_frames=1)
+    plain = build_refinement_window(track.stamps_ns, track.observed, solution, first=5, fixed_frames=1)
     assert plain.start is not None
     np.testing.assert_array_equal(start.scale, plain.start.cameras.scale)
     np.testing.assert_array_equal(window.start.theta[:-1], plain.start.theta[:-1])
     lifted[-1, 3, 1] = np.nan  # too few joints were seen for the lifter
-    without = build_refinement_window(track.stamps_ns, observed, solution, model, first=5, fixed_frames=1)
+    without = build_refinement_window(track.stamps_ns, observed, solution, first=5, fixed_frames=1)
     assert without.start is not None
     np.testing.assert_array_equal(without.start.theta, plain.start.theta)
     np.testing.assert_array_equal(without.start.cameras.rotation, plain.start.cameras.rotation)
@@ -299,7 +300,7 @@ def test_a_solver_gets_the_solution_in_the_virtual_camera(
 ) -> None:
     solution = keep(truth, FRAMES - 1)
     frames = np.arange(5, FRAMES)
-    window = build_refinement_window(track.stamps_ns, track.observed, solution, model, first=5, fixed_frames=1)
+    window = build_refinement_window(track.stamps_ns, track.observed, solution, first=5, fixed_frames=1)
     expected = reconstruct(truth, model, track.observed, frames)
     assert window.start is not None
     assert window.start.theta[:-1] == pytest.approx(expected.theta[:-1])
@@ -316,7 +317,7 @@ def test_a_solver_gets_the_solution_in_the_virtual_camera(
     assert window.earlier_frames.count == 5
     lengths = model.skeleton.bone_lengths(model.poses(truth.theta[:5])).mean(axis=0)
     assert window.earlier_frames.mean_bone_lengths == pytest.approx(lengths)
-    free = build_refinement_window(track.stamps_ns, track.observed, solution, model, first=5, fixed_frames=0)
+    free = build_refinement_window(track.stamps_ns, track.observed, solution, first=5, fixed_frames=0)
     assert (free.fixed_frames, free.earlier_frames) == (0, None)
 
 
@@ -330,33 +331,33 @@ def test_a_check_gets_some_solved_frames(truth: TrackSolution, model: BasePoses,
     assert chosen.times == pytest.approx(frames / 30)
 
 
-def test_a_solution_that_is_followed_by_its_own_is_that(truth: TrackSolution, model: BasePoses) -> None:
-    result = keep(truth, 6).follow(truth, model, model)
+def test_a_solution_that_is_followed_by_its_own_is_that(truth: TrackSolution) -> None:
+    result = keep(truth, 6).follow(truth)
     for name in ('theta', 'rotation', 'roots', 'bone_lengths'):
         assert getattr(result, name) == pytest.approx(getattr(truth, name), abs=1e-6), name
-    assert keep(truth, 6).follow(keep(truth, 6), model, model).theta.shape == (6, COMPONENTS)
+    assert keep(truth, 6).follow(keep(truth, 6)).theta.shape == (6, COMPONENTS)
 
 
 def test_newer_frames_move_as_the_person_has_moved(truth: TrackSolution, walk_model: BasePoses) -> None:
     """A found solution that is turned, farther away and in another pose stays so, and moves on."""
     model, dropped, last, after = walk_model, 2, 5, 8
-    own = replace(truth, theta=np.pad(truth.theta, [(0, 0), (0, len(model.std) - COMPONENTS)]))
+    own = replace(truth, model=model, theta=np.pad(truth.theta, [(0, 0), (0, len(model.std) - COMPONENTS)]))
     turn = Rotation.from_rotvec([0.0, 0.3, 0.0]).as_matrix()
     found = replace(keep(own, last + 1), theta=own.theta[: last + 1] + 0.02, roots=2 * own.roots[: last + 1])
     found.rotation = found.rotation @ turn
     kept, newer = found.drop_oldest(dropped), own.drop_oldest(dropped)
     assert kept is not None
     assert newer is not None
-    result = kept.follow(newer, model, model)
+    result = kept.follow(newer)
     assert len(result.theta) == FRAMES - dropped
     np.testing.assert_array_equal(result.theta[: last + 1 - dropped], found.theta[dropped:])
     turned = own.rotation[after] @ own.rotation[last].T
     assert result.rotation[after - dropped] == pytest.approx(turned @ found.rotation[last], abs=1e-12)
     moved = 2 * (own.roots[after] - own.roots[last])
     assert result.roots[after - dropped] == pytest.approx(found.roots[last] + moved, abs=1e-9)
-    joints = own.compute_joints(model, np.array([last, after]))
-    expected = found.compute_joints(model, np.array([last]))[0] + joints[1] - joints[0]
-    error = result.compute_joints(model, np.array([after - dropped]))[0] - expected
+    joints = own.compute_joints(np.array([last, after]))
+    expected = found.compute_joints(np.array([last]))[0] + joints[1] - joints[0]
+    error = result.compute_joints(np.array([after - dropped]))[0] - expected
     assert (
         np.linalg.norm(error, axis=-1).mean() < 0.25 * np.linalg.norm(joints[1] - joints[0], axis=-1).mean() + 0.01
     )

@@ -13,6 +13,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.left_right import BodySides, SwapFilter
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.solution import TrackSolution
@@ -33,6 +34,7 @@ def make_solution(frames: int) -> TrackSolution:
     number = np.arange(float(frames))
     return TrackSolution(
         model_name='walk',
+        model=load_base_poses('walk'),
         theta=number[:, None] + [0.1, 0.2],
         rotation=np.eye(3) * (1 + number)[:, None, None],
         roots=np.stack([number, -number, 4 + number], axis=-1),

@@ -462,7 +462,7 @@ def test_images_a_millisecond_apart_create_no_new_person(walk_model: BasePoses, 
 
 @pytest.mark.parametrize(
     ('stage', 'begun_anew'),
-    [('solve', {'ann', 'bob'}), ('make_whole_person', {'ann'}), ('follow_extremities', {'ann'})],
+    [('solve', {'ann', 'bob'}), ('make_people', {'ann', 'bob'}), ('follow_extremities', {'ann'})],
 )
 def test_a_fault_forgets_the_people_whom_it_concerns_and_the_stream_goes_on(
     walk_model: BasePoses, walk: Walk, monkeypatch: pytest.MonkeyPatch, stage: str, begun_anew: set[str]
