@@ -32,10 +32,10 @@ from mocap_ros.bags.recorder import RecordedMessage
 from mocap_ros.bags.topics import find_latched_inputs
 from mocap_ros.config import Value
 from mocap_ros.errors import InputError, name_errors
-from mocap_ros.messages.cdr import create_message, decode, encode
+from mocap_ros.messages.cdr import decode
+from mocap_ros.messages.plain import encode_plain
 
 JOURNAL = 'diagnostic_msgs/msg/DiagnosticStatus'  # message type of the journal
-KEY_VALUE = 'diagnostic_msgs/msg/KeyValue'  # message type of the entries of DiagnosticStatus.values
 
 # Kinds of journal entries, as in the field `name` of the table above.
 INPUT = 'input'
@@ -62,13 +62,11 @@ class Verdict(IntEnum):
 
 @dataclass(frozen=True)
 class Entry:
-    """An entry of the journal.
+    """An entry of the journal; the table above says what it holds.
 
     Attributes:
-        kind: `input`, `reset`, `parameters` or `lost`.
         number: Number of the input; for other kinds, number of the last input before the event.
-        verdict: What became of the input.
-        reason: Why the input was not accepted, or a remark on an accepted one; usually empty.
+        reason: Why the input was not accepted, or what is to be said of an accepted one; usually empty.
         topic: Topic of the input; empty for other kinds.
         parameters: Values of the parameters by name; for `lost`, the number of lost inputs under `lost`.
     """
@@ -84,15 +82,8 @@ class Entry:
 def encode_entry(entry: Entry) -> bytes:
     """Encode a journal entry as CDR of DiagnosticStatus."""
     values = {'input': entry.number, **entry.parameters}
-    message = create_message(
-        JOURNAL,
-        level=int(entry.verdict),
-        name=entry.kind,
-        message=entry.reason,
-        hardware_id=entry.topic,
-        values=[create_message(KEY_VALUE, key=k, value=json.dumps(v)) for k, v in values.items()],
-    )
-    return encode(message, JOURNAL)
+    texts = [(key, json.dumps(value)) for key, value in values.items()]
+    return encode_plain((int(entry.verdict), entry.kind, entry.reason, entry.topic, texts), JOURNAL)
 
 
 def decode_entry(raw: bytes) -> Entry:
@@ -134,14 +125,7 @@ class Journal:
         alone may begin a further file: what that repeats then has the time of receipt of the first input in it.
         Outputs and events have later times than inputs that waited meanwhile and follow them.
 
-        Args:
-            topic: Absolute name of the input topic.
-            msgtype: Message type of the input.
-            raw: The message as it was received.
-            times_ns: Times of receipt and of sending, in ns.
-            verdict: What became of the input.
-            reason: As in `Entry`.
-            repeat_keys: What the input speaks of, as `Recorder.write` takes it; see `make_repeat_keys`.
+        Times are those of receipt and of sending, and `repeat_keys` those that `make_repeat_keys` gives.
         """
         self._input_ns = times_ns[0]
         before = self.make_lost_records()

@@ -18,7 +18,6 @@ from rosbags.typesys.store import Typestore
 
 from mocap_ros.bags.journal import (
     JOURNAL,
-    KEY_VALUE,
     Entry,
     Journal,
     Verdict,
@@ -205,7 +204,7 @@ def test_a_split_bag_and_each_of_its_files_replay(
 def test_an_invalid_journal_is_reported_with_its_topic(
     values: dict[str, str], tmp_path: Path, stream: list[bytes]
 ) -> None:
-    pairs = [create_message(KEY_VALUE, key=k, value=v) for k, v in values.items()]
+    pairs = [create_message('diagnostic_msgs/msg/KeyValue', key=k, value=v) for k, v in values.items()]
     line = create_message(JOURNAL, level=0, name='lost', message='', hardware_id='', values=pairs)
     with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
         recorder.write('/keypoints', KEYPOINTS, stream[0], START_NS, START_NS)
