@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,34 +22,7 @@ class JointProblem:
     status: Ints
     is_done: Bools
 
-    def __init__(
-        self,
-        *,
-        starts: Ints,
-        counts: Ints,
-        is_free: Bools,
-        image: Array,
-        score: Array,
-        focal: Array,
-        lifted: Array,
-        precision: Array,
-        earlier_lengths: Array,
-        earlier_frames: Ints,
-        noise_ratio: Array,
-        mean: Array,
-        basis: Array,
-        bones: Array,
-        parents: Ints,
-        children: Ints,
-        robust_scale: float,
-        bone_weight: Array,
-        prior: Array,
-        lifter_weight: float,
-        lifter_robust_scale: float,
-        orders: Ints,
-        factors: Array,
-        feature_weight: Array,
-    ) -> None: ...
+    def __init__(self, objective: Any, arrays: Any) -> None: ...
     def start(
         self,
         theta: Array,

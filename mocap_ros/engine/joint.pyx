@@ -34,7 +34,7 @@ with B = L L^T the damped block-banded part, y = L^-1 g and V = L^-1 G,
 Sequences are not coupled: each has a damping of its own, and steps until it has converged.
 """
 
-from libc.math cimport INFINITY, NAN, exp, fabs, isfinite, log1p, sin, sqrt
+from libc.math cimport INFINITY, NAN, exp, fabs, isfinite, log1p, sqrt
 from libc.string cimport memcpy, memset
 
 import numpy as np
@@ -42,6 +42,7 @@ import numpy as np
 from mocap_ros.engine.blas cimport (
     add_square, factorise, multiply, multiply_transposed, multiply_vector, multiply_vector_transposed, solve_rows,
 )
+from mocap_ros.engine.geometry cimport multiply as multiply_3x3, rotation_from_vector
 from mocap_ros.engine.block_banded cimport Factor, factorise_blocks, solve_backward, solve_forward
 
 cdef enum:
@@ -96,25 +97,6 @@ cdef struct Joint:
 cdef inline double compute_loss(double squared, double c) noexcept nogil:
     """Return rho."""
     return squared if c == INFINITY else c * c * log1p(squared / (c * c))
-
-
-cdef void write_rotation(const double* vector, double* out) noexcept nogil:
-    """Write exp([v]x) (3, 3), Rodrigues' formula."""
-    cdef double x = vector[0], y = vector[1], z = vector[2], angle = sqrt(x * x + y * y + z * z), half = 1, a = 1, b
-    if angle > 0:
-        half = sin(angle / 2) / (angle / 2)
-        a = sin(angle) / angle
-    b = 0.5 * half * half
-    out[0], out[1], out[2] = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
-    out[3], out[4], out[5] = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
-    out[6], out[7], out[8] = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
-
-
-cdef void multiply_3x3(const double* a, const double* b, double* out) noexcept nogil:
-    cdef int i, j
-    for i in range(3):
-        for j in range(3):
-            out[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j]
 
 
 cdef int write_rows(
@@ -181,8 +163,9 @@ cdef void differentiate_features(Frame* f, double* out) noexcept nogil:
 cdef class JointProblem:
     """The objectives of P sequences with N frames in all, a point, and what Levenberg-Marquardt needs.
 
-    The arguments are C-contiguous arrays, those of `solvers.joint.objective.JointObjective` and its batch, with the T
-    differences as `orders` (T,), `factors` (T, N, 3) and `feature_weight` (T, K + 13).
+    Args:
+        objective: a `solvers.joint.objective.JointObjective`, whose arrays are C-contiguous.
+        arrays: `models.base_poses.ModelArrays` of its model.
 
     Attributes:
         diagonal: (N, n, n) blocks of the normal equations; only their lower triangles are written.
@@ -226,24 +209,28 @@ cdef class JointProblem:
     cdef double[2] by_translation
     cdef double[::1] correction, means, pose
 
-    def __init__(
-        self, *, starts, counts, is_free, image, score, focal, lifted, precision, earlier_lengths, earlier_frames,
-        noise_ratio, mean, basis, bones, parents, children, robust_scale, bone_weight, prior, lifter_weight,
-        lifter_robust_scale, orders, factors, feature_weight,
-    ):
-        cdef Py_ssize_t largest = int(max(counts))
-        self.starts, self.counts, self.is_free = starts, counts, is_free.view(np.uint8)
-        self.image, self.score, self.focal, self.noise_ratio = image, score, focal, noise_ratio
-        self.lifted, self.precision = lifted, precision
-        self.earlier_lengths, self.earlier_frames = earlier_lengths, earlier_frames
-        self.mean, self.basis, self.bones, self.parents, self.children = mean, basis, bones, parents, children
-        self.robust_scale, self.bone_weight, self.prior = robust_scale, bone_weight, prior
-        self.lifter_weight, self.lifter_robust_scale = lifter_weight, lifter_robust_scale
-        self.orders, self.factors, self.feature_weight = orders, factors, feature_weight
-        self.sequences, self.frames, self.joints = len(counts), len(image), self.mean.shape[0]
-        self.bones_count, self.components = self.parents.shape[0], self.basis.shape[1]
-        cdef int N = self.frames, J = self.joints, B = self.bones_count, K = self.components, n = K + CAMERA
-        cdef int D = max(orders, default=1)
+    def __init__(self, objective, arrays):
+        batch, K, differences = objective.batch, len(objective.prior), objective.differences
+        cdef Py_ssize_t largest = int(max(batch.counts))
+        factors = np.zeros((len(differences), len(batch.times), 3))
+        for own, difference in zip(factors, differences):
+            own[:, : difference.order + 1] = difference.factors
+        self.orders, self.factors = np.array([d.order for d in differences], np.int64), factors
+        self.feature_weight = np.array([d.weight for d in differences]).reshape(-1, K + FEATURES)
+        self.starts, self.counts, self.is_free = batch.starts, batch.counts, batch.is_free.view(np.uint8)
+        self.image, self.score, self.focal = batch.image, batch.score, batch.focal
+        self.lifted, self.precision = batch.lifted, batch.precision
+        self.earlier_lengths, self.earlier_frames = batch.earlier_lengths, batch.earlier_frames
+        self.mean, self.parents, self.children = objective.model.mean, arrays.parents, arrays.children
+        self.basis = np.ascontiguousarray(arrays.components[:, :K])
+        self.bones = np.ascontiguousarray(arrays.bones[:, :K])
+        self.noise_ratio, self.robust_scale = objective.noise_ratio, objective.robust_scale
+        self.bone_weight, self.prior = objective.bone_weight, objective.prior
+        self.lifter_weight, self.lifter_robust_scale = objective.lifter_weight, objective.lifter_robust_scale
+        self.sequences, self.frames, self.joints = len(batch.counts), len(batch.times), len(objective.model.mean)
+        self.bones_count, self.components = len(arrays.parents), K
+        cdef int N = self.frames, J = self.joints, B = self.bones_count, n = K + CAMERA
+        cdef int D = max((d.order for d in differences), default=1)
         self.unknowns, self.distances = n, D
         self.fields, self.width = {}, 0
         for name, size, shape in (
@@ -632,7 +619,7 @@ cdef class JointProblem:
                 after.theta[i] -= self.step[t, i]
             for i in range(3):
                 vector[i] = -self.step[t, K + i]
-            write_rotation(vector, turn)
+            rotation_from_vector(vector, turn)
             multiply_3x3(turn, before.rotation, after.rotation)
             after.log_scale[0] += min(max(-self.step[t, K + 3], -MAX_LOG_SCALE_STEP), MAX_LOG_SCALE_STEP)
 

@@ -174,36 +174,7 @@ class JointObjective:
             settle_steps: number of steps of the robust fit by which the translations settle first.
             at_reference: whether they settle under the robust scale of the reference noise.
         """
-        batch, arrays, k = self.batch, arrange_model(self.model), len(self.prior)
-        factors = np.zeros((len(self.differences), len(batch.times), 3))
-        for own, difference in zip(factors, self.differences, strict=True):
-            own[:, : difference.order + 1] = difference.factors
-        problem = engine.JointProblem(
-            starts=batch.starts,
-            counts=batch.counts,
-            is_free=batch.is_free,
-            image=batch.image,
-            score=np.ascontiguousarray(batch.score),
-            focal=batch.focal,
-            lifted=batch.lifted,
-            precision=batch.precision,
-            earlier_lengths=batch.earlier_lengths,
-            earlier_frames=batch.earlier_frames,
-            noise_ratio=self.noise_ratio,
-            mean=self.model.mean,
-            basis=np.ascontiguousarray(arrays.components[:, :k]),
-            bones=np.ascontiguousarray(arrays.bones[:, :k]),
-            parents=arrays.parents,
-            children=arrays.children,
-            robust_scale=self.robust_scale,
-            bone_weight=self.bone_weight,
-            prior=self.prior,
-            lifter_weight=self.lifter_weight,
-            lifter_robust_scale=self.lifter_robust_scale,
-            orders=np.array([d.order for d in self.differences], np.int64),
-            factors=factors,
-            feature_weight=np.array([d.weight for d in self.differences]).reshape(-1, k + CAMERA_FEATURES),
-        )
+        problem = engine.JointProblem(self, arrange_model(self.model))
         if state is not None:
             problem.start(*state, settle_steps, at_reference)
         return problem
