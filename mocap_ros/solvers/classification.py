@@ -85,30 +85,21 @@ def choose_category(window: Window, models: Mapping[str, BasePoses], config: Sol
         models: base poses by name of category; at least one.
         config: weights of the solver.
     """
-    return run_to_end(choose_category_stepwise(window, models, config))
-
-
-def choose_category_stepwise(
-    window: Window, models: Mapping[str, BasePoses], config: SolverConfig
-) -> Stepwise[CategoryChoice]:
-    """Choose as `choose_category` does, in steps."""
     fits = {}
     for name, model in models.items():
-        (fits[name],) = yield from joint.solve_hypotheses_stepwise([window], model, config)
-        yield
+        (fits[name],) = joint.solve_hypotheses([window], model, config)
     noise = max(MIN_COMPARISON_NOISE, min(fit.noise for fit in fits.values()))
     evidence = {}
     for name, fit in fits.items():
         fitted = replace(window, start=InitialValues(fit.theta, fit.cameras))
-        evidence[name], _ = yield from minus_twice_log_evidence_stepwise(fitted, models[name], noise, config)
-        yield
+        evidence[name], _ = run_to_end(minus_twice_log_evidence_stepwise(fitted, models[name], noise, config))
     best = min(evidence, key=lambda name: evidence[name])
     return CategoryChoice(best, fits[best], evidence)
 
 
-def minus_twice_log_evidence(
+def minus_twice_log_evidence_stepwise(
     window: Window, model: BasePoses, noise: float, config: SolverConfig
-) -> tuple[float, JointReconstruction]:
+) -> Stepwise[tuple[float, JointReconstruction]]:
     """Return -2 log p(x | model) up to a constant (formula at the head of this module), and the reconstruction.
 
     Args:
@@ -118,13 +109,6 @@ def minus_twice_log_evidence(
             smaller values are raised to `MIN_COMPARISON_NOISE`.
         config: weights of the solver.
     """
-    return run_to_end(minus_twice_log_evidence_stepwise(window, model, noise, config))
-
-
-def minus_twice_log_evidence_stepwise(
-    window: Window, model: BasePoses, noise: float, config: SolverConfig
-) -> Stepwise[tuple[float, JointReconstruction]]:
-    """Return what `minus_twice_log_evidence` returns, in steps."""
     noise = max(noise, MIN_COMPARISON_NOISE)
     model = model.truncate(config.components)
     adaptive = replace(config, adapt_noise=True)
@@ -133,13 +117,7 @@ def minus_twice_log_evidence_stepwise(
 
 
 def measure_evidence(fit: JointReconstruction, model: BasePoses, noise: float) -> float:
-    """Return -2 log p(x | model) up to a constant (formula at the head of this module).
-
-    Args:
-        fit: minimum of the objective under `noise`.
-        model: its base poses.
-        noise: m, standard deviation of a coordinate of an image point.
-    """
+    """Return -2 log p(x | model) up to a constant, of the minimum under an image noise in m."""
     occam = len(fit.theta) * np.log1p(OBSERVED_FRACTION * (model.std / noise) ** 2).sum()
     return fit.cost / NOISE_REFERENCE**2 + float(occam)
 
@@ -164,12 +142,12 @@ class PeriodicFit:
     reconstruction: PeriodicReconstruction
 
 
-def fit_periodic(
+def fit_periodic_stepwise(
     window: Window,
     models: Mapping[str, BasePoses],
     config: SolverConfig,
     initial: EstimatedPoses | None = None,
-) -> PeriodicFit:
+) -> Stepwise[PeriodicFit]:
     """Fit the periodic model of every periodic category and return the fit with the smallest residual.
 
     Args:
@@ -182,16 +160,6 @@ def fit_periodic(
     Raises:
         InputError: none of `models` is of a periodic category, or the periodic solver rejects the window.
     """
-    return run_to_end(fit_periodic_stepwise(window, models, config, initial))
-
-
-def fit_periodic_stepwise(
-    window: Window,
-    models: Mapping[str, BasePoses],
-    config: SolverConfig,
-    initial: EstimatedPoses | None = None,
-) -> Stepwise[PeriodicFit]:
-    """Fit as `fit_periodic` does, in steps."""
     config = replace(config, tolerance=max(config.tolerance, PERIODIC_FIT_TOLERANCE))
     fits = []
     for name in PERIODIC_CATEGORIES:

@@ -3,6 +3,7 @@
 
 """Tests of the choice of category by evidence and of the periodic decision with its hysteresis."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from types import ModuleType
 from typing import Any
@@ -20,19 +21,26 @@ from mocap_ros.solvers.classification import (
     PeriodicFit,
     PeriodicSwitch,
     choose_category,
-    fit_periodic,
+    fit_periodic_stepwise,
     is_periodic,
     measure_tremble,
-    minus_twice_log_evidence,
+    minus_twice_log_evidence_stepwise,
 )
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
 from mocap_ros.solvers.periodic.solver import EstimatedPoses
+from mocap_ros.solvers.stepwise import run_to_end
 from mocap_ros.solvers.window import Window
 from mocap_ros.training.fit_base_poses import fit_base_poses
 from tests.support.evaluation_data import shared
 from tests.support.synthetic_walk import make_walk
 
 QUICK = SolverConfig(components=20, max_iterations=30)
+
+
+def fit_periodic(
+    window: Window, models: Mapping[str, BasePoses], config: SolverConfig, initial: EstimatedPoses | None = None
+) -> PeriodicFit:
+    return run_to_end(fit_periodic_stepwise(window, models, config, initial))
 
 
 def make_window(protocol: ModuleType, trial: str, heading: float) -> Window:
@@ -73,12 +81,12 @@ def test_the_evidence_is_that_of_the_formula(walk_model: BasePoses) -> None:
     model, noise = walk_model.truncate(5), 0.02
     window = Window(points, np.ones(points.shape[:2]), times)
     config = replace(QUICK, components=5)
-    evidence, fit = minus_twice_log_evidence(window, model, noise, config)
+    evidence, fit = run_to_end(minus_twice_log_evidence_stepwise(window, model, noise, config))
     occam = 20 * np.log1p(OBSERVED_FRACTION * (model.std / noise) ** 2).sum()
     assert evidence == pytest.approx(fit.cost / NOISE_REFERENCE**2 + occam)
     assert occam > 100, 'so that it counts'
-    louder, _ = minus_twice_log_evidence(window, model, 0.0, config)
-    least, _ = minus_twice_log_evidence(window, model, MIN_COMPARISON_NOISE, config)
+    louder, _ = run_to_end(minus_twice_log_evidence_stepwise(window, model, 0.0, config))
+    least, _ = run_to_end(minus_twice_log_evidence_stepwise(window, model, MIN_COMPARISON_NOISE, config))
     assert louder == least
 
 

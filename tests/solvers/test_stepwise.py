@@ -91,7 +91,6 @@ def test_each_piece_has_one_step_at_most(walk_model: BasePoses, monkeypatch: pyt
         periodic.solve_stepwise([window], walk_model, CONFIG),
         classification.minus_twice_log_evidence_stepwise(window, walk_model, 0.01, CONFIG),
         classification.fit_periodic_stepwise(window, models, CONFIG),
-        classification.choose_category_stepwise(window, models, CONFIG),
     ]
     for work in all_work:
         steps.clear()

@@ -74,60 +74,6 @@ class Step(NamedTuple):
     cameras: Array
 
 
-class FrameEquations(NamedTuple):
-    """The equations of the body in each frame, by the values of the functions and the unknowns of the camera.
-
-    Attributes:
-        function_matrix: (N, K + 1, K + 1) the matrices H'_uu.
-        mixed_matrix: (N, 4, K + 1) the matrices H'_zu.
-        camera_matrix: (N, 4, 4) the matrices H'_zz.
-        function_gradient: (N, K + 1) the vectors h'_u.
-        camera_gradient: (N, 4) the vectors h'_z.
-        bones: (N, B, K + 1) the vectors g, transposed.
-    """
-
-    function_matrix: Array
-    mixed_matrix: Array
-    camera_matrix: Array
-    function_gradient: Array
-    camera_gradient: Array
-    bones: Array
-
-    @staticmethod
-    def insert_heading(body: engine.JointProblem, vertical: Array) -> FrameEquations:
-        """Return the equations with the heading as function K + 1.
-
-        Args:
-            body: problem of the joint solver, with its equations H_t and h_t.
-            vertical: (N, 3) the body's vertical in the camera frame, a_t.
-        """
-        matrix, gradient = symmetrise(body.diagonal), body.gradient
-        frames, n = gradient.shape
-        k = n - CAMERA_UNKNOWNS
-        turn = slice(k, k + 3)
-        by_heading = (matrix[:, :, turn] @ vertical[:, :, None])[..., 0]
-        function_matrix = np.empty((frames, k + 1, k + 1))
-        function_matrix[:, :k, :k] = matrix[:, :k, :k]
-        function_matrix[:, :k, k] = function_matrix[:, k, :k] = by_heading[:, :k]
-        function_matrix[:, k, k] = (vertical * by_heading[:, turn]).sum(axis=1)
-        mixed_matrix = np.empty((frames, CAMERA_UNKNOWNS, k + 1))
-        mixed_matrix[:, :, :k] = matrix[:, k:, :k]
-        mixed_matrix[:, :, k] = by_heading[:, k:]
-        function_gradient = np.empty((frames, k + 1))
-        function_gradient[:, :k] = gradient[:, :k]
-        function_gradient[:, k] = (vertical * gradient[:, turn]).sum(axis=1)
-        bones = np.zeros((frames, body.bone_vectors.shape[2], k + 1))
-        bones[:, :, :k] = np.swapaxes(body.bone_vectors[:, :k], 1, 2)
-        return FrameEquations(
-            function_matrix,
-            mixed_matrix,
-            matrix[:, k:, k:],
-            function_gradient,
-            gradient[:, k:].copy(),
-            bones,
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class PeriodicEquations:
     """The equations of a window in the symbols at the head of this module; terms add to the arrays in place.
@@ -163,20 +109,19 @@ class PeriodicEquations:
             vertical: (N, 3) the body's vertical in the camera frame, a_t.
             jacobian: of the series.
         """
-        equations = FrameEquations.insert_heading(body, vertical)
-        frames = len(vertical)
-        bones = jacobian.sum_products(equations.bones) / np.sqrt(frames)
-        series_matrix = jacobian.sum_congruences(equations.function_matrix)
-        series_matrix -= bones.T @ bones
+        matrix, gradient, bone_vectors = insert_heading(body, vertical)
+        frames, functions = len(vertical), len(jacobian.slopes[0])
+        bones = jacobian.sum_products(np.swapaxes(bone_vectors, 1, 2)) / np.sqrt(frames)
+        series_matrix = jacobian.sum_congruences(matrix[:, :functions, :functions]) - bones.T @ bones
         return PeriodicEquations(
             series_matrix=series_matrix,
             series_prior=np.zeros(len(series_matrix)),
-            series_gradient=jacobian.sum_products(equations.function_gradient[:, None])[0],
-            mixed_matrix=jacobian.products(equations.mixed_matrix),
-            camera_image=equations.camera_matrix,
+            series_gradient=jacobian.sum_products(gradient[:, None, :functions])[0],
+            mixed_matrix=jacobian.products(matrix[:, functions:, :functions]),
+            camera_image=matrix[:, functions:, functions:],
             camera_prior=np.zeros((frames, CAMERA_UNKNOWNS, CAMERA_UNKNOWNS)),
             camera_coupling=np.zeros((frames, COUPLED_FRAMES, CAMERA_UNKNOWNS, CAMERA_UNKNOWNS)),
-            camera_gradient=equations.camera_gradient,
+            camera_gradient=gradient[:, functions:].copy(),
         )
 
     def count_effective_parameters(self) -> float:
@@ -253,7 +198,19 @@ class PeriodicEquations:
         return Step(step, factor.solve_lower_transposed(camera_right))
 
 
-def symmetrise(blocks: Array) -> Array:
-    """Return the symmetric blocks (N, n, n) of their lower triangles."""
-    is_lower = np.tri(blocks.shape[1], dtype=bool)
-    return np.where(is_lower, blocks, np.swapaxes(blocks, 1, 2))
+def insert_heading(body: engine.JointProblem, vertical: Array) -> tuple[Array, Array, Array]:
+    """Return H' (N, K + 5, K + 5), h' (N, K + 5) and g (N, K + 1, B), with the heading as unknown K + 1.
+
+    Args:
+        body: problem of the joint solver, with its equations H_t and h_t.
+        vertical: (N, 3) the body's vertical in the camera frame, a_t.
+    """
+    is_lower = np.tri(body.diagonal.shape[1], dtype=bool)
+    matrix = np.where(is_lower, body.diagonal, np.swapaxes(body.diagonal, 1, 2))
+    k = len(is_lower) - CAMERA_UNKNOWNS
+    turn = slice(k, k + 3)
+    column = (matrix[:, :, turn] @ vertical[:, :, None])[..., 0]
+    row = np.insert(column, k, (vertical * column[:, turn]).sum(axis=1), axis=1)
+    matrix = np.insert(np.insert(matrix, k, column, axis=2), k, row, axis=1)
+    gradient = np.insert(body.gradient, k, (vertical * body.gradient[:, turn]).sum(axis=1), axis=1)
+    return matrix, gradient, np.insert(body.bone_vectors[:, :k], k, 0.0, axis=1)

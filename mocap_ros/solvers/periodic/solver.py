@@ -127,7 +127,8 @@ def solve_stepwise(
     all_poses = initial or [None] * len(windows)
     results = []
     for window, poses in zip(windows, all_poses, strict=True):
-        work = _solve_window(replace(window, lifted=None), poses, model, config)
+        alone = replace(window, lifted=None, fixed_frames=0, earlier_frames=None)
+        work = _solve_window(alone, poses, model, config)
         result = yield from ignore_overflow(work)  # numbers that overflow are found in the result
         results.append(result)
     return tuple(results)
@@ -139,62 +140,25 @@ def _solve_window(
     model: BasePoses,
     config: SolverConfig,
 ) -> Stepwise[PeriodicReconstruction]:
-    """Reconstruct one window in a length unit of 2^exponent px, which changes no digit of the result."""
-    exponent = _extent_exponent(window)
-    scaled = _scale_window(window, -exponent)
+    """Reconstruct one window."""
     try:
-        start, noise = yield from _choose_initial_values(scaled, initial, exponent, model, config)
-        unit = scaled.unit or float(np.median(start.cameras.scale))
-        fit = yield from _fit_window(scaled, start, noise, unit, model, config)
+        start, noise = yield from _choose_initial_values(window, initial, model, config)
+        unit = window.unit or float(np.median(start.cameras.scale))
+        result = yield from _fit_window(window, start, noise, unit, model, config)
     except LinAlgError as error:
         raise InputError(f'no periodic motion can be fitted: {error}') from None
-    cameras = WeakPerspectiveCameras(np.ldexp(fit.cameras.scale, exponent), fit.cameras.rotation)
-    result = replace(
-        fit,
-        cameras=cameras,
-        translation=np.ldexp(fit.translation, exponent),
-        residual=np.ldexp(fit.residual, exponent),
-    )
-    numbers = (result.joints, cameras.scale, result.translation, result.series.coefficients, result.history)
+    numbers = (result.joints, result.cameras.scale, result.translation, result.series.coefficients, result.history)
     if not all(np.isfinite(n).all() for n in numbers):
         raise InputError('no periodic motion can be fitted: image points or weights are too large')
     return result
 
 
-def _extent_exponent(window: Window) -> int:
-    """Return the exponent of the smallest power of two (px) above the extent of the seen points.
-
-    In units of this power no square of an image length overflows.
-    """
-    seen = window.points[window.weight > 0]
-    return int(np.frexp(np.ptp(seen / 2, axis=0).max())[1]) + 1
-
-
-def _scale_window(window: Window, exponent: int) -> Window:
-    """Return the window with all image lengths times 2^exponent, without fixed or earlier frames."""
-    start = window.start
-    return replace(
-        window,
-        points=np.ldexp(np.where(window.weight[..., None] > 0, window.points, 0.0), exponent),
-        focal=float(np.ldexp(window.focal, exponent)),
-        fixed_frames=0,
-        earlier_frames=None,
-        unit=None if window.unit is None else float(np.ldexp(window.unit, exponent)),
-        start=start
-        and InitialValues(
-            start.theta,
-            WeakPerspectiveCameras(np.ldexp(start.cameras.scale, exponent), start.cameras.rotation),
-        ),
-    )
-
-
 def _choose_initial_values(
-    window: Window, initial: EstimatedPoses | None, exponent: int, model: BasePoses, config: SolverConfig
+    window: Window, initial: EstimatedPoses | None, model: BasePoses, config: SolverConfig
 ) -> Stepwise[tuple[InitialValues, float]]:
     """Return weights of this model's base poses and cameras, and the image noise (m).
 
-    They are those of the given poses, whose image lengths have not been scaled by 2^-exponent, or if these are
-    None those of a few steps of the joint solver.
+    They are those of the given poses, or if these are None those of a few steps of the joint solver.
     """
     if initial is None:
         short = replace(config, max_iterations=min(MAX_INITIAL_ITERATIONS, config.max_iterations))
@@ -202,8 +166,8 @@ def _choose_initial_values(
         return InitialValues(coarse.theta, coarse.cameras), coarse.noise
     to_body = fit_rotation(initial.joints, model.mean)
     theta = model.weights(initial.joints @ np.swapaxes(to_body, -1, -2))
-    scale = np.ldexp(initial.scale, -exponent)
-    return InitialValues(theta, WeakPerspectiveCameras(scale, np.swapaxes(to_body, -1, -2))), initial.noise
+    cameras = WeakPerspectiveCameras(initial.scale, np.swapaxes(to_body, -1, -2))
+    return InitialValues(theta, cameras), initial.noise
 
 
 def _fit_window(

@@ -17,9 +17,8 @@ from mocap_ros.solvers.periodic.fourier import FourierSeries
 from mocap_ros.solvers.periodic.normal_equations import (
     MIN_CAMERA_INFORMATION,
     MIN_INFORMATION,
-    FrameEquations,
     PeriodicEquations,
-    symmetrise,
+    insert_heading,
 )
 from mocap_ros.solvers.periodic.objective import PeriodicObjective, Point, move_cameras
 from mocap_ros.solvers.window import Window
@@ -128,21 +127,19 @@ def test_heading_is_inserted_by_the_chain_rule(objective_and_point: tuple[Period
     objective.normal_equations(point)
     body = objective.problem
     vertical = point.cameras.rotation[:, :, 2]
-    found = FrameEquations.insert_heading(body, vertical)
+    matrix, gradient, bones = insert_heading(body, vertical)
     k = COMPONENTS
     transform = np.zeros((FRAMES, k + 4, k + 5))  # d (theta, v, log s) / d (theta, psi, w, log s)
     transform[:, range(k), range(k)] = 1
     transform[:, range(k, k + 4), range(k + 1, k + 5)] = 1
     transform[:, k : k + 3, k] = vertical
-    matrix = np.einsum('tia,tij,tjb->tab', transform, symmetrise(body.diagonal), transform)
-    gradient = np.einsum('tia,ti->ta', transform, body.gradient)
-    bones = np.einsum('tia,tib->tba', transform, body.bone_vectors)
-    assert found.function_matrix == pytest.approx(matrix[:, : k + 1, : k + 1], rel=1e-12)
-    assert found.mixed_matrix == pytest.approx(matrix[:, k + 1 :, : k + 1], rel=1e-12)
-    assert found.camera_matrix == pytest.approx(matrix[:, k + 1 :, k + 1 :], rel=1e-12)
-    assert found.function_gradient == pytest.approx(gradient[:, : k + 1], rel=1e-12)
-    assert found.camera_gradient == pytest.approx(gradient[:, k + 1 :], rel=1e-12)
-    assert found.bones == pytest.approx(bones[:, :, : k + 1], rel=1e-12, abs=1e-15)
+    lower = np.tril(body.diagonal)
+    symmetric = lower + np.swapaxes(np.tril(lower, -1), 1, 2)
+    expected = np.einsum('tia,tij,tjb->tab', transform, symmetric, transform)
+    assert matrix == pytest.approx(expected, rel=1e-12, abs=1e-15)
+    assert gradient == pytest.approx(np.einsum('tia,ti->ta', transform, body.gradient), rel=1e-12)
+    expected = np.einsum('tia,tib->tab', transform, body.bone_vectors)[:, : k + 1]
+    assert bones == pytest.approx(expected, rel=1e-12, abs=1e-15)
 
 
 def test_products_of_the_series_are_those_of_its_jacobian(
