@@ -844,9 +844,9 @@ cdef class JointProblem:
         return joints, scales, translations, residuals
 
     def read(self, str name):
-        """Return an array (N, ...) of the current point by the name of the field of `Frame`."""
+        """Return a copy (N, ...) of a quantity of the current point, by the name of the field of `Frame`."""
         first, size, shape = self.fields[name]
-        return self.point[:, first : first + size].reshape(shape)
+        return self.point[:, first : first + size].reshape(shape).copy()
 
 
 cdef double find_largest_root(double determinant, double constant) noexcept nogil:
