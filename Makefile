@@ -41,7 +41,7 @@ endif
 help:  ## show this; config/task.sh lists less frequent work
 	@sed -n 's/^\([a-z-]*\):.*##/make \1\t/p' Makefile | expand -t 20
 
-setup: $(STAMPS)/package $(STAMPS)/messages $(STAMPS)/kernels  ## make .venv with everything in it
+setup: $(STAMPS)/package $(STAMPS)/messages  ## make .venv with everything in it
 	@echo 'Ready: $(BIN)/mocap-ros and $(BIN)/mocap_node'
 
 demo: setup  ## run the node on the demo recording, into demo_output/
@@ -65,14 +65,10 @@ $(ENVIRONMENT): config/env/requirements-ros-$(WHEELS).txt
 	@mkdir -p $(STAMPS)
 	@touch $@
 
-$(STAMPS)/package: $(ENVIRONMENT) setup.py setup.cfg package.xml $(wildcard mocap_ros/engine/*.pyx)
+$(STAMPS)/package: $(ENVIRONMENT) setup.py setup.cfg package.xml $(wildcard mocap_ros/engine/*.p[xy][dx])
 	@$(SETUP) package
 	@touch $@
 
 $(STAMPS)/messages: $(ENVIRONMENT) $(shell find msg_defs -type f)
 	@$(SETUP) messages
-	@touch $@
-
-$(STAMPS)/kernels: $(STAMPS)/package
-	@$(SETUP) kernels
 	@touch $@

@@ -10,7 +10,6 @@ from mocap_ros.runtime.cpu_setup import configure_process
 
 configure_process()  # sums then have the same order as in the node
 
-import importlib
 import signal
 from types import ModuleType
 
@@ -18,8 +17,6 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from mocap_ros.compiled.__main__ import DECLARING_MODULES
-from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_poses
 from tests.support.evaluation_data import shared
@@ -34,14 +31,6 @@ settings.load_profile('fixed')
 
 # A shell that starts the tests in the background lets them ignore interrupts, which some tests send to programs.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-@pytest.fixture(scope='session', autouse=True)
-def _compiled_kernels() -> None:
-    """Compile the kernels that tests call directly, and those of the programs that tests start."""
-    for module in DECLARING_MODULES:
-        importlib.import_module(module)
-    compile_kernels()
 
 
 @pytest.fixture(scope='session')

@@ -7,7 +7,6 @@
 #   setup.sh package            install mocap_ros and its tools into .venv, editable
 #   setup.sh docs               install what the documentation site is built with
 #   setup.sh messages           build mocap_ros_msgs and install it into .venv
-#   setup.sh kernels            compile the inner loops of mocap_ros into its cache
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
@@ -110,10 +109,6 @@ build_messages() {
 
 messages() {
     step 'Building mocap_ros_msgs' build_messages
-}
-
-kernels() {
-    step 'Compiling the inner loops (one to two minutes)' .venv/bin/python -m mocap_ros.compiled
 }
 
 mkdir -p build

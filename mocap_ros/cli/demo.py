@@ -23,7 +23,6 @@ import numpy as np
 
 from mocap_ros.cli.options import parse_positive
 from mocap_ros.cli.terminal import print_result
-from mocap_ros.compiled.__main__ import compile_all
 from mocap_ros.config import Config
 from mocap_ros.demo.scene import motion_name_at
 from mocap_ros.errors import MocapError
@@ -77,7 +76,6 @@ def run(args: argparse.Namespace) -> int:
     recording = Path(str(files('mocap_ros') / 'demo' / 'demo.npz'))
     sequence = load_sequence_file(recording)
     args.output.mkdir(parents=True, exist_ok=True)
-    compile_all()  # the node does not listen while it compiles
     old_bags = set(args.output.glob('*/metadata.yaml'))
     with reserve_domain() as domain, _run_node(args.output, environment := {**os.environ, **domain}) as node:
         duration_s = np.ptp(sequence.timestamps)

@@ -20,10 +20,7 @@ on the rotation vector alone.
 from __future__ import annotations
 
 import numpy as np
-from numba import void
 from numpy.typing import NDArray
-
-from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, INT, kernel
 
 Array = NDArray[np.float64]
 
@@ -50,12 +47,3 @@ def fill_rotation_jacobian(out: Array, points: Array) -> None:
     out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = -z, 0.0, x
     if out.shape[-2] > 2:
         out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = y, -x, 0.0
-
-
-@kernel(void(FLOATS_1D, FLOATS_2D, INT, INT))
-def write_point_jacobian(point: Array, out: Array, row: int, column: int) -> None:
-    """Write the derivatives (3, 4) of one point q (3,) into a matrix, from a row and a column on."""
-    x, y, z = point[0], point[1], point[2]
-    for i, values in enumerate(((0.0, z, -y, x), (-z, 0.0, x, y), (y, -x, 0.0, z))):
-        for k in range(CAMERA_UNKNOWNS):
-            out[row + i, column + k] = values[k]

@@ -8,15 +8,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import void
 from numpy.typing import NDArray
-
-from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, kernel
 
 Array = NDArray[np.float64]
 
-MAX_EIGENVALUE_STEPS = 30  # Newton steps; five are enough but near a double root, where a step halves the error
-EIGENVALUE_TOLERANCE = 1e-15  # relative; rounding
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # axes of the factors in a cross product
 MIN_SINE = 1e-12  # 1; guards the division by the sine of the rotation angle near the identity
 
@@ -40,101 +35,6 @@ def rotation_from_vector(vector: Array) -> Array:
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     k = cross_matrix(vector)
     return np.eye(3) + np.sinc(angle / np.pi) * k + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (k @ k)
-
-
-@kernel(void(FLOATS_1D, FLOATS_2D))
-def write_rotation_from_vector(vector: Array, out: Array) -> None:
-    """Write the rotation matrix (3, 3) of a rotation vector (3,) in rad; the formula of `rotation_from_vector`."""
-    x, y, z = vector[0], vector[1], vector[2]
-    angle = math.sqrt(x * x + y * y + z * z)
-    half_sinc = math.sin(angle / 2) / (angle / 2) if angle > 0 else 1.0
-    a = math.sin(angle) / angle if angle > 0 else 1.0
-    b = 0.5 * half_sinc * half_sinc
-    out[0, 0], out[0, 1], out[0, 2] = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
-    out[1, 0], out[1, 1], out[1, 2] = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
-    out[2, 0], out[2, 1], out[2, 2] = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
-
-
-@kernel(FLOAT(FLOAT, FLOAT))
-def _largest_root(determinant: float, constant: float) -> float:
-    """Return the largest root of x^4 - 2 x^2 - 8 d x + c by Newton's method, going down from sqrt(3)."""
-    x = math.sqrt(3.0)  # no smaller than the sum of three singular values whose squares add up to 1
-    for _ in range(MAX_EIGENVALUE_STEPS):
-        value = ((x * x - 2) * x - 8 * determinant) * x + constant
-        slope = (4 * x * x - 4) * x - 8 * determinant
-        if not slope > 0:
-            break
-        step = value / slope
-        x -= step
-        if abs(step) < EIGENVALUE_TOLERANCE * x:
-            break
-    return x
-
-
-@kernel(FLOATS_1D(FLOATS_2D))
-def _null_vector(matrix: Array) -> Array:
-    """Return the longest column (4,) of the adjugate of a matrix (4, 4) of rank 3: a vector that it maps to 0."""
-    best, longest, column = -1.0, np.zeros(4), np.empty(4)
-    minor = np.empty((3, 3))
-    for i in range(4):
-        for j in range(4):
-            for a in range(3):
-                for b in range(3):
-                    minor[a, b] = matrix[a if a < i else a + 1, b if b < j else b + 1]
-            cofactor = (
-                minor[0, 0] * (minor[1, 1] * minor[2, 2] - minor[1, 2] * minor[2, 1])
-                - minor[0, 1] * (minor[1, 0] * minor[2, 2] - minor[1, 2] * minor[2, 0])
-                + minor[0, 2] * (minor[1, 0] * minor[2, 1] - minor[1, 1] * minor[2, 0])
-            )
-            column[j] = cofactor if (i + j) % 2 == 0 else -cofactor
-        squared = (column * column).sum()
-        if squared > best:
-            best = squared
-            longest[:] = column
-    return longest
-
-
-@kernel(void(FLOATS_2D, FLOATS_2D))
-def write_best_rotation(products: Array, out: Array) -> None:
-    """Write the rotation R (3, 3) that maximises tr(R^T M), M = sum_j q_j p_j^T (3, 3): the closest R p_j to q_j.
-
-    tr(R^T M) is a quadratic form of the quaternion of R, whose matrix K (4, 4) has trace 0. Its largest eigenvalue
-    is found by Newton's method on the characteristic polynomial from an upper bound down; its eigenvector is a
-    column of the adjugate of K - lambda I (Horn 1987; Theobald 2005). Where M has rank 0 or 1 the rotation is one
-    of many.
-    """
-    m = products
-    size = (m * m).sum()
-    if not size > 0:
-        out[:] = np.eye(3)
-        return
-    scale = 1 / math.sqrt(size)
-    xx, xy, xz = scale * m[0, 0], scale * m[0, 1], scale * m[0, 2]
-    yx, yy, yz = scale * m[1, 0], scale * m[1, 1], scale * m[1, 2]
-    zx, zy, zz = scale * m[2, 0], scale * m[2, 1], scale * m[2, 2]
-    k = np.empty((4, 4))
-    k[0, 0], k[0, 1], k[0, 2], k[0, 3] = xx + yy + zz, zy - yz, xz - zx, yx - xy
-    k[1, 1], k[1, 2], k[1, 3] = xx - yy - zz, yx + xy, xz + zx
-    k[2, 2], k[2, 3], k[3, 3] = yy - xx - zz, zy + yz, zz - xx - yy
-    for i in range(4):
-        for j in range(i):
-            k[i, j] = k[j, i]
-    # characteristic polynomial x^4 - 2 x^2 - 8 det(M) x + c of the normalised matrix, c = det(K)
-    determinant = xx * (yy * zz - yz * zy) - xy * (yx * zz - yz * zx) + xz * (yx * zy - yy * zx)
-    constant = np.linalg.det(k)
-    x = _largest_root(determinant, constant)
-    for i in range(4):
-        k[i, i] -= x
-    quaternion = _null_vector(k)
-    norm = math.sqrt((quaternion * quaternion).sum())
-    w, x, y, z = (
-        (quaternion[0] / norm, quaternion[1] / norm, quaternion[2] / norm, quaternion[3] / norm)
-        if norm > 0
-        else (1.0, 0.0, 0.0, 0.0)
-    )
-    out[0, 0], out[0, 1], out[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    out[1, 0], out[1, 1], out[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    out[2, 0], out[2, 1], out[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
 
 
 def quaternion_from_rotation(rotation: Array) -> tuple[float, float, float, float]:

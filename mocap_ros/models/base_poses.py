@@ -89,7 +89,7 @@ def mirror_poses(poses: Array, skeleton: Skeleton) -> Array:
 
 
 class ModelArrays(NamedTuple):
-    """Arrays of a model with J joints, B bones and K base poses, as the kernels of the solvers take them.
+    """Arrays of a model with J joints, B bones and K base poses, as the engine takes them.
 
     Attributes:
         components: (3 J, K) base poses, a coordinate of a joint in each row.

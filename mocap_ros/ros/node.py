@@ -12,7 +12,6 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter as RosParameter
 
 from mocap_ros.bags.topics import Source
-from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import parameters, with_values
 from mocap_ros.errors import MocapError, RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
@@ -75,14 +74,11 @@ class MocapNode(ManagedNode):
             super().start()
 
     def configure(self) -> None:
-        """Compile the inner loops, load the model, and create publishers and services."""
+        """Load the model, and create publishers and services."""
         config = self._config
         self._versions = MessageVersions()
         self._inputs = InputSubscriptions(self, config.node.input_type, self._versions, lambda: self._config.node)
         self._versions.add_output(CAMERA_INFO)  # a recording begins with the CameraInfo in use
-        compilation = compile_kernels(self.get_logger().warning)
-        if compilation.kernels:  # none when the node is configured again
-            self.get_logger().info(str(compilation))
         self._pipeline = Pipeline(config)
         self._create_publishers()
         callbacks = {'~/reset': self._on_reset, '~/record': self._on_record}

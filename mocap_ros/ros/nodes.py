@@ -25,7 +25,6 @@ from rclpy.logging import set_logger_level
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from mocap_ros.compiled.kernel import is_compiling
 from mocap_ros.errors import ConfigError, MocapError
 from mocap_ros.ros.parameters import warn_of_unknown_parameters
 from mocap_ros.ros.throttled_log import TracebackLog
@@ -156,8 +155,6 @@ def run_node(arguments: Sequence[str], node_class: Callable[[], Any]) -> None:
 
     def request_stop(*_: object) -> None:
         stop.set()
-        if is_compiling():  # in this thread, while the node is configured; nobody should wait for that
-            raise KeyboardInterrupt
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, request_stop)

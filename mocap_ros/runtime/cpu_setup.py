@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Configure BLAS threads, memory and reports of this process; import this module before NumPy.
+"""Configure BLAS threads and memory of this process; import this module before NumPy.
 
 The module imports only the standard library, because BLAS libraries read their settings when NumPy is imported.
 """
@@ -11,11 +11,6 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
-import sys
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from sys import UnraisableHookArgs
 
 # Environment variables that limit the threads of the BLAS libraries that NumPy and SciPy may be linked with.
 BLAS_THREAD_VARIABLES = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
@@ -33,10 +28,7 @@ def configure_process() -> None:
     and fetching them again takes a quarter of the time of a step.
 
     Environment variables that the user has set are kept. Without the GNU C library, malloc stays as it is.
-    An interrupt while functions are compiled ends without the errors of what was left unfinished.
     """
-    if sys.unraisablehook is sys.__unraisablehook__:
-        sys.unraisablehook = _report_unraisable
     for name in BLAS_THREAD_VARIABLES:
         os.environ.setdefault(name, '1')
     _call_glibc('mallopt', M_TRIM_THRESHOLD, TRIM_THRESHOLD_BYTES)
@@ -61,10 +53,3 @@ def _call_glibc(name: str, *arguments: int) -> None:
     except (OSError, TypeError, AttributeError):
         return
     function(*arguments)
-
-
-def _report_unraisable(unraisable: UnraisableHookArgs) -> None:
-    """Report an error that cannot be caught, but not that of an LLVM object whose creation was interrupted."""
-    destructor = getattr(unraisable.object, '__qualname__', '')
-    if destructor != 'ObjectRef.__del__' or not issubclass(unraisable.exc_type, AttributeError):
-        sys.__unraisablehook__(unraisable)

@@ -25,7 +25,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -250,7 +249,6 @@ def observe_sequence(
         InputError: No frame has four seen joints, all seen points of each such frame lie in one place, or the
             times span more than `MAX_SPAN_S`.
     """
-    compile_kernels()
     if (span_s := float(times[-1] - times[0])) > MAX_SPAN_S:
         raise InputError(
             f'the times span {span_s:.0f} s, at most {MAX_SPAN_S:.0f} s expected; is a stamp not set?'

@@ -15,16 +15,13 @@ from typing import TypeAlias, TypeVar
 
 import numpy as np
 
-from mocap_ros.compiled.kernel import compile_kernels
-
 Result = TypeVar('Result')
 
 Stepwise: TypeAlias = Generator[None, None, Result]
 
 
 def run_to_end(work: Stepwise[Result]) -> Result:
-    """Compile the kernels if that was not done, do all pieces of the work, and return its result."""
-    compile_kernels()
+    """Do all pieces of the work, and return its result."""
     try:
         while True:
             next(work)

@@ -22,7 +22,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.errors import MocapError
 from mocap_ros.models.lifter import LOG_STD_RANGE, OUTPUT_COUNT, Lifter
 from mocap_ros.models.lifter_input import FEATURE_COUNT, JOINT_COUNT
@@ -247,7 +246,6 @@ def train_lifter(
         MocapError: the checkpoint is of a training with other settings or other trials, or the lifter to start
             from has other layers.
     """
-    compile_kernels()
     torch.manual_seed(settings.seed)
     torch.set_flush_denormal(True)
     training = _Training(ExampleSynthesiser(MotionLibrary.from_trials(trials, shares), settings.seed), settings)

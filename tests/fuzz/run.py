@@ -49,10 +49,8 @@ def main() -> int:
         return _fuzz(args.sources[0], options)
     if args.replay:
         return _replay(args.sources[0])
-    from mocap_ros.compiled.__main__ import compile_all
     from tests.fuzz.targets import TARGETS
 
-    compile_all()  # Numba could not compile what Atheris has instrumented
     results = []
     for source in args.sources or TARGETS:
         results.append(_run(source, args.seconds))
