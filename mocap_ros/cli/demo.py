@@ -40,7 +40,7 @@ TITLE = 'Live 3D reconstruction of the synthetic demo'
 PICTURE_TIMES_S = (1.0, 2.6, 4.0, 5.2, 6.6, 7.9, 8.7, 10.6, 12.2)
 DOMAINS = range(1, 102)  # ROS domains that are safe on every operating system, without 0, which is everybody's
 FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250  # network ports of the domains, as the specification of DDS sets them
-START_TIMEOUT_S = 60.0  # s; far above what the node takes to start where everything is compiled
+START_TIMEOUT_S = 60.0  # s; far above what the node takes to start
 STOP_TIMEOUT_S = 10.0  # s; guards against a node that does not stop after an interrupt, which takes it under 1 s
 
 

@@ -24,8 +24,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOAT, FLOATS_2D, INPUT_1D, kernel
-
 Array = NDArray[np.float64]
 
 LIFTER_FACTOR_SEEN = 0.7  # 1, f: factor on the lifter's standard deviations of seen joints, tuned as described
@@ -73,18 +71,6 @@ def compute_joint_covariance(std: Array, place: Array) -> Array:
 
     The direction of its place (..., 3), in the camera's optical frame, is the line of sight.
     """
-    places = np.broadcast_to(place, (*std.shape, 3)).reshape(-1, 3)
-    found = [spread_along_sight(s, p) for s, p in zip(std.ravel(), np.ascontiguousarray(places), strict=True)]
-    return np.array(found).reshape(*std.shape, 3, 3)
-
-
-@kernel(FLOATS_2D(FLOAT, INPUT_1D))
-def spread_along_sight(std: float, place: Array) -> Array:
-    """Return the covariance (3, 3) m^2 of one point; the arguments are those of `compute_joint_covariance`."""
-    squared = place[0] ** 2 + place[1] ** 2 + place[2] ** 2
-    out = np.empty((3, 3))
-    for i in range(3):
-        for k in range(3):
-            across = VARIANCE_ACROSS if i == k else 0.0
-            out[i, k] = std**2 * (across + (VARIANCE_ALONG - VARIANCE_ACROSS) * place[i] * place[k] / squared)
-    return out
+    direction = place / np.linalg.norm(place, axis=-1, keepdims=True)
+    along = (VARIANCE_ALONG - VARIANCE_ACROSS) * direction[..., None] * direction[..., None, :]
+    return np.asarray(std[..., None, None] ** 2 * (VARIANCE_ACROSS * np.eye(3) + along))

@@ -31,25 +31,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from mocap_ros.compiled.kernel import (
-    FLOAT,
-    FLOATS_1D,
-    FLOATS_2D,
-    FLOATS_3D,
-    INPUT_1D,
-    INPUT_2D,
-    INPUT_3D,
-    INPUT_INTS_1D,
-    kernel,
-)
 from mocap_ros.copying import copy_with
+from mocap_ros.engine import motion as engine
 from mocap_ros.geometry.interpolation import interpolate_linearly
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.rotations import MIN_SINE, fit_rotation, write_rotation_from_vector
+from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.joint import JointReconstruction
 from mocap_ros.solvers.joint.lifted_start import fit_lifted_poses
@@ -60,7 +49,6 @@ Array = NDArray[np.float64]
 
 EXTRAPOLATION_SHARE = 0.7  # no unit; share of the last step that is repeated; less than 1 to amplify less noise
 MAX_EXTRAPOLATION_STEPS = 2.0  # steps; limits the extrapolation after missing frames
-MAX_APPROACH = 0.5  # of the last depth, by which somebody comes nearer at most; the solver cannot leave the camera
 
 _STATES = 'theta', 'rotation', 'roots', 'bone_lengths', 'frame_residuals'  # attributes with a row a frame
 
@@ -165,7 +153,7 @@ class TrackSolution:
         camera, count, kept = observed.virtual_camera, len(observed.times), first + fixed_frames
         rotation = camera.body_rotations(reconstruction.cameras)
         roots = camera.root_positions(reconstruction.cameras, reconstruction.translation)
-        lengths = _measure_bones(reconstruction.joints, *self.model.skeleton.bone_ends)
+        lengths = self.model.skeleton.bone_lengths(reconstruction.joints)
         old_share = math.exp((first - count) / count) if fixed_frames else 0.0
         states = (
             np.concatenate([self.theta[:kept], reconstruction.theta[fixed_frames:]]),
@@ -253,7 +241,7 @@ class TrackSolution:
     def locate_joints(self, frame: int) -> Array:
         """Return the joints (J, 3) m of a person of the assumed size in the real camera's frame."""
         state = self.theta[frame], self.rotation[frame], self.roots[frame]
-        return _locate_joints(*state, self.model.mean, self.model.components, 1 / self.stature_ratio)
+        return engine.locate_joints(*state, self.model.mean, self.model.components, 1 / self.stature_ratio)
 
     def sample_joints(self, times: Array, wanted: Array) -> Array:
         """Return the joints (T, J, 3) m of a person of the assumed size, interpolated between frames.
@@ -264,7 +252,7 @@ class TrackSolution:
         """
         theta, rotation, roots = (np.ascontiguousarray(v) for v in (self.theta, self.rotation, self.roots))
         basis = self.model.mean, self.model.components
-        return _sample_joints(wanted, times, theta, rotation, roots, *basis, 1 / self.stature_ratio)
+        return engine.sample_joints(wanted, times, theta, rotation, roots, *basis, 1 / self.stature_ratio)
 
 
 def _finish(
@@ -283,7 +271,7 @@ def _finish(
     errors = [error for error in reconstruction.residual.tolist() if not math.isnan(error)]
     rms_error = math.sqrt(sum(error * error for error in errors) / len(errors)) if errors else math.nan
     theta, rotation, roots, bone_lengths, frame_residuals = states
-    stature = float(average_rows(bone_lengths) @ model.skeleton.stature_per_bone)
+    stature = float(bone_lengths.mean(axis=0) @ model.skeleton.stature_per_bone)
     return TrackSolution(
         *(
             model_name,
@@ -329,7 +317,7 @@ def build_refinement_window(
     start = chosen.convert_to_initial_values(*append_prediction(stamps_ns, solution, first))
     earlier_frames = None
     if fixed_frames and first > 0:
-        earlier_frames = EarlierFrames(first, average_rows(solution.bone_lengths[:first]))
+        earlier_frames = EarlierFrames(first, solution.bone_lengths[:first].mean(axis=0))
     window = chosen.build_solver_window(start, solution.noise, fixed_frames, earlier_frames)
     if window.lifted is not None:
         newest = window.lifted.select_frames(slice(-1, None))
@@ -354,115 +342,6 @@ def append_prediction(stamps_ns: Sequence[int], solution: TrackSolution, first: 
     if len(solution.theta) > 1:
         step_ns, last_step_ns = stamps_ns[-1] - stamps_ns[-2], max(stamps_ns[-2] - stamps_ns[-3], 1)
         share = EXTRAPOLATION_SHARE * min(step_ns / last_step_ns, MAX_EXTRAPOLATION_STEPS)
-    predicted = _extrapolate_state(share, *(s[-2:] for s in states))
+    predicted = engine.extrapolate_state(share, *(s[-2:] for s in states))
     theta, rotation, roots = (np.concatenate([s[first:], p[None]]) for s, p in zip(states, predicted, strict=True))
     return theta, rotation, roots
-
-
-@kernel(types.Tuple((FLOATS_1D, FLOATS_2D, FLOATS_1D))(FLOAT, INPUT_2D, INPUT_3D, INPUT_2D))
-def _extrapolate_state(share: float, theta: Array, rotation: Array, roots: Array) -> tuple[Array, Array, Array]:
-    """Return theta_n, R_n and root_n of the module's formulas without a lifter.
-
-    Args:
-        share: a.
-        theta: (2, K) m, weights in the last two solved frames, or (1, K) if only one is solved.
-        rotation: (2, 3, 3) or (1, 3, 3), rotations likewise.
-        roots: (2, 3) m or (1, 3) m, positions likewise.
-    """
-    turn, vector = np.empty((3, 3)), np.empty(3)
-    last, before = rotation[-1], rotation[0]
-    for i in range(3):
-        for j in range(3):
-            turn[i, j] = last[i, 0] * before[j, 0] + last[i, 1] * before[j, 1] + last[i, 2] * before[j, 2]
-    vector[0], vector[1] = (turn[2, 1] - turn[1, 2]) / 2, (turn[0, 2] - turn[2, 0]) / 2
-    vector[2] = (turn[1, 0] - turn[0, 1]) / 2
-    sine = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
-    angle = math.atan2(sine, (turn[0, 0] + turn[1, 1] + turn[2, 2] - 1) / 2)
-    vector *= share * max(angle, MIN_SINE) / max(sine, MIN_SINE)
-    write_rotation_from_vector(vector, turn)
-    new_rotation = np.zeros((3, 3))
-    for i in range(3):
-        for j in range(3):
-            for k in range(3):
-                new_rotation[i, j] += turn[i, k] * last[k, j]
-    moved, root_share = roots[-1] - roots[0], share
-    # At few frames a second somebody may seem to pass the camera.
-    if share * moved[2] < -MAX_APPROACH * roots[-1, 2]:
-        root_share = -MAX_APPROACH * roots[-1, 2] / moved[2]
-    return theta[-1] + share * (theta[-1] - theta[0]), new_rotation, roots[-1] + root_share * moved
-
-
-@kernel(FLOATS_2D(INPUT_1D, INPUT_2D, INPUT_1D, INPUT_2D, INPUT_3D, FLOAT))
-def _locate_joints(
-    theta: Array, rotation: Array, root: Array, mean: Array, components: Array, size: float
-) -> Array:
-    """Return the joints (J, 3) m of a pose: size (R (Q_0 + sum_k theta_k Q_k) + root).
-
-    Args:
-        theta: (K,) m.
-        rotation: (3, 3) R.
-        root: (3,) m.
-        mean: (J, 3) m, Q_0.
-        components: (K or more, J, 3), Q_k.
-        size: of the person over that of the solution.
-    """
-    pose = mean.copy()
-    for k in range(len(theta)):
-        for j in range(len(pose)):
-            for i in range(3):
-                pose[j, i] += theta[k] * components[k, j, i]
-    out = np.empty(pose.shape)
-    for j in range(len(pose)):
-        x, y, z = pose[j, 0], pose[j, 1], pose[j, 2]
-        for i in range(3):
-            turned = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z
-            out[j, i] = size * (turned + root[i])
-    return out
-
-
-@kernel(FLOATS_3D(INPUT_1D, INPUT_1D, INPUT_2D, INPUT_3D, INPUT_2D, INPUT_2D, INPUT_3D, FLOAT))
-def _sample_joints(
-    wanted: Array,
-    times: Array,
-    theta: Array,
-    rotation: Array,
-    roots: Array,
-    mean: Array,
-    components: Array,
-    size: float,
-) -> Array:
-    """Return what `TrackSolution.sample_joints` does; the arguments are its own and those of `_locate_joints`."""
-    out = np.full((len(wanted), *mean.shape), np.nan)
-    for n in range(len(wanted)):
-        if not wanted[n] >= times[0]:
-            continue
-        last = max(np.searchsorted(times, wanted[n]), 1)
-        first = last - 1
-        share = (wanted[n] - times[first]) / (times[last] - times[first])
-        before = _locate_joints(theta[first], rotation[first], roots[first], mean, components, size)
-        after = _locate_joints(theta[last], rotation[last], roots[last], mean, components, size)
-        out[n] = before + share * (after - before)
-    return out
-
-
-@kernel(FLOATS_2D(INPUT_3D, INPUT_INTS_1D, INPUT_INTS_1D))
-def _measure_bones(joints: Array, parents: NDArray[np.intp], children: NDArray[np.intp]) -> Array:
-    """Return the lengths (F, B) of the bones between the given joints, (B,) each, of poses (F, J, 3)."""
-    out = np.empty((len(joints), len(parents)))
-    for frame in range(out.shape[0]):
-        for bone in range(out.shape[1]):
-            squared = 0.0
-            for d in range(3):
-                squared += (joints[frame, children[bone], d] - joints[frame, parents[bone], d]) ** 2
-            out[frame, bone] = math.sqrt(squared)
-    return out
-
-
-@kernel(FLOATS_1D(INPUT_2D))
-def average_rows(values: Array) -> Array:
-    """Return the mean (D,) of values (n, D), n >= 1."""
-    out = np.zeros(values.shape[1])
-    for n in range(values.shape[0]):
-        for d in range(values.shape[1]):
-            out[d] += values[n, d]
-    return out / len(values)

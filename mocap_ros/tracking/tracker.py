@@ -23,7 +23,6 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import Config, TrackerConfig
 from mocap_ros.errors import FrameDropped
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -106,7 +105,6 @@ class Tracker:
     """
 
     def __init__(self, models: BasePoses | Mapping[str, BasePoses], config: Config) -> None:
-        compile_kernels()
         by_name = {models.name: models} if isinstance(models, BasePoses) else models
         settings = config.tracker
         components = min(settings.components, config.solver.components)

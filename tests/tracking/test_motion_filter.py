@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocap_ros.config import Config, with_settings
+from mocap_ros.engine.motion import advance_motion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15
-from mocap_ros.tracking import motion_filter as module
-from mocap_ros.tracking.motion_filter import MotionFilter, advance_state
+from mocap_ros.tracking.motion_filter import MotionFilter
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.units import NS_PER_S
 from tests.support.synthetic_walk import make_walk
@@ -55,24 +55,22 @@ def advance_plainly(
     h = times[-1] - times[-2]
     c = np.array([1 / np.prod(np.delete(times[i] - times, i)) for i in range(3)])
     squares = (np.sqrt(6) * c @ recent / np.linalg.norm(c)) ** 2
-    second = second + (1 - np.exp(-h / module.TREMBLE_MEMORY_S)) * (
-        np.minimum(squares, module.MAX_RISE * second) - second
-    )
-    speed = speed + (1 - np.exp(-h / module.SPEED_MEMORY_S)) * (v**2 - speed)
-    s_0 = module.CENTRE_SPEED_FLOOR_M_S if is_centre else module.JOINT_SPEED_FLOOR_M_S
+    second = second + (1 - np.exp(-h / 0.113)) * (np.minimum(squares, 6.0 * second) - second)
+    speed = speed + (1 - np.exp(-h / 0.077)) * (v**2 - speed)
+    s_0 = 0.2 if is_centre else 0.055
     s = np.sqrt(speed.sum() + s_0**2)
     if is_centre:
         w, constants = (
             np.sqrt(second / 6),
-            (module.CENTRE_STIFFNESS, module.CENTRE_DAMPING, module.CENTRE_FADE_PER_S),
+            (20.0, 1.0, 0.5),
         )
-        factors = module.CENTRE_TREMBLE_FACTORS, module.CENTRE_SPEED_FACTORS, module.CENTRE_VELOCITY_FLOOR_M_S
+        factors = (1.1, 1.1, 1.1), (0.14, 0.14, 0.55), 0.07
     else:
         w = np.full(3, min(np.sqrt(second.mean() / 6), max_tremble))
-        constants = module.JOINT_STIFFNESS, module.JOINT_DAMPING, module.JOINT_FADE_PER_S
-        factors = module.JOINT_TREMBLE_FACTORS, module.JOINT_SPEED_FACTORS, 0.0
+        constants = 40.0, 0.5, 6.4
+        factors = (1.6, 1.6, 0.5), (0.0, 0.0, 0.62), 0.0
     stiffness, zeta, b = constants
-    omega = stiffness * s**module.SPEED_POWER / (w / module.TREMBLE_UNIT_M) ** module.TREMBLE_POWER
+    omega = stiffness * s**0.73 / (w / 0.005) ** 0.45
     poles = np.exp([(-zeta + sign * 1j * np.sqrt(1 - zeta**2)) * omega * h for sign in (1, -1)])
     expected = x + (1 - np.exp(-b * h)) / b * v
     x = expected + (1 - poles[0] * poles[1]).real * (recent[-1] - expected)
@@ -90,7 +88,7 @@ def test_a_step_is_that_of_the_formulas(rng: np.random.Generator, max_tremble: f
     state[1] = rng.uniform(-0.3, 0.3, (3, 3))  # m/s; slow enough for springs that turn by less than a right angle
     state[3] = state[1] ** 2
     recent = rng.normal(0, 0.02, (3, 3, 3)) + state[0]
-    found = advance_state(state, recent, times, max_tremble)
+    found = advance_motion(state, recent, times, max_tremble)
     for p in range(3):
         expected = advance_plainly(state[:, p], recent[:, p], times, max_tremble, is_centre=p == 2)
         np.testing.assert_allclose(found[:, p], expected, rtol=1e-9)

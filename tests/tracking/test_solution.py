@@ -20,7 +20,6 @@ from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.solvers.window import Array, SolverStatus
 from mocap_ros.tracking.solution import (
     EXTRAPOLATION_SHARE,
-    MAX_APPROACH,
     MAX_EXTRAPOLATION_STEPS,
     TrackSolution,
     append_prediction,
@@ -284,7 +283,7 @@ def test_nobody_is_expected_behind_the_camera(truth: TrackSolution) -> None:
     before, last = np.array([0.3, 0.1, 2.0]), np.array([0.1, 0.1, 0.8])
     first = replace(keep(truth, 2), roots=np.stack([before, last]))
     _, _, root = predict((0, STEP_NS, 2 * STEP_NS), first)
-    assert root[2] == pytest.approx((1 - MAX_APPROACH) * last[2])
+    assert root[2] == pytest.approx((1 - 0.5) * last[2])
     assert root - last == pytest.approx((last - before) / 3)
 
 
