@@ -77,7 +77,7 @@ def read_bag(path: Path) -> list[Any]:
 
 
 def report_overhead(report: Report) -> None:
-    bags, seconds = (2, 10.0) if report.quick else (report.args.bags, 60.0)
+    bags, seconds = (2, 4.0) if report.quick else (report.args.bags, 60.0)
     with tempfile.TemporaryDirectory() as name:
         root = Path(name)
         paths, short = write_bags(root / 'in', bags, seconds), write_bags(root / 'short', bags, 1.0)
@@ -100,7 +100,7 @@ def report_overhead(report: Report) -> None:
 
 
 def report_kills(report: Report) -> None:
-    bags, seconds = (2, 10.0) if report.quick else (report.args.bags, 60.0)
+    bags, seconds = (2, 4.0) if report.quick else (report.args.bags, 60.0)
     outcomes: list[Outcome] = []
     kills, finished = [0], threading.Event()
     with tempfile.TemporaryDirectory() as name:

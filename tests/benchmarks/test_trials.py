@@ -15,7 +15,7 @@ import pytest
 from tests.support.paths import ROOT
 
 NAME = re.compile(r"'([0-9A-Z]{2,3}_\d\dx?)'")
-ON_MOTION = ('golden.py', 'lifter.py', 'tracker.py')
+ON_MOTION = ('golden.py', 'tracker.py')
 FILES = [f for f in sorted((ROOT / 'benchmarks').glob('*.py')) if NAME.search(f.read_text(encoding='utf-8'))]
 
 
