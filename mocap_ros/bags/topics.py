@@ -14,7 +14,7 @@ from mocap_ros.config import NodeConfig
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import decode
-from mocap_ros.messages.foreign.definitions import HRI_IDS, HRI_SKELETON
+from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON
 from mocap_ros.messages.input_types import KEYPOINT_TYPES
 from mocap_ros.messages.transforms import TRANSFORMS
 

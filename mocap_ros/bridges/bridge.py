@@ -19,7 +19,7 @@ from mocap_ros.bridges.ros4hri import TRACKED, BodiesConverter
 from mocap_ros.bridges.seen import People, Predictions, read_people, read_predictions
 from mocap_ros.errors import ConfigError
 from mocap_ros.messages.cdr import Header, OutputMessage
-from mocap_ros.messages.foreign.definitions import COLLISION_OBJECT, DETECTIONS_3D, HRI_IDS, OBSTACLES, PEOPLE
+from mocap_ros.messages.foreign_types import COLLISION_OBJECT, DETECTIONS_3D, HRI_IDS, OBSTACLES, PEOPLE
 from mocap_ros.messages.markers import MARKERS, PersonNumbers
 from mocap_ros.messages.plain import encode_plain
 

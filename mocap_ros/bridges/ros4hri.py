@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.bridges.seen import Array, People
 from mocap_ros.messages.cdr import Header
-from mocap_ros.messages.foreign.definitions import HRI_IDS
+from mocap_ros.messages.foreign_types import HRI_IDS
 from mocap_ros.messages.transforms import FrameNames, compute_links
 from mocap_ros.skeleton import CMU15, CORE_COUNT
 

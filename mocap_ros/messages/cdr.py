@@ -18,7 +18,7 @@ from rosbags.typesys.store import Typestore
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
-from mocap_ros.messages.foreign.definitions import DEFINITIONS
+from mocap_ros.messages.foreign_types import DEFINITIONS
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]

@@ -20,7 +20,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.keypoints.image_size import ImageSize
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import Header, decode_input, validate_header, validate_text
-from mocap_ros.messages.foreign.definitions import (
+from mocap_ros.messages.foreign_types import (
     HRI_IDS,
     HRI_SKELETON,
     OPENPOSE_POSES,

@@ -12,7 +12,7 @@ from mocap_ros.bags.topics import Source
 from mocap_ros.bridges.bridge import CONSUMERS
 from mocap_ros.detectors.load import MODEL_FORMATS
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.foreign.definitions import HRI_SKELETON
+from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.messages.images import IMAGE, IMAGE_TYPES
 from mocap_ros.messages.input_types import KEYPOINT_TYPES
 from mocap_ros.messages.keypoints import KEYPOINTS

@@ -22,7 +22,7 @@ from mocap_ros.bags.topics import (
 )
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import ConfigError, InputError
-from mocap_ros.messages.foreign.definitions import HRI_IDS
+from mocap_ros.messages.foreign_types import HRI_IDS
 from mocap_ros.messages.input_types import decode_ids
 from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.messages.transforms import TRANSFORMS

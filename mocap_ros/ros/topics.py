@@ -20,7 +20,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from mocap_ros.errors import ConfigError
 from mocap_ros.messages.cdr import OutputMessage
-from mocap_ros.messages.foreign.definitions import HRI_SKELETON
+from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.messages.input_types import KEYPOINT_TYPES
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.qos import OVERRIDABLE_POLICIES

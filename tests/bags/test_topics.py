@@ -14,7 +14,7 @@ from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source, find_people_topics, list_input_types
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import ConfigError, InputError
-from mocap_ros.messages.foreign.definitions import HRI_IDS, HRI_SKELETON, YOLO_DETECTIONS
+from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON, YOLO_DETECTIONS
 from mocap_ros.messages.keypoints import KEYPOINTS
 from tests.support.bag_writing import START_NS, make_keypoints
 from tests.support.foreign_messages import HRI_IDS_TOPIC, make_hri_inputs, make_inputs

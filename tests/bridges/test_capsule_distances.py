@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from mocap_ros.bridges.bridge import Bridge
 from mocap_ros.bridges.capsules import compute_capsules
 from mocap_ros.messages.cdr import Header, decode
-from mocap_ros.messages.foreign.definitions import COLLISION_OBJECT
+from mocap_ros.messages.foreign_types import COLLISION_OBJECT
 from mocap_ros.messages.skeletons import encode_skeletons
 from mocap_ros.skeleton import BODY26
 from tests.support.people import make_person_3d

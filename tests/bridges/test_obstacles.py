@@ -16,7 +16,7 @@ import numpy as np
 from mocap_ros.bridges.bridge import Bridge
 from mocap_ros.config import with_values
 from mocap_ros.messages.cdr import decode, read_stamp
-from mocap_ros.messages.foreign.definitions import OBSTACLES
+from mocap_ros.messages.foreign_types import OBSTACLES
 from mocap_ros.runtime.pipeline import Pipeline
 from tests.support.camera_infos import camera_info
 from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, process

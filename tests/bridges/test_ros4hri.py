@@ -28,7 +28,7 @@ from mocap_ros.bridges.ros4hri import (
 )
 from mocap_ros.config import Config, with_values
 from mocap_ros.messages.cdr import Header, OutputMessage, decode
-from mocap_ros.messages.foreign.definitions import HRI_IDS
+from mocap_ros.messages.foreign_types import HRI_IDS
 from mocap_ros.messages.skeletons import encode_skeletons
 from mocap_ros.messages.transforms import TRANSFORMS, FrameNames, compute_links, make_body_id
 from mocap_ros.people import Person3D

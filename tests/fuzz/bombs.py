@@ -14,7 +14,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from mocap_ros.messages.cdr import encode
-from mocap_ros.messages.foreign.definitions import OPENPOSE_POSES
+from mocap_ros.messages.foreign_types import OPENPOSE_POSES
 from mocap_ros.messages.input_types import KEYPOINT_TYPES
 from mocap_ros.messages.keypoints import KEYPOINTS
 from tests.fuzz.examples import EXAMPLES

@@ -32,7 +32,7 @@ from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.mocap.joint_maps import RIGS
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header, encode
-from mocap_ros.messages.foreign.definitions import (
+from mocap_ros.messages.foreign_types import (
     HRI_IDS,
     HRI_SKELETON,
     OPENPOSE_POSES,

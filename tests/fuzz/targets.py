@@ -32,7 +32,7 @@ from mocap_ros.formats.mocap.joint_maps import load_marker_map
 from mocap_ros.formats.mocap.trials import TrialOptions, load_trials
 from mocap_ros.formats.sequence_file import SEQUENCE_KEYS, load_result_file, load_sequence
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
-from mocap_ros.messages.foreign.definitions import HRI_IDS, HRI_SKELETON
+from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON
 from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE, decode_image
 from mocap_ros.messages.input_types import KEYPOINT_TYPES, decode_body, decode_frame, decode_ids
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
@@ -281,7 +281,7 @@ def read_bag_folder(data: bytes, folder: Path) -> None:
 
 
 _MESSAGES = (
-    *('messages.camera_info', 'messages.cdr', 'messages.foreign', 'messages.images'),
+    *('messages.camera_info', 'messages.cdr', 'messages.images'),
     *('messages.input_types', 'messages.keypoint', 'messages.skeletons', 'messages.transform_tree'),
     *('bags.journal', 'keypoints.validation'),
 )

@@ -13,7 +13,7 @@ import pytest
 
 from mocap_ros.errors import InputError
 from mocap_ros.keypoints.joint_map import build_joint_map
-from mocap_ros.messages.foreign.definitions import OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS
+from mocap_ros.messages.foreign_types import OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS
 from mocap_ros.messages.input_types import ZED38, decode_body, decode_frame
 from tests.support.foreign_messages import (
     IMAGE_SIZE,

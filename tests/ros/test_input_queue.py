@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from mocap_ros.bags.topics import Source
 from mocap_ros.messages.cdr import Header, read_stamp_ns
-from mocap_ros.messages.foreign.definitions import HRI_IDS
+from mocap_ros.messages.foreign_types import HRI_IDS
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.ros import input_queue
 from mocap_ros.ros.input_queue import InputQueue

@@ -10,7 +10,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from mocap_ros.errors import ConfigError
 from mocap_ros.messages.cdr import Header, OutputMessage, decode
-from mocap_ros.messages.foreign.definitions import OPENPOSE_POSES
+from mocap_ros.messages.foreign_types import OPENPOSE_POSES
 from mocap_ros.messages.markers import MARKERS, MarkerEncoder
 from mocap_ros.ros.message_types import MessageVersions, load_installed_types, load_interface_class
 from tests.support.foreign_messages import encode_openpose

@@ -14,7 +14,7 @@ pytest.importorskip('rclpy')
 
 from mocap_ros.config import Config, with_settings
 from mocap_ros.messages.cdr import Header
-from mocap_ros.messages.foreign.definitions import HRI_IDS, HRI_SKELETON
+from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.ros.subscriptions import InputSubscriptions
 

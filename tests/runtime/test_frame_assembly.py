@@ -15,7 +15,7 @@ from mocap_ros.bags.topics import Source, make_body_topic
 from mocap_ros.config import with_values
 from mocap_ros.errors import FrameDropped
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.foreign.definitions import HRI_SKELETON
+from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.runtime.frame_assembly import FrameAssembler
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.tracking.tracker import Tracker

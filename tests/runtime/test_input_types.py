@@ -21,7 +21,7 @@ from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import RecordingError
 from mocap_ros.formats.detections import Video
 from mocap_ros.keypoints.joint_map import build_joint_map
-from mocap_ros.messages.foreign.definitions import HRI_SKELETON
+from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.runtime.load_keypoints import load_bag, load_input

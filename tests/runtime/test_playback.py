@@ -15,7 +15,7 @@ from mocap_ros.config import RecorderConfig
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.foreign.definitions import HRI_SKELETON
+from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION
 from mocap_ros.runtime.playback import Playback

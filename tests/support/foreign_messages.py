@@ -16,7 +16,7 @@ from mocap_ros.config import Config, with_values
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import Header, create_header, create_message, decode, encode, typestore
-from mocap_ros.messages.foreign.definitions import (
+from mocap_ros.messages.foreign_types import (
     HRI_IDS,
     HRI_SKELETON,
     OPENPOSE_POSES,

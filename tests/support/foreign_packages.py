@@ -16,7 +16,7 @@ from pathlib import Path
 
 from rosbags.typesys import Stores, get_typestore
 
-from mocap_ros.messages.foreign.definitions import DEFINITIONS
+from mocap_ros.messages.foreign_types import DEFINITIONS
 from tests.support.paths import ROOT
 
 PREFIX = ROOT / 'build' / 'foreign'
