@@ -85,7 +85,7 @@ def test_the_launch_file_starts_the_bridge_with_one_argument(launch_file: Module
     assert {name: (v.args[0], v.value_type) for name, v in given.items()} == {
         'publish': ('people prediction_markers', str)
     }
-    assert given.keys() <= BRIDGE_PARAMETERS.keys()
+    assert given.keys() <= {p.name for p in BRIDGE_PARAMETERS}
     assert node.parameters[1] == {'node.publish_predictions': True}
 
 

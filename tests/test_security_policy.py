@@ -37,7 +37,7 @@ OPERATED = {
 
 def test_node() -> None:
     node = read_permissions('mocap_node')
-    outputs = {*OUTPUTS, *LATCHED_OUTPUTS, *(output.topic for output in SWITCHED_OUTPUTS.values())}
+    outputs = {*OUTPUTS, *LATCHED_OUTPUTS, *(topic for topic, _ in SWITCHED_OUTPUTS.values())}
     assert node.publish == {*outputs, *NODE_TOPICS, '/diagnostics', '~/transition_event'}
     assert node.subscribe == {*INPUTS, BODIES, '/clock', '/parameter_events'}
     assert node.reply == {*SERVICES, *PARAMETER_SERVICES, *LIFECYCLE_SERVICES}

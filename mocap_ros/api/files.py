@@ -23,7 +23,7 @@ from mocap_ros.formats.detections import HFOV_RANGE_DEG, MAX_FRAME_RATE_HZ, Vide
 from mocap_ros.formats.sequence_file import KeypointSequence, make_camera_arrays, save_sequence
 from mocap_ros.formats.text_files import replace_output
 from mocap_ros.runtime import save_results
-from mocap_ros.runtime.load_keypoints import load_input
+from mocap_ros.runtime.load_keypoints import InputOptions, load_input
 from mocap_ros.skeleton import keypoint_layout
 
 MIN_FRAME_RATE_HZ = 1e-3  # Hz; far below that of any video
@@ -86,7 +86,7 @@ def read(
     model = None if detector is None else read_path('detector', detector)
     try:
         video = Video(fps, image_size, layout, model, hfov, focal)
-        sequence, lines = load_input(path, video, NodeConfig(), person, topic, camera_info)
+        sequence, lines = load_input(path, InputOptions(video, NodeConfig(), person, topic, camera_info))
     except InputError as error:
         raise InputError(_name_arguments(str(error))) from None
     for line in lines:

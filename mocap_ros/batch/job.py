@@ -36,7 +36,7 @@ from mocap_ros.people import MotionKind
 from mocap_ros.runtime.appearances import Appearance
 from mocap_ros.runtime.cpu_setup import configure_process
 from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, find_input_kind, require_kind
-from mocap_ros.runtime.load_keypoints import load_input
+from mocap_ros.runtime.load_keypoints import InputOptions, load_input
 from mocap_ros.runtime.provenance import provenance_attachments
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.runtime.save_results import SUFFIXES, format_yaml
@@ -279,7 +279,7 @@ def _load_sequence(path: Path, job: Job) -> tuple[KeypointSequence, dict[str, An
     if kind in (InputKind.SEQUENCE, InputKind.VIDEO, InputKind.BAG):
         video = Video(detector=video.detector, hfov=video.hfov, focal=video.focal)
     topics = (settings.topic, settings.camera_info) if kind is InputKind.BAG else (None, None)
-    sequence, lines = load_input(path, video, config.node, None, *topics)
+    sequence, lines = load_input(path, InputOptions(video, config.node, None, *topics))
     stamps = sequence.stamps_ns
     appearance = Appearance(sequence.person_id or '', int(stamps[0]), int(stamps[-1]))
     appearance.seconds['unknown'] = (stamps[-1] - stamps[0]) / NS_PER_S

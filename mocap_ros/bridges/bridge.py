@@ -27,20 +27,13 @@ POSES = 'geometry_msgs/msg/PoseArray'
 
 
 class Consumer(NamedTuple):
-    """What some consumers take in.
+    """What some consumers take in."""
 
-    Attributes:
-        topic: relative name; the topics of single bodies come besides.
-        type: message type.
-        convert: function of what is seen now and in the message before that returns the content of one message,
-            or of several.
-        reads_predictions: whether it is made from predictions, and not from skeletons.
-    """
-
-    topic: str
-    type: str
+    topic: str  # relative name; the topics of single bodies come besides
+    type: str  # message type
+    # Function of what is seen now and in the message before that returns the content of one message, or of several
     convert: Callable[[Any, Any], Content | list[Content]]
-    reads_predictions: bool = False
+    reads_predictions: bool = False  # whether it is made from predictions, and not from skeletons
 
 
 CONSUMERS = {

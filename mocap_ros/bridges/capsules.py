@@ -36,23 +36,14 @@ MIN_QUATERNION = 1e-6  # 1; length of the quaternion before it is made 1, of an 
 
 
 class BodyPart(NamedTuple):
-    """A body part between two joints.
+    """A body part between two joints."""
 
-    Attributes:
-        name: name of the part.
-        start: joint at one end.
-        end: joint at the other end.
-        half_thickness_m: m, half the thickness of a tall and heavy adult, clothes included.
-        spread: k of the module.
-        beyond: how far the part reaches beyond its end, of the length between the ends.
-    """
-
-    name: str
-    start: str
-    end: str
-    half_thickness_m: float
-    spread: float
-    beyond: float = 0.0
+    name: str  # name of the part
+    start: str  # joint at one end
+    end: str  # joint at the other end
+    half_thickness_m: float  # m, half the thickness of a tall and heavy adult, clothes included
+    spread: float  # k of the module
+    beyond: float = 0.0  # how far the part reaches beyond its end, of the length between the ends
 
 
 # The parts of a body. Thicknesses: a trunk is 0.3 m deep at most, a thigh 0.2 m, a shin and an upper arm 0.14 m, a
@@ -63,10 +54,7 @@ _TRUNK = (
     BodyPart('shoulders', 'lshoulder', 'rshoulder', 0.1, 0.2),
     BodyPart('pelvis', 'lhip', 'rhip', 0.14, 0.2),
 )
-_HALF_LIMBS = (
-    BodyPart('upper_arm', 'shoulder', 'elbow', 0.07, 0.78),
-    BodyPart('thigh', 'hip', 'knee', 0.1, 0.25),
-)
+_HALF_LIMBS = (BodyPart('upper_arm', 'shoulder', 'elbow', 0.07, 0.78), BodyPart('thigh', 'hip', 'knee', 0.1, 0.25))
 # Without hands and feet, the forearm reaches beyond the wrist as far as a hand with half-bent fingers, and the
 # shin beyond the ankle as far as the sole; toes are outside.
 _ENDS_OF_CORE = (
@@ -83,23 +71,14 @@ _ENDS = (
 
 
 class PartArrays(NamedTuple):
-    """The P body parts of a skeleton.
+    """The P body parts of a skeleton."""
 
-    Attributes:
-        names: their names.
-        start: (P,) index of the joint at one end.
-        end: (P,) index of that at the other end.
-        half_thickness: (P,) m, half thicknesses.
-        spread: (P,) k of the module.
-        beyond: (P, 1) how far a part reaches beyond its end, of the length between the ends.
-    """
-
-    names: tuple[str, ...]
-    start: NDArray[np.intp]
-    end: NDArray[np.intp]
-    half_thickness: Array
-    spread: Array
-    beyond: Array
+    names: tuple[str, ...]  # their names
+    start: NDArray[np.intp]  # (P,) index of the joint at one end
+    end: NDArray[np.intp]  # (P,) index of that at the other end
+    half_thickness: Array  # (P,) m, half thicknesses
+    spread: Array  # (P,) k of the module
+    beyond: Array  # (P, 1) how far a part reaches beyond its end, of the length between the ends
 
 
 def list_body_parts(skeleton: Skeleton) -> tuple[BodyPart, ...]:
@@ -131,17 +110,11 @@ MAX_PARTS = max(len(list_body_parts(skeleton)) for skeleton in (CMU15, BODY26))
 
 
 class Capsules(NamedTuple):
-    """The P capsules of a body, or of each of N bodies, in the order of `list_body_parts`.
+    """The P capsules of a body, or of each of N bodies, in the order of `list_body_parts`."""
 
-    Attributes:
-        start: (..., P, 3) m, one end of each segment.
-        end: (..., P, 3) m, the other end.
-        radius: (..., P) m.
-    """
-
-    start: Array
-    end: Array
-    radius: Array
+    start: Array  # (..., P, 3) m, one end of each segment
+    end: Array  # (..., P, 3) m, the other end
+    radius: Array  # (..., P) m
 
 
 def compute_capsules(joints: Array, std: Array, skeleton: Skeleton) -> Capsules:

@@ -43,7 +43,6 @@ def convert_detections(people: People) -> dict[str, Any]:
 
 
 def _build_covariances(people: People) -> Array:
-    """Return the covariances (N, 6, 6) of people's poses, in m and rad."""
     covariance = np.zeros((len(people.ids), 6, 6))
     covariance[:, :3, :3] = people.covariances
     covariance[:, 3:, 3:] = (_compute_heading_stds(people) ** 2)[:, None, None] * np.eye(3)

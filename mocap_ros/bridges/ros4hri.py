@@ -46,27 +46,18 @@ EFFORT, SPEED = '1000', '0.5'  # limits that URDF demands; nobody drives these j
 
 
 class Joint(NamedTuple):
-    """A joint of the model and the link below it.
+    """A joint of the model and the link below it."""
 
-    Attributes:
-        name: of the joint.
-        link: name of the link.
-        parent: name of the link above.
-        axis: of a revolute joint; empty if fixed.
-        limits: rad, least and largest angle.
-        offset: name of the length, and the direction in which it is from the parent; empty where they coincide.
-    """
-
-    name: str
-    link: str
-    parent: str
-    axis: str = ''
-    limits: tuple[float, float] = (0.0, 0.0)
+    name: str  # of the joint
+    link: str  # name of the link
+    parent: str  # name of the link above
+    axis: str = ''  # of a revolute joint; empty if fixed
+    limits: tuple[float, float] = (0.0, 0.0)  # rad, least and largest angle
+    # Name of the length, and the direction in which it is from the parent; empty where they coincide
     offset: tuple[str, tuple[float, float, float]] = ('', (0.0, 0.0, 0.0))
 
 
 def _list_joints() -> tuple[Joint, ...]:
-    """Return the joints of the model, parents first."""
     joints = [
         Joint('waist', 'waist', 'body', '0 1 0', (-0.2, 1.0)),
         Joint('torso', 'torso', 'waist', offset=('trunk', (0.0, 0.0, 1.0))),

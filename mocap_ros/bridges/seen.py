@@ -80,17 +80,11 @@ class People:
 
 
 class PredictedPeople(NamedTuple):
-    """The N people at a time after an image.
+    """The N people at a time after an image."""
 
-    Attributes:
-        ahead: s after the image.
-        numbers: number of each person, as of `People`.
-        joints: (N, 15, 3) m.
-    """
-
-    ahead: float
-    numbers: tuple[int, ...]
-    joints: Array
+    ahead: float  # s after the image
+    numbers: tuple[int, ...]  # number of each person, as of `People`
+    joints: Array  # (N, 15, 3) m
 
 
 class Predictions(NamedTuple):

@@ -106,7 +106,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _make_settings(args: argparse.Namespace) -> Settings:
-    """Return the settings that the options describe."""
     from mocap_ros.batch.job import Settings
     from mocap_ros.batch.recordings import Work
 

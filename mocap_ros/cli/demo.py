@@ -128,7 +128,6 @@ def reserve_domain() -> Iterator[dict[str, str]]:
 
 @contextlib.contextmanager
 def _run_node(folder: Path, environment: dict[str, str]) -> Iterator[subprocess.Popen[bytes]]:
-    """Run the live node as a process that records into the folder and is interrupted at the end."""
     command = [sys.executable, '-m', 'mocap_ros.ros.main', '--ros-args', '--log-level', 'warn']
     command += ['-p', 'recorder.enabled:=true', '-p', f'recorder.folder:={folder.resolve()}']
     command += ['-p', 'qos_overrides./keypoints.subscription.reliability:=reliable']

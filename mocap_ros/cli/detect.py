@@ -18,7 +18,7 @@ from mocap_ros.cli.options import derive_output_stem, parse_count, parse_positiv
 from mocap_ros.cli.terminal import interrupt_between_items, print_remark, print_result, show_progress
 from mocap_ros.errors import InputError, tell_installation
 from mocap_ros.formats.detections import Detections, select_person
-from mocap_ros.formats.sequence_file import KeypointSequence, describe_frames, save_sequence
+from mocap_ros.formats.sequence_file import describe_frames, save_sequence
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.formats.video import VideoImage, find_camera
 from mocap_ros.runtime.detection import ShowProgress, detect_in_video
@@ -60,7 +60,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--person',
         metavar='ID',
-        help='person to write to a .npz (default, and if a camera saw no such person: the one seen most)',
+        help='person of a video to write to a .npz (default: the one seen most)',
     )
     parser.add_argument(
         '--max-people',
@@ -87,6 +87,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f'{output}: unknown file type; expected {", ".join(SUFFIXES)}')
     if output.suffix == BAG_SUFFIX and args.person is not None:
         raise InputError(f'{output}: holds all people; --person applies to a .npz')
+    if camera is not None and args.person is not None:
+        raise InputError(f'{path}: --person applies to a video; a camera shows nobody twice')
     sources = list_sources(args)
     check_output(output, *sources)
     if camera is None:
@@ -109,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
         what = f'{len({p.id for people in detections.people for p in people})} people'
     else:
         with name_file_in_errors(path):
-            sequence, lines = _select_person(detections, args.person, is_camera=camera is not None)
+            sequence, lines = select_person(detections, args.person)
         times = sequence.timestamps
         with replace_output(output, *sources) as unfinished:
             save_sequence(unfinished, sequence)
@@ -118,22 +120,6 @@ def run(args: argparse.Namespace) -> int:
         print_remark(f'{path}: {line}')
     print_result(f'{output}: {what}, {describe_frames(times)}')
     return 0
-
-
-def _select_person(
-    detections: Detections, person_id: str | None, *, is_camera: bool
-) -> tuple[KeypointSequence, list[str]]:
-    """Return what `select_person` does; of a camera, without the person of that id, the one who is seen most.
-
-    The images of a camera cannot be shown again, nor can an id be known before it is given.
-    """
-    try:
-        return select_person(detections, person_id)
-    except InputError as error:
-        if not is_camera or person_id is None:
-            raise
-        sequence, lines = select_person(detections)
-        return sequence, [f'warning: {error}; the one who was seen most is written', *lines]
 
 
 def _detect_until_interrupted(camera: Path, args: argparse.Namespace, limit_and_show: ShowProgress) -> Detections:

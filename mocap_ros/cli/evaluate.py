@@ -87,13 +87,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--person', metavar='ID', help='person in a bag of skeletons (default: the person with most skeletons)'
     )
     add_model_option(parser)
-    parser.add_argument(
-        '--joints',
-        choices=['common', 'limbs'],
-        default='common',
-        help='joints to compare: all that the truth and the result have in common, or the twelve joints of the '
-        'limbs, in frames in which more than eight of them are seen',
-    )
     parser.add_argument('--json', type=Path, metavar='FILE', help='file for all numbers as JSON (default: none)')
     add_config_options(parser)
     parser.set_defaults(run=run)
@@ -126,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
             if args.truth is None:
                 raise InputError(f'{path}: holds no truth; give the sequence file that does by --truth')
         with name_file_in_errors(path):
-            record, warning = compare_with_truth(result, truths[place], limbs_only=args.joints == 'limbs')
+            record, warning = compare_with_truth(result, truths[place])
         if warning:
             print_remark(f'{path}: {warning}')
         records.append({'file': path.name, **record, **timing})
@@ -142,14 +135,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _refuse_options(path: Path, value_by_option: Mapping[str, object], kind: str) -> None:
-    """Raise an error if an option that does not apply to an input of this kind has a value."""
     given = [option for option, value in value_by_option.items() if value]
     if given:
         raise InputError(f'{path}: {given[0]} does not apply to {kind}')
 
 
 def _load_truth(path: Path) -> KeypointSequence:
-    """Load a sequence file, which must hold the truth."""
     sequence = load_sequence_file(path)
     with name_file_in_errors(path):
         check_truth(_get_truth(sequence).joints)
@@ -162,9 +153,7 @@ def _get_truth(sequence: KeypointSequence) -> GroundTruth:
     return sequence.truth
 
 
-def compare_with_truth(
-    result: StoredResult, reference: KeypointSequence, *, limbs_only: bool
-) -> tuple[dict[str, Any], str]:
+def compare_with_truth(result: StoredResult, reference: KeypointSequence) -> tuple[dict[str, Any], str]:
     """Compare a result with the truth in the frames whose times both have.
 
     Joints that are unknown in every frame of the truth are not compared. Of the frames, only those are compared in
@@ -172,8 +161,7 @@ def compare_with_truth(
 
     Args:
         result: the reconstruction.
-        reference: the truth, and the keypoints that say which joints are seen.
-        limbs_only: True to compare the twelve limb joints only, in the frames in which most of them are seen.
+        reference: the sequence that holds the truth.
 
     Returns:
         The errors, with the shares of true errors within the covariances if the result has any, and a warning if
@@ -207,9 +195,7 @@ def compare_with_truth(
         true_joints,
         truth.joint_names,
         estimate_frame_rate(result.times[frames]),
-        reference.joint_names,
-        reference.keypoints[reference_frames, :, 2] if limbs_only else None,
-        reference.timestamps[reference_frames],
+        times=reference.timestamps[reference_frames],
     )
     coverage: dict[str, float] = {}
     if result.std is not None and result.root_covariance is not None:

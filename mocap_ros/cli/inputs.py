@@ -24,12 +24,12 @@ from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX, KeypointSequence
 from mocap_ros.formats.video import VideoImage
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models, load_prior_lifter
-from mocap_ros.runtime.load_keypoints import load_input, load_people
+from mocap_ros.runtime.load_keypoints import InputOptions, load_input, load_people
 from mocap_ros.skeleton import LAYOUT_NAMES
 
 # Options of all commands that name files to read; a name that is no file does no harm.
 FILE_OPTIONS = (
-    *('input', 'config', 'model', 'detector', 'choices', 'keyframes', 'truth'),
+    *('input', 'config', 'model', 'detector', 'choices', 'truth'),
     *('manifest', 'markers', 'start_from'),
 )
 MAX_IMAGE_SIZE_CHARACTERS = 20  # characters of --image-size; guards int() against thousands of digits
@@ -137,6 +137,12 @@ def read_video_options(args: argparse.Namespace) -> Video:
     return Video(args.fps, args.image_size, args.layout or '', args.detector, args.hfov, args.focal)
 
 
+def read_input_options(args: argparse.Namespace, config: Config) -> InputOptions:
+    """Return what the options of `add_input_options` state."""
+    video, topics = read_video_options(args), (args.topic, args.camera_info)
+    return InputOptions(video, config.node, args.person, *topics, show_detection_progress)
+
+
 def load_sequences(
     args: argparse.Namespace, config: Config, *, all_people: bool = False
 ) -> list[KeypointSequence]:
@@ -147,11 +153,11 @@ def load_sequences(
     Raises:
         InputError: the input cannot be used; the message names the place.
     """
-    read, topics = (args.input, read_video_options(args), config.node), (args.topic, args.camera_info)
+    options = read_input_options(args, config)
     if all_people:
-        sequences, lines = load_people(*read, *topics, show_detection_progress)
+        sequences, lines = load_people(args.input, options)
     else:
-        sequence, lines = load_input(*read, args.person, *topics, show_detection_progress)
+        sequence, lines = load_input(args.input, options)
         sequences = [sequence]
     for line in lines:
         print_remark(line)

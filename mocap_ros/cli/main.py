@@ -124,7 +124,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _report_failure(message: str) -> int:
-    """Print the message as one line on stderr and return the exit code of a failure."""
     print_remark(message)
     return 1
 

@@ -133,7 +133,6 @@ def add_ending(path: Path, ending: str) -> Path:
 def _reconstruct(
     args: argparse.Namespace, sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config
 ) -> tuple[SequenceResult, str]:
-    """Reconstruct one person, and summarise how in a phrase."""
     if args.method == 'whole':
         with name_file_in_errors(args.input):
             result = reconstruct_file(sequence, models, config)

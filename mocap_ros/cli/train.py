@@ -30,9 +30,7 @@ from mocap_ros.models import model_file
 from mocap_ros.training.fit_base_poses import fit_base_poses
 from mocap_ros.training.motion_library import balance_trials
 
-BASE_POSE_OPTIONS = ('name', 'components', 'alignment', 'mirror', 'bodies')  # options without --lifter only
-LIFTER_OPTIONS = ('steps', 'checkpoint', 'start_from', 'seed', 'threads')  # options with --lifter only
-DEFAULT_COMPONENTS = 45  # base poses
+LIFTER_OPTIONS = ('steps', 'checkpoint', 'start_from', 'seed')  # options with --lifter only
 DEFAULT_STEPS = 60000  # optimiser steps; more gain more
 MAX_SEED = 2**63 - 1  # the largest that PyTorch takes for sure
 
@@ -80,87 +78,46 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='table with the columns trial, subject, category and interior_glitches (default: manifest.csv beside '
         'the data, if it exists)',
     )
-    for option, selection, default in (
-        ('--category', 'use only trials of this category', 'all'),
-        ('--subject', 'use only trials of this subject', 'all'),
-        ('--without-subject', 'use no trials of this subject', 'none left out'),
-        ('--without-trial', 'do not use this trial', 'none left out'),
+    for option, what in (
+        ('--category', 'use only trials of this category; may be repeated (default: all)'),
+        ('--without-subject', 'use no trials of this subject; may be repeated (default: none left out)'),
     ):
-        text = f'{selection}; may be repeated (default: {default})'
-        add(option, action='append', default=[], metavar='NAME', help=text)
+        add(option, action='append', default=[], metavar='NAME', help=what)
     for option, what in (
         ('--source', 'origin of the data'),
         ('--acknowledgement', 'acknowledgement that the owner of the data asks for'),
     ):
         add(option, default='', metavar='TEXT', help=f'{what}, saved in the model (default: empty)')
-    _add_base_pose_options(parser.add_argument_group('base poses'))
-    _add_lifter_options(parser.add_argument_group('with --lifter'))
-    parser.set_defaults(run=run)
-
-
-def _add_base_pose_options(group: argparse._ArgumentGroup) -> None:
-    """Add the options of `BASE_POSE_OPTIONS`."""
-    group.add_argument('--name', help='name of the model (default: the category, or all without --category)')
-    group.add_argument(
-        '--components',
-        type=parse_count,
-        metavar='N',
-        help=f'maximum number of base poses (default: {DEFAULT_COMPONENTS})',
-    )
-    group.add_argument(
-        '--alignment',
-        choices=['rotation', 'heading'],
-        help='alignment of the poses before the principal component analysis (default: heading with --category, '
-        'rotation without)',
-    )
-    group.add_argument(
-        '--mirror',
-        action=argparse.BooleanOptionalAction,
-        help='add the mirror images of the poses (default: only with --category)',
-    )
-    group.add_argument(
-        '--bodies',
-        type=partial(parse_count, low=0),
-        metavar='N',
-        help='number of bodies with random bone lengths to add for each trial (default: 2 with --category, 0 '
-        'without)',
-    )
-
-
-def _add_lifter_options(group: argparse._ArgumentGroup) -> None:
-    """Add the options of `LIFTER_OPTIONS`."""
-    group.add_argument(
-        '--steps', type=parse_count, metavar='N', help=f'number of optimiser steps (default: {DEFAULT_STEPS})'
-    )
-    group.add_argument(
+    add = parser.add_argument_group('with --lifter').add_argument
+    add('--steps', type=parse_count, metavar='N', help=f'number of optimiser steps (default: {DEFAULT_STEPS})')
+    add(
         '--checkpoint',
         type=Path,
         metavar='FILE',
         help='file that keeps the state of the training every few minutes; a training that finds one goes on from '
         'there, also with more --steps (default: none is kept)',
     )
-    group.add_argument(
+    add(
         '--start-from',
         type=Path,
         metavar='LIFTER.npz',
         help='lifter whose weights the training begins with, at a lower learning rate and with its batch norms as '
         'they are; give another --seed than it had, so that the examples are new (default: random weights)',
     )
-    group.add_argument(
+    add(
         '--seed',
         type=partial(parse_count, low=0, high=MAX_SEED),
         metavar='N',
         help='random seed of the initial weights and the examples (default: 0)',
     )
-    group.add_argument('--threads', type=parse_count, metavar='N', help='threads of PyTorch (default: 1)')
+    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Train and save a model, and print a summary of it."""
-    for option in BASE_POSE_OPTIONS if args.lifter else LIFTER_OPTIONS:
+    for option in () if args.lifter else LIFTER_OPTIONS:
         if getattr(args, option) is not None:
-            name, applies = option.replace('_', '-'), 'not to' if args.lifter else 'only to'
-            raise InputError(f'--{name}: applies {applies} --lifter')
+            raise InputError(f'--{option.replace("_", "-")}: applies only to --lifter')
     sources = list_sources(args)
     for path in filter(None, (args.output, args.checkpoint)):
         check_output(path, *sources)
@@ -171,15 +128,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _load_trials(args: argparse.Namespace) -> tuple[list[Trial], NDArray[np.float64], dict[str, Any]]:
-    """Load the trials that the options select, with their shares in the training and the model's provenance."""
     markers = None if args.markers is None else load_marker_map(args.markers)
     options = TrialOptions(args.manifest, markers, args.unit, args.every)
     trials = select_trials(
         [t for path in args.data for t in load_trials(path, options, lambda files: show_progress(files, 'read'))],
         categories=args.category,
-        only_subjects=args.subject,
         without_subjects=args.without_subject,
-        without_trials=args.without_trial,
     )
     if not trials:
         raise MocapError('the options select no trial')
@@ -194,18 +148,17 @@ def _load_trials(args: argparse.Namespace) -> tuple[list[Trial], NDArray[np.floa
 
 
 def _train_base_poses(args: argparse.Namespace, sources: Sequence[Path]) -> None:
-    """Train base poses, whose defaults are others for one category of motion than for all."""
+    """Train base poses: of one category of motion aligned by heading, with mirror images and other bodies."""
     trials, shares, provenance = _load_trials(args)
     one_category = bool(args.category)
     model = fit_base_poses(
         [t.poses for t in trials],
         labels=[t.name for t in trials],
         shares=shares,
-        name=args.name or '+'.join(args.category) or 'all',
-        components=args.components or DEFAULT_COMPONENTS,
-        alignment=args.alignment or ('heading' if one_category else 'rotation'),
-        mirror=one_category if args.mirror is None else args.mirror,
-        bodies=(2 if one_category else 0) if args.bodies is None else args.bodies,
+        name='+'.join(args.category) or 'all',
+        alignment='heading' if one_category else 'rotation',
+        mirror=one_category,
+        bodies=2 if one_category else 0,
         provenance=provenance,
     )
     with replace_output(args.output, *sources) as unfinished:
@@ -219,14 +172,13 @@ def _train_base_poses(args: argparse.Namespace, sources: Sequence[Path]) -> None
 
 
 def _train_lifter(args: argparse.Namespace, sources: Sequence[Path]) -> None:
-    """Train a lifter, from the checkpoint if there is one."""
     try:
         import torch
 
         from mocap_ros.training import lifter as training
     except ImportError as error:
         raise MocapError(f'{error}: training needs PyTorch: {tell_installation("train")}') from None
-    torch.set_num_threads(args.threads or 1)
+    torch.set_num_threads(1)
     trials, shares, provenance = _load_trials(args)
     provenance['without_subjects'] = args.without_subject
     steps, path = args.steps or DEFAULT_STEPS, args.checkpoint

@@ -6,24 +6,14 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from mocap_ros.bags.reader import is_bag
-from mocap_ros.cli.inputs import (
-    add_input_options,
-    add_model_option,
-    list_sources,
-    load_models,
-    name_file_in_errors,
-    read_video_options,
-    show_detection_progress,
-)
-from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config, parse_count
+from mocap_ros.cli.inputs import add_input_options, add_model_option, list_sources, load_models, read_input_options
+from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config
 from mocap_ros.cli.terminal import print_remark, print_result, show_progress
-from mocap_ros.config import Config
 from mocap_ros.errors import InputError
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.runtime.input_kind import require_kind
@@ -32,16 +22,14 @@ from mocap_ros.runtime.load_scene import (
     VIEWED_FORMATS,
     VIEWED_KINDS,
     SceneOptions,
-    load_keyframe_marks,
     load_scene,
-    place_marks,
 )
 from mocap_ros.viewing import plots
 from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.scene import Scene
 
 PAGE_SUFFIX = '.html'  # of the page; any other suffix is that of a picture
-MAX_POSES = 30  # frames in a picture; more would be too small to see
+POSES = 8  # frames in a picture; many more would be too small to see
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -62,15 +50,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='OUT',
         help='page (.html) or picture (.png, .svg, .pdf, ...) to write (default: IN.html in the current folder)',
     )
-    parser.add_argument(
-        '--keyframes',
-        type=Path,
-        metavar='FILE',
-        help='keyframes to mark on the time line, in the file that `keyframes` writes (default: none)',
-    )
-    parser.add_argument(
-        '--poses', type=parse_count, default=8, metavar='N', help=f'frames in a picture, {MAX_POSES} at most'
-    )
     add_model_option(parser)
     add_config_options(parser)
     parser.set_defaults(run=run)
@@ -82,27 +61,25 @@ def run(args: argparse.Namespace) -> int:
     is_page = output.suffix == PAGE_SUFFIX
     if not is_page:
         plots.check_picture_format(output, PAGE_SUFFIX)
-        if args.keyframes is not None:
-            raise InputError(f'{output}: --keyframes applies to a page ({PAGE_SUFFIX})')
-    if args.poses > MAX_POSES:
-        raise InputError(f'--poses {args.poses}: expected 1 to {MAX_POSES}')
     require_kind(args.input, VIEWED_KINDS, VIEWED_FORMATS)
     _refuse_unused_options(args)
     config = load_config(args)
     sources = list_sources(args, config)
     check_output(output, *sources)
-    scene = _load(args, config, only_one=not is_page)
+    options = SceneOptions(config, load_models(args, config), read_input_options(args, config), not is_page)
+    scene, lines = load_scene(args.input, options, lambda items, total: show_progress(items, 'view', total))
+    for line in lines:
+        print_remark(line)
     with replace_output(output, *sources) as unfinished:
         if is_page:
             unfinished.write_text(build_page(scene), encoding='utf-8')
         else:
-            save_picture(scene, args.poses, unfinished)
+            save_picture(scene, unfinished)
     print_result(output)
     return 0
 
 
 def _refuse_unused_options(args: argparse.Namespace) -> None:
-    """Raise an error if an option is given that does not apply to a result."""
     if not holds_result(args.input):
         return
     unused = ['fps', 'image_size', 'layout', 'hfov', 'focal', 'detector', 'model']
@@ -114,31 +91,9 @@ def _refuse_unused_options(args: argparse.Namespace) -> None:
             raise InputError(f'{args.input}: holds a result, which is shown as it is; --{option} does not apply')
 
 
-def _load(args: argparse.Namespace, config: Config, *, only_one: bool) -> Scene:
-    """Load the scene that the options describe, and print on stderr what was left out."""
-    options = SceneOptions(
-        config=config,
-        models=load_models(args, config),
-        video=read_video_options(args),
-        person=args.person,
-        topic=args.topic,
-        camera_info=args.camera_info,
-        show_detection=show_detection_progress,
-        only_one=only_one,
-    )
-    marks, start_ns = ([], None) if args.keyframes is None else load_keyframe_marks(args.keyframes)
-    scene, lines = load_scene(args.input, options, lambda items, total: show_progress(items, 'view', total))
-    for line in lines:
-        print_remark(line)
-    if start_ns is not None:
-        with name_file_in_errors(args.keyframes):
-            marks = place_marks(marks, start_ns, scene.stamps_ns)
-    return replace(scene, marks=tuple(sorted((*scene.marks, *marks), key=lambda mark: mark.time_s)))
-
-
-def save_picture(scene: Scene, poses: int, path: Path) -> None:
-    """Draw some frames of a scene, evenly distributed over its time."""
+def save_picture(scene: Scene, path: Path) -> None:
+    """Draw `POSES` frames of a scene, evenly distributed over its time."""
     count = len(scene.stamps_ns)
-    frames = np.linspace(0, count - 1, min(poses, count)).round().astype(int).tolist()
+    frames = np.linspace(0, count - 1, min(POSES, count)).round().astype(int).tolist()
     labels = [f'{scene.times[frame]:.2f} s' for frame in frames]
     plots.save_figure(plots.draw_poses_figure(scene.to_plot_data(), frames, scene.title, labels), path)

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import math
 import re
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from math import inf
 from operator import attrgetter
 from typing import Any, cast, get_type_hints
 
@@ -25,31 +26,31 @@ SCIENTIFIC_NOTATION = re.compile(r'[-+]?\d+(\.\d*)?[eE][-+]?\d{1,3}')
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of the package as ROS, the parameter file and the command line see it.
+    """A parameter as ROS, the parameter file and the command line see it.
 
     Attributes:
         name: `group.field`.
         kind: type of its value: bool, int, float or str.
         default: value unless the user sets it.
         description: meaning, beginning with the unit, if any.
-        low: smallest valid value, or None.
-        high: largest valid value, or None.
+        low: smallest valid value.
+        high: largest valid value.
         choices: valid values of a text; empty if any text is valid.
         read_only: whether the value is fixed when the node starts.
         takes_numbers: whether a number may be given for a text.
-        is_common: whether many users set it.
+        is_common: whether many users set it, so that `mocap-ros config` prints it without `--all`.
     """
 
     name: str
     kind: type
     default: Value
     description: str
-    low: float | None
-    high: float | None
-    choices: tuple[str, ...]
-    read_only: bool
-    takes_numbers: bool
-    is_common: bool
+    low: float = -inf
+    high: float = inf
+    choices: tuple[str, ...] = ()
+    read_only: bool = False
+    takes_numbers: bool = False
+    is_common: bool = False
 
     def check(self, value: object) -> Value:
         """Return the value in the parameter's own type.
@@ -59,28 +60,21 @@ class Parameter:
         """
         if self.kind is float and isinstance(value, str) and SCIENTIFIC_NOTATION.fullmatch(value):
             value = float(value)
-        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if self.takes_numbers and is_number:
-            return repr(value)
-        number = _to_float(value) if is_number else math.nan
-        if type(value) is not self.kind and not (self.kind is float and is_number):
-            article = 'an' if self.kind is int else 'a'
-            raise ConfigError(f'{self.name} = {format_value(value)}: expected {article} {self.kind.__name__}')
-        if isinstance(value, str) and self.choices and value not in self.choices:
-            raise ConfigError(f'{self.name} = {format_value(value)}: expected {", ".join(self.choices)}')
-        low = -math.inf if self.low is None else self.low
-        high = math.inf if self.high is None else self.high
-        if is_number and not (math.isfinite(number) and low <= number <= high):
-            raise ConfigError(f'{self.name} = {format_value(value)}: expected {low:g} to {high:g}')
-        return number if self.kind is float else cast(Value, value)
-
-
-def _to_float(number: Any) -> float:
-    """Return the number as a float, infinite if it is too large for one."""
-    try:
-        return float(number)
-    except OverflowError:
-        return math.inf if number > 0 else -math.inf
+        expected = ''
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            if self.takes_numbers:
+                return repr(value)
+            if not (self.low <= value <= self.high and abs(value) <= sys.float_info.max):
+                expected = f'{self.low:g} to {self.high:g}'
+            elif self.kind is float:
+                return float(value)
+        elif isinstance(value, str) and self.choices and value not in self.choices:
+            expected = ', '.join(self.choices)
+        if type(value) is not self.kind and not (self.kind is float and expected):
+            expected = f'{"an" if self.kind is int else "a"} {self.kind.__name__}'
+        if expected:
+            raise ConfigError(f'{self.name} = {format_value(value)}: expected {expected}')
+        return cast(Value, value)
 
 
 def format_value(value: object) -> str:
@@ -95,44 +89,33 @@ def format_value(value: object) -> str:
 def parameters() -> Iterator[Parameter]:
     """Yield every parameter, in the order of the dataclasses."""
     for group in dataclasses.fields(Config):
-        group_type = type(getattr(Config(), group.name))
+        group_type = type(cast(Any, group.default))
         types = get_type_hints(group_type)
         for field in dataclasses.fields(group_type):
-            if not field.metadata:  # a constant
-                continue
-            name = f'{group.name}.{field.name}'
-            yield Parameter(name, types[field.name], cast(Value, field.default), **field.metadata)
+            if field.metadata:  # no constant
+                name = f'{group.name}.{field.name}'
+                yield Parameter(name, types[field.name], cast(Value, field.default), **field.metadata)
 
 
 def with_values(config: Config, values: Mapping[str, object]) -> Config:
-    """Return a copy of the configuration in which these parameters have these values.
-
-    Args:
-        config: the configuration to copy.
-        values: new values by parameter name (`group.field`).
+    """Return a copy of the configuration in which these parameters, by name (`group.field`), have these values.
 
     Raises:
         ConfigError: a name is unknown, or a value has the wrong type or is out of range.
     """
     parameter_of = {parameter.name: parameter for parameter in parameters()}
-    checked: dict[str, Value] = {}
-    for name, value in values.items():
+    for name in values:
         if name not in parameter_of:
-            in_group = next((known for known in parameter_of if known.startswith(f'{name}.')), '')
-            if in_group:
+            if in_group := next((known for known in parameter_of if known.startswith(f'{name}.')), ''):
                 raise ConfigError(f'{name}: is a group of parameters; names are dotted, such as {in_group!r}')
-            suggestion = suggest_parameter(name, parameter_of)
-            raise ConfigError(f'unknown parameter {format_value(name)}; {suggestion}')
-        checked[name] = parameter_of[name].check(value)
-    return with_settings(config, checked)
+            raise ConfigError(f'unknown parameter {format_value(name)}; {suggest_parameter(name, parameter_of)}')
+    return with_settings(config, {name: parameter_of[name].check(value) for name, value in values.items()})
 
 
 def with_settings(config: Config, changes: Mapping[str, object]) -> Config:
-    """Return a copy of the configuration in which these fields, also constants, have these values, unchecked.
+    """Return a copy in which these fields by name (`group.field`), also constants, have these values, unchecked.
 
-    Args:
-        config: the configuration to copy.
-        changes: new values by name (`group.field`). Experiments and tests change constants by it.
+    Experiments and tests change constants by it.
     """
     for name, value in changes.items():
         group_name, field_name = name.split('.')
@@ -142,7 +125,7 @@ def with_settings(config: Config, changes: Mapping[str, object]) -> Config:
 
 
 def suggest_parameter(unknown_name: str, names: Iterable[str], listed_by: str = '`mocap-ros config --all`') -> str:
-    """Return a clause, for an error message, about what an unknown parameter name may have been meant for.
+    """Return a clause about which of some parameters an unknown name may have been meant for.
 
     Args:
         unknown_name: the name that is none of a parameter.

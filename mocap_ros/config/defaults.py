@@ -16,31 +16,9 @@ from typing import Any
 Value = bool | int | float | str  # the types that a parameter may have
 
 
-def define_parameter(
-    default: Value,
-    description: str,
-    *,
-    low: float | None = None,
-    high: float | None = None,
-    choices: tuple[str, ...] = (),
-    read_only: bool = False,
-    takes_numbers: bool = False,
-    is_common: bool = False,
-) -> Any:
-    """Return a dataclass field that is a parameter.
-
-    Args:
-        default: value of the parameter unless the user sets it.
-        description: meaning of the parameter, beginning with its unit, if any.
-        low: smallest valid value, or None.
-        high: largest valid value, or None.
-        choices: valid values of a text; empty if any text is valid.
-        read_only: whether the value is fixed when the node starts.
-        takes_numbers: whether a number may be given for a text.
-        is_common: whether many users set it, so that `mocap-ros config` prints it without `--all`.
-    """
-    limits = {'low': low, 'high': high, 'choices': choices, 'read_only': read_only, 'takes_numbers': takes_numbers}
-    return field(default=default, metadata={'description': description, 'is_common': is_common, **limits})
+def define_parameter(default: Value, description: str, **attributes: Any) -> Any:
+    """Return a dataclass field that is a parameter; the attributes are those of `access.Parameter`."""
+    return field(default=default, metadata={'description': description, **attributes})
 
 
 @dataclass(frozen=True)

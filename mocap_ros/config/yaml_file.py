@@ -13,8 +13,8 @@ from typing import Any
 import yaml
 
 from mocap_ros.config.access import Parameter, format_value, parameters, values, with_values
-from mocap_ros.config.defaults import Config, Value
-from mocap_ros.errors import ConfigError, describe_parse_error
+from mocap_ros.config.defaults import Config
+from mocap_ros.errors import ConfigError, describe_parse_error, name_errors
 
 COMMENT_WIDTH = 90  # characters of a comment line, so that a line with its indentation stays below 100
 MAX_DEPTH = 50  # levels of a YAML text; parameter files have 4
@@ -99,24 +99,19 @@ def from_yaml(text: str, source: str) -> Config:
             `source`.
     """
     tree = load_yaml(text, source)
-    tree = {} if tree is None else tree
     if isinstance(tree, dict) and len(tree) == 1:
         (content,) = tree.values()
         if isinstance(content, dict) and 'ros__parameters' in content:
             tree = content['ros__parameters']
-            tree = {} if tree is None else tree
-    if not isinstance(tree, dict):
+    if not isinstance(tree, dict | None):
         raise ConfigError(f'{source}: expected a mapping of parameters')
     groups = {parameter.name.partition('.')[0] for parameter in parameters()}
-    tree = {name: value for name, value in tree.items() if value is not None or name not in groups}
-    try:
-        return with_values(Config(), dict(_flatten(tree)))
-    except ConfigError as error:
-        raise ConfigError(f'{source}: {error}') from None
+    given = {name: value for name, value in (tree or {}).items() if value is not None or name not in groups}
+    with name_errors(source, ConfigError):
+        return with_values(Config(), dict(_flatten(given)))
 
 
 def _flatten(tree: Mapping[object, object], prefix: str = '') -> Iterator[tuple[str, object]]:
-    """Yield the values of a nested mapping with their dotted names."""
     for key, value in tree.items():
         name = f'{prefix}{key}'
         if isinstance(value, dict):
@@ -134,38 +129,26 @@ def to_yaml(config: Config, *, shows_all: bool = True) -> str:
             differ from their defaults.
     """
     lines = [*HEADER.splitlines(), f'{ANY_NODE}:', '  ros__parameters:']
-    value_of = values(config)
-    previous_group = ''
+    value_of, previous_group = values(config), ''
     for parameter in parameters():
-        if not (shows_all or parameter.is_common or value_of[parameter.name] != parameter.default):
+        value = value_of[parameter.name]
+        if not (shows_all or parameter.is_common or value != parameter.default):
             continue
         group, _, field = parameter.name.partition('.')
-        if group != previous_group:
-            previous_group = group
-            lines.append(f'    {group}:')
+        lines += [f'    {group}:'] if group != previous_group else []
+        previous_group = group
         comment = textwrap.wrap(_describe(parameter), COMMENT_WIDTH, break_on_hyphens=False)
         lines += ['      # ' + line for line in comment]
-        lines.append(f'      {field}: {_format_scalar(value_of[parameter.name])}')
+        style = '"' if isinstance(value, str) and not value.isprintable() else None
+        scalar = yaml.safe_dump(value, default_style=style, width=math.inf).split('\n')[0]
+        lines.append(f'      {field}: {scalar}')
     return '\n'.join(lines) + '\n'
 
 
 def _describe(parameter: Parameter) -> str:
-    """Return the description of a parameter with its limits in brackets."""
-    limits = [', '.join(parameter.choices), _format_range(parameter.low, parameter.high)]
+    low, high = (v if isinstance(v, int) else format(v, 'g') for v in (parameter.low, parameter.high))
+    limits = [', '.join(parameter.choices)]
+    if parameter.low != -math.inf:
+        limits.append(f'at least {low}' if parameter.high == math.inf else f'{low} to {high}')
     in_brackets = [limit for limit in limits if limit] + ['read-only'] * parameter.read_only
     return parameter.description + (f' [{"; ".join(in_brackets)}]' if in_brackets else '')
-
-
-def _format_scalar(value: Value) -> str:
-    """Return a value as YAML, on one line."""
-    style = '"' if isinstance(value, str) and not value.isprintable() else None
-    return yaml.safe_dump(value, default_style=style, width=math.inf).split('\n')[0]
-
-
-def _format_range(low: float | None, high: float | None) -> str:
-    """Return the range of a parameter in words; empty if it has none."""
-    if low is None and high is None:
-        return ''
-    if high is None:
-        return f'at least {low:g}'
-    return f'{low:g} to {high if isinstance(high, int) else format(high, "g")}'

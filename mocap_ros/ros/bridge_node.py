@@ -16,7 +16,8 @@ from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS
 from mocap_ros.ros.help import BRIDGE_NAME, BRIDGE_PARAMETERS
 from mocap_ros.ros.message_types import MessageVersions
-from mocap_ros.ros.nodes import ManagedNode, declare_fixed_parameters
+from mocap_ros.ros.nodes import ManagedNode
+from mocap_ros.ros.parameters import declare_parameters
 from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS
 from mocap_ros.ros.throttled_log import ThrottledLog
 from mocap_ros.ros.topics import Publishers, SilenceMonitor, subscribe
@@ -37,11 +38,11 @@ class BridgeNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__(BRIDGE_NAME)
-        self._values = declare_fixed_parameters(self, BRIDGE_PARAMETERS, lists=['publish'])
+        self._values = declare_parameters(self, BRIDGE_PARAMETERS, 'the option --help')
         self._versions = MessageVersions()
         self._outputs = Publishers(self, self._versions)
         self._bridge = Bridge([])
-        self._inputs: list[tuple[str, str, Callable[[bytes], list[OutputMessage]], SilenceMonitor]] = []
+        self._inputs: list[tuple[SilenceMonitor, Callable[[bytes], list[OutputMessage]]]] = []
         self._subscriptions_in_use: list[Any] = []  # while active
         self._timer: Any = None  # while active
         self._log = ThrottledLog(self.get_logger())
@@ -55,25 +56,25 @@ class BridgeNode(ManagedNode):
 
     def configure(self) -> None:
         """Create the publishers of the consumers whose types are installed."""
-        value = self._values['publish']
-        names = check_consumers(value.replace(',', ' ').split() if isinstance(value, str) else [*(value or ())])
+        names = check_consumers(str(self._values['publish']).replace(',', ' ').split())
         self._versions = MessageVersions()
         self._outputs = Publishers(self, self._versions)
-        usable = []
-        for name in names:
-            topic, msgtype, *_ = CONSUMERS[name]
-            if self._outputs.add_if_installed(topic, msgtype, OUTPUT_QOS, f'{name} cannot be published'):
-                usable.append(name)
+        usable = [
+            name
+            for name in names
+            for topic, msgtype, *_ in [CONSUMERS[name]]
+            if self._outputs.add_if_installed(topic, msgtype, OUTPUT_QOS, f'{name} cannot be published')
+        ]
         if not usable:
             raise ConfigError('publish: no message of these consumers can be published')
         self._bridge = Bridge(usable)
-        wanted = {'skeletons': (SKELETONS, self._bridge.feed_skeletons, START_MOCAP_NODE)}
+        silence = SilenceMonitor(self, 'skeletons', SKELETONS, START_MOCAP_NODE)
+        self._inputs = [(silence, self._bridge.feed_skeletons)]
         if any(CONSUMERS[name].reads_predictions for name in usable):
-            wanted['predictions'] = PREDICTIONS, self._bridge.feed_predictions, START_PREDICTIONS
-        self._inputs = []
-        for topic, (msgtype, feed, advice) in wanted.items():
-            self._versions.add_input(msgtype)
-            self._inputs.append((topic, msgtype, feed, SilenceMonitor(self, topic, msgtype, advice)))
+            silence = SilenceMonitor(self, 'predictions', PREDICTIONS, START_PREDICTIONS)
+            self._inputs.append((silence, self._bridge.feed_predictions))
+        for silence, _ in self._inputs:
+            self._versions.add_input(silence.type)
 
     def clean_up(self) -> None:
         """Destroy the publishers."""
@@ -81,10 +82,10 @@ class BridgeNode(ManagedNode):
 
     def start_run(self) -> None:
         """Subscribe."""
-        for topic, msgtype, feed, silence in self._inputs:
-            self._subscriptions_in_use.append(self._subscribe(topic, msgtype, feed, silence))
+        for silence, feed in self._inputs:
+            self._subscriptions_in_use.append(self._subscribe(silence, feed))
         self._timer = self.create_steady_timer(CHECK_PERIOD_S, self._check_silence)
-        listened = ' and '.join(self.resolve_topic_name(topic) for topic, *_ in self._inputs)
+        listened = ' and '.join(self.resolve_topic_name(silence.name) for silence, _ in self._inputs)
         published = ', '.join(self.resolve_topic_name(topic) for topic in self._outputs)
         self.get_logger().info(f'the node is active: it listens on {listened}, and publishes {published}')
 
@@ -97,24 +98,19 @@ class BridgeNode(ManagedNode):
             self._publish(self._bridge.clear())
         self._subscriptions_in_use, self._timer = [], None
 
-    def _subscribe(
-        self,
-        name: str,
-        msgtype: str,
-        feed: Callable[[bytes], list[OutputMessage]],
-        silence: SilenceMonitor,
-    ) -> Any:
-        topic = self.resolve_topic_name(name)
+    def _subscribe(self, silence: SilenceMonitor, feed: Callable[[bytes], list[OutputMessage]]) -> Any:
+        topic = self.resolve_topic_name(silence.name)
+        silence.restart()
 
         def take(raw: bytes) -> None:
-            silence.note_input()
+            silence.restart(has_input=True)
             self._counts[topic] += 1
             try:
-                self._publish(feed(self._versions.read(msgtype, raw)))
+                self._publish(feed(self._versions.read(silence.type, raw)))
             except InputError as error:
                 self._log.report(topic, self._counts[topic], str(error))
 
-        return subscribe(self, msgtype, name, take, OUTPUT_QOS)
+        return subscribe(self, silence.type, silence.name, take, OUTPUT_QOS)
 
     def _publish(self, outputs: Sequence[OutputMessage]) -> None:
         """Publish outputs; the topics of single bodies of ROS4HRI come and go with them."""
@@ -130,9 +126,9 @@ class BridgeNode(ManagedNode):
                     self._outputs.remove(topic)
 
     def _check_silence(self) -> None:
-        for _, _, _, silence in self._inputs:
+        for silence, _ in self._inputs:
             silence.check(WARN_AFTER_S)
-        if self._inputs[0][-1].silence_s > CLEAR_AFTER_S:
+        if self._inputs[0][0].silence_s > CLEAR_AFTER_S:
             self._publish(self._bridge.clear())
         if TRACKED in self._outputs and self.count_publishers(TRACKED) > 1 and not self._has_warned_of_bodies:
             self._has_warned_of_bodies = True

@@ -6,28 +6,24 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.detectors.detector import Detector
 from mocap_ros.detectors.load import load_detector
-from mocap_ros.errors import ConfigError, InputError, ModelError
-from mocap_ros.messages.images import IMAGE_TYPES, decode_image
+from mocap_ros.errors import InputError, ModelError
+from mocap_ros.messages.images import decode_image
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
-from mocap_ros.ros.help import DETECTOR_NAME, DETECTOR_PARAMETERS, IMAGE_TOPIC, KEYPOINTS_TOPIC, MAX_PEOPLE
+from mocap_ros.ros.help import DETECTOR_NAME, DETECTOR_PARAMETERS, IMAGE_TOPIC, KEYPOINTS_TOPIC
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
-from mocap_ros.ros.nodes import declare_fixed_parameters
-from mocap_ros.ros.qos import OUTPUT_QOS
+from mocap_ros.ros.parameters import declare_parameters
+from mocap_ros.ros.qos import IMAGE_QOS, OUTPUT_QOS
 from mocap_ros.ros.throttled_log import ThrottledLog
 from mocap_ros.ros.topics import subscribe, warn_of_subscribers
 from mocap_ros.runtime.detection import detect_people
 from mocap_ros.units import NS_PER_S
-
-# The newest image only: a detector that is slower than the camera must not fall behind. Best effort is compatible
-# with reliable and with best-effort publishers.
-IMAGE_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class DetectorNode(Node):
@@ -43,12 +39,10 @@ class DetectorNode(Node):
 
     def __init__(self) -> None:
         super().__init__(DETECTOR_NAME)
-        values = declare_fixed_parameters(self, DETECTOR_PARAMETERS, MAX_PEOPLE)
+        values: dict[str, Any] = declare_parameters(self, DETECTOR_PARAMETERS, 'the option --help')
         self._model = Path(values['model']).expanduser() if values['model'] else None
         self._max_people: int = values['max_people']
         self._type: str = values['image_type']
-        if self._type not in IMAGE_TYPES:
-            raise ConfigError(f'image_type: {self._type!r}, expected {" or ".join(IMAGE_TYPES)}')
         self._detector: Detector = load_detector(self._model, self._max_people)
         self._first_ns = self._last_ns = -1  # stamps of the detector's first and last image
         self._limits = NodeConfig()
@@ -77,7 +71,6 @@ class DetectorNode(Node):
         self._detector.close()
 
     def _take_image(self, raw: bytes) -> None:
-        """Publish the keypoints in an image, or log why there are none."""
         self._count += 1
         try:
             header, image = decode_image(self._versions.read(self._type, raw), self._type, self._limits)

@@ -59,10 +59,6 @@ class RunStatistics:
         self.received += 1
         self._received.append(time.monotonic())
 
-    def record_lost(self, count: int) -> None:
-        """Record that messages did not arrive."""
-        self.lost += count
-
     def compute_input_rate(self) -> float:
         """Return the messages per second over `RATE_WINDOW_S`, of at most the last `MAX_REMEMBERED_FRAMES`."""
         since = time.monotonic() - RATE_WINDOW_S
@@ -72,25 +68,12 @@ class RunStatistics:
         """Return the seconds since the last message; infinity before the first."""
         return time.monotonic() - self._received[-1] if self._received else math.inf
 
-    def compute_solve_percentile_ms(self, percent: float) -> float:
-        """Return a percentile (0 to 100) of the processing times in ms; NaN before the first message."""
-        solve_seconds = tuple(self.solve_seconds)
-        return float(np.percentile(solve_seconds, percent)) * 1e3 if solve_seconds else math.nan
-
 
 class DiagnosticsReporter:
-    """Encoder of the periodic diagnostic status of a run.
-
-    Args:
-        name: Name of the node.
-        pipeline: Pipeline of the run.
-        statistics: Statistics of the run.
-    """
+    """Encoder of the periodic diagnostic status of the run of a node of this name."""
 
     def __init__(self, name: str, pipeline: Pipeline, statistics: RunStatistics) -> None:
-        self._name = name
-        self._pipeline = pipeline
-        self._statistics = statistics
+        self._name, self._pipeline, self._statistics = name, pipeline, statistics
         self._previous = self._count()  # an earlier run may have counted, too
 
     def encode_status(self, recorder: str, now_ns: int, recorder_fault: str = '') -> bytes:
@@ -109,11 +92,12 @@ class DiagnosticsReporter:
         residuals = [p.residual for p in people if math.isfinite(p.residual)]
         newest_ns = pipeline.header.stamp_ns  # 0 before the first frame, and after a reset
         age_s = (now_ns - newest_ns) / NS_PER_S if newest_ns else math.nan
+        median_ms, slowest_ms = np.percentile(tuple(statistics.solve_seconds) or math.nan, (50, 99)) * 1e3
         values = {
             'input rate (Hz)': f'{statistics.compute_input_rate():.1f}',
             'age of newest frame (s)': f'{age_s:.3f}',
-            'solve time p50 (ms)': f'{statistics.compute_solve_percentile_ms(50):.1f}',
-            'solve time p99 (ms)': f'{statistics.compute_solve_percentile_ms(99):.1f}',
+            'solve time p50 (ms)': f'{median_ms:.1f}',
+            'solve time p99 (ms)': f'{slowest_ms:.1f}',
             'accepted': counts['accepted'],
             'invalid': counts['invalid'],
             **{f'dropped: {cause}': counts[cause] for cause in sorted(pipeline.counters.dropped.copy())},
@@ -128,18 +112,16 @@ class DiagnosticsReporter:
             'frame of people': make_printable(pipeline.output_header.frame_id),
             'recorder': recorder,
         }
-        problems: list[tuple[Level, str]] = []
-        if statistics.seconds_since_input() > pipeline.config.node.silence_warning:
-            problems.append((Level.STALE, 'no input'))
-        elif refusals := _describe_refusals(new, reason):
-            problems.append(refusals)
+        warnings = [recorder_fault]
         if new['unusable'] and not people:
-            problems.append((Level.WARN, f'{new["unusable"]} {UNUSABLE_DETECTIONS}'))
+            warnings.insert(0, f'{new["unusable"]} {UNUSABLE_DETECTIONS}')
         if new['accepted']:
-            faults = (_describe_frame_fault(pipeline), *map(make_printable, pipeline.checks.warnings))
-            problems += [(Level.WARN, fault) for fault in faults if fault]
-        if recorder_fault:
-            problems.append((Level.WARN, recorder_fault))
+            warnings += [_describe_frame_fault(pipeline), *map(make_printable, pipeline.checks.warnings)]
+        problems = [(Level.WARN, warning) for warning in warnings if warning]
+        if statistics.seconds_since_input() > pipeline.config.node.silence_warning:
+            problems.insert(0, (Level.STALE, 'no input'))
+        elif refusals := _describe_refusals(new, reason):
+            problems.insert(0, refusals)
         status = create_message(
             STATUS,
             level=int(max((level for level, _ in problems), default=Level.OK)),
@@ -153,14 +135,9 @@ class DiagnosticsReporter:
 
     def _count(self) -> Counter[str]:
         counters, statistics = self._pipeline.counters, self._statistics
-        return Counter(
-            received=statistics.received,
-            removed=statistics.removed,
-            unusable=self._pipeline.unusable_people,
-            accepted=counters.accepted,
-            invalid=counters.invalid,
-            **counters.dropped,
-        )
+        own = {'received': statistics.received, 'removed': statistics.removed, 'accepted': counters.accepted}
+        others = {'unusable': self._pipeline.unusable_people, 'invalid': counters.invalid}
+        return Counter(own | others | counters.dropped)
 
 
 def _describe_refusals(new: Counter[str], reason: str) -> tuple[Level, str] | None:

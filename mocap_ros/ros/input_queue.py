@@ -20,6 +20,7 @@ from __future__ import annotations
 import threading
 from collections import Counter, OrderedDict
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from mocap_ros.bags.topics import PEOPLE_SOURCES, Source
 from mocap_ros.messages.cdr import read_stamp_ns
@@ -32,23 +33,14 @@ MAX_WAITING_BYTES = 8_000_000
 RESTART_NS = NS_PER_S  # bodies of one image, and images in disorder, are less apart
 
 
-@dataclass(frozen=True)
-class ReceivedMessage:
-    """A message in the queue.
-
-    Attributes:
-        source: Kind of the message.
-        topic: Absolute name of its topic.
-        number: Number of the message on its topic, from 1.
-        raw: The message as CDR.
-        times_ns: Wall-clock times of receipt and of sending.
-    """
+class ReceivedMessage(NamedTuple):
+    """A message in the queue."""
 
     source: Source
-    topic: str
-    number: int
-    raw: bytes
-    times_ns: tuple[int, int]
+    topic: str  # absolute name
+    number: int  # on its topic, from 1
+    raw: bytes  # CDR
+    times_ns: tuple[int, int]  # wall-clock times of receipt and of sending
 
 
 @dataclass
@@ -87,14 +79,7 @@ class InputQueue:
         return len(self._waiting)
 
     def put(self, source: Source, topic: str, raw: bytes, times_ns: tuple[int, int]) -> None:
-        """Add a message that has just been received, and remove the oldest ones if too many wait.
-
-        Args:
-            source: Kind of the message.
-            topic: Absolute name of its topic.
-            raw: The message as CDR.
-            times_ns: Wall-clock times of receipt and of sending.
-        """
+        """Add a message that has just been received; remove the oldest ones if too many wait."""
         with self._changed:
             state = self._topics.setdefault(topic, _Topic(source))
             state.is_leaving = False
@@ -103,7 +88,9 @@ class InputQueue:
             state.waiting_bytes += len(raw)
             self._waiting_bytes += len(raw)
             if source is Source.BODY:
-                self._note_body(read_stamp_ns(raw))
+                stamp_ns, newest_ns = read_stamp_ns(raw), self._newest_body_ns
+                if stamp_ns > newest_ns or stamp_ns < newest_ns - RESTART_NS:  # time itself has gone back
+                    self._newest_body_ns = stamp_ns
             if state.waiting > MAX_WAITING:
                 self._remove_oldest(topic)
             while self._waiting_bytes > MAX_WAITING_BYTES:
@@ -130,8 +117,7 @@ class InputQueue:
     def pop(self, limit: int) -> tuple[ReceivedMessage, bool] | None:
         """Take the oldest message; return it and whether it is to be skipped, or None if none waits.
 
-        Args:
-            limit: Number of waiting images from which on all but the newest messages of people are skipped.
+        From `limit` waiting images on, all but the newest messages of people are skipped.
         """
         with self._changed:
             if not self._waiting:
@@ -174,17 +160,11 @@ class InputQueue:
         with self._changed:
             return min((m.times_ns[0] for m in self._waiting.values()), default=None)
 
-    def _note_body(self, stamp_ns: int) -> None:
-        """Note the stamp of a body; one that is far older begins a new sequence, as time itself has gone back."""
-        if stamp_ns > self._newest_body_ns or stamp_ns < self._newest_body_ns - RESTART_NS:
-            self._newest_body_ns = stamp_ns
-
     def _remove_oldest(self, topic: str) -> None:
         self._take((topic, self._topics[topic].left + 1))
         self._removed[topic] += 1
 
     def _take(self, key: tuple[str, int]) -> ReceivedMessage:
-        """Take the oldest message of a topic out of the queue."""
         message, state = self._waiting.pop(key), self._topics[key[0]]
         state.left += 1
         state.waiting_bytes -= len(message.raw)

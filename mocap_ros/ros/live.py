@@ -3,10 +3,9 @@
 
 """Process the messages of a live run: from a queue through the pipeline to the output topics and the recording.
 
-Three threads share the work. The thread of the ROS executor puts each message into the queue as soon as the
-message arrives, so that its time of receipt is right and every message is counted while another one is being
-processed. The worker thread processes the queue, and skips what the queue says (`input_queue.py`). The recorder's
-thread writes to the disk.
+Three threads share the work. That of the ROS executor puts each message into the queue as soon as it arrives, so
+that its time of receipt is right and every message is counted while another one is being processed. The worker
+thread processes the queue, and skips what the queue says (`input_queue.py`). The recorder's writes to the disk.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,14 +26,11 @@ from mocap_ros.errors import RecordingError
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.ros.diagnostics import RunStatistics
 from mocap_ros.ros.input_queue import MAX_WAITING, MAX_WAITING_BYTES, InputQueue, ReceivedMessage
-from mocap_ros.ros.live_recording import FindOfferedQos, LiveRecording
+from mocap_ros.ros.live_recording import FindOfferedQos, Recording
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.throttled_log import Logger, ThrottledLog, TracebackLog
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 
-MAX_FINISH_SECONDS = 2.0  # s; for which the end of the run waits for a recording to be finished
-# s; for which inputs wait while a recording is finished, which then goes on by itself; 50 of a topic can wait
-MAX_PAUSE_SECONDS = 1.0
 RECORDER_CHECK_SECONDS = 0.25  # s; between two looks at the recorder while no message arrives
 MAX_STOP_SECONDS = 0.3  # s; time to process waiting messages at a stop, so that the node ends within 1 s
 
@@ -53,7 +50,6 @@ class LiveRun:
 
     Attributes:
         queue: Messages that wait.
-        recording: The recorder; its state and its faults are for the diagnostics.
         statistics: Input rate and processing times.
     """
 
@@ -67,17 +63,12 @@ class LiveRun:
         find_offered_qos: FindOfferedQos = lambda _: (),
         versions: MessageVersions | None = None,
     ) -> None:
-        self._pipeline = pipeline
-        self._versions = versions or MessageVersions()
-        self._types = input_types
-        self._names = names
-        self._publish = publish
-        self._logger = logger
-        self._throttled_log = ThrottledLog(logger)
-        self._tracebacks = TracebackLog(logger)
-        self.statistics = RunStatistics()
-        self.queue = InputQueue()
-        self.recording = LiveRecording(names, logger, find_offered_qos, self._versions)
+        self._pipeline, self._types, self._names, self._publish = pipeline, input_types, names, publish
+        self._versions, self._find_offered_qos = versions or MessageVersions(), find_offered_qos
+        self._logger, self._throttled_log, self._tracebacks = logger, ThrottledLog(logger), TracebackLog(logger)
+        self.statistics, self.queue = RunStatistics(), InputQueue()
+        self._recording: Recording | None = None
+        self._start_failure = ''  # why none could be started although recorder.enabled is set
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
         self._pipeline_lock = threading.Lock()  # guards the pipeline and the recording
         self._stop_deadline = math.inf  # s, steady clock; set by `stop`
@@ -104,7 +95,8 @@ class LiveRun:
                 self._publish_and_record(self._reset_pipeline())
             except Exception:  # an internal error must not leave the recording open
                 self._tracebacks.report(traceback.format_exc())
-            self.recording.close(MAX_FINISH_SECONDS)
+        with suppress(RecordingError):  # it has been logged
+            self.finish_recording()
 
     def enqueue(self, source: Source, raw: bytes, sent_ns: int, topic: str = '') -> None:
         """Put a message that has just been received into the queue.
@@ -124,7 +116,8 @@ class LiveRun:
     def reset(self) -> None:
         """Discard all people."""
         with self._pipeline_lock:
-            self.recording.write_reset(self._now_ns())
+            if self._recording:
+                self._recording.write_reset(self._now_ns())
             self._publish_and_record(self._reset_pipeline())
 
     def reconfigure(self, config: Config) -> None:
@@ -132,7 +125,33 @@ class LiveRun:
         with self._pipeline_lock:
             if self._pipeline.reconfigure(config):
                 self._logger.info('the tracker was restarted, because its parameters have changed')
-            self.recording.write_parameters(config, self._now_ns())
+            if self._recording:
+                self._recording.write_parameters(config, self._now_ns())
+
+    @property
+    def recorder_state(self) -> str:
+        """The state of the recorder in words, for diagnostics."""
+        recording, failure = self._running, self._failure
+        return recording.state if recording else f'not recording: {failure}' if failure else 'off'
+
+    @property
+    def recorder_fault(self) -> str:
+        """What is wrong with the recorder, in words; empty if nothing is."""
+        recording, failure = self._running, self._failure
+        if recording:
+            return recording.fault
+        return f'recorder.enabled is set, but nothing is recorded: {failure}' if failure else ''
+
+    @property
+    def _running(self) -> Recording | None:
+        recording = self._recording
+        return recording if recording and not recording.failure else None
+
+    @property
+    def _failure(self) -> str:
+        """Why no recording runs although `recorder.enabled` is set."""
+        recording = self._recording
+        return recording.failure if recording else self._start_failure
 
     def start_recording(self) -> Path:
         """Reset the tracker, start a recording and return the folder of the bag.
@@ -141,32 +160,39 @@ class LiveRun:
             RecordingError: A recording is already running, or the folder cannot be written.
         """
         with self._pipeline_lock:
+            if self._running:
+                raise RecordingError(f'a recording to {self._running.folder} is already running')
             now_ns, first_ns = self._now_ns(), self.queue.find_first_receipt_ns()
             start_ns = now_ns if first_ns is None else min(now_ns, first_ns - 1)  # before all that waits
-            folder = self.recording.start(self._pipeline, start_ns)
+            context = self._names, self._logger, self._find_offered_qos, self._versions
+            try:
+                self._recording = recording = Recording(self._pipeline, start_ns, *context)
+            except RecordingError as error:
+                self._start_failure = str(error) if self._pipeline.config.recorder.enabled else ''
+                raise
             self._try_to_publish(self._reset_pipeline())
-            self._logger.info(f'the recording to {folder} has started')
-            return folder
+            self._logger.info(f'the recording to {recording.folder} has started')
+            return recording.folder
 
     def finish_recording(self) -> Path | None:
         """Finish the recording and return its folder, or None if no recording is running.
-
-        If the disk is slow, the recording is finished after the return, and its end is logged.
 
         Raises:
             RecordingError: The recording could not be finished; this has been logged.
         """
         with self._pipeline_lock:
-            recorder = self.recording.detach()
-        return self.recording.finish(recorder, MAX_PAUSE_SECONDS)
+            recording, self._recording, self._start_failure = self._running, None, ''
+        if recording:
+            recording.finish()
+        return recording.folder if recording else None
 
     def set_recording(self, is_wanted: bool) -> None:
         """Start or finish the recording if it is not yet in the wanted state; a failure is logged, not raised."""
         try:
-            if is_wanted and not self.recording.is_running:
-                self.start_recording()
-            elif not is_wanted:
+            if not is_wanted:
                 self.finish_recording()
+            elif not self._running:
+                self.start_recording()
         except RecordingError as error:
             if is_wanted:
                 self._logger.error(
@@ -191,7 +217,8 @@ class LiveRun:
         if is_stopping and (not self.queue or time.monotonic() > self._stop_deadline):
             return False
         with self._pipeline_lock:
-            self.recording.check()
+            if self._recording:
+                self._recording.check()
             self._report_removed()
             if popped := self.queue.pop(self._pipeline.config.node.queue):
                 message, is_skipped = popped
@@ -202,7 +229,6 @@ class LiveRun:
         return True
 
     def _report_removed(self) -> None:
-        """Count and log the messages that the queue has removed because too many waited."""
         for topic, count in self.queue.pop_removed_counts().items():
             self.statistics.removed += count
             self._throttled_log.report(
@@ -230,7 +256,6 @@ class LiveRun:
         return [self._versions.write_output(output) for output in self._pipeline.reset()]
 
     def _publish_result(self, message: ReceivedMessage, result: ProcessingResult) -> None:
-        """Publish, log and record the result of a message."""
         self._try_to_publish(result.outputs)
         published_ns = self._now_ns()
         topic, number = message.topic, message.number
@@ -243,15 +268,16 @@ class LiveRun:
                 self.statistics.reason = f'{topic}: {result.reason}'
         if result.verdict is Verdict.ACCEPTED and message.source in PEOPLE_SOURCES and result.outputs:
             self._note_accepted(topic)
-        if not self.recording.write_input(message, self._types[message.source], result, published_ns):
-            remark = 'the message was processed but not recorded, as the disk is too slow; record to a faster disk'
-            self._throttled_log.report(topic, number, remark)
+        recording = self._recording
+        if recording and not recording.write_input(message, self._types[message.source], result, published_ns):
+            reason = 'the message was processed but not recorded, as the disk is too slow; record to a faster disk'
+            self._throttled_log.report(topic, number, reason)
 
     def _publish_and_record(self, outputs: Iterable[OutputMessage]) -> None:
-        """Publish and record outputs that no input caused."""
         for output in outputs:
             self._try_to_publish([output])
-            self.recording.write_output(output, self._now_ns())
+            if self._recording:
+                self._recording.write_output(output, self._now_ns())
 
     def _try_to_publish(self, outputs: Iterable[OutputMessage]) -> None:
         """Publish outputs, and log those that the middleware refuses."""

@@ -63,10 +63,7 @@ class MessageVersions:
             self._readers[kind] = convert_or_keep(make_converter(installed, typestore(), kind))
 
     def add_output(self, kind: str) -> list[str]:
-        """Add a type of messages to publish.
-
-        Returns:
-            Names of the fields that the messages lose because the installed version does not have them.
+        """Add a type of messages to publish; return the fields that they lose, which the installed type lacks.
 
         Raises:
             ConfigError: The type is not installed, the definitions of its fields cannot be parsed, or the
@@ -95,12 +92,10 @@ class MessageVersions:
         return raw if writer is None else writer(raw)
 
     def write_output(self, output: OutputMessage) -> OutputMessage:
-        """Convert an output to the installed version of its type."""
-        writer = self._writers.get(output.type)
-        return output if writer is None else replace(output, data=writer(output.data))
+        """Convert an output likewise."""
+        return replace(output, data=self.write(output.type, output.data)) if self._writers else output
 
     def _load_if_different(self, kind: str) -> Typestore | None:
-        """Return the installed version of a type, or None if it equals this package's."""
         installed = load_installed_types(kind)
         type_hash = installed.hash_rihs01(kind)
         if type_hash == typestore().hash_rihs01(kind):
@@ -144,15 +139,9 @@ def _interface_definitions(kind: str, visited: set[str]) -> Iterator[tuple[str, 
 
 def _split_array(description: str) -> tuple[str, str]:
     """Return element type and brackets, in .msg syntax, of `sequence<double, 3>`, `float[3]`, `string<8>`, ..."""
-    sequence = re.fullmatch(r'sequence<(.+?)(?:, (\d+))?>', description)
-    if sequence:
-        return _convert_string_bound(sequence[1]), f'[<={sequence[2]}]' if sequence[2] else '[]'
-    array = re.fullmatch(r'(.+)\[(\d+)\]', description)
-    return (
-        (_convert_string_bound(array[1]), f'[{array[2]}]') if array else (_convert_string_bound(description), '')
-    )
-
-
-def _convert_string_bound(description: str) -> str:
-    """Convert `string<8>` to `string<=8>`; leave any other type as it is."""
-    return re.sub(r'^(w?string)<(\d+)>$', r'\1<=\2', description)
+    brackets = ''
+    if sequence := re.fullmatch(r'sequence<(.+?)(?:, (\d+))?>', description):
+        description, brackets = sequence[1], f'[<={sequence[2]}]' if sequence[2] else '[]'
+    elif array := re.fullmatch(r'(.+)\[(\d+)\]', description):
+        description, brackets = array[1], f'[{array[2]}]'
+    return re.sub(r'^(w?string)<(\d+)>$', r'\1<=\2', description), brackets

@@ -12,31 +12,25 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter as RosParameter
 
 from mocap_ros.bags.topics import Source
-from mocap_ros.config import parameters, with_values
+from mocap_ros.config import Config, parameters, values, with_values
 from mocap_ros.errors import MocapError, RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.diagnostics import DIAGNOSTICS, DiagnosticsReporter
-from mocap_ros.ros.help import SERVICES
+from mocap_ros.ros.help import MOCAP_NAME, SERVICES
 from mocap_ros.ros.live import LiveRun
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.nodes import ManagedNode
-from mocap_ros.ros.parameters import declare_parameters, select_config_values, warn_of_unknown_parameters
+from mocap_ros.ros.parameters import declare_parameters
 from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS, TF_QOS, profile_to_rosbag2
 from mocap_ros.ros.subscriptions import InputSubscriptions
 from mocap_ros.ros.topics import Publishers
 from mocap_ros.runtime.cpu_setup import release_free_memory
-from mocap_ros.runtime.outputs import (
-    LATCHED_OUTPUTS,
-    OUTPUTS,
-    build_skeleton_definition,
-    list_switched_outputs,
-)
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, build_skeleton_definition, list_switched_outputs
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.units import NS_PER_S
 
-NODE_NAME = 'mocap_node'
 DIAGNOSTICS_TOPIC = '/diagnostics'
 RECORDING_PARAMETER = 'recorder.enabled'  # switched by the service ~/record, too
 # ns; the seconds of a stamp are int32, and with use_sim_time anyone sets the time
@@ -54,7 +48,7 @@ class MocapNode(ManagedNode):
     """
 
     def __init__(self) -> None:
-        super().__init__(NODE_NAME)
+        super().__init__(MOCAP_NAME)
         self._versions = MessageVersions()  # of the types in use while the node is configured
         self._outputs = Publishers(self, self._versions)
         self._inputs: InputSubscriptions | None = None  # while configured
@@ -63,8 +57,8 @@ class MocapNode(ManagedNode):
         self._run: LiveRun | None = None  # while active
         self._reporter: DiagnosticsReporter | None = None  # while active
         self._run_timers: list[Any] = []  # while active
-        self._config = declare_parameters(self)
-        warn_of_unknown_parameters(self, [p.name for p in parameters()], '`mocap-ros config --all`')
+        declared = declare_parameters(self, [*parameters()], '`mocap-ros config --all`')
+        self._config = with_values(Config(), declared)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
 
@@ -129,7 +123,7 @@ class MocapNode(ManagedNode):
             self._versions,
         )
         self._run.start()
-        self._inputs.subscribe(self._run.enqueue, self._run.statistics.record_lost, self._run.queue.forget)
+        self._inputs.subscribe(self._run)
         outputs = (*OUTPUTS, *switched, *LATCHED_OUTPUTS)
         published = ', '.join(names[topic] for topic in outputs if topic in self._outputs)
         self.get_logger().info(
@@ -157,9 +151,8 @@ class MocapNode(ManagedNode):
                 run.stop()
 
     def _check_parameters(self, changed: list[RosParameter[Any]]) -> SetParametersResult:
-        """Accept or reject changes of parameters before they are made."""
         try:
-            config = with_values(self._config, select_config_values(changed))
+            config = with_values(self._config, self._select_own(changed))
             if self._pipeline is not None:
                 self._pipeline.check(config)
         except MocapError as error:
@@ -167,8 +160,7 @@ class MocapNode(ManagedNode):
         return SetParametersResult(successful=True)
 
     def _apply_parameters(self, changed: list[RosParameter[Any]]) -> None:
-        """Use parameters that have been changed."""
-        changed_values = select_config_values(changed)
+        changed_values = self._select_own(changed)
         previous, self._config = self._config, with_values(self._config, changed_values)
         if self._run is not None:
             if self._config != previous:
@@ -178,8 +170,12 @@ class MocapNode(ManagedNode):
         elif self._pipeline is not None:
             self._pipeline.reconfigure(self._config)
 
+    def _select_own(self, changed: list[RosParameter[Any]]) -> dict[str, object]:
+        """Return the values, by name, of those parameters that belong to `Config`."""
+        names = values(self._config)
+        return {p.name: p.value for p in changed if p.name in names}
+
     def _on_reset(self, _: Any, response: Any) -> Any:
-        """Answer a call of ~/reset."""
         if self._run is None:
             response.message = 'the node is not active'
         else:
@@ -215,10 +211,9 @@ class MocapNode(ManagedNode):
         if run is None or reporter is None:
             return
         now_ns = min(self.get_clock().now().nanoseconds, MAX_STAMP_NS)
-        status = reporter.encode_status(run.recording.state, now_ns, run.recording.fault)
+        status = reporter.encode_status(run.recorder_state, now_ns, run.recorder_fault)
         output = OutputMessage(DIAGNOSTICS_TOPIC, DIAGNOSTICS, now_ns, status)
         self._outputs.publish(self._versions.write_output(output))
 
     def _find_offered_qos(self, topic: str) -> list[dict[str, Any]]:
-        """Return the QoS profiles that the publishers of a topic offer, as a bag describes them."""
         return [profile_to_rosbag2(p.qos_profile) for p in self.get_publishers_info_by_topic(topic)]

@@ -9,24 +9,21 @@ import re
 import signal
 import threading
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from typing import Any
 
 import rclpy
-from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.logging import set_logger_level
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from mocap_ros.errors import ConfigError, MocapError
-from mocap_ros.ros.parameters import warn_of_unknown_parameters
 from mocap_ros.ros.throttled_log import TracebackLog
 
 SPIN_SECONDS = 0.1  # s; bounds the delay between a signal and the end of the node
@@ -115,32 +112,6 @@ class ManagedNode(LifecycleNode):
         )
 
 
-def declare_fixed_parameters(
-    node: Node, parameters: Mapping[str, tuple[str | int, str]], largest: int = 1, lists: Sequence[str] = ()
-) -> dict[str, Any]:
-    """Declare parameters that hold from the start on, and return their values.
-
-    Args:
-        node: The node that has them.
-        parameters: Default and description by name.
-        largest: Upper bound of integers, which are at least 1.
-        lists: Names of those that may be a list of strings as well.
-
-    Raises:
-        ConfigError: A parameter was given a value of another type or beyond its bounds.
-    """
-    try:
-        for name, (default, description) in parameters.items():
-            descriptor = ParameterDescriptor(description=description, read_only=True, dynamic_typing=name in lists)
-            if type(default) is int:
-                descriptor.integer_range = [IntegerRange(from_value=1, to_value=largest, step=1)]
-            node.declare_parameter(name, default, descriptor)
-    except ParameterException as error:
-        raise ConfigError(str(error)) from None
-    warn_of_unknown_parameters(node, [*parameters], 'the option --help')
-    return {name: node.get_parameter(name).value for name in parameters}
-
-
 def run_node(arguments: Sequence[str], node_class: Callable[[], Any]) -> None:
     """Run a node until SIGINT or SIGTERM.
 
@@ -159,23 +130,23 @@ def run_node(arguments: Sequence[str], node_class: Callable[[], Any]) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, request_stop)
     _initialise_rclpy(arguments)
-    executor = SingleThreadedExecutor()
-    try:
-        node = create_node(node_class)
+    with ExitStack() as stack:
+        stack.callback(rclpy.shutdown)
+        executor, node = SingleThreadedExecutor(), create_node(node_class)
+        tracebacks = TracebackLog(node.get_logger())
         executor.add_node(node)
-        try:
-            node.start()
-            tracebacks = TracebackLog(node.get_logger())
-            while not stop.is_set():
-                _spin_once(executor, tracebacks)
-        finally:
+        for end in (node.destroy_node, executor.shutdown, node.close):  # called last to first
+            stack.callback(end)
+        node.start()
+        while not stop.is_set():
             try:
-                node.close()
-            finally:
-                executor.shutdown()
-                node.destroy_node()
-    finally:
-        rclpy.shutdown()
+                executor.spin_once(timeout_sec=SPIN_SECONDS)
+            except ExternalShutdownException:  # noqa: PERF203
+                raise
+            except (
+                Exception
+            ):  # rclpy raises some for messages that anyone can send, as a parameter of unknown type
+                tracebacks.report(traceback.format_exc())
 
 
 def _initialise_rclpy(arguments: Sequence[str]) -> None:
@@ -190,30 +161,12 @@ def _initialise_rclpy(arguments: Sequence[str]) -> None:
 
 
 def create_node(node_class: Callable[[], Any]) -> Any:
-    """Create a node.
-
-    Raises:
-        ConfigError: ROS refuses it, for instance because SROS2 gives it no permission.
-    """
+    """Create a node; a ConfigError says why ROS refuses it, for instance because SROS2 gives it no permission."""
     try:
         return node_class()
     except rclpy_implementation.RCLError as error:
         raise ConfigError(f'ROS refuses to create the node: {_drop_places(str(error))}') from None
 
 
-def _spin_once(executor: SingleThreadedExecutor, tracebacks: TracebackLog) -> None:
-    """Run a callback; log its error, as rclpy raises some for messages that anyone can send.
-
-    Examples are a parameter of an unknown type, and a time that is negative.
-    """
-    try:
-        executor.spin_once(timeout_sec=SPIN_SECONDS)
-    except ExternalShutdownException:
-        raise
-    except Exception:
-        tracebacks.report(traceback.format_exc())
-
-
 def _drop_places(reason: str) -> str:
-    """Return an error of rcl without its places in the source code."""
     return re.sub(r', at \S+:\d+', '', reason)

@@ -17,7 +17,6 @@ from rclpy.expand_topic_name import expand_topic_name
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.validate_full_topic_name import validate_full_topic_name
-from rclpy.validate_namespace import validate_namespace
 from rclpy.validate_topic_name import validate_topic_name
 
 from mocap_ros.errors import ConfigError, MocapError
@@ -25,7 +24,7 @@ from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import typestore
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.qos import choose_playback_profile
-from mocap_ros.runtime.playback import Playback, PlaybackMessage, PlayedTopic
+from mocap_ros.runtime.playback import Playback, PlaybackMessage
 from mocap_ros.units import NS_PER_S
 
 CLOCK = 'rosgraph_msgs/msg/Clock'  # message type of /clock
@@ -37,21 +36,11 @@ MAX_ACKNOWLEDGEMENT_SECONDS = 1  # s; guards against a subscriber that never ack
 ProgressWrapper = Callable[[Iterable[PlaybackMessage], int], Iterable[PlaybackMessage]]
 
 
-def find_name_fault(topic: str, namespace: str = '', node: str = 'node') -> str:
-    """Return why a node cannot have a topic or a namespace of these names; empty where it can.
-
-    The errors of rclpy would be tracebacks of several lines.
-
-    Args:
-        topic: name of the topic, absolute or relative to the namespace.
-        namespace: namespace of the node, with or without the slash at its beginning.
-        node: name of the node.
-    """
-    absolute = f'/{namespace.removeprefix("/")}'
+def find_name_fault(topic: str) -> str:
+    """Return in one line why no topic can have this name; empty where one can."""
     try:
-        validate_namespace(absolute)
         validate_topic_name(topic)
-        validate_full_topic_name(expand_topic_name(topic, node, absolute))
+        validate_full_topic_name(expand_topic_name(topic, 'node', '/'))
     except NameValidationException as error:  # `Invalid KIND: REASON:`, and lines that point into the name
         return str(error).splitlines()[0].partition(': ')[2].rstrip(':')
     except (ValueError, TypeError):  # an unknown {substitution}; a text that is no UTF-8
@@ -61,33 +50,20 @@ def find_name_fault(topic: str, namespace: str = '', node: str = 'node') -> str:
 
 @dataclass(frozen=True)
 class PlaybackOptions:
-    """Options of the player.
+    """Options of the player."""
 
-    Attributes:
-        rate: Factor of the recorded rate; infinity for as fast as possible.
-        wait: Seconds to wait for a subscriber before the first message.
-        loop: Whether to start again at the end, until interrupted.
-        clock: Hz; rate at which to publish the recorded time on /clock; 0 for no /clock.
-    """
-
-    rate: float = 1.0
-    wait: float = 10.0
-    loop: bool = False
-    clock: float = 0.0
+    rate: float = 1.0  # factor of the recorded rate; infinity for as fast as possible
+    wait: float = 10.0  # seconds to wait for a subscriber before the first message
+    loop: bool = False  # whether to start again at the end, until interrupted
+    clock: float = 0.0  # hz; rate at which to publish the recorded time on /clock; 0 for no /clock
 
 
 class Player:
     """Publisher of recorded messages with the QoS with which they were recorded.
 
-    Messages of this package's types are converted to the installed versions where these differ; all others are
-    published unchanged.
-
-    The player pauses for `SETTLE_SECONDS` before the first message: a best-effort subscriber misses the messages
-    that are sent before it has discovered the publisher. A reliable subscriber misses nothing.
-
-    Args:
-        playback: The messages to publish.
-        options: Rate, waiting time, loop and clock.
+    Messages of this package's types are converted to the installed versions where these differ. The player pauses
+    for `SETTLE_SECONDS` before the first message: a best-effort subscriber misses those that are sent before it
+    has discovered the publisher.
 
     Attributes:
         published_count: Number of messages published so far.
@@ -96,8 +72,7 @@ class Player:
     """
 
     def __init__(self, playback: Playback, options: PlaybackOptions) -> None:
-        self._playback = playback
-        self._options = options
+        self._playback, self._options = playback, options
         self._publishers: dict[int, Any] = {}  # by index of the topic in the playback
         self._versions = MessageVersions()
         self._clock: Any = None  # publisher of /clock
@@ -115,11 +90,7 @@ class Player:
         progress: ProgressWrapper = lambda messages, _: messages,
         announce: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """Publish all messages once, or repeatedly until interrupted.
-
-        Args:
-            progress: Function that shows progress.
-            announce: Called with a line that says for what the player waits, as soon as it waits.
+        """Publish all messages once, or repeatedly until interrupted; `announce` gets a line when it waits.
 
         Raises:
             MocapError: No subscriber appeared in time, or all topics were skipped.
@@ -142,28 +113,22 @@ class Player:
 
     def _create_publishers(self, node: Any) -> None:
         for index, topic in enumerate(self._playback.topics):
-            message_class = self._find_class(topic)
-            if message_class is not None:
-                profile = choose_playback_profile(topic.qos, topic.type)
-                self._publishers[index] = node.create_publisher(message_class, topic.name, profile)
+            try:
+                if fault := find_name_fault(topic.name):
+                    raise ConfigError(fault)
+                if topic.type in typestore().types:
+                    self._versions.add_output(topic.type)
+                message_class = load_interface_class(topic.type)
+            except ConfigError as error:
+                self.skipped_topics.append(f'{topic.name}: {error}')
+                continue
+            profile = choose_playback_profile(topic.qos, topic.type)
+            self._publishers[index] = node.create_publisher(message_class, topic.name, profile)
         if not self._publishers:
             raise MocapError(f'nothing to play: {self.skipped_topics[0] if self.skipped_topics else "no topics"}')
         if self._options.clock:
             qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
             self._clock = node.create_publisher(load_interface_class(CLOCK), '/clock', qos)
-
-    def _find_class(self, topic: PlayedTopic) -> Any:
-        """Return the message class of a topic; if it cannot be used, return None and note that it is skipped."""
-        if fault := find_name_fault(topic.name):
-            self.skipped_topics.append(f'{topic.name}: {fault}')
-            return None
-        try:
-            if topic.type in typestore().types:
-                self._versions.add_output(topic.type)
-            return load_interface_class(topic.type)
-        except ConfigError as error:
-            self.skipped_topics.append(f'{topic.name}: {error}')
-            return None
 
     def _wait_for_subscriber(self, announce: Callable[[str], None]) -> None:
         """Wait for a subscriber to any topic but CameraInfo, unless CameraInfo is all there is."""
@@ -204,7 +169,6 @@ class Player:
             self._publish_clock(end_ns)
 
     def _publish_clock(self, time_ns: int) -> None:
-        """Publish this time, unless the last message was published less than a period ago."""
         now = time.monotonic()
         if now >= self._next_clock_s:
             self._next_clock_s = now + 1 / self._options.clock

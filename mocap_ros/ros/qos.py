@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""QoS profiles of the node's topics, and their conversion to and from those in bags."""
+"""QoS profiles of the nodes' topics, and their conversion to and from those in bags."""
 
 from __future__ import annotations
 
@@ -9,23 +9,18 @@ from collections.abc import Sequence
 from typing import Any
 
 from rclpy.duration import Duration
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    QoSPolicyKind,
-    QoSProfile,
-    ReliabilityPolicy,
-)
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos
 
 from mocap_ros.messages.transforms import TRANSFORMS
 
-QUEUE_DEPTH = 10  # messages; the default of ROS 2; waiting messages are queued in the node, not in the middleware
 # Messages of an input that may wait in the middleware while the thread that takes them has no turn: 0.25 s at
 # 200 Hz, the greatest delay that this adds. The node takes all at once, and counts those that did not fit.
 INPUT_QUEUE_DEPTH = 50
 TF_QUEUE_DEPTH = 100  # messages; the depth that tf2_ros uses on /tf
 PLAYBACK_QUEUE_DEPTH = 1000  # messages; lets a slow reliable subscriber catch up when a bag is played fast
+RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
+LATCHED = DurabilityPolicy.TRANSIENT_LOCAL
 
 # The policies that `qos_overrides` parameters of a subscription set: those that rclpy chooses by default, and the
 # durability, in which publishers of transforms differ.
@@ -36,27 +31,15 @@ OVERRIDABLE_POLICIES = (
     QoSPolicyKind.DURABILITY,
 )
 
-# Best effort is compatible with reliable and with best-effort publishers.
-INPUT_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=INPUT_QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT
-)
-# Reliable is compatible with reliable and with best-effort subscribers.
-OUTPUT_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
-TF_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=TF_QUEUE_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
-# As tf2_ros subscribes to /tf_static, where each publisher keeps its transforms for late subscribers.
-STATIC_TF_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=TF_QUEUE_DEPTH,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-# Late subscribers receive the last message.
-LATCHED_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+# Best effort is compatible with reliable and with best-effort publishers, reliable with both kinds of subscribers.
+INPUT_QOS = QoSProfile(depth=INPUT_QUEUE_DEPTH, reliability=BEST_EFFORT)
+# The newest image only: a detector that is slower than the camera must not fall behind.
+IMAGE_QOS = QoSProfile(depth=1, reliability=BEST_EFFORT)
+OUTPUT_QOS = QoSProfile(depth=10, reliability=RELIABLE)  # the default of ROS 2
+TF_QOS = QoSProfile(depth=TF_QUEUE_DEPTH, reliability=RELIABLE)
+# Late subscribers get the last messages: of /tf_static those of each publisher, as tf2_ros subscribes to it.
+STATIC_TF_QOS = QoSProfile(depth=TF_QUEUE_DEPTH, reliability=RELIABLE, durability=LATCHED)
+LATCHED_QOS = QoSProfile(depth=1, reliability=RELIABLE, durability=LATCHED)
 
 
 def profile_to_rosbag2(profile: QoSProfile) -> dict[str, Any]:
@@ -79,26 +62,18 @@ def profile_to_rosbag2(profile: QoSProfile) -> dict[str, Any]:
 
 
 def choose_playback_profile(recorded: Sequence[Qos], msgtype: str = '') -> QoSProfile:
-    """Return a profile for publishing recorded messages again.
+    """Return a profile for publishing messages of a bag whose publishers offered the recorded profiles.
 
-    The profile has the reliability and the durability of the recorded publishers if these agree. Otherwise, and if
-    nothing is recorded, it is reliable and volatile, which every subscriber accepts that does not ask for
-    transient-local durability. Static transforms are all kept for late subscribers, as they came from several
-    publishers, each of which kept its own.
-
-    Args:
-        recorded: Profiles that the publishers offered while the bag was recorded.
-        msgtype: Type of the messages.
+    It has their reliability and durability if these agree. Otherwise, and if nothing is recorded, it is reliable
+    and volatile, which every subscriber accepts that does not ask for transient-local durability. Static
+    transforms are all kept for late subscribers, as they came from several publishers, each of which kept its own.
     """
-    reliability = {q.reliability.name for q in recorded}
-    durability = {q.durability.name for q in recorded}
-    transient_local = DurabilityPolicy.TRANSIENT_LOCAL.name
-    is_latched = durability == {transient_local} or (msgtype == TRANSFORMS and transient_local in durability)
-    is_best_effort = reliability == {ReliabilityPolicy.BEST_EFFORT.name}
+    durability, is_transform = {q.durability.name for q in recorded}, msgtype == TRANSFORMS
+    is_latched = durability == {LATCHED.name} or (is_transform and LATCHED.name in durability)
+    is_best_effort = {q.reliability.name for q in recorded} == {BEST_EFFORT.name}
+    keeps_all = is_transform or not is_latched
     return QoSProfile(
-        depth=max(1, *(q.depth for q in recorded))
-        if is_latched and msgtype != TRANSFORMS
-        else PLAYBACK_QUEUE_DEPTH,
-        reliability=ReliabilityPolicy.BEST_EFFORT if is_best_effort else ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE,
+        depth=PLAYBACK_QUEUE_DEPTH if keeps_all else max(1, *(q.depth for q in recorded)),
+        reliability=BEST_EFFORT if is_best_effort else RELIABLE,
+        durability=LATCHED if is_latched else DurabilityPolicy.VOLATILE,
     )

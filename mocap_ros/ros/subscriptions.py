@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rclpy.node import Node
 
@@ -27,13 +27,11 @@ from mocap_ros.messages.input_types import decode_ids
 from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
-from mocap_ros.ros.qos import (
-    INPUT_QOS,
-    INPUT_QUEUE_DEPTH,
-    STATIC_TF_QOS,
-    TF_QOS,
-)
+from mocap_ros.ros.qos import INPUT_QOS, INPUT_QUEUE_DEPTH, STATIC_TF_QOS, TF_QOS
 from mocap_ros.ros.topics import SilenceMonitor, subscribe
+
+if TYPE_CHECKING:
+    from mocap_ros.ros.live import LiveRun
 
 # A body id that may be part of a topic name: letters, digits and single underscores, without a leading digit.
 BODY_ID_IN_TOPIC = re.compile(r'(?!\w*__)[A-Za-z_][A-Za-z0-9_]*')
@@ -44,9 +42,6 @@ QOS_BY_SOURCE = {Source.TRANSFORMS: TF_QOS, Source.STATIC_TRANSFORMS: STATIC_TF_
 
 MAX_TAKE_S = 0.02  # s; for which the messages of a topic are taken in a row; delays those of others, and the end
 MAX_PUBLISHERS = 16  # of a topic, whose messages are counted; guards the memory against ever new ones
-
-# A function that takes a message: its source, its CDR bytes, the time of sending in ns, and its topic.
-Receive = Callable[[Source, bytes, int, str], None]
 
 
 class LostMessages:
@@ -59,11 +54,7 @@ class LostMessages:
         self._last_numbers: dict[bytes, int] = {}  # by publisher
 
     def count(self, info: Mapping[str, Any]) -> int:
-        """Return how many messages of the same publisher are missing before a message.
-
-        Args:
-            info: What the middleware says of the message; 0 is returned where it does not number messages.
-        """
+        """Return how many messages of the same publisher are missing before one; 0 if it has no number."""
         number = info.get('publication_sequence_number')
         if number is None:
             return 0
@@ -85,79 +76,56 @@ class InputSubscriptions:
         get_limits: Function that returns the parameters of the node, which limit the content of a message.
 
     Attributes:
-        types: Message type of each source.
+        types: Message type of each source; without transforms whose type is not installed.
 
     Raises:
         ConfigError: The type is not supported or not installed.
     """
 
     def __init__(
-        self,
-        node: Node,
-        input_type: str,
-        versions: MessageVersions,
-        get_limits: Callable[[], NodeConfig],
+        self, node: Node, input_type: str, versions: MessageVersions, get_limits: Callable[[], NodeConfig]
     ) -> None:
-        self._node = node
-        self._versions = versions
-        self._get_limits = get_limits
-        self.types = list_input_types(input_type, reads_transforms=reads_transforms(get_limits()))
-        self._add_types()
-        self._subscriptions: list[Any] = []
-        self._body_subscriptions: dict[str, Any] = {}  # by topic
-        self._receive: Receive = lambda *_: None
-        self._note_lost: Callable[[int], None] = lambda _: None
-        self._forget_topic: Callable[[str], None] = lambda _: None
-        self._silence: SilenceMonitor | None = None
-
-    def _add_types(self) -> None:
-        """Add the types of the inputs to the versions; transforms whose type is not installed are left out."""
-        for source in [s for s in self.types if s not in TRANSFORM_SOURCES]:
-            self._versions.add_input(self.types[source])
-        if Source.TRANSFORMS not in self.types:
-            return
-        try:
-            self._versions.add_input(TRANSFORMS)
-        except ConfigError as error:
-            self.types = {s: t for s, t in self.types.items() if s not in TRANSFORM_SOURCES}
-            package = TRANSFORMS.partition('/')[0]
-            self._node.get_logger().warning(
-                f'node.output_frame: {error}; transforms cannot be received, so people are published in the frame '
-                f'of the camera; install {package}, or set node.camera_pose'
-            )
+        self._node, self._versions, self._get_limits = node, versions, get_limits
+        self.types = list_input_types(input_type)
+        for msgtype in self.types.values():
+            versions.add_input(msgtype)
+        if reads_transforms(get_limits()):
+            try:
+                versions.add_input(TRANSFORMS)
+                self.types |= dict.fromkeys(TRANSFORM_SOURCES, TRANSFORMS)
+            except ConfigError as error:
+                node.get_logger().warning(
+                    f'node.output_frame: {error}; transforms cannot be received, so people are published in the '
+                    f'frame of the camera; install {TRANSFORMS.partition("/")[0]}, or set node.camera_pose'
+                )
+        self._subscriptions: dict[str, Any] = {}  # by topic
+        self._body_topics: set[str] = set()
+        self._run: LiveRun | None = None
+        people_source = next(iter(self.types))
+        self._silence = SilenceMonitor(node, people_source.value, self.types[people_source])
 
     @property
     def topics(self) -> list[str]:
         """Absolute names of the subscribed topics, without those of ROS4HRI bodies."""
         return [self._node.resolve_topic_name(s.value) for s in self.types if s is not Source.BODY]
 
-    def subscribe(
-        self, receive: Receive, note_lost: Callable[[int], None], forget_topic: Callable[[str], None]
-    ) -> None:
-        """Subscribe to all inputs and pass their messages to `receive`, in the thread of the executor.
-
-        Args:
-            receive: Function that takes the messages.
-            note_lost: Function that takes the number of messages that were sent but did not arrive.
-            forget_topic: Function that takes the absolute name of a topic that is no longer subscribed to.
-        """
-        self._receive, self._note_lost, self._forget_topic = receive, note_lost, forget_topic
+    def subscribe(self, run: LiveRun) -> None:
+        """Subscribe to all inputs; the thread of the executor passes their messages to a run."""
+        self._run = run
+        self._silence.restart()
         for source in self.types:
             if source is not Source.BODY:
-                self._subscriptions.append(self._subscribe_to(source, source.value))
-        people_source = next(iter(self.types))
-        self._silence = SilenceMonitor(self._node, people_source.value, self.types[people_source])
+                self._subscriptions[source.value] = self._subscribe_to(source, source.value)
 
     def unsubscribe(self) -> None:
         """Destroy all subscriptions."""
-        for subscription in (*self._subscriptions, *self._body_subscriptions.values()):
+        for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
-        self._subscriptions, self._body_subscriptions = [], {}
+        self._subscriptions, self._body_topics, self._run = {}, set(), None
 
     def check_silence(self, limit: float) -> None:
         """Log a warning if no people have arrived for `limit` seconds."""
-        if self._silence is not None:
-            self._silence.check(limit)
+        self._silence.check(limit)
 
     def _subscribe_to(self, source: Source, name: str) -> Any:
         topic = self._node.resolve_topic_name(name)
@@ -168,8 +136,8 @@ class InputSubscriptions:
             taken, count, deadline_s = (raw, info), 0, time.monotonic() + MAX_TAKE_S
             while taken is not None:
                 raw, info = taken
-                if source in PEOPLE_SOURCES:
-                    self._note_lost(lost_messages.count(info))
+                if source in PEOPLE_SOURCES and self._run:
+                    self._run.statistics.lost += lost_messages.count(info)
                 self._take(source, raw, info['source_timestamp'], topic)
                 count += 1
                 if count > INPUT_QUEUE_DEPTH or time.monotonic() > deadline_s:
@@ -196,12 +164,12 @@ class InputSubscriptions:
             self._versions.read(TRANSFORMS, raw), self._get_limits().frame_prefix
         ):
             return
-        self._receive(source, raw, sent_ns, topic)
-        if source in PEOPLE_SOURCES and self._silence is not None:
-            self._silence.note_input()
+        if self._run:
+            self._run.enqueue(source, raw, sent_ns, topic)
+        if source in PEOPLE_SOURCES:
+            self._silence.restart(has_input=True)
 
     def _follow_bodies(self, raw: bytes) -> None:
-        """Subscribe to the tracked bodies and unsubscribe from those that are no longer tracked."""
         try:
             _, ids = decode_ids(self._versions.read(HRI_IDS, raw), self._get_limits())
         except InputError:  # the pipeline reports the message as invalid
@@ -209,8 +177,10 @@ class InputSubscriptions:
         tracked_topic = self._node.resolve_topic_name(Source.TRACKED_BODIES.value)
         topics = (make_body_topic(tracked_topic, i) for i in ids if BODY_ID_IN_TOPIC.fullmatch(i))
         wanted = {topic for topic in topics if len(topic) <= MAX_TOPIC_CHARACTERS}
-        for topic in self._body_subscriptions.keys() - wanted:
-            self._node.destroy_subscription(self._body_subscriptions.pop(topic))
-            self._forget_topic(topic)
-        for topic in wanted - self._body_subscriptions.keys():
-            self._body_subscriptions[topic] = self._subscribe_to(Source.BODY, topic)
+        for topic in self._body_topics - wanted:
+            self._node.destroy_subscription(self._subscriptions.pop(topic))
+            if self._run:
+                self._run.queue.forget(topic)
+        for topic in wanted - self._body_topics:
+            self._subscriptions[topic] = self._subscribe_to(Source.BODY, topic)
+        self._body_topics = wanted

@@ -11,7 +11,7 @@ from typing import Protocol
 from mocap_ros.bags.topics import BODY_SUFFIX
 from mocap_ros.runtime.input_checks import find_kind
 
-MAX_KINDS = 30  # kinds of remarks; guards log and memory against senders of ever new kinds of errors
+MAX_KINDS = 30  # kinds of lines; guards log and memory against senders of ever new kinds of errors
 MAX_LOGGED_TRACEBACKS = 30  # tracebacks; guards the log against internal errors with ever new texts
 MAX_LINE_LENGTH = 400  # characters; guards the log against long texts in messages; the node's own reasons fit
 
@@ -30,9 +30,9 @@ class Logger(Protocol):
 
 
 class ThrottledLog:
-    """Log of remarks on messages in which each kind of remark appears only the 1st, 10th, 100th, ... time.
+    """Log of what is wrong with messages, in which each kind appears only the 1st, 10th, 100th, ... time.
 
-    Two remarks on an input are of one kind if they differ only in numbers and quoted names. The kinds after the
+    Two reasons on an input are of one kind if they differ only in numbers and quoted names. The kinds after the
     first `MAX_KINDS` kinds of an input count as one kind. An input is a topic, or with ROS4HRI the topics of all
     bodies: their ids never end.
     """
@@ -41,29 +41,22 @@ class ThrottledLog:
         self._logger = logger
         self._counts_by_input: dict[str, Counter[str]] = {}  # of each kind
 
-    def report(self, topic: str, number: int, remark: str, *, is_error: bool = True) -> None:
-        """Log a remark on a message, unless remarks of its kind are being held back.
-
-        Args:
-            topic: Name of the topic.
-            number: Number of the message on its topic.
-            remark: What is wrong with the message.
-            is_error: Whether the remark is logged as an error instead of a warning.
-        """
+    def report(self, topic: str, number: int, reason: str, *, is_error: bool = True) -> None:
+        """Log what is wrong with a message, the `number`th of its topic, unless its kind is being held back."""
         name = BODY_SUFFIX if topic.endswith(BODY_SUFFIX) else topic
         counts = self._counts_by_input.setdefault(name, Counter())
-        kind = find_kind(remark)
+        kind = find_kind(reason)
         if kind not in counts and len(counts) >= MAX_KINDS:
             kind = ''
         counts[kind] += 1
-        if not _is_power_of_ten(counts[kind]):
+        if str(counts[kind]).strip('0') != '1':  # no power of ten
             return
-        line = make_printable(f'{topic}: message {number}: {remark}')
+        line = make_printable(f'{topic}: message {number}: {reason}')
         if not kind:
             line += ' (further kinds of errors on this topic are not listed one by one)'
         if counts[kind] > 1:
             line += f' (this kind of message has been seen {counts[kind]} times)'
-        if is_error:
+        if is_error:  # each severity in a line of its own: rclpy refuses another one from the same line
             self._logger.error(line)
         else:
             self._logger.warning(line)
@@ -85,12 +78,7 @@ class TracebackLog:
             )
 
 
-def _is_power_of_ten(count: int) -> bool:
-    return str(count).strip('0') == '1'
-
-
 def make_printable(text: str) -> str:
     """Return text that may contain parts of a received message as one printable line of limited length."""
-    printable = ''.join(c if c.isprintable() else ' ' for c in text)
-    line = ' '.join(printable.split())
+    line = ' '.join(''.join(c if c.isprintable() else ' ' for c in text).split())
     return line if len(line) <= MAX_LINE_LENGTH else f'{line[: MAX_LINE_LENGTH - 4]} ...'

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from copy import copy
 from typing import Any
@@ -43,13 +43,8 @@ def subscribe(
 ) -> Any:
     """Create a subscription whose messages are taken as CDR bytes, and which warns of incompatible publishers.
 
-    Args:
-        node: The node that subscribes.
-        msgtype: Type of the messages.
-        name: Name of the topic.
-        take: Function that takes a message, and what the middleware says of it if it has a second argument.
-        qos: Profile of the subscription.
-        overridable: Whether the parameters `qos_overrides` may change the profile.
+    `take` gets a message, and what the middleware says of it if it has a second argument; `overridable` says
+    whether the parameters `qos_overrides` may change the profile.
     """
     return node.create_subscription(
         load_interface_class(msgtype),
@@ -80,21 +75,12 @@ def _warn_once(node: Node, name: str, line: str) -> Callable[[Any], None]:
     return warn
 
 
-class Publishers:
-    """Publishers of a node, which publish only while it is active.
-
-    Args:
-        node: The node that publishes.
-        versions: Versions of the message types, to which those of the publishers are added.
-    """
+class Publishers(dict[str, Any]):
+    """Publishers of a node by topic, which publish while it is active, in the installed versions of the types."""
 
     def __init__(self, node: LifecycleNode, versions: MessageVersions) -> None:
-        self._node = node
-        self._versions = versions
-        self._publishers: dict[str, Any] = {}  # by name of the topic, relative or absolute
-
-    def __iter__(self) -> Iterator[str]:
-        return iter([*self._publishers])
+        super().__init__()
+        self._node, self._versions = node, versions
 
     def add(self, topic: str, msgtype: str, qos: QoSProfile, *, is_active: bool = False) -> None:
         """Create a publisher; `is_active` says that the node is active already.
@@ -107,15 +93,11 @@ class Publishers:
                 f'{topic}: the installed version of {msgtype} has no field {", ".join(left_out)}; '
                 'it is published without them'
             )
-        publisher = self._node.create_lifecycle_publisher(
-            load_interface_class(msgtype),
-            topic,
-            qos,
-            event_callbacks=warn_of_subscribers(self._node, topic),
-        )
+        events = warn_of_subscribers(self._node, topic)
+        message_class = load_interface_class(msgtype)
+        self[topic] = self._node.create_lifecycle_publisher(message_class, topic, qos, event_callbacks=events)
         if is_active:
-            publisher.on_activate(None)
-        self._publishers[topic] = publisher
+            self[topic].on_activate(None)
 
     def add_if_installed(self, topic: str, msgtype: str, qos: QoSProfile, consequence: str) -> bool:
         """Create a publisher, or log that the type is not installed and a consequence; return whether it is.
@@ -134,27 +116,24 @@ class Publishers:
 
     def remove(self, topic: str) -> None:
         """Destroy a publisher."""
-        self._node.destroy_lifecycle_publisher(self._publishers.pop(topic))
+        self._node.destroy_lifecycle_publisher(self.pop(topic))
 
     def destroy(self) -> None:
         """Destroy all publishers, when their reliable subscribers have the last messages or do not answer."""
         deadline_s = time.monotonic() + MAX_ACKNOWLEDGEMENT_S
-        for topic in self:
+        for topic in [*self]:
             with suppress(RuntimeError):  # not every middleware can say so
-                self._publishers[topic].wait_for_all_acked(
-                    Duration(seconds=max(deadline_s - time.monotonic(), 0.0))
-                )
+                self[topic].wait_for_all_acked(Duration(seconds=max(deadline_s - time.monotonic(), 0.0)))
             self.remove(topic)
 
     def publish(self, output: OutputMessage) -> None:
         """Publish an output, in the installed version of its type, if its topic has a publisher."""
-        publisher = self._publishers.get(output.topic)
-        if publisher is not None:
-            publisher.publish(output.data)
+        if output.topic in self:
+            self[output.topic].publish(output.data)
 
 
 class SilenceMonitor:
-    """Observer of the time since the last message on the topic that brings people or names the tracked bodies.
+    """Observer of the time since the last message on a topic.
 
     Args:
         node: The node that subscribes.
@@ -164,22 +143,18 @@ class SilenceMonitor:
     """
 
     def __init__(self, node: Node, name: str, msgtype: str, advice: str = START_DETECTOR) -> None:
-        self._node = node
-        self._name = name
-        self._type = msgtype
-        self._advice = advice
-        self._last_input = time.monotonic()  # s, steady clock; at first the time of the start
-        self._has_input = self._has_warned = False
+        self._node, self.name, self.type, self._advice = node, name, msgtype, advice
+        self.restart()
 
-    def note_input(self) -> None:
-        """Note that a message of people has arrived."""
-        self._last_input = time.monotonic()
-        self._has_input, self._has_warned = True, False
+    def restart(self, *, has_input: bool = False) -> None:
+        """Measure from now on: the node is active, or a message has arrived."""
+        self._since_s = time.monotonic()
+        self._has_input, self._has_warned = has_input, False
 
     @property
     def silence_s(self) -> float:
         """Time in s since the last message, or since the start."""
-        return time.monotonic() - self._last_input
+        return time.monotonic() - self._since_s
 
     def check(self, limit: float) -> None:
         """Log a warning if no message has arrived for `limit` seconds; log it once until a message arrives."""
@@ -187,22 +162,22 @@ class SilenceMonitor:
         if self._has_warned or silence < limit:
             return
         self._has_warned = True
-        topic = self._node.resolve_topic_name(self._name)
+        topic = self._node.resolve_topic_name(self.name)
         cause = 'check that its publisher is still running' if self._has_input else self._explain(topic)
         self._node.get_logger().warning(f'no message has arrived on {topic} for {silence:.0f} s: {cause}')
 
     def _explain(self, topic: str) -> str:
         """Return why no message may have arrived since the start, and what to do."""
         publishers = self._node.get_publishers_info_by_topic(topic)
-        published_types = {p.topic_type for p in publishers} - {self._type}
+        published_types = {p.topic_type for p in publishers} - {self.type}
         if published_types:
             accepted_types = sorted(published_types & {*KEYPOINT_TYPES, HRI_SKELETON})
             advice = f'; start the node with -p node.input_type:={accepted_types[0]}' if accepted_types else ''
-            return f'its publisher sends {", ".join(sorted(published_types))}, expected {self._type}{advice}'
+            return f'its publisher sends {", ".join(sorted(published_types))}, expected {self.type}{advice}'
         if publishers:
             return 'its publisher sends nothing, or its QoS is incompatible; check the detector'
-        topics = {t for t, types in self._node.get_topic_names_and_types() if self._type in types} - {topic}
+        topics = {t for t, types in self._node.get_topic_names_and_types() if self.type in types} - {topic}
         candidates = sorted(t for t in topics if self._node.count_publishers(t))
         if candidates:
-            return f'it has no publisher; remap {self._name} to {" or ".join(candidates)}?'
+            return f'it has no publisher; remap {self.name} to {" or ".join(candidates)}?'
         return f'it has no publisher; {self._advice}'

@@ -18,24 +18,17 @@ from mocap_ros.units import NS_PER_S
 
 @dataclass
 class Appearance:
-    """A person from the first to the last time of being seen, or predicted.
+    """A person from the first to the last time of being seen, or predicted."""
 
-    Attributes:
-        person: id of the person.
-        from_ns: ns, stamp of the first frame.
-        to_ns: ns, stamp of the last frame.
-        seconds: s in each kind of motion, by the name of the kind in small letters, without those in which the
-            person was away.
-        cadences: frames in periodic motion by cadence in Hz, rounded, so that memory does not grow with them.
-        residual_sum, residual_count: px, sum and number of the reprojection errors of frames that show the person.
-    """
-
-    person: str
-    from_ns: int
-    to_ns: int
+    person: str  # id of the person
+    from_ns: int  # ns, stamp of the first frame
+    to_ns: int  # ns, stamp of the last frame
+    # S in each kind of motion, by the name of the kind in small letters, without those in which the person was
+    # away
     seconds: dict[str, float] = field(default_factory=lambda: {kind.name.lower(): 0.0 for kind in MotionKind})
+    # Frames in periodic motion by cadence in Hz, rounded, so that memory does not grow with them
     cadences: Counter[float] = field(default_factory=Counter)
-    residual_sum: float = 0.0
+    residual_sum: float = 0.0  # px, sum and number of the reprojection errors of frames that show the person
     residual_count: int = 0
 
     @property

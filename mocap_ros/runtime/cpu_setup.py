@@ -47,7 +47,6 @@ def release_free_memory() -> None:
 
 
 def _call_glibc(name: str, *arguments: int) -> None:
-    """Call a function that only the GNU C library has; do nothing without it."""
     try:
         function = getattr(ctypes.CDLL(None), name)
     except (OSError, TypeError, AttributeError):

@@ -54,10 +54,6 @@ def detect_in_video(
         is_camera: whether `path` is a camera.
         is_interrupted: returns whether to end while a camera gives no image.
 
-    Returns:
-        The people in each image. Their ids are those of `name_people`; the remarks name the detector, what was
-        left out, and why the images ended early.
-
     Raises:
         InputError: the video cannot be decoded, is too long, or shows nobody; the error names it.
         ModelError: the model cannot be used; the error names it.
@@ -112,13 +108,7 @@ def name_people(detections: Detections) -> tuple[Detections, list[str]]:
     """Name the people of a detector that does not say who is who, by where they are.
 
     A detector of one person may change from one person to another. These are two people here, separated by the
-    gates of `keypoints.association`, whatever the gaps, and a line says so.
-
-    Args:
-        detections: people without ids.
-
-    Returns:
-        The same people with ids, and lines that name the changes.
+    gates of `keypoints.association`, whatever the gaps, and a line that is returned says so.
     """
     tracks = associate_people(replace(detections, is_one_person=False))
     id_by_person = {id(person): track.id for track in tracks for person in track.detection_by_frame.values()}

@@ -54,16 +54,15 @@ class FrameAssembler:
     def assemble(
         self, source: Source, raw: bytes, topic: str, node: NodeConfig, size: tuple[int, int], restart_after: float
     ) -> Frames:
-        """Decode a message and return the images that are complete now.
+        """Decode a message of one of `topics.PEOPLE_SOURCES` and return the images that are complete now.
 
         Args:
-            source: Kind of the message; one of `topics.PEOPLE_SOURCES`.
+            source: Kind of the message.
             raw: The message as CDR.
-            topic: Name of the message's topic; the topic of a ROS4HRI body contains the body's id.
+            topic: Its topic; that of a ROS4HRI body contains the body's id.
             node: Type of the keypoint messages, and limits on the content of a message.
-            size: Width and height in px of images whose messages do not state them; 0 where unknown.
-            restart_after: s; a ROS4HRI body, or a list of none, whose stamp is further than this before that of
-                the current image starts a new sequence.
+            size: px, of images whose messages do not state it; 0 where unknown.
+            restart_after: s; a stamp that is earlier than that of the current image by more begins a sequence.
 
         Raises:
             InputError: The message cannot be used; the error names the field.
@@ -109,7 +108,6 @@ class FrameAssembler:
         return frames + self._flush_if_complete()
 
     def _is_new(self, stamp_ns: int, current_ns: int) -> bool:
-        """Return whether a stamp is later than that of the current image, or begins a new sequence."""
         return stamp_ns > current_ns or current_ns - stamp_ns > self._restart_ns
 
     def _flush_if_complete(self) -> Frames:

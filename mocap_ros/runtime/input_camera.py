@@ -17,7 +17,6 @@ from mocap_ros.messages.cdr import Header
 from mocap_ros.units import NS_PER_S
 
 SILENCE_S = 1.0  # s; without images of one camera, before those of another are taken as a move of the input
-MAX_REMEMBERED = 16  # cameras whose CameraInfo is kept; guards memory against ever new names
 
 
 class Calibration(NamedTuple):
@@ -42,18 +41,16 @@ class InputCamera:
     def reset(self) -> None:
         """Take the next image as the first; only the CameraInfo in use stays, with which a recording begins."""
         self.name = ''
-        self._others: dict[str, Calibration] = {}  # of cameras that are not in use
         self._rival: tuple[str, int] | None = None  # another camera, and its first stamp since the last image used
 
     def add_calibration(self, given: Calibration) -> None:
         """Use a CameraInfo for all following images.
 
         Raises:
-            InputError: It is of another camera than the images, whose own is known; it is kept for its images.
+            InputError: It is of another camera than the images, whose own is known.
         """
         name, held, other = self.name, self.calibration, given.info.frame_id
         if held and name and held.info.frame_id == name and other not in ('', name):
-            self._remember(given)
             raise InputError(
                 f'header.frame_id: {other!r}, but the people of {name!r} are being tracked, whose CameraInfo is '
                 'known; run a node for each camera'
@@ -63,8 +60,8 @@ class InputCamera:
     def check(self, header: Header) -> tuple[str, Calibration | None]:
         """Return why tracking must be restarted for an image, usually '', and the CameraInfo to use with it.
 
-        A message without a `frame_id` is of the camera in use. The CameraInfo of another camera is its own if that
-        has come, or else the one in use, unless that is of the camera that is replaced.
+        A message without a `frame_id` is of the camera in use. The CameraInfo in use is used for another camera as
+        well, unless it is of the camera that is replaced.
 
         Raises:
             InputError: Two cameras send in turn.
@@ -80,21 +77,9 @@ class InputCamera:
                 'run a node for each camera'
             )
         reason = f'the camera {self.name!r} is called {name!r} now or is another one, so tracking was restarted'
-        return reason, self._others.get(name, None if held and held.info.frame_id == self.name else held)
+        return reason, None if held and held.info.frame_id == self.name else held
 
     def accept(self, header: Header, calibration: Calibration | None) -> None:
         """Note that an image is used, with the CameraInfo that `check` has returned."""
         self.name, self._rival = header.frame_id or self.name, None
-        if calibration is not self.calibration:
-            if self.calibration:
-                self._remember(self.calibration)
-            self._others.pop(self.name, None)
-            self.calibration = calibration
-
-    def _remember(self, given: Calibration) -> None:
-        """Keep the newest CameraInfo of a camera that is not in use."""
-        name = given.info.frame_id
-        self._others.pop(name, None)
-        self._others[name] = given
-        if len(self._others) > MAX_REMEMBERED:
-            del self._others[next(iter(self._others))]
+        self.calibration = calibration

@@ -95,8 +95,8 @@ class InputChecks:
         Args:
             frame: What the detector saw in the image.
             intrinsics: The intrinsics of the camera.
-            people: The people who were reconstructed up to the image.
-            tracker: The tracker that did it.
+            people: The people whom the tracker has reconstructed up to the image.
+            tracker: The tracker.
             config: All parameters.
             floor: The floor, if it is known, and what it cannot be used for, in words.
         """
@@ -144,7 +144,6 @@ class InputChecks:
         )
 
     def _check_calibration(self, stamp_ns: int, intrinsics: Intrinsics, config: Config) -> str:
-        """Describe that people are seen for `CALIBRATION_WAIT_S` by the default nominal focal length."""
         focal = config.tracker.nominal_focal_length
         if intrinsics.is_focal_known or focal != TrackerConfig().nominal_focal_length:
             self._first_nominal_ns = None
@@ -162,7 +161,6 @@ class InputChecks:
     def _check_vertical(
         self, people: Sequence[Person3D], tracker: Tracker, config: Config, *, has_floor: bool
     ) -> str:
-        """Describe that people contradict the vertical that a parameter or the output frame gives."""
         given, vertical = config.tracker.vertical, tracker.vertical
         is_parameter = given not in (AUTO, NONE)
         if vertical is None or not (is_parameter or (has_floor and given == AUTO)):

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from math import inf
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,13 +18,7 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.topics import Source, find_people_topics, find_people_type
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import FrameDropped, InputError, naming
-from mocap_ros.formats.detections import (
-    Detections,
-    Video,
-    arrange_people,
-    associate_people,
-    select_person,
-)
+from mocap_ros.formats.detections import Detections, Video, arrange_people, associate_people, select_person
 from mocap_ros.formats.detector_json import load_coco, load_openpose
 from mocap_ros.formats.sequence_file import KeypointSequence, load_sequence
 from mocap_ros.keypoints.image_size import resolve_image_size
@@ -46,25 +41,23 @@ OPTIONS_BY_KIND = {
 }
 
 
-def load_input(
-    path: Path,
-    video: Video,
-    limits: NodeConfig,
-    person: str | None = None,
-    topic: str | None = None,
-    camera_info: str | None = None,
-    show_progress: ShowProgress = lambda images, _: images,
-) -> tuple[KeypointSequence, list[str]]:
-    """Load one person from a sequence file, a bag, OpenPose files, a JSON file of COCO keypoints or a video.
+class InputOptions(NamedTuple):
+    """How an input is read; a value of an option that does not apply to the kind of the input is an error."""
 
-    Args:
-        path: The file or folder.
-        video: Frame rate, image size and keypoint layout, which JSON files do not state; the detector of a video.
-        limits: Limits on people, joints and text in a message of a bag, and the image size of a bag without one.
-        person: Id of the person; by default the person who is seen in most frames.
-        topic: Topic of the keypoints; needed only for a bag with several.
-        camera_info: Topic of the CameraInfo; by default the one that shares most of the keypoints' namespace.
-        show_progress: Function that shows the progress of a detector on a video.
+    # Frame rate, image size and keypoint layout, which JSON files do not state; the detector of a video
+    video: Video = Video()
+    # Limits on people, joints and text in a message of a bag, and the image size of a bag without one
+    node: NodeConfig = NodeConfig()
+    person: str | None = None  # id of the person; None for the one who is seen in most frames, or for all
+    topic: str | None = None  # topic of the keypoints; needed only for a bag with several
+    # Topic of the CameraInfo; None for the one that shares most of the keypoints' namespace
+    camera_info: str | None = None
+    # Function that shows the progress of a detector on a video
+    show_detection: ShowProgress = lambda images, _: images
+
+
+def load_input(path: Path, options: InputOptions) -> tuple[KeypointSequence, list[str]]:
+    """Load one person from a sequence file, a bag, OpenPose files, a JSON file of COCO keypoints or a video.
 
     Returns:
         The sequence, and lines to print about the chosen person, skipped messages and assumptions.
@@ -74,35 +67,29 @@ def load_input(
             names the place.
     """
     kind = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS)
+    _refuse_options(path, kind, options)
     if kind is InputKind.SEQUENCE:
-        _refuse_options(path, kind, video, person, topic, camera_info)
         sequence, lines = load_sequence(path), list[str]()
     else:
-        detections = load_detections(path, kind, video, limits, topic, camera_info, show_progress)
+        detections = _load_detections(path, kind, options)
         with naming(path):
-            sequence, lines = select_person(detections, person)
-    (sequence,), lines = _finish(path, kind, [sequence], video, lines)
+            sequence, lines = select_person(detections, options.person)
+    (sequence,), lines = _finish(path, kind, [sequence], options.video, lines)
     return sequence, lines
 
 
-def load_people(
-    path: Path,
-    video: Video,
-    limits: NodeConfig,
-    topic: str | None = None,
-    camera_info: str | None = None,
-    show_progress: ShowProgress = lambda images, _: images,
-) -> tuple[list[KeypointSequence], list[str]]:
-    """Load all people from a file that may hold several; arguments and errors are those of `load_input`.
+def load_people(path: Path, options: InputOptions) -> tuple[list[KeypointSequence], list[str]]:
+    """Load all people from a file that may hold several; the errors are those of `load_input`.
 
     Returns:
         The sequence of each person who is seen in `MIN_FRAMES` or more, in the order in which they are seen first,
         and lines to print.
     """
     kind = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS)
+    _refuse_options(path, kind, options)
     if kind is InputKind.SEQUENCE:
         raise InputError(f'{path}: a sequence file holds one person; --all-people does not apply')
-    detections = load_detections(path, kind, video, limits, topic, camera_info, show_progress)
+    detections = _load_detections(path, kind, options)
     tracks = associate_people(detections)
     long_tracks = [track for track in tracks if len(track.detection_by_frame) >= MIN_FRAMES]
     if not long_tracks:
@@ -111,7 +98,7 @@ def load_people(
         sequences, lines = arrange_people(detections, long_tracks)
     if left_out := len(tracks) - len(long_tracks):
         lines = (*lines, f'{left_out} people are left out, who are seen in less than {MIN_FRAMES} frames')
-    return _finish(path, kind, sequences, video, lines)
+    return _finish(path, kind, sequences, options.video, lines)
 
 
 def _finish(
@@ -137,40 +124,23 @@ def _finish(
     return sequences, [f'{path}: {line}' for line in lines if line]
 
 
-def load_detections(
-    path: Path,
-    kind: InputKind,
-    video: Video,
-    limits: NodeConfig,
-    topic: str | None = None,
-    camera_info: str | None = None,
-    show_progress: ShowProgress = lambda images, _: images,
-) -> Detections:
-    """Load all people from an input of a kind that may hold several; see `load_input`."""
-    _refuse_options(path, kind, video, None, topic, camera_info)
+def _load_detections(path: Path, kind: InputKind, options: InputOptions) -> Detections:
+    video = options.video
     if kind is InputKind.BAG:
-        return load_bag(path, limits, topic, camera_info)
+        return load_bag(path, options.node, options.topic, options.camera_info)
     if kind is InputKind.VIDEO:
-        return detect_in_video(path, video.detector, show_progress=show_progress)
+        return detect_in_video(path, video.detector, show_progress=options.show_detection)
     detections = load_openpose(path, video) if kind is InputKind.OPENPOSE else load_coco(path, video)
     if not all(detections.image_size) and (video.hfov or video.focal):
         raise InputError(f'{path}: --hfov and --focal need --image-size, as the input does not state it')
     return detections
 
 
-def _refuse_options(
-    path: Path, kind: InputKind, video: Video, person: str | None, topic: str | None, camera_info: str | None
-) -> None:
-    """Raise an InputError if an option is given that does not apply to this kind of input."""
-    given = {
-        '--person': person,
-        '--topic': topic,
-        '--camera-info': camera_info,
-        '--fps': video.fps,
-        '--image-size': video.image_size,
-        '--layout': video.layout,
-        '--detector': video.detector,
-    }
+def _refuse_options(path: Path, kind: InputKind, options: InputOptions) -> None:
+    video = options.video
+    given: dict[str, Any] = {'--person': options.person, '--topic': options.topic}
+    given |= {'--camera-info': options.camera_info, '--fps': video.fps, '--image-size': video.image_size}
+    given |= {'--layout': video.layout, '--detector': video.detector}
     unused = [name for name, value in given.items() if value and name not in OPTIONS_BY_KIND[kind]]
     if unused:
         raise InputError(f'{path}: {kind.value}, to which {", ".join(unused)} does not apply')
@@ -207,17 +177,11 @@ def load_sequence_file(path: str | Path) -> KeypointSequence:
 def load_bag(
     path: Path, limits: NodeConfig, topic: str | None = None, camera_info: str | None = None
 ) -> Detections:
-    """Load all people from the keypoint messages of a bag; skip and count the messages that cannot be used.
+    """Load all people from the keypoint messages of a bag, as `InputOptions` say; count those that cannot be used.
 
     The accepted messages are those that `replay` accepts, with these differences: the stamps may come in any
     order, the first CameraInfo applies to the whole bag, all images have the size that most of them state, only
     images of the camera (`frame_id`) of the first image count, and images that the recorded run skipped count too.
-
-    Args:
-        path: The bag.
-        limits: Limits on people, joints and text in a message, and the image size if nothing else states it.
-        topic: Topic of the keypoints; needed only for a bag with several.
-        camera_info: Topic of the CameraInfo; by default the one that shares most of the keypoints' namespace.
 
     Raises:
         InputError: The path is no bag, or the bag has no keypoints that can be used; the error names the first
@@ -288,13 +252,7 @@ def _leave_out_others(frames: dict[int, KeypointsFrame]) -> list[str]:
 def find_camera(
     bag: Bag, keypoints_topic: str, node: NodeConfig, camera_info: str | None = None
 ) -> tuple[CameraInfo | None, str]:
-    """Find the first usable CameraInfo that belongs to a topic of keypoints.
-
-    Args:
-        bag: The bag.
-        keypoints_topic: Topic of the keypoints.
-        node: How the keypoints were found in the image.
-        camera_info: Topic of the CameraInfo; by default the one that shares most of the keypoints' namespace.
+    """Find the first usable CameraInfo that belongs to a topic of keypoints, or that `camera_info` names.
 
     Returns:
         The CameraInfo, or None if there is none, and why the first that cannot be used cannot, or an empty text.

@@ -1,20 +1,49 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Load a person's reconstruction from a result file of `reconstruct`, or from a bag that holds skeletons."""
+"""Load reconstructions from result files of `reconstruct`, and from bags that hold skeletons."""
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_ros.bags.reader import Bag, is_bag
 from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.sequence_file import StoredResult, is_result_file, load_result_file
-from mocap_ros.messages.skeletons import SKELETONS, RecordedSkeletons, decode_skeletons
+from mocap_ros.messages.skeletons import SKELETONS, RecordedPerson, RecordedSkeletons, decode_skeletons
+from mocap_ros.skeleton import CMU15, Skeleton
 from mocap_ros.units import NS_PER_S
+
+
+class RecordedPeople:
+    """The people in the messages of skeletons of a bag.
+
+    Attributes:
+        skeleton: joints of all people.
+        stamps_ns: stamps of the messages.
+        by_id: people by their stamps in ns, by id.
+    """
+
+    def __init__(self) -> None:
+        self.skeleton: Skeleton = CMU15
+        self.stamps_ns: set[int] = set()
+        self.by_id: dict[str, dict[int, RecordedPerson]] = {}
+
+    def add(self, raw: bytes) -> RecordedSkeletons:
+        """Add a message; raises InputError, which names the field, if it does not fit those before."""
+        array = decode_skeletons(raw)
+        self.stamps_ns.add(array.stamp_ns)
+        for person in array.people:
+            if self.by_id and person.skeleton != self.skeleton:
+                names = ', '.join(sorted({person.skeleton.name, self.skeleton.name}))
+                raise InputError(f'skeletons of several layouts: {names}')
+            self.skeleton = person.skeleton
+            self.by_id.setdefault(person.id, {})[array.stamp_ns] = person
+        return array
 
 
 def holds_result(path: Path) -> bool:
@@ -27,6 +56,15 @@ def holds_result(path: Path) -> bool:
         with Bag(path) as bag:
             return bool(bag.topics_of_type([SKELETONS]))
     return path.is_file() and is_result_file(path)
+
+
+def find_skeletons_topic(bag: Bag) -> str:
+    """Return the topic of skeletons; raises InputError unless there is exactly one."""
+    topics = bag.topics_of_type([SKELETONS])
+    if len(topics) != 1:
+        found = f'several topics of skeletons: {", ".join(topics)}' if topics else 'no skeletons'
+        raise InputError(f'{bag.path}: the bag has {found}')
+    return topics[0]
 
 
 def load_result(path: Path, person: str | None = None) -> tuple[StoredResult, str]:
@@ -49,49 +87,41 @@ def load_result(path: Path, person: str | None = None) -> tuple[StoredResult, st
             raise InputError(f'{path}: --person does not apply to a result of reconstruct')
         result, chosen = load_result_file(path), ''
     else:
-        result, chosen = _load_bag(path, person)
+        recorded = RecordedPeople()
+        with Bag(path) as bag:
+            topic = find_skeletons_topic(bag)
+            with naming(f'{path}: {topic}'):
+                for message in bag.messages([topic]):
+                    recorded.add(message.raw)
+        counts = {person_id: len(own) for person_id, own in recorded.by_id.items()}
+        if not counts:
+            raise InputError(f'{path}: {topic}: nobody is in any message')
+        chosen = max(counts, key=counts.__getitem__) if person is None else person
+        if chosen not in counts:
+            people = ', '.join(f'{i} ({n})' for i, n in sorted(counts.items(), key=lambda item: -item[1]))
+            raise InputError(f'{path}: no person {person!r}; there are {people}')
+        result = _collect(recorded, chosen)
     if not np.isfinite(result.joints).all(axis=(1, 2)).any():
         raise InputError(f'{path}: no frame has a skeleton')
     return result, chosen
 
 
-def _load_bag(path: Path, person: str | None) -> tuple[StoredResult, str]:
-    with Bag(path) as bag:
-        topics = bag.topics_of_type([SKELETONS])
-        if len(topics) != 1:
-            found = f'several topics of skeletons: {", ".join(topics)}' if topics else 'no skeletons'
-            raise InputError(f'{path}: the bag has {found}')
-        with naming(f'{path}: {topics[0]}'):
-            arrays = [decode_skeletons(message.raw) for message in bag.messages(topics)]
-    array_by_stamp = {array.stamp_ns: array for array in arrays}
-    counts = Counter(skeleton.id for array in array_by_stamp.values() for skeleton in array.people)
-    if not counts:
-        raise InputError(f'{path}: {topics[0]}: nobody is in any message')
-    if person is not None and person not in counts:
-        people = ', '.join(f'{person_id} ({n})' for person_id, n in counts.most_common())
-        raise InputError(f'{path}: no person {person!r}; there are {people}')
-    chosen = counts.most_common(1)[0][0] if person is None else person
-    with naming(f'{path}: {topics[0]}'):
-        return _collect(array_by_stamp, chosen), chosen
+def _collect(recorded: RecordedPeople, person: str) -> StoredResult:
+    stamps, own = sorted(recorded.stamps_ns), recorded.by_id[person]
+    frames, count = np.searchsorted(stamps, sorted(own)), len(recorded.skeleton.joints)
 
+    def fill(field: str, missing: float, *shape: int) -> NDArray[Any]:
+        values = np.full((len(stamps), *shape), missing)
+        values[frames] = [getattr(own[stamp], field) for stamp in sorted(own)]
+        return values
 
-def _collect(array_by_stamp: dict[int, RecordedSkeletons], person: str) -> StoredResult:
-    """Return the skeletons of a person in messages by their stamps in ns, in the order of the stamps."""
-    stamps = sorted(array_by_stamp)
-    found = [next((s for s in array_by_stamp[t].people if s.id == person), None) for t in stamps]
-    skeletons = {s.skeleton.name: s.skeleton for s in found if s is not None}
-    if len(skeletons) > 1:
-        raise InputError(f'skeletons of several layouts: {", ".join(sorted(skeletons))}')
-    skeleton = next(iter(skeletons.values()))
-    shape = (len(stamps), len(skeleton.joints))
-    joints, seen, residual = np.full((*shape, 3), np.nan), np.zeros(shape, bool), np.full(len(stamps), np.nan)
-    std, covariance = np.full(shape, np.nan), np.full((len(stamps), 3, 3), np.nan)
-    for frame, recorded in enumerate(found):
-        if recorded is None:
-            continue
-        joints[frame], seen[frame], std[frame] = recorded.joints, ~recorded.inferred, recorded.std
-        residual[frame] = recorded.residual
-        if np.any(recorded.root_covariance):  # version 0.1 recorded none, which is converted to zeros
-            covariance[frame] = recorded.root_covariance
-    times = np.array(stamps) / NS_PER_S
-    return StoredResult(times, joints, seen, residual, skeleton, tuple(stamps), std, covariance)
+    return StoredResult(
+        np.array(stamps) / NS_PER_S,
+        fill('joints', np.nan, count, 3),
+        ~fill('inferred', True, count),
+        fill('residual', np.nan),
+        recorded.skeleton,
+        tuple(stamps),
+        fill('std', np.nan, count),
+        fill('root_covariance', np.nan, 3, 3),
+    )

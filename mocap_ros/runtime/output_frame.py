@@ -99,7 +99,6 @@ class OutputFrame:
         return floor, fault and f'node.floor_height = {height:g}: {fault}'
 
     def _find_pose(self, header: Header, node: NodeConfig, earlier_s: float = 0.0) -> RigidTransform:
-        """Return the transform from the optical frame; InputError if it is unknown at this time."""
         frames = node.output_frame, header.frame_id
         return self.transforms.find(*frames, header.stamp_ns, node.transform_tolerance, earlier_s)
 

@@ -11,7 +11,6 @@ after its last message.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.messages.camera_placement import CameraPlacement
@@ -33,33 +32,16 @@ from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.skeleton import keypoint_layout
 
 # Message type of every output that each accepted image causes, by relative topic name.
-OUTPUTS = {
-    'skeletons': SKELETONS,
-    'cameras': CAMERAS,
-    'markers': MARKERS,
-    'points': POINTS,
-}
-
-
-class SwitchedOutput(NamedTuple):
-    """An output that a parameter switches on: its relative topic name and its message type."""
-
-    topic: str
-    type: str
-
-
-# The further outputs, by the field of `NodeConfig` that switches them on.
-SWITCHED_OUTPUTS = {
-    'publish_tf': SwitchedOutput('/tf', TRANSFORMS),
-    'publish_predictions': SwitchedOutput('predictions', PREDICTIONS),
-}
+OUTPUTS = {'skeletons': SKELETONS, 'cameras': CAMERAS, 'markers': MARKERS, 'points': POINTS}
+# Topic and type of the further outputs, by the field of `NodeConfig` that switches them on.
+SWITCHED_OUTPUTS = {'publish_tf': ('/tf', TRANSFORMS), 'publish_predictions': ('predictions', PREDICTIONS)}
 # Message type of the output that is published once and kept for late subscribers, by relative topic name.
 LATCHED_OUTPUTS = {'skeleton_definition': SKELETON_DEFINITION}
 
 
 def list_switched_outputs(node: NodeConfig) -> dict[str, str]:
     """Return the message types of the further outputs that are switched on, by topic."""
-    return {out.topic: out.type for field, out in SWITCHED_OUTPUTS.items() if getattr(node, field)}
+    return dict(output for field, output in SWITCHED_OUTPUTS.items() if getattr(node, field))
 
 
 class OutputEncoder:
@@ -91,22 +73,21 @@ class OutputEncoder:
         node = node or NodeConfig()
         camera = camera or CameraPlacement(header.frame_id)
         placed = camera.place(self._keep_order(people))
-        data = {
-            'skeletons': encode_skeletons(header, placed, camera.place_vertical(vertical), camera),
-            'cameras': encode_cameras(Header(header.stamp_ns, camera.frame_id), placed),
-            'markers': self._markers.encode_update(header, placed, node.marker_lifetime),
-            'points': encode_points(header, placed),
-        }
-        outputs = [OutputMessage(topic, OUTPUTS[topic], header.stamp_ns, raw) for topic, raw in data.items()]
-        certain = [p for p in placed if not p.tentative]
-        names = self._names.assign([p.id for p in certain])
-        for topic, msgtype in list_switched_outputs(node).items():
-            if msgtype == TRANSFORMS:
-                raw = encode_transforms(header, certain, node.frame_prefix, names)
-            else:
-                raw = encode_predictions(header, predicted, camera)
-            outputs.append(OutputMessage(topic, msgtype, header.stamp_ns, raw))
-        return tuple(outputs)
+        contents = [
+            encode_skeletons(header, placed, camera.place_vertical(vertical), camera),
+            encode_cameras(Header(header.stamp_ns, camera.frame_id), placed),
+            self._markers.encode_update(header, placed, node.marker_lifetime),
+            encode_points(header, placed),
+        ]
+        if node.publish_tf:
+            certain = [p for p in placed if not p.tentative]
+            names = self._names.assign([p.id for p in certain])
+            contents.append(encode_transforms(header, certain, node.frame_prefix, names))
+        if node.publish_predictions:
+            contents.append(encode_predictions(header, predicted, camera))
+        types = OUTPUTS | list_switched_outputs(node)
+        outputs = zip(types.items(), contents, strict=True)
+        return tuple(OutputMessage(topic, msgtype, header.stamp_ns, raw) for (topic, msgtype), raw in outputs)
 
     def _keep_order(self, people: Sequence[Person3D]) -> list[Person3D]:
         """Return the people in the order of the image before, new ones last; that of detectors changes."""

@@ -47,20 +47,13 @@ BACKLOG_REASON = (
 
 @dataclass(frozen=True)
 class ProcessingResult:
-    """The result of processing one input message, or one of the images that the message completed.
+    """The result of processing one input message, or one of the images that the message completed."""
 
-    Attributes:
-        verdict: Whether the input was accepted; the worst verdict of several images.
-        reason: Why the input was not accepted, or what is to be said of an accepted input; usually empty.
-        outputs: Messages to publish and to record, from every accepted image.
-        error_traceback: Traceback of an internal error; usually empty.
-        was_decoded: Whether the message could be decoded, so that it may have had an effect though it was refused.
-    """
-
-    verdict: Verdict
-    reason: str = ''
-    outputs: tuple[OutputMessage, ...] = ()
-    error_traceback: str = ''
+    verdict: Verdict  # whether the input was accepted; the worst verdict of several images
+    reason: str = ''  # why the input was not accepted, or what is to be said of an accepted input; usually empty
+    outputs: tuple[OutputMessage, ...] = ()  # messages to publish and to record, from every accepted image
+    error_traceback: str = ''  # traceback of an internal error; usually empty
+    # Whether the message could be decoded, so that it may have had an effect though it was refused
     was_decoded: bool = True
 
     @classmethod
@@ -88,16 +81,11 @@ class ProcessingResult:
 
 @dataclass
 class Counters:
-    """Numbers of input messages so far, by verdict.
+    """Numbers of input messages so far, by verdict."""
 
-    Attributes:
-        accepted: Messages of people that were accepted.
-        invalid: Messages that could not be used.
-        dropped: Messages that were dropped, by reason: `stamp`, `backlog` or `internal error`.
-    """
-
-    accepted: int = 0
-    invalid: int = 0
+    accepted: int = 0  # messages of people that were accepted
+    invalid: int = 0  # messages that could not be used
+    # Messages that were dropped, by reason: `stamp`, `backlog` or `internal error`
     dropped: Counter[str] = field(default_factory=Counter)
 
 
@@ -295,11 +283,9 @@ class Pipeline:
 
     def _find_intrinsics(self, frame: KeypointsFrame, calibration: Calibration | None) -> Intrinsics:
         """Return the intrinsics of a CameraInfo, or nominal ones from the size in the message or parameters."""
-        node, held, stated = self.config.node, self._camera.calibration, (frame.image_width, frame.image_height)
+        node, stated = self.config.node, (frame.image_width, frame.image_height)
         if calibration is not None:
-            # The first image of another camera was decoded with the size of the one before, if it states none.
-            if calibration is held or held is None or stated != held.info.size:
-                check_image_size(frame, calibration.info)
+            check_image_size(frame, calibration.info)
             return calibration.info.intrinsics
         size = resolve_image_size(stated=stated, configured=(node.image_width, node.image_height))
         if not all(size):

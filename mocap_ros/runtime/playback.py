@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,11 +13,28 @@ from rosbags.interfaces import Qos
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.topics import Source, find_people_topics
-from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.formats.sequence_file import KeypointSequence
+from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.runtime.load_keypoints import load_sequence_file
-from mocap_ros.runtime.sequence_messages import encode_sequence
 
+DEFAULT_FRAME_ID = 'camera'  # header.frame_id of sequences that do not name their camera
 CAMERA_INFO_TOPIC = 'camera_info'  # the name on which the node subscribes to CameraInfo
+
+
+class EncodedFrame(NamedTuple):
+    """One frame of a sequence: its stamp in ns, and a mocap_ros_msgs/Keypoints2DArray as CDR."""
+
+    stamp_ns: int
+    raw: bytes
+
+
+def encode_sequence(sequence: KeypointSequence) -> Iterator[EncodedFrame]:
+    """Encode every frame of a sequence as a message with the frame's stamp and `DEFAULT_FRAME_ID`."""
+    for frame, stamp_ns in enumerate(sequence.stamps_ns):
+        people = [sequence.person(frame)]
+        raw = encode_keypoints(Header(stamp_ns, DEFAULT_FRAME_ID), sequence.image_size, people)
+        yield EncodedFrame(stamp_ns, raw)
 
 
 class PlaybackMessage(NamedTuple):
@@ -32,8 +48,7 @@ class PlaybackMessage(NamedTuple):
     topic: int
 
 
-@dataclass(frozen=True)
-class PlayedTopic:
+class PlayedTopic(NamedTuple):
     """A topic to publish, with the QoS profiles that the recorded publishers offered and its name in the bag."""
 
     name: str

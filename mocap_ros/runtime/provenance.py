@@ -9,6 +9,7 @@ import hashlib
 import json
 import platform
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -24,18 +25,11 @@ RECORDED_PACKAGES = ('mocap_ros', 'numpy', 'scipy', 'mcap', 'rosbags', 'rclpy')
 
 
 def provenance_attachments(config: Config, models: Mapping[str, BasePoses]) -> tuple[Attachment, ...]:
-    """Return the effective parameters (a parameter file), and package versions and model origins (JSON).
-
-    Args:
-        config: The parameters of the run.
-        models: The base poses that the run uses, by name.
-    """
-    versions: dict[str, str | None] = {'python': platform.python_version()}
+    """Return the parameters of a run (a parameter file), and package versions and model origins (JSON)."""
+    versions: dict[str, str | None] = {'python': platform.python_version(), **dict.fromkeys(RECORDED_PACKAGES)}
     for package in RECORDED_PACKAGES:
-        try:
+        with suppress(PackageNotFoundError):
             versions[package] = version(package)
-        except PackageNotFoundError:  # noqa: PERF203
-            versions[package] = None
     provenance: dict[str, object] = {
         'versions': versions,
         'models': {

@@ -48,45 +48,33 @@ ProgressWrapper = Callable[[Iterable[BagMessage], int], Iterable[BagMessage]]
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """Options of a replay.
+    """Options of a replay."""
 
-    Attributes:
-        config: Parameters; None for the parameters of the recorded run, or the defaults where the bag has none.
-        changes: Values of single parameters by name, which replace those of `config` or of the recorded run.
-        topic: Topic of the keypoints, or for ROS4HRI of the tracked bodies; needed only for a bag with several.
-        camera_info: Topic of the CameraInfo; needed only for a bag with several.
-    """
-
+    # Parameters; None for the parameters of the recorded run, or the defaults where the bag has none
     config: Config | None = None
+    # Topic of the keypoints, or for ROS4HRI of the tracked bodies; needed only for a bag with several
     topic: str | None = None
-    camera_info: str | None = None
+    camera_info: str | None = None  # topic of the CameraInfo; needed only for a bag with several
+    # Values of single parameters by name, which replace those of `config` or of the recorded run
     changes: Mapping[str, Value] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class ReplayResult:
-    """Summary of a replay.
+    """Summary of a replay."""
 
-    Attributes:
-        counters: Numbers of keypoint messages by verdict.
-        first_rejection: Place of the first message that was not accepted, and the reason; empty if there is none.
-        unrecorded_inputs: Number of inputs that the recorded run processed but that the bag lacks; the outputs
-            after the first of these may differ from those of the recorded run.
-        tracebacks: Tracebacks of internal errors, without repetitions.
-        config: Parameters at the end.
-        appearances: Who was seen, from when to when; tentative people are left out.
-        swapped_frames: Number of detections whose left and right were swapped back.
-        remarks: What is to be said of accepted messages, in order of occurrence; of lines that differ in their
-            numbers alone the first.
-    """
-
-    counters: Counters
+    counters: Counters  # numbers of keypoint messages by verdict
+    # Place of the first message that was not accepted, and the reason; empty if there is none
     first_rejection: str
+    # Number of inputs that the recorded run processed but that the bag lacks; the outputs after the first of these
+    # may differ from those of the recorded run
     unrecorded_inputs: int = 0
-    tracebacks: tuple[str, ...] = ()
-    config: Config = field(default_factory=Config)
-    appearances: tuple[Appearance, ...] = ()
-    swapped_frames: int = 0
+    tracebacks: tuple[str, ...] = ()  # tracebacks of internal errors, without repetitions
+    config: Config = field(default_factory=Config)  # parameters at the end
+    appearances: tuple[Appearance, ...] = ()  # who was seen, from when to when; tentative people are left out
+    swapped_frames: int = 0  # number of detections whose left and right were swapped back
+    # What is to be said of accepted messages, in order of occurrence; of lines that differ in their numbers alone
+    # the first
     remarks: tuple[str, ...] = ()
 
 
@@ -190,7 +178,6 @@ class _Replay:
         return not (is_transform and is_of_people_only(message.raw, self._frame_prefix))
 
     def _write_start(self, now_ns: int) -> None:
-        """Write the latched outputs and the parameters, with which every bag starts."""
         for topic, msgtype in LATCHED_OUTPUTS.items():
             self._recorder.declare_topic('/' + topic, msgtype, latched=True)
         self._recorder.write(*self._journal.make_parameters_record(values(self._pipeline.config), now_ns))
@@ -243,7 +230,6 @@ class _Replay:
             ) from None
 
     def _write_input(self, message: BagMessage, result: ProcessingResult) -> None:
-        """Write an input, its journal entry and its outputs."""
         topic, source, now_ns = message.topic, self._inputs[message.topic], message.time_ns
         if topic not in self._recorder.topics:  # with its QoS, so that it is played to the same subscribers
             qos: Any = dump_qos_v9(self._bag.qos[topic])
@@ -260,7 +246,6 @@ class _Replay:
         self._recorder.write('/' + output.topic.lstrip('/'), output.type, output.data, now_ns, now_ns)
 
     def _report(self, number: int, message: BagMessage, result: ProcessingResult) -> None:
-        """Note what the summary of the replay says of an input."""
         if result.outputs:
             self._appearances.add(result.outputs[-1].stamp_ns, self._pipeline.people)
         place = f'{self._bag.path}: {message.topic}: input {number} of the bag: {result.reason}'

@@ -39,7 +39,7 @@ from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
 from mocap_ros.offline.whole_sequence import SequenceResult
 from mocap_ros.people import CameraVertical, Motion, MotionKind, Person3D
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OutputEncoder, build_skeleton_definition
-from mocap_ros.runtime.sequence_messages import DEFAULT_FRAME_ID
+from mocap_ros.runtime.playback import DEFAULT_FRAME_ID
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.solvers.observed_window import ObservedWindow
 
@@ -67,15 +67,10 @@ KEYFRAMES_HEADER = """\
 
 @dataclass(frozen=True, eq=False)
 class ReconstructedSequence:
-    """A keypoint sequence and its reconstruction.
+    """A keypoint sequence and its reconstruction."""
 
-    Attributes:
-        sequence: The keypoints.
-        result: The reconstruction, with joints (F, J, 3) in m in the camera's optical frame.
-    """
-
-    sequence: KeypointSequence
-    result: SequenceResult
+    sequence: KeypointSequence  # the keypoints
+    result: SequenceResult  # the reconstruction, with joints (F, J, 3) in m in the camera's optical frame
 
 
 def save(path: Path, reconstruction: ReconstructedSequence) -> None:
@@ -267,19 +262,12 @@ def _save_trc(path: Path, reconstruction: ReconstructedSequence) -> None:
 
 
 class _Resampled(NamedTuple):
-    """A result at a constant frame rate.
+    """A result at a constant frame rate."""
 
-    Attributes:
-        fps: frames per second.
-        joints: (F, J, 3) m, y up; before the first and after the last skeleton of the result the nearest pose.
-        orientation: (F, J, 4) quaternions in the optical frame, not of length 1; None if unknown.
-        in_sight: (F,) whether the frame is one from the first to the last skeleton.
-    """
-
-    fps: float
-    joints: Array
-    orientation: Array | None
-    in_sight: NDArray[np.bool_]
+    fps: float  # frames per second
+    joints: Array  # (F, J, 3) m, y up; before the first and after the last skeleton of the result the nearest pose
+    orientation: Array | None  # (F, J, 4) quaternions in the optical frame, not of length 1; None if unknown
+    in_sight: NDArray[np.bool_]  # (F,) whether the frame is one from the first to the last skeleton
 
 
 def _resample_at_constant_rate(reconstruction: ReconstructedSequence) -> _Resampled:
@@ -349,7 +337,7 @@ def list_keyframe_entries(
 def format_yaml(
     observed: ObservedWindow, keyframes: tuple[KeyframeSet, KeyframeSet], name: str, start_ns: int
 ) -> str:
-    """Return the text of the YAML file of keyframes, which `reconstruct --choices` and `view --keyframes` read.
+    """Return the text of the YAML file of keyframes, which `reconstruct --choices` reads.
 
     Args:
         observed: The keypoints in which the keyframes were found.

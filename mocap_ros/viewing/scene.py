@@ -53,10 +53,9 @@ class MarkKind(Enum):
     """What a mark on the time line stands for; the value is its name in the legend."""
 
     DROP = 'input dropped'
-    KEYFRAME = 'keyframe'
 
 
-MARK_COLOURS = {MarkKind.DROP: '#d62728', MarkKind.KEYFRAME: '#1f77b4'}
+MARK_COLOURS = {MarkKind.DROP: '#d62728'}
 
 
 @dataclass(frozen=True)

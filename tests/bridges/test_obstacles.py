@@ -23,10 +23,7 @@ from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, proce
 
 MAX_STEP_M = 1.0  # cost_filter
 MAX_HEIGHT_M = 2.0  # height_filter
-PARAMETERS = {
-    'node.output_frame': 'map',
-    'node.camera_pose': '0 0 1.2 0 0 0',
-}
+PARAMETERS = {'node.output_frame': 'map', 'node.camera_pose': '0 0 1.2 0 0 0'}
 
 
 def test_obstacles_are_matched_from_message_to_message() -> None:

@@ -20,7 +20,6 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.cli.main import main
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.detectors.detector import Detector, Image
-from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import GroundTruth, load_sequence
 from mocap_ros.formats.video import VideoImage, VideoReader
 from mocap_ros.keypoints.person import Person2D
@@ -134,43 +133,6 @@ def test_an_interrupt_of_a_camera_that_gives_no_more_images_keeps_what_was_detec
         signal.signal(signal.SIGINT, before)
     assert not was_waited_for.is_set()
     assert len(load_sequence(out)) == 20 - 4
-
-
-def test_a_camera_that_did_not_see_the_person_keeps_the_one_it_saw(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A video takes the place of the camera; of a video, which can be read again, it is an error."""
-    out = tmp_path / 'me.npz'
-    video = str(folder / 'walk.mp4')
-    command = ['detect', video, '--model', str(folder / 'movenet.onnx'), '--person', 'person_2', '-o', str(out)]
-    assert main(command) == 1
-    assert capsys.readouterr().err == f"mocap-ros: {video}: no person 'person_2'; there are person_1 (40)\n"
-    replace_camera(monkeypatch)
-    assert main(command) == 0
-    warning = "warning: no person 'person_2'; there are person_1 (40); the one who was seen most is written"
-    assert f'mocap-ros: {video}: {warning}\n' in capsys.readouterr().err
-    assert len(load_sequence(out)) == FRAMES
-
-
-@pytest.mark.parametrize('suffix', ['.npz', '.mcap'])
-def test_a_camera_that_is_unplugged_keeps_what_was_detected(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], suffix: str
-) -> None:
-    """A video takes the place of the camera."""
-
-    class UnpluggedCamera(FilmedCamera):
-        def __iter__(self) -> Iterator[VideoImage]:
-            yield from itertools.islice(super().__iter__(), 20)
-            raise InputError(f'{self._path}: the camera has gone (No such device)')
-
-    replace_camera(monkeypatch, UnpluggedCamera)
-    video, out = folder / 'walk.mp4', tmp_path / f'me{suffix}'
-    assert main(['detect', str(video), '--model', str(folder / 'movenet.onnx'), '-o', str(out)]) == 0
-    written = capsys.readouterr()
-    warning = 'warning: ended early: the camera has gone (No such device)'
-    assert f'mocap-ros: {video}: {warning}\n' in written.err
-    assert f', {16 if suffix == ".npz" else 20} frames' in written.out
-    assert out.stat().st_size
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -17,17 +16,15 @@ import pytest
 
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source
-from mocap_ros.cli.evaluate import print_table
 from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig, with_values
 from mocap_ros.formats.sequence_file import GroundTruth, load_sequence, save_sequence
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.pipeline import Pipeline
-from mocap_ros.runtime.sequence_messages import encode_sequence
+from mocap_ros.runtime.playback import encode_sequence
 from tests.support.camera_infos import camera_info
 from tests.support.evaluation_data import shared
 from tests.support.pipeline_inputs import FAST_CONFIG
-from tests.support.quick_options import QUICK_OPTIONS
 
 
 def test_evaluate_prints_a_table_and_writes_json(
@@ -47,34 +44,6 @@ def test_evaluate_prints_a_table_and_writes_json(
     assert 'PA-MPJPE: after one similarity transform per frame' in legend
 
 
-def test_the_last_line_is_the_mean_of_what_is_known(capsys: pytest.CaptureFixture[str]) -> None:
-    one = {'file': 'one.npz', 'mpjpe_mm': 10.0, 'pa_mpjpe_mm': 4.0, 'frames': 100}
-    two = {'file': 'two.npz', 'mpjpe_mm': 30.0, 'pa_mpjpe_mm': math.nan, 'frames': 201}
-    print_table([one])
-    assert not any(line.startswith('mean') for line in capsys.readouterr().out.splitlines())
-    print_table([one, two])
-    _, _, *rows, _ = (line.split() for line in capsys.readouterr().out.splitlines())
-    unknown = ['-'] * 5
-    assert rows == [
-        ['one.npz', '10.0', '4.0', *unknown, '100', '-', '-', '-'],
-        ['two.npz', '30.0', 'nan', *unknown, '201', '-', '-', '-'],
-        ['mean', '20.0', '4.0', *unknown, '150', '-', '-', '-'],
-    ]
-
-
-def test_evaluate_warns_about_a_truth_in_mm(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    sequence = load_sequence(recording)
-    assert sequence.truth is not None
-    truth = GroundTruth(sequence.truth.joints * 1000, sequence.truth.joint_names)
-    save_sequence(tmp_path / 'mm.npz', replace(sequence, truth=truth))
-    warning_in_mm = 'mm.npz: joints3d: the values look like mm, but m are expected\n'
-    for path, warning in ((recording, ''), (tmp_path / 'mm.npz', warning_in_mm)):
-        assert main(['evaluate', str(path), '--set', 'solver.max_iterations=1']) == 0
-        assert capsys.readouterr().err.removeprefix(f'mocap-ros: {path.parent}/') == warning
-
-
 def test_evaluate_agrees_with_the_measuring_protocol(protocol: ModuleType, tmp_path: Path) -> None:
     data = np.load(shared('data/cmu/cmu15_30fps.npz'))
     view = protocol.make_view(data['07_01'], data['_joints'], heading=45)
@@ -86,34 +55,6 @@ def test_evaluate_agrees_with_the_measuring_protocol(protocol: ModuleType, tmp_p
     r = np.load(tmp_path / 'r.npz')
     expected = protocol.score(r['joints3d'], r['joint_names'], view['joints3d'], view['joints3d_names'])
     assert {k: record[k] for k in expected} == pytest.approx(expected, abs=0.01, rel=1e-4)
-
-
-@pytest.mark.filterwarnings('error')
-def test_evaluate_leaves_out_unknown_parts_of_the_truth(
-    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    whole = load_sequence(short_recording)
-    truth = whole.truth
-    assert truth is not None
-    out = tmp_path / 'e.json'
-
-    def evaluate_without(unknown: object) -> int:
-        joints = truth.joints.copy()
-        joints[unknown] = np.nan
-        save_sequence(tmp_path / 't.npz', replace(whole, truth=GroundTruth(joints, truth.joint_names)))
-        return main(['evaluate', str(tmp_path / 't.npz'), '--json', str(out), *QUICK_OPTIONS])
-
-    for unknown, joints, frames in (((slice(5), 3), 15, 15), ((slice(None), 3), 14, 20)):
-        assert evaluate_without(unknown) == 0
-        (record,) = json.loads(out.read_text())
-        assert (record['joints'], record['frames']) == (joints, frames)
-        assert record['mpjpe_mm'] < 1.1 * 59.5  # mm, measured
-    assert evaluate_without(slice(None)) == 1
-    assert 't.npz: joints3d: no joint is known in any frame' in capsys.readouterr().err
-    foreign_truth = GroundTruth(truth.joints, tuple('abcdefghijklmno'))
-    save_sequence(tmp_path / 'f.npz', replace(whole, truth=foreign_truth))
-    assert main(['evaluate', str(tmp_path / 'f.npz'), *QUICK_OPTIONS]) == 1
-    assert 'f.npz: joints3d_names: only 0 joints in common' in capsys.readouterr().err
 
 
 def test_results_are_compared_as_they_are_with_the_truth_of_another_file(
@@ -132,9 +73,6 @@ def test_results_are_compared_as_they_are_with_the_truth_of_another_file(
         assert {k: record[k] for k in record if k != 'file'} == pytest.approx(
             {k: solved[k] for k in solved if k not in ('file', 'seconds')}, rel=1e-4, abs=1e-4
         )
-    assert main(['evaluate', names[0], '--joints', 'limbs', *arguments]) == 0
-    (limbs,) = json.loads((tmp_path / 'e.json').read_text())
-    assert limbs['joints'] == 12
     capsys.readouterr()
     for wrong, message in (
         ([names[0]], 'r.npz: holds no truth; give the sequence file that does by --truth'),

@@ -5,27 +5,19 @@
 
 from __future__ import annotations
 
-import io
 import os
 import re
-import sys
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import pytest
 
 from mocap_ros.cli.main import main
 from mocap_ros.cli.options import derive_output_stem
-from mocap_ros.cli.train import _save_checkpoint
-from mocap_ros.errors import MocapError
-from mocap_ros.formats.bvh import save_bvh
-from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.runtime import save_results
 from mocap_ros.skeleton import CMU15
 from tests.support.full_disk import limit_file_size
-from tests.support.motion_files import Z_UP_TO_Y_UP, make_poses
 from tests.support.quick_options import QUICK_OPTIONS
 
 MAX_WRITTEN_BYTES = 100  # bytes of a file on the disk that is full; fewer than any result has
@@ -88,11 +80,8 @@ MAX_WRITTEN_BYTES = 100  # bytes of a file on the disk that is full; fewer than 
         (['train', 'TRIALS', '--manifest', 'LATIN', '-o', 'x.npz'], 'latin.csv: not UTF-8 at byte 14'),
         (['train', 'TRIALS', '-o', 'x.npz'], '1_1: a body 0 m tall'),
         (['train', 'TRIALS', '-o', 'x.npz', '--seed', '1'], '--seed: applies only to --lifter'),
-        (['train', '--lifter', 'TRIALS', '-o', 'x.npz', '--bodies', '1'], '--bodies: applies not to --lifter'),
         (['view', 'nowhere.npz', '-o', 'x.html'], 'nowhere.npz: No such file'),
         (['view', 'RECORDING', '-o', 'x.pgf'], 'x.pgf: unknown file type; expected .html, '),
-        (['view', 'RECORDING', '-o', 'x.png', '--poses', '31'], '--poses 31: expected 1 to 30'),
-        (['view', 'RECORDING', '-o', 'x.png', '--keyframes', 'x'], 'x.png: --keyframes applies to a page'),
         (['view', 'RECORDING', '-o', 'nowhere/x.html'], 'x.html: cannot be written: there is no folder nowhere'),
         (['view', 'RECORDING', '-o', 'x.html', '--person', '7'], 'to which --person does not apply'),
         (['view', 'IMAGE', '-o', 'x.html'], 'walk.jpg: is an image'),
@@ -168,15 +157,13 @@ def test_an_input_that_no_command_reads_is_named(
     assert line.startswith(f'mocap-ros: {name}: {reason}')
 
 
-@pytest.mark.parametrize('name', ['pipe', 'pipe.npz', '/dev/zero', 'zero.json'])
+@pytest.mark.parametrize('name', ['pipe.npz', '/dev/zero', 'zero.json'])
 @pytest.mark.parametrize(
     'arguments',
     [
         ['reconstruct', 'NAME'],
-        ['view', 'NAME'],
         ['evaluate', 'NAME'],
         ['evaluate', 'RECORDING', '--truth', 'NAME'],
-        ['reconstruct', 'RECORDING', '--config', 'NAME'],
         ['reconstruct', 'RECORDING', '--method', 'keyframes', '--choices', 'NAME'],
         ['reconstruct', 'RECORDING', '--model', 'NAME'],
         ['reconstruct', 'RECORDING', '--set', 'solver.prior=NAME'],
@@ -229,11 +216,9 @@ def test_a_full_disk_is_reported_with_the_name_of_the_file(
     ('arguments', 'out'),
     [
         (['reconstruct', 'RECORDING', '--model', 'read.npz', '-o', 'read.npz'], 'read.npz'),
-        (['reconstruct', 'RECORDING', '--set', 'tracker.model=read.npz', '-o', 'read.npz'], 'read.npz'),
         (['reconstruct', 'RECORDING', '--set', 'solver.prior=read.npz', '-o', 'read.npz'], 'read.npz'),
         (['reconstruct', 'RECORDING', '--config', 'read.csv', '-o', 'a.npz', '-o', 'read.csv'], 'read.csv'),
         (['reconstruct', 'RECORDING', '--config', 'parameters.yaml', '-o', 'read.npz'], 'read.npz'),
-        (['reconstruct', 'RECORDING', '--detector', 'read.npz', '-o', 'read.npz'], 'read.npz'),
         (
             ['reconstruct', 'RECORDING', '--method', 'keyframes', '--choices', 'read.csv', '-o', 'read.csv'],
             'read.csv',
@@ -241,17 +226,10 @@ def test_a_full_disk_is_reported_with_the_name_of_the_file(
         (['reconstruct', 'walk/link.npz', '-o', 'walk/demo.npz'], 'walk/demo.npz'),
         (['reconstruct', 'bag', '-o', 'bag/bag_0.mcap'], 'bag/bag_0.mcap'),
         (['evaluate', 'read.npz', '--truth', 'RECORDING', '--json', 'walk/demo.npz'], 'walk/demo.npz'),
-        (['view', 'RECORDING', '--keyframes', 'read.html', '-o', 'read.html'], 'read.html'),
-        (['view', 'RECORDING', '--model', 'read.html', '-o', 'read.html'], 'read.html'),
-        (['keyframes', 'RECORDING', '--config', 'read.png', '-o', 'read.yaml'], 'read.png'),
         (['keyframes', 'RECORDING', '--config', 'read_distances.png', '-o', 'read.yaml'], 'read_distances.png'),
-        (['evaluate', 'RECORDING', '--model', 'read.npz', '--json', 'read.npz'], 'read.npz'),
-        (['evaluate', 'RECORDING', '--config', 'read.csv', '--json', 'read.csv'], 'read.csv'),
-        (['evaluate', 'bag', '--truth', 'RECORDING', '--json', 'bag/bag_0.mcap'], 'bag/bag_0.mcap'),
         (['evaluate', 'bag', '--truth', 'RECORDING', '--json', 'bag/metadata.yaml'], 'bag/metadata.yaml'),
         (['detect', 'walk.mp4', '--model', 'read.npz', '-o', 'read.npz'], 'read.npz'),
         (['train', 'walk', '--manifest', 'read.csv', '-o', 'read.csv'], 'read.csv'),
-        (['train', 'walk', '--markers', 'read.yaml', '-o', 'read.yaml'], 'read.yaml'),
         (['train', 'walk', '-o', 'walk/manifest.csv'], 'walk/manifest.csv'),
         (['train', 'walk', '-o', 'walk/anna.ASF'], 'walk/anna.ASF'),
         (['train', '--lifter', 'walk', '--start-from', 'read.npz', '-o', 'read.npz'], 'read.npz'),
@@ -292,29 +270,6 @@ def test_a_lifter_is_not_written_over_its_checkpoint(tmp_path: Path, capsys: pyt
     assert capsys.readouterr().err == f'mocap-ros: {out}: not written, because it is the checkpoint as well\n'
 
 
-def test_a_checkpoint_is_replaced_when_the_new_one_is_complete(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """PyTorch need not be installed; something else takes its place."""
-
-    def save(checkpoint: dict[str, int], file: BinaryIO) -> None:
-        file.write(b'step ' * checkpoint['step'])
-
-    monkeypatch.setitem(sys.modules, 'torch', SimpleNamespace(save=save))
-    place = tmp_path / 'state'
-    for step in (1, 2):
-        _save_checkpoint({'step': step}, place, [])
-    with (
-        limit_file_size(MAX_WRITTEN_BYTES),
-        pytest.raises(MocapError, match='state: cannot be written: File too large'),
-    ):
-        _save_checkpoint({'step': 100}, place, [])
-    with pytest.raises(MocapError, match='state: not written, because it is the input file'):
-        _save_checkpoint({'step': 3}, place, [place])
-    assert place.read_text() == 'step step '
-    assert list(tmp_path.iterdir()) == [place]
-
-
 @pytest.mark.parametrize(
     ('command', 'ending'),
     [
@@ -339,42 +294,6 @@ def test_a_disk_that_is_full_half_way_leaves_the_old_files(
     message = rf'^mocap-ros: {re.escape(str(out))}: (cannot be written: )?File too large$'
     assert re.search(message, capsys.readouterr().err, re.MULTILINE)
     assert {path: (path.read_bytes(), path.stat().st_ino) for path in out.parent.iterdir()} == before
-
-
-@pytest.mark.parametrize('ending', save_results.SUFFIXES)
-def test_an_interrupt_while_a_result_is_written_leaves_the_old_one(
-    short_recording: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    ending: str,
-) -> None:
-    out = tmp_path / 'out' / f'old{ending}'
-    out.parent.mkdir()
-    out.write_text('old')
-    write = save_results.WRITERS[ending]
-
-    def write_and_interrupt(path: Path, reconstruction: save_results.ReconstructedSequence) -> None:
-        write(path, reconstruction)
-        assert path.stat().st_size
-        raise KeyboardInterrupt
-
-    monkeypatch.setitem(save_results.WRITERS, ending, write_and_interrupt)
-    assert main(['reconstruct', str(short_recording), '-o', str(out), *QUICK_OPTIONS]) == 130
-    assert capsys.readouterr().err == 'mocap-ros: interrupted\n'
-    assert [(path, path.read_text()) for path in out.parent.iterdir()] == [(out, 'old')]
-
-
-def test_a_name_that_the_terminal_cannot_show_is_no_failure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    save_bvh(tmp_path / 'anna_1.bvh', build_armature(make_poses() @ Z_UP_TO_Y_UP.T, 30.0))
-    written = io.BytesIO()
-    monkeypatch.setattr(sys, 'stdout', io.TextIOWrapper(written, 'ascii'))
-    monkeypatch.chdir(tmp_path)
-    assert main(['train', 'anna_1.bvh', '-o', 'gehen_ä.npz']) == 0
-    sys.stdout.flush()
-    assert written.getvalue().startswith(b'gehen_\\xe4.npz: ')
 
 
 def test_results_of_folders_are_called_as_the_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -84,7 +84,6 @@ def test_wrong_usage_is_explained(capsys: pytest.CaptureFixture[str], arguments:
     ('arguments', 'message'),
     [
         (['play', 'bag', '--rate', '0'], 'argument --rate: 0 is not positive and finite'),
-        (['play', 'bag', '--rate', 'inf'], 'argument --rate: inf is not positive and finite'),
         (['play', 'bag', '--rate', 'nan'], 'argument --rate: nan is not positive and finite'),
         (['play', 'bag', '--rate', 'fast'], "argument --rate: 'fast' is not a number"),
         (['detect', 'a.mp4', '--max-people', '0'], "argument --max-people: '0' is not a positive whole number"),
@@ -93,10 +92,7 @@ def test_wrong_usage_is_explained(capsys: pytest.CaptureFixture[str], arguments:
             "argument --max-people: '1.5' is not a positive whole number",
         ),
         (['train', 'a', '-o', 'b', '--every', '0'], "argument --every: '0' is not a positive whole number"),
-        (['train', 'a', '-o', 'b', '--bodies', '-1'], "argument --bodies: '-1' is not a whole number from 0"),
         (['train', 'a', '-o', 'b', '--seed', str(2**63)], 'argument --seed: '),
-        (['batch', 'in', '-o', 'out', '--workers', '-1'], 'argument --workers: '),
-        (['batch', 'in', '-o', 'out', '--workers', '0'], "argument --workers: '0' is not a positive whole number"),
         (
             ['reconstruct', 'a.json', '--image-size', '640'],
             "argument --image-size: '640': expected a size such as",

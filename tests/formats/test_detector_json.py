@@ -17,7 +17,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.formats.detections import Video, associate_people, select_person
 from mocap_ros.formats.detector_json import FILE_SUFFIX, MIN_PERSON_SCORE, load_coco, load_openpose
 from mocap_ros.formats.sequence_file import KeypointSequence
-from mocap_ros.runtime.load_keypoints import load_input
+from mocap_ros.runtime.load_keypoints import InputOptions, load_input
 from mocap_ros.skeleton import keypoint_layout
 from tests.support.keypoint_files import FPS, FRAMES, LIMITS, VIDEO, check_same_keypoints, flatten_keypoints
 
@@ -202,7 +202,7 @@ def test_invalid_json_is_refused_in_one_line(tmp_path: Path, content: str, place
     path = tmp_path / 'people.json'
     path.write_text(content)
     with pytest.raises(InputError, match=rf'people\.json: .*{place}') as caught:
-        load_input(path, VIDEO, LIMITS)
+        load_input(path, InputOptions(VIDEO, LIMITS))
     assert '\n' not in str(caught.value)
 
 

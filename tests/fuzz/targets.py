@@ -39,7 +39,7 @@ from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
 from mocap_ros.messages.transform_tree import TransformTree
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.models.model_file import decode_base_poses, decode_lifter
-from mocap_ros.runtime.load_keypoints import load_input
+from mocap_ros.runtime.load_keypoints import InputOptions, load_input
 
 IMAGE_SIZE = 640, 480  # px
 LIMITS = NodeConfig()
@@ -148,7 +148,7 @@ def read_json(data: bytes, folder: Path) -> None:
     """Read one person from JSON in the form of COCO and in that of OpenPose."""
     path = folder / 'a_0_keypoints.json'
     path.write_bytes(data)
-    _read_all(partial(load_input, place, VIDEO, NodeConfig()) for place in (path, folder))
+    _read_all(partial(load_input, place, InputOptions(VIDEO)) for place in (path, folder))
 
 
 def read_bvh(data: bytes, folder: Path) -> None:

@@ -28,13 +28,7 @@ def test_help_lists_arguments_topics_and_installed_services(capsys: pytest.Captu
         main(['--help'])
     assert stopped.value.code == 0
     text = capsys.readouterr().out
-    for word in (
-        '-p tracker.window:=',
-        '--params-file FILE',
-        *OUTPUTS.values(),
-        KEYPOINTS,
-        *SERVICES.values(),
-    ):
+    for word in ('-p tracker.window:=', '--params-file FILE', *OUTPUTS.values(), KEYPOINTS, *SERVICES.values()):
         assert word in text
     for interface in (*INPUT_TYPES.values(), *SERVICES.values()):
         assert load_interface_class(interface)

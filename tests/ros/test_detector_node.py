@@ -160,7 +160,7 @@ def test_bad_images_are_logged_and_the_next_one_is_taken(peer: Peer, start_detec
     ('arguments', 'code', 'reason'),
     [
         (['-p', 'model:=none.onnx'], 1, 'none.onnx: no such file; expected MediaPipe'),
-        (['-p', 'image_type:=std_msgs/msg/String'], 1, "image_type: 'std_msgs/msg/String', expected sensor_msgs/"),
+        (['-p', 'image_type:=std_msgs/msg/String'], 1, "image_type = 'std_msgs/msg/String': expected"),
     ],
 )
 def test_what_keeps_the_node_from_starting_is_named_in_one_line(

@@ -73,24 +73,3 @@ def test_a_message_for_which_rclpy_raises_an_error_does_not_end_the_node(
     lines = stop_node(node, signal.SIGINT)
     assert node.returncode == 0
     assert len([line for line in lines if 'an internal error' in line]) == 1
-
-
-def test_the_status_is_published_at_a_time_that_no_stamp_can_hold(peer: Peer, start_node: StartNode) -> None:
-    from diagnostic_msgs.msg import DiagnosticArray
-
-    node = start_node()
-    peer.wait_for_node()
-    send = publish_clocks(peer, 2**31 - 1, 2**32 - 1)
-    stamps: list[int] = []
-    subscription = peer.node.create_subscription(
-        DiagnosticArray, '/diagnostics', lambda status: stamps.append(status.header.stamp.sec), 10
-    )
-
-    def has_come() -> bool:
-        send()
-        return 2**31 - 1 in stamps
-
-    peer.wait_until(has_come)
-    peer.node.destroy_subscription(subscription)
-    assert stop_node(node, signal.SIGINT) == []
-    assert node.returncode == 0

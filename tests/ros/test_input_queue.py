@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections import Counter
 
 import pytest
@@ -58,44 +57,6 @@ def test_a_topic_that_sends_without_a_pause_loses_its_own_oldest_messages_only(
     assert not queue.pop_removed_counts(), 'none is removed while those before have been taken'
 
 
-def test_large_messages_that_wait_are_limited_by_their_size(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(input_queue, 'MAX_WAITING_BYTES', 100)
-    queue = InputQueue()
-    put(queue, '/keypoints', 2, size=10)
-    put(queue, '/tf', 9, size=30)
-    put(queue, '/tf', size=1000)
-    put(queue, '/camera_info', size=10)
-    put(queue, '/keypoints', size=10)
-    assert [(topic, number) for topic, number, _ in take_all(queue)] == [
-        ('/keypoints', 1),
-        ('/keypoints', 2),
-        ('/tf', 10),  # the newest of a topic stays, whatever its size
-        ('/camera_info', 1),
-        ('/keypoints', 3),  # nor does a topic lose messages because of another one
-    ]
-    assert queue.pop_removed_counts() == {'/tf': 9}
-    put(queue, '/tf', 4, size=25)
-    assert len(queue) == 4, 'what has left the queue no longer counts'
-
-
-def test_messages_of_people_alone_make_a_backlog() -> None:
-    queue = InputQueue()
-    put(queue, '/tf', 5)
-    put(queue, '/keypoints', 3)
-    put(queue, '/camera_info')
-    assert not any(is_skipped for *_, is_skipped in take_all(queue, limit=4))
-    assert not queue.is_behind
-
-
-def test_the_bodies_of_one_image_are_one_image() -> None:
-    queue, bodies = InputQueue(), [f'/humans/bodies/b{i}/skeleton2d' for i in range(12)]
-    for _ in range(3):
-        for topic in bodies:
-            queue.put(Source.BODY, topic, b'', (1, 1))
-    assert not any(is_skipped for *_, is_skipped in take_all(queue, limit=4))
-    assert not queue.is_behind
-
-
 def put_image(queue: InputQueue, stamp_s: int, bodies: range = BODIES) -> None:
     for body in bodies:
         raw = encode_plain((Header(stamp_s * NS_PER_S, 'camera'), ()), HRI_IDS)
@@ -140,17 +101,6 @@ def test_a_forgotten_topic_takes_no_memory_and_is_numbered_anew() -> None:
     assert take_all(queue) == [('/keypoints', 1, False)]
 
 
-def test_a_topic_that_left_while_a_message_waited_is_forgotten_with_the_next() -> None:
-    queue = InputQueue()
-    for topic in ('/keypoints', '/tf'):
-        put(queue, topic)
-        queue.forget(topic)
-    put(queue, '/tf')  # somebody subscribes again
-    assert take_all(queue) == [('/keypoints', 1, False), ('/tf', 1, False), ('/tf', 2, False)]
-    queue.forget('/camera_info')
-    assert set(queue._topics) == {'/tf'}
-
-
 def test_messages_of_people_alone_are_skipped() -> None:
     queue = InputQueue()
     put(queue, '/camera_info')
@@ -170,17 +120,6 @@ def test_messages_of_people_alone_are_skipped() -> None:
     was_behind = queue.is_behind
     assert not queue.wait(0.0)
     assert (was_behind, queue.is_behind) == (True, False), 'none waits any more'
-
-
-def test_a_closed_queue_waits_no_longer_and_still_gives_its_messages() -> None:
-    queue = InputQueue()
-    closing = threading.Timer(0.05, queue.close)
-    closing.start()
-    assert queue.wait(60.0)
-    put(queue, '/tf')
-    assert queue.wait(60.0)
-    assert take_all(queue) == [('/tf', 1, False)]
-    assert queue.pop(1) is None
 
 
 def test_the_first_receipt_is_the_earliest_of_all_that_wait() -> None:

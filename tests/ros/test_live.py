@@ -17,9 +17,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from mocap_ros.bags.background import BackgroundRecorder
 from mocap_ros.bags.journal import JOURNAL, Verdict, read_run
-from mocap_ros.bags.mcap_file import McapFile
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.rosbag2 import make_topic
@@ -34,7 +32,7 @@ from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.messages.versions import make_converter
 from mocap_ros.ros.input_queue import ReceivedMessage
 from mocap_ros.ros.live import LiveRun
-from mocap_ros.ros.live_recording import LiveRecording
+from mocap_ros.ros.live_recording import FindOfferedQos, Recording
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
@@ -139,10 +137,10 @@ def find_bag(folder: Path) -> Path:
     return bag
 
 
-def finish(recording: LiveRecording) -> Path:
-    folder = recording.finish(recording.detach())
-    assert folder is not None
-    return folder
+def start_recording(
+    config: Config, names: dict[str, str] = NAMES, find_qos: FindOfferedQos = lambda _: ()
+) -> Recording:
+    return Recording(Pipeline(config), START_NS, names, LineLog(), find_qos, MessageVersions())
 
 
 def read_messages(bag_folder: Path, topic: str) -> list[bytes]:
@@ -185,20 +183,6 @@ def test_a_replay_repeats_resets_parameters_and_bad_inputs(tmp_path: Path, strea
     assert live.run.statistics.reason.startswith('/keypoints: not a mocap_ros_msgs/msg/Keypoints2DArray')
     assert remarks[0].startswith('warning /keypoints: message 9: stamp ')
     assert remarks[1].startswith('error /keypoints: message 10: not a mocap_ros_msgs/msg/Keypoints2DArray')
-
-
-def test_the_log_tells_of_people_when_the_first_of_them_is_published(stream: list[bytes]) -> None:
-    live = CollectingRun(FAST_CONFIG)
-    nobody = [encode_keypoints(Header(i, 'camera'), (640, 480), []) for i in (1, 2)]
-    live.enqueue(*nobody)
-    live.wait_for_frames(2)
-    live.enqueue(*stream[1:3])
-    live.wait_for_frames(4)
-    live.run.stop()
-    assert live.log.lines == [
-        'info /keypoints: the first message was accepted, and nobody is in it who can be tracked',
-        'info /keypoints: people are being published',
-    ]
 
 
 # Keypoints of another version of the package: a field less, a field more, and another order.
@@ -289,72 +273,20 @@ def test_a_backlog_is_skipped_counted_and_left_out_of_a_replay(tmp_path: Path, s
     assert_replay_gives_the_same(bag, tmp_path / 'again')
 
 
-def test_what_waits_when_the_time_for_the_stop_is_over_is_recorded_as_skipped(
-    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr('mocap_ros.ros.live.MAX_STOP_SECONDS', 0.0)
-    has_started, may_continue = threading.Event(), threading.Event()
-    live = CollectingRun(recording_to(tmp_path / 'live'), block_tracker(has_started, may_continue))
-    live.enqueue(stream[0])
-    assert has_started.wait(TIMEOUT_S)
-    live.enqueue(*stream[1:5])
-    stopping = threading.Thread(target=live.run.stop)
-    stopping.start()
-    wait_until(lambda: live.run._stop_deadline is not None)
-    may_continue.set()
-    stopping.join(TIMEOUT_S)
-    assert len(live.skeletons) == 1
-    bag = find_bag(tmp_path)
-    assert read_messages(bag, '/keypoints') == stream[:5]
-    with Bag(bag) as opened:
-        assert read_run(opened).skipped_inputs == {2, 3, 4, 5}
-    assert_replay_gives_the_same(bag, tmp_path / 'again')
-
-
-def test_a_flood_of_camera_infos_is_counted_and_people_go_on(
-    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr('mocap_ros.ros.input_queue.MAX_WAITING', 4)
-    entered, may_finish = threading.Event(), threading.Event()
-    live = CollectingRun(recording_to(tmp_path / 'live'), block_tracker(entered, may_finish))
-    live.enqueue(stream[0])
-    assert entered.wait(TIMEOUT_S)
-    for _ in range(50):
-        live.run.enqueue(Source.CAMERA_INFO, camera_info(), 5)
-    live.enqueue(stream[1])
-    may_finish.set()
-    live.wait_for_frames(2)
-    live.run.stop()
-    assert live.run.statistics.removed == 46
-    assert live.count_lines('/camera_info: message 50: 46 older messages were removed unseen') == 1
-    bag = find_bag(tmp_path)
-    assert len(read_messages(bag, '/camera_info')) == 4
-    assert read_messages(bag, '/keypoints') == stream[:2]
-    assert_replay_gives_the_same(bag, tmp_path / 'again')
-
-
 def test_a_disk_that_takes_nothing_is_reported_and_does_not_stop_the_run(
     tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     disk_is_ready = block_disk(monkeypatch)
-    monkeypatch.setattr('mocap_ros.ros.live.MAX_PAUSE_SECONDS', 0.1)
     live = CollectingRun(recording_to(tmp_path / 'live'))
     live.process(stream[:1])
     live.wait_for_lines('the disk has taken nothing of the recording')
-    assert 'the disk has taken nothing' in live.run.recording.fault
+    assert 'the disk has taken nothing' in live.run.recorder_fault
     disk_is_ready.set()
     live.wait_for_lines('the disk takes the recording again, after ')
-    disk_is_ready.clear()
-    live.process(stream[1:2])
-    assert live.run.finish_recording() is not None
-    live.wait_for_lines('the disk is slow; ')
-    live.process(stream[2:3])
-    disk_is_ready.set()
-    live.wait_for_lines('is finished')
     live.run.stop()
-    assert live.run.recording.fault == ''
+    assert live.run.recorder_fault == ''
     bag = find_bag(tmp_path)
-    assert read_messages(bag, '/keypoints') == stream[:2]
+    assert read_messages(bag, '/keypoints') == stream[:1]
 
 
 def test_inputs_that_are_too_many_for_the_disk_are_counted_in_state_log_and_bag(
@@ -364,7 +296,7 @@ def test_inputs_that_are_too_many_for_the_disk_are_counted_in_state_log_and_bag(
     live = CollectingRun(recording_to(tmp_path / 'live', **{'recorder.backlog': 3, 'node.queue': FRAMES}))
     live.process(stream[:8])
     with live.run._pipeline_lock:  # the last frame has been published, and now the recorder has refused it as well
-        assert 'inputs missing' in live.run.recording.state
+        assert 'inputs missing' in live.run.recorder_state
     disk_is_ready.set()
     live.wait_for_lines('processed but not recorded')
     live.run.stop()
@@ -395,62 +327,6 @@ def test_inputs_that_did_not_reach_the_tracker_leave_room_for_those_that_did(
     assert_replay_gives_the_same(bag, tmp_path / 'again')
 
 
-def test_the_end_of_the_node_waits_for_every_recording_and_tells_of_each(
-    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    disk_is_ready = block_disk(monkeypatch)
-    monkeypatch.setattr('mocap_ros.ros.live.MAX_FINISH_SECONDS', 0.05)
-    monkeypatch.setattr('mocap_ros.ros.live.MAX_PAUSE_SECONDS', 0.05)
-    live = CollectingRun(recording_to(tmp_path / 'live'))
-    live.process(stream[:1])
-    live.run.finish_recording()
-    live.run.start_recording()
-    live.process(stream[1:2])
-    stopping = threading.Thread(target=live.run.stop)
-    stopping.start()
-    live.wait_for_lines('the disk is slow; ', 2)
-    disk_is_ready.set()
-    stopping.join(TIMEOUT_S)
-    assert live.count_lines('the disk is slow; ') == live.count_lines('is finished') == 2
-    assert len(list((tmp_path / 'live').iterdir())) == 2
-
-
-def test_an_error_at_the_end_of_a_run_leaves_no_recording_open(
-    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    live = CollectingRun(recording_to(tmp_path / 'live'))
-    live.process(stream[:1])
-    monkeypatch.setattr(live.run._pipeline, 'reset', lambda: 1 / 0)
-    live.run.stop()
-    assert live.count_lines('ZeroDivisionError') == 1
-    bag = find_bag(tmp_path)
-    assert read_messages(bag, '/keypoints') == stream[:1]
-    assert (bag / 'metadata.yaml').exists()
-
-
-def test_the_limits_of_a_recording_may_be_changed_while_it_runs(
-    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    disk_is_ready = block_disk(monkeypatch)
-    config = recording_to(tmp_path / 'live', **{'recorder.backlog': 1, 'node.queue': FRAMES})
-    live = CollectingRun(config)
-    live.process(stream[:4])
-    live.wait_for_lines('processed but not recorded')
-    live.run.reconfigure(with_settings(config, {'recorder.backlog': 100}))
-    live.process(stream[4:8])
-    with live.run._pipeline_lock:  # the last frame has been published, and now it waits to be written as well
-        recorder = live.run.recording._recorder
-    assert recorder is not None
-    disk_is_ready.set()
-    wait_until(lambda: recorder.waiting_count == 0)  # what waits when the disk is found to be full is not written
-    bag = find_bag(tmp_path)
-    no_disk = 1_000_000  # MB that no disk here has left
-    live.run.reconfigure(with_settings(config, {'recorder.min_free_mb': no_disk}))
-    live.wait_for_lines(f'less than recorder.min_free_mb ({no_disk})')
-    live.run.stop()
-    assert read_messages(bag, '/keypoints')[-4:] == stream[4:8]
-
-
 def test_what_the_middleware_refuses_is_recorded_and_stops_nothing_else(
     tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -471,89 +347,34 @@ def test_what_the_middleware_refuses_is_recorded_and_stops_nothing_else(
     assert read_messages(bag, '/keypoints') == stream[:3]
 
 
-def test_a_topic_keeps_its_qos_when_an_input_was_too_many_for_the_disk(
-    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Publishers may have come and gone; a bag whose topic has two QoS profiles cannot be read."""
-    offered = [*make_topic('/keypoints', KEYPOINTS, latched=True).qos]
-    recording = LiveRecording(NAMES, LineLog(), lambda _: tuple(offered), MessageVersions())
-    recording.start(Pipeline(recording_to(tmp_path, **{'recorder.backlog': 1})), START_NS)
-    accepted = ProcessingResult(Verdict.ACCEPTED)
-
-    def write(number: int) -> bool:
-        ns = START_NS + number
-        message = ReceivedMessage(Source.KEYPOINTS, '/keypoints', number, stream[number], (ns, ns))
-        return recording.write_input(message, KEYPOINTS, accepted, ns)
-
-    while not write(0):
-        time.sleep(0.01)
-    disk_is_ready = block_disk(monkeypatch)
-    while write(1):
-        pass
-    offered.clear()
-    disk_is_ready.set()
-    while not write(2):
-        time.sleep(0.01)
-    folder = finish(recording)
-    assert read_messages(folder, '/keypoints')[-1] == stream[2]
-
-
 def test_the_diagnostics_say_why_nothing_is_recorded_until_that_is_mended_or_not_wanted(tmp_path: Path) -> None:
     blocking = tmp_path / 'file'
     blocking.write_text('')
     live = CollectingRun(recording_to(blocking / 'bags'))
-    assert live.run.recording.state.startswith('not recording: ')
-    assert live.run.recording.state.endswith('Not a directory')
-    assert live.run.recording.fault.startswith('recorder.enabled is set, but nothing is recorded: ')
-    assert live.run.recording.fault.endswith('Not a directory')
+    assert live.run.recorder_state.startswith('not recording: ')
+    assert live.run.recorder_state.endswith('Not a directory')
+    assert live.run.recorder_fault.startswith('recorder.enabled is set, but nothing is recorded: ')
+    assert live.run.recorder_fault.endswith('Not a directory')
     assert (
         live.count_lines('Not a directory; nothing is recorded: correct the cause, then set recorder.enabled') == 1
     )
     blocking.unlink()
     live.run.set_recording(True)
-    assert live.run.recording.state.startswith('recording to ')
-    assert live.run.recording.fault == ''
+    assert live.run.recorder_state.startswith('recording to ')
+    assert live.run.recorder_fault == ''
 
     live.run.set_recording(False)
     blocking.rename(tmp_path / 'bags')
     blocking.write_text('')
     live.run.set_recording(True)
-    assert live.run.recording.state.startswith('not recording: ')
+    assert live.run.recorder_state.startswith('not recording: ')
     live.run.set_recording(False)
-    assert (live.run.recording.state, live.run.recording.fault) == ('off', '')
+    assert (live.run.recorder_state, live.run.recorder_fault) == ('off', '')
     live.run.reconfigure(with_settings(FAST_CONFIG, {'recorder.folder': str(blocking / 'bags')}))
     with pytest.raises(RecordingError):  # the caller of the service knows, and the parameter is not set
         live.run.start_recording()
-    assert (live.run.recording.state, live.run.recording.fault) == ('off', '')
+    assert (live.run.recorder_state, live.run.recorder_fault) == ('off', '')
     live.run.stop()
-
-
-def test_a_recording_that_fails_while_it_runs_is_a_fault(
-    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    live = CollectingRun(recording_to(tmp_path / 'live'))
-
-    def fail(*_: object) -> None:
-        raise RecordingError('the disk is full')
-
-    monkeypatch.setattr(Recorder, 'write', fail)
-    live.enqueue(stream[0])
-    wait_until(lambda: live.run.recording.state == 'not recording: the disk is full')
-    assert live.run.recording.fault == 'recorder.enabled is set, but nothing is recorded: the disk is full'
-    live.run.set_recording(False)
-    assert (live.run.recording.state, live.run.recording.fault) == ('off', '')
-    live.run.stop()
-
-
-def test_a_recording_that_fails_at_once_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object, **__: object) -> bool:
-        raise RecordingError('the disk is full')
-
-    monkeypatch.setattr(BackgroundRecorder, 'put', fail)
-    recording = LiveRecording(NAMES, LineLog(), lambda _: (), MessageVersions())
-    with pytest.raises(RecordingError, match='the disk is full'):
-        recording.start(Pipeline(recording_to(tmp_path)), START_NS)
-    assert not recording.is_running
 
 
 class FaultyTracker:
@@ -594,37 +415,6 @@ def test_an_internal_error_costs_its_frame_and_is_logged_once(tmp_path: Path, st
     assert verdicts[1:] == [0, 0, 1, 0, 0, 1, 0, 0, 1, 1, 1, 0, 0, 1]
 
 
-def test_an_internal_error_outside_the_tracker_does_not_end_the_run(
-    stream: list[bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    live = CollectingRun(FAST_CONFIG)
-
-    def fail(_: str) -> None:
-        raise RuntimeError('no log')
-
-    monkeypatch.setattr(live.run, '_note_accepted', fail)
-    live.process(stream[:3])
-    live.run.stop()
-    assert live.count_lines('RuntimeError: no log') == 1
-
-
-def test_a_recording_that_cannot_be_finished_is_reported_as_a_failure(
-    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    live = CollectingRun(recording_to(tmp_path / 'live'))
-    live.process(stream[:1])
-
-    def fail(*_: object) -> None:
-        raise OSError(28, 'No space left on device')
-
-    monkeypatch.setattr(McapFile, 'finish', fail)
-    with pytest.raises(RecordingError, match='No space left'):
-        live.run.finish_recording()
-    assert live.run.finish_recording() is None
-    live.run.stop()
-    assert sum('No space left' in line for line in live.log.lines) == 1
-
-
 @pytest.mark.parametrize(
     ('values', 'is_warned'), [({}, True), ({'node.output_frame': 'map', 'node.camera_pose': '0 0 1 0 0 0'}, False)]
 )
@@ -647,8 +437,7 @@ def test_inputs_of_a_split_recording_are_read_whole_and_file_by_file(
     offered = [make_topic('/', TRANSFORMS, latched=is_latched).qos[0] for is_latched in latched]
     kept = make_topic('/', CAMERA_INFO, latched=True).qos
     qos = {'/tf_static': offered, '/camera_info': kept}
-    recording = LiveRecording(names, LineLog(), lambda topic: qos.get(topic, ()), MessageVersions())
-    recording.start(Pipeline(config), START_NS)
+    recording = start_recording(config, names, lambda topic: qos.get(topic, ()))
     inputs: list[tuple[str, bytes]] = []
 
     def record(topic: str, msgtype: str, raw: bytes, delay_ms: int, result: ProcessingResult) -> None:
@@ -673,11 +462,11 @@ def test_inputs_of_a_split_recording_are_read_whole_and_file_by_file(
         record('/keypoints', KEYPOINTS, raw, 33 * (i + 1), skipped if i == 80 else with_output)
         moving = make_transforms(('odom', 'map', i, (1, 0, 0)))
         record('/tf', TRANSFORMS, moving, 33 * (i + 1) + 3, accepted)
-    folder = finish(recording)
+    recording.finish()
 
-    files = sorted(folder.glob('*.mcap'))
+    files = sorted(recording.folder.glob('*.mcap'))
     assert len(files) == 3
-    with Bag(folder) as bag:
+    with Bag(recording.folder) as bag:
         run = read_run(bag)
         read = [(m.topic, m.raw) for m in run.leave_out_repeated(bag.messages({t for t, _ in inputs}))]
     assert read == inputs
@@ -698,8 +487,7 @@ def test_a_recording_begins_with_no_transforms_that_a_replay_takes_as_outputs(tm
     pipeline.transforms.add(make_transforms(*people, ('map', 'base', 0, (1, 0, 0))), is_static=False)
     pipeline.transforms.add(make_transforms(('map', 'base', 0, (1, 0, 0))), is_static=True)
     names = NAMES | {'/tf': '/tf', '/tf_static': '/tf_static'}
-    recording = LiveRecording(names, LineLog(), lambda _: (), MessageVersions())
-    recording.start(pipeline, START_NS)
-    folder = finish(recording)
-    with Bag(folder) as bag:
+    recording = Recording(pipeline, START_NS, names, LineLog(), lambda _: (), MessageVersions())
+    recording.finish()
+    with Bag(recording.folder) as bag:
         assert [bag.count([topic]) for topic in ('/tf_static', '/tf')] == [1, 0]

@@ -81,7 +81,7 @@ def wait_for_permissions(peer: Peer, name: str, missing: set[str]) -> None:
 
 
 def test_the_node_has_what_the_policies_allow(peer: Peer, start_node: StartNode) -> None:
-    wanted = {output.topic: output.type for output in SWITCHED_OUTPUTS.values()} | {'/tf_static': TRANSFORMS}
+    wanted = dict(SWITCHED_OUTPUTS.values()) | {'/tf_static': TRANSFORMS}
     bodies = {BODIES, '/humans/bodies/tracked'}  # inputs of another type
     missing = {*bodies, *(topic for topic, kind in wanted.items() if not is_installed(kind))}
     assert 'predictions' not in missing

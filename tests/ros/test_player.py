@@ -9,7 +9,6 @@ import re
 import signal
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +19,10 @@ from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig
 from mocap_ros.demo.scene import make_recording
-from mocap_ros.errors import MocapError
 from mocap_ros.formats.sequence_file import save_sequence
-from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION, encode_skeleton_definition
 from mocap_ros.ros.message_types import load_interface_class
-from mocap_ros.runtime.playback import Playback
 from mocap_ros.skeleton import CMU15
 from tests.support.ros_node import TIMEOUT_S, Peer, keypoints_at, run_cli
 
@@ -57,41 +53,6 @@ def test_a_name_that_ros_refuses_is_named_in_one_line(tmp_path: Path, capsys: py
     assert main(['play', str(tmp_path / 'demo.npz'), '--to', 'key points']) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("mocap-ros: --to 'key points': topic name must not contain characters")
-
-
-def test_a_topic_whose_name_ros_refuses_is_left_out_of_all(tmp_path: Path) -> None:
-    from mocap_ros.ros.player import PlaybackOptions, Player
-
-    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        for topic in ('/keypoints', '/key points'):
-            recorder.add_topic(make_topic(topic, KEYPOINTS))
-            recorder.write(topic, KEYPOINTS, keypoints_at(0), 10**9, 10**9)
-    player = Player(Playback(tmp_path / 'bag', everything=True), PlaybackOptions(wait=0.1))
-    with pytest.raises(MocapError, match='no subscriber to /keypoints appeared within'):
-        player.play()
-    (skipped,) = player.skipped_topics
-    assert skipped.startswith('/key points: topic name must not contain characters')
-
-
-def test_a_sequence_plays_on_the_topic_that_is_named(env: dict[str, str], peer: Peer, tmp_path: Path) -> None:
-    sequence = make_recording().sequence()
-    sequence = replace(sequence, timestamps=sequence.timestamps[:3], keypoints=sequence.keypoints[:3], truth=None)
-    save_sequence(tmp_path / 'demo.npz', sequence)
-    received: list[bytes] = []
-    message_class = load_interface_class(KEYPOINTS)
-    subscription = peer.node.create_subscription(message_class, '/camera/points', received.append, 10, raw=True)
-    peer.subscriptions.append(subscription)
-    command = ['play', str(tmp_path / 'demo.npz'), '--to', '/camera/points']
-    player = subprocess.Popen(
-        [sys.executable, '-m', 'mocap_ros.cli.main', *command], env=env, stdout=subprocess.PIPE, text=True
-    )
-    try:
-        peer.wait_until(lambda: len(received) == 3)
-        out, _ = player.communicate(timeout=TIMEOUT_S)
-    finally:
-        player.kill()
-    assert out.endswith('demo.npz: 3 messages published on /camera/points\n')
-    assert [decode(raw, KEYPOINTS).header.stamp.sec for raw in received] == [int(t) for t in sequence.timestamps]
 
 
 def test_all_topics_play_in_a_loop_with_clock_and_recorded_qos(

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -63,7 +63,7 @@ def test_an_override_holds_for_its_topic_alone(peer: Peer) -> None:
         parameter_overrides=[Parameter(f'qos_overrides./{name}', value=v) for name, v in overrides.items()],
     )
     inputs = InputSubscriptions(node, KEYPOINTS, MessageVersions(), lambda: Config().node)
-    inputs.subscribe(lambda *_: None, lambda _: None, lambda _: None)
+    inputs.subscribe(cast(Any, None))
 
     def find_profiles() -> dict[str, tuple[Any, Any]]:
         found = {topic: peer.node.get_subscriptions_info_by_topic(topic) for topic in inputs.topics}

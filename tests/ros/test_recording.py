@@ -27,17 +27,9 @@ from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION
 from mocap_ros.runtime.outputs import OUTPUTS
+from mocap_ros.runtime.playback import encode_sequence
 from mocap_ros.runtime.replay import replay
-from mocap_ros.runtime.sequence_messages import encode_sequence
-from tests.support.ros_node import (
-    TIMEOUT_S,
-    Peer,
-    StartNode,
-    keypoints_at,
-    run_cli,
-    stack_joints,
-    stop_node,
-)
+from tests.support.ros_node import TIMEOUT_S, Peer, StartNode, keypoints_at, run_cli, stack_joints, stop_node
 
 pytest.importorskip('rclpy')
 pytest.importorskip('mocap_ros_msgs')
@@ -161,28 +153,6 @@ def test_a_recording_switched_by_parameter_ends_when_its_folder_is_removed(
     peer.wait_for_frames(2)
     (line,) = stop_node(node)
     assert re.search(r'removed or moved while it was written; the recording has ended, and the node', line)
-
-
-def test_a_recording_that_cannot_be_finished_stays_off(peer: Peer, start_node: StartNode, tmp_path: Path) -> None:
-    from lifecycle_msgs.msg import Transition
-
-    bags = tmp_path / 'bags'
-    node = start_node('recorder.enabled:=true', f'recorder.folder:={bags}')
-    peer.wait_for_node()
-    peer.wait_for_keypoints_subscription()
-    peer.keypoints.publish(keypoints_at(1))
-    peer.wait_for_frames(1)
-    shutil.rmtree(bags)
-    assert not peer.record(False).success
-    assert peer.get_parameter('recorder.enabled') is False
-
-    peer.change_state(Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE)
-    peer.wait_for_keypoints_subscription()
-    peer.keypoints.publish(keypoints_at(2))
-    peer.wait_for_frames(2)
-    (line,) = stop_node(node)
-    assert 'removed or moved while it was written; the recording has ended' in line
-    assert not bags.exists()
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -72,7 +73,7 @@ def test_bodies_are_followed_unless_their_ids_are_no_names(node: Any) -> None:
         assert node.topics == {f'/humans/bodies/{i}/skeleton2d' for i in ids if i not in NO_NAMES}
     inputs._follow_bodies(encode_plain((HEADER, ['b1', 'b2']), HRI_IDS))
     forgotten: list[str] = []
-    inputs._forget_topic = forgotten.append
+    inputs._run = cast(Any, SimpleNamespace(queue=SimpleNamespace(forget=forgotten.append)))
     inputs._follow_bodies(encode_plain((HEADER, ['b1']), HRI_IDS))
     assert forgotten == ['/humans/bodies/b2/skeleton2d']
     inputs._follow_bodies(b'no message')

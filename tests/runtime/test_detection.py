@@ -21,7 +21,7 @@ from mocap_ros.formats.video import VideoImage
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.runtime import detection
 from mocap_ros.runtime.detection import detect_in_video, detect_people, name_people
-from mocap_ros.runtime.load_keypoints import load_input
+from mocap_ros.runtime.load_keypoints import InputOptions, load_input
 from tests.support.blob_people import draw, save_movenet, save_rtmpose, walk, write_video
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def test_a_video_of_two_people_in_turn_gives_one_of_them_and_a_warning(tmp_path:
     images = [draw([person]) for person in (*here, *there[:5])]
     path = write_video(tmp_path / 'two.mkv', images, [i / 25 for i in range(len(images))])
     model = save_movenet(tmp_path / 'movenet.onnx')
-    sequence, lines = load_input(path, Video(detector=model), NodeConfig())
+    sequence, lines = load_input(path, InputOptions(Video(detector=model), NodeConfig()))
     assert len(sequence) == FRAMES
     assert np.nanmax(sequence.keypoints[..., 0]) < 320
     choice = '1 more, choose by --person: person_1 (12), person_2 (5)'
@@ -69,7 +69,7 @@ def test_a_video_of_two_people_in_turn_gives_one_of_them_and_a_warning(tmp_path:
         f'{path}: keypoints by MoveNet (movenet.onnx)',
         f'{path}: warning: the detector jumps between people: at 0.48 s from person_1 to person_2',
     ]
-    other, _ = load_input(path, Video(detector=model), NodeConfig(), 'person_2')
+    other, _ = load_input(path, InputOptions(Video(detector=model), NodeConfig(), 'person_2'))
     assert len(other) == 5
 
 
@@ -166,7 +166,7 @@ def test_nobody_seen_and_wrong_files_are_named_in_one_line(tmp_path: Path) -> No
     with pytest.raises(ModelError, match=r'none\.onnx: no such file'):
         detect_in_video(empty, tmp_path / 'none.onnx')
     with pytest.raises(InputError, match=r'empty\.mkv: is a video, to which --fps does not apply'):
-        load_input(empty, Video(fps=30.0, detector=model), NodeConfig())
+        load_input(empty, InputOptions(Video(fps=30.0, detector=model), NodeConfig()))
     (tmp_path / 'a.json').write_text('[]')
     with pytest.raises(InputError, match=r'a\.json: is a JSON file, to which --detector does not apply'):
-        load_input(tmp_path / 'a.json', Video(fps=30.0, detector=model), NodeConfig())
+        load_input(tmp_path / 'a.json', InputOptions(Video(fps=30.0, detector=model), NodeConfig()))

@@ -91,14 +91,6 @@ def test_transforms_tell_the_floor_as_a_fixed_pose_does(stream: list[bytes], wit
     np.testing.assert_allclose(one, other, atol=1e-6)
 
 
-def test_without_a_transform_there_is_no_floor_and_people_are_put_out_nevertheless(
-    stream: list[bytes], without_floor: Any
-) -> None:
-    pipeline = Pipeline(with_values(floor_config(without_floor), {'node.camera_pose': ''}))
-    own, in_camera = read_joints(pipeline, stream[:20]), read_joints(Pipeline(FAST_CONFIG), stream[:20])
-    np.testing.assert_allclose(own, in_camera, atol=1e-9)
-
-
 def list_remarks(pipeline: Pipeline, stream: list[bytes]) -> list[str]:
     """Return what is remarked on each frame, transforms of a level camera in map included."""
     pipeline.feed(

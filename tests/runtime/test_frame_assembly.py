@@ -5,9 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import pytest
 
 from mocap_ros.bags.journal import Verdict
@@ -18,12 +15,10 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.runtime.frame_assembly import FrameAssembler
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
-from mocap_ros.tracking.tracker import Tracker
 from tests.support.foreign_messages import (
     HRI_IDS_TOPIC,
     IMAGE_SIZE,
     STEP_NS,
-    Input,
     decode_skeletons,
     encode_body,
     encode_ids,
@@ -33,40 +28,6 @@ from tests.support.foreign_messages import (
     make_hri_inputs,
     make_people,
 )
-
-
-def test_a_message_that_completes_two_images_outputs_the_accepted_one() -> None:
-    """If the tracker refuses one of two images, the image before or after it is still output."""
-    first, second = make_people(0)
-
-    def make_body_input(person: Person2D, frame: int) -> Input:
-        return Source.BODY, encode_body(person, make_header(frame)), make_body_topic(HRI_IDS_TOPIC, person.id)
-
-    class RefusingTracker(Tracker):
-        """A tracker that refuses images that show only the second person."""
-
-        def update(self, stamp_ns: int, people: Sequence[Person2D], *more: Any) -> Any:
-            if [p.id for p in people] == [second.id]:
-                raise FrameDropped('refused')
-            return super().update(stamp_ns, people, *more)
-
-    pipeline = Pipeline(make_config(HRI_SKELETON), None, RefusingTracker)
-    feed_all(
-        pipeline, [(Source.TRACKED_BODIES, encode_ids(0, 'b0', 'b1'), HRI_IDS_TOPIC), make_body_input(first, 0)]
-    )
-    feed_all(pipeline, [(Source.TRACKED_BODIES, encode_ids(1, 'b1'), HRI_IDS_TOPIC)])
-    result = pipeline.feed(*make_body_input(second, 1))  # completes image 1, and ends image 0 without b1
-    assert [o.stamp_ns for o in result.outputs if o.topic == 'skeletons'] == [make_header(0).stamp_ns]
-    assert (result.verdict, result.reason) == (Verdict.DROPPED, 'refused')
-
-    feed_all(
-        pipeline, [(Source.TRACKED_BODIES, encode_ids(2, 'b0', 'b1'), HRI_IDS_TOPIC), make_body_input(second, 2)]
-    )
-    # Nobody is tracked: this ends image 2, and completes image 3, which shows nobody.
-    result = pipeline.feed(Source.TRACKED_BODIES, encode_ids(3), HRI_IDS_TOPIC)
-    assert [o.stamp_ns for o in result.outputs if o.topic == 'skeletons'] == [make_header(3).stamp_ns]
-    assert (result.verdict, result.reason) == (Verdict.DROPPED, 'refused')
-    assert pipeline.counters.dropped == {'stamp': 2}
 
 
 def test_images_are_complete_when_all_tracked_bodies_have_arrived() -> None:

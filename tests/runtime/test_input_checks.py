@@ -15,13 +15,12 @@ import numpy as np
 import pytest
 
 from mocap_ros.bags.topics import Source
-from mocap_ros.config import with_settings
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.camera_info import CameraInfo, encode_camera_info
 from mocap_ros.messages.cdr import Header, decode, encode
-from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
+from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.runtime.input_checks import (
     LEAST_S,
     _describe_outside,
@@ -99,11 +98,6 @@ def test_nothing_is_remarked_on_right_points(stream: list[bytes]) -> None:
     assert not any(list_remarks(Pipeline(FAST_CONFIG), stream))
 
 
-def make_detection(xs: list[float], score: float = 1.0) -> Person2D:
-    points = np.column_stack([xs, np.full(len(xs), 100.0)])
-    return Person2D('', COCO17[: len(xs)], points, np.where(np.isnan(xs), 0.0, score))
-
-
 @pytest.mark.parametrize(
     ('xs', 'is_wrong'),
     [
@@ -176,21 +170,6 @@ def test_misspelt_joints_that_are_missing_are_described(
         pipeline = Pipeline(FAST_CONFIG)
         assert list_remarks(pipeline, [edit_people(raw, misspell) for raw in stream[:3]]) == [expected, '', '']
         assert pipeline.checks.warnings == (expected,)
-
-
-def test_a_remark_is_made_again_after_nobody_was_there_for_long(stream: list[bytes]) -> None:
-    config = with_settings(FAST_CONFIG, {'tracker.forget_all_after': 2.0})
-
-    wrong = [edit_people(raw, reverse_joints) for raw in stream]
-
-    def empty(seconds: float) -> bytes:
-        return encode_keypoints(Header(round(seconds * 1e9), 'camera'), (640, 480), [])
-
-    for gap_s, count in ((1.5, 1), (4.0, 2)):
-        pipeline = Pipeline(config)
-        frames = [*wrong, *(empty(7 + i * STEP_S) for i in range(round(gap_s / STEP_S)))]
-        frames += [with_stamp(raw, round((7 + gap_s + i * STEP_S) * 1e9)) for i, raw in enumerate(wrong)]
-        assert sum(map(bool, list_remarks(pipeline, frames))) == count
 
 
 def test_no_layout_has_misspelt_joints() -> None:

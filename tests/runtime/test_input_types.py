@@ -23,9 +23,7 @@ from mocap_ros.formats.detections import Video
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.runtime.load_keypoints import load_bag, load_input
-from mocap_ros.runtime.load_scene import SceneOptions, load_scene
+from mocap_ros.runtime.load_keypoints import InputOptions, load_bag, load_input
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.foreign_messages import (
@@ -89,7 +87,7 @@ def test_a_bag_of_any_detector_is_a_sequence(msgtype: str, tmp_path: Path) -> No
     assert [len(p) for p in detections.people] == [2] * FRAMES + [1 if msgtype == HRI_SKELETON else 2]
     (remark,) = detections.remarks
     assert re.match(r'1 messages left out; /\S+: message \d\d: (its )?stamp ', remark)
-    sequence, _ = load_input(tmp_path / 'bag', Video(), LIMITS)
+    sequence, _ = load_input(tmp_path / 'bag', InputOptions(Video(), LIMITS))
     assert (len(sequence), sequence.image_size, sequence.frame_id) == (FRAMES + 1, IMAGE_SIZE, 'camera')
     for frame in (0, FRAMES - 1):
         expected, points = (
@@ -97,71 +95,6 @@ def test_a_bag_of_any_detector_is_a_sequence(msgtype: str, tmp_path: Path) -> No
             for p in (make_people(frame)[0], sequence.person(frame))
         )
         np.testing.assert_allclose(points, expected, atol=1e-3)
-
-
-@pytest.mark.parametrize('msgtype', INPUT_TYPES)
-def test_a_recorded_run_of_any_detector_is_drawn_with_its_keypoints(msgtype: str, tmp_path: Path) -> None:
-    inputs = [i for frame in range(FRAMES) for i in make_inputs(msgtype, frame)]
-    last_source, last_raw, last_topic = inputs[-1]
-    inputs.append((last_source, last_raw[:-20], last_topic))
-    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        for number, (source, raw, topic) in enumerate(inputs, 1):
-            recorder.write(topic, list_input_types(msgtype)[source], raw, number, number)
-    with Bag(tmp_path / 'bag') as bag:
-        replay(bag, tmp_path / 'run', ReplayOptions(make_config(msgtype)))
-    scene, lines = load_scene(tmp_path / 'run', SceneOptions(BASE_CONFIG, load_base_pose_models('walk')))
-    assert len(scene.people) == 2
-    assert scene.image_size == IMAGE_SIZE
-    (line,) = lines
-    assert re.search(r'run: 1 messages left out; ', line)
-    for frame in range(FRAMES):
-        drawn = [
-            build_joint_map(keypoints.skeleton.joints).apply(
-                points, np.isfinite(points).all(axis=1).astype(float)
-            )[0]
-            for keypoints in scene.keypoints
-            for points in keypoints.points[keypoints.frames == frame]
-        ]
-        expected = [build_joint_map(p.joints).apply(p.points, p.score)[0] for p in make_people(frame)]
-        for points in expected:
-            assert any(np.allclose(points, other, atol=0.01, equal_nan=True) for other in drawn), frame
-
-
-CLEAN_OUTPUTS: dict[str, list[bytes]] = {}
-
-
-def compute_clean_outputs(msgtype: str) -> list[bytes]:
-    """Return the skeletons of the messages without garbage."""
-    if msgtype not in CLEAN_OUTPUTS:
-        inputs = [i for frame in range(3) for i in make_inputs(msgtype, frame)]
-        results = feed_all(Pipeline(make_config(msgtype)), inputs)
-        CLEAN_OUTPUTS[msgtype] = [o.data for c in results for o in c.outputs if o.topic == 'skeletons']
-        assert len(CLEAN_OUTPUTS[msgtype]) == 3
-    return CLEAN_OUTPUTS[msgtype]
-
-
-@settings(max_examples=15)
-@given(st.data())
-@pytest.mark.parametrize('msgtype', INPUT_TYPES)
-def test_garbage_among_good_messages_is_counted_and_changes_nothing(msgtype: str, data: st.DataObject) -> None:
-    pipeline, outputs, invalid_count = Pipeline(make_config(msgtype)), [], 0
-    for frame in range(3):
-        for source, raw, topic in make_inputs(msgtype, frame):
-            for garbage in data.draw(st.lists(garbage_like(raw), max_size=3)):
-                Pipeline(make_config(msgtype)).feed(source, garbage, topic)  # also as the first message
-                invalid_count += 1
-                result = pipeline.feed(source, garbage, topic)
-                assert result.verdict is Verdict.INVALID, result.reason
-                assert not result.error_traceback
-            outputs += [o.data for o in pipeline.feed(source, raw, topic).outputs if o.topic == 'skeletons']
-    assert outputs == compute_clean_outputs(msgtype)
-    assert pipeline.counters.invalid == invalid_count
-
-
-def garbage_like(raw: bytes) -> st.SearchStrategy[bytes]:
-    """Return bytes that are never a valid message: the message cut short, or short random bytes."""
-    cut = st.integers(0, len(raw) - 9).map(lambda n: raw[:n])
-    return st.one_of(cut, st.binary(max_size=60))
 
 
 @settings(max_examples=60)

@@ -9,7 +9,6 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -20,14 +19,12 @@ import mocap_ros
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError
-from mocap_ros.formats import detections
-from mocap_ros.formats.detections import Detections, PersonTrack, Video, associate_people
+from mocap_ros.formats.detections import Video
 from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
-from mocap_ros.runtime import load_keypoints
-from mocap_ros.runtime.load_keypoints import load_input, load_people, load_sequence_file
+from mocap_ros.runtime.load_keypoints import InputOptions, load_input, load_sequence_file
 from mocap_ros.units import NS_PER_S
 from tests.support.camera_infos import camera_info
 from tests.support.keypoint_files import FPS, FRAMES, LIMITS, make_walker
@@ -52,13 +49,13 @@ def write_bag(folder: Path, images: Iterable[Image], infos: Mapping[str, bytes] 
 
 
 def test_a_bag_gives_the_keypoints_and_their_stamps(tmp_path: Path) -> None:
-    sequence, (chosen,) = load_input(write_bag(tmp_path / 'bag', make_images()), Video(), LIMITS)
+    sequence, (chosen,) = load_input(write_bag(tmp_path / 'bag', make_images()), InputOptions(Video(), LIMITS))
     assert sequence.stamps_ns == [stamp for stamp, *_ in make_images()]
     assert (sequence.person_id, sequence.frame_id, sequence.image_size) == ('anna', 'cam', (640, 480))
     assert sequence.keypoints == pytest.approx(make_walker().keypoints, nan_ok=True, abs=1e-3)
     assert "'anna', seen in 40 of 40 frames" in chosen
     with pytest.raises(InputError, match="bag: no person 'bob'; there are anna"):
-        load_input(tmp_path / 'bag', Video(), LIMITS, person='bob')
+        load_input(tmp_path / 'bag', InputOptions(Video(), LIMITS, person='bob'))
 
 
 def add_other_camera(images: list[Image]) -> list[Image]:
@@ -94,7 +91,7 @@ def test_messages_that_do_not_belong_are_left_out(
     tmp_path: Path, edit: Callable[[list[Image]], list[Image]], has_info: bool, line: str
 ) -> None:
     bag = write_bag(tmp_path / 'bag', edit(make_images()), {'/camera_info': camera_info()} if has_info else {})
-    sequence, lines = load_input(bag, Video(), LIMITS)
+    sequence, lines = load_input(bag, InputOptions(Video(), LIMITS))
     first = round((sequence.stamps_ns[0] - START_NS) * 25 / NS_PER_S)
     walk = make_walker().keypoints[first : first + len(sequence)]
     assert sequence.keypoints == pytest.approx(walk, nan_ok=True, abs=1e-3)
@@ -117,7 +114,7 @@ def test_a_transposed_image_size_is_refused_and_a_wrong_one_is_named(tmp_path: P
     path.write_text(json.dumps(people))
 
     def load(size: tuple[int, int]) -> list[str]:
-        return load_input(path, Video(fps=FPS, image_size=size), LIMITS)[1]
+        return load_input(path, InputOptions(Video(fps=FPS, image_size=size), LIMITS))[1]
 
     transposed = (
         r'walk\.json: --image-size: \d+% of the seen keypoints lie outside 480 x 1100 px, '
@@ -132,22 +129,22 @@ def test_a_transposed_image_size_is_refused_and_a_wrong_one_is_named(tmp_path: P
 
 def test_a_focal_length_is_given_where_none_is_known(tmp_path: Path) -> None:
     save_sequence(tmp_path / 'a.npz', make_walker())  # 640 px wide
-    assert not load_input(tmp_path / 'a.npz', Video(), LIMITS)[0].is_camera_known
+    assert not load_input(tmp_path / 'a.npz', InputOptions(Video(), LIMITS))[0].is_camera_known
     for video, focal in ((Video(hfov=90.0), 320), (Video(focal=500.0), 500)):
-        known, lines = load_input(tmp_path / 'a.npz', video, LIMITS)
+        known, lines = load_input(tmp_path / 'a.npz', InputOptions(video, LIMITS))
         camera = known.intrinsics(1.0)
         assert camera.focal == pytest.approx(focal)
         assert (camera.center, camera.is_focal_known) == ((320, 240), True)
         assert not lines
     with pytest.raises(InputError, match=r'a\.npz: --focal: 26 px in an image 640 px wide are 171 degrees'):
-        load_input(tmp_path / 'a.npz', Video(focal=26.0), LIMITS)
+        load_input(tmp_path / 'a.npz', InputOptions(Video(focal=26.0), LIMITS))
     flat = make_walker().keypoints.reshape(FRAMES, -1)
     people = [{'image_id': f, 'keypoints': np.nan_to_num(k).tolist(), 'score': 1.0} for f, k in enumerate(flat)]
     (tmp_path / 'c.json').write_text(json.dumps(people))
     with pytest.raises(InputError, match=r'c\.json: --hfov and --focal need --image-size'):
-        load_input(tmp_path / 'c.json', Video(fps=FPS, hfov=60.0), LIMITS)
+        load_input(tmp_path / 'c.json', InputOptions(Video(fps=FPS, hfov=60.0), LIMITS))
     save_sequence(tmp_path / 'b.npz', known)
-    calibrated, (line,) = load_input(tmp_path / 'b.npz', Video(hfov=90.0), LIMITS)
+    calibrated, (line,) = load_input(tmp_path / 'b.npz', InputOptions(Video(hfov=90.0), LIMITS))
     assert calibrated.intrinsics(1.0).focal == pytest.approx(500)
     assert '--hfov and --focal are not used' in line
     assert mocap_ros.read(tmp_path / 'a.npz', hfov=90.0).intrinsics(1.0).focal == pytest.approx(320)
@@ -164,7 +161,7 @@ def test_a_camera_info_that_cannot_be_used_is_named(tmp_path: Path, *, usable: b
         for frame, stamp in enumerate(make_walker().stamps_ns, 1):
             raw = encode_keypoints(Header(stamp, 'camera'), (640, 480), [make_walker().person(frame - 1)])
             recorder.write('/cam/keypoints', KEYPOINTS, raw, frame, frame)
-    sequence, lines = load_input(tmp_path / 'bag', Video(), LIMITS)
+    sequence, lines = load_input(tmp_path / 'bag', InputOptions(Video(), LIMITS))
     assert any(
         line.endswith('/cam/camera_info: message 1 cannot be used: distortion: a coefficient is not finite')
         for line in lines
@@ -176,35 +173,11 @@ def test_of_several_cameras_of_a_bag_one_is_chosen(tmp_path: Path) -> None:
     infos = {f'/{side}/camera_info': camera_info(focal=f) for side, f in (('left', 500.0), ('right', 600.0))}
     bag = write_bag(tmp_path / 'bag', make_images(), infos)
     with pytest.raises(InputError, match='choose one with --camera-info: /left/camera_info, /right/camera_info'):
-        load_input(bag, Video(), LIMITS)
-    sequence, _ = load_input(bag, Video(), LIMITS, camera_info='/right/camera_info')
+        load_input(bag, InputOptions(Video(), LIMITS))
+    sequence, _ = load_input(bag, InputOptions(Video(), LIMITS, camera_info='/right/camera_info'))
     assert sequence.intrinsics(1.0).focal == pytest.approx(600)
     assert mocap_ros.read(bag, camera_info='/left/camera_info').intrinsics(1.0).focal == pytest.approx(500)
     with pytest.raises(InputError, match='there is no CameraInfo on /back'):
-        load_input(bag, Video(), LIMITS, camera_info='/back')
+        load_input(bag, InputOptions(Video(), LIMITS, camera_info='/back'))
     with pytest.raises(mocap_ros.InputError, match='choose one with camera_info: '):
         mocap_ros.read(bag)
-
-
-def test_people_without_ids_are_associated_once_however_many_there_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Each association takes as long as the whole input has people, so one for each person would take hours."""
-    walker = make_walker()
-    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
-        for frame in range(FRAMES):
-            stamp, person = (frame + 1) * NS_PER_S // 25, walker.person(frame)
-            people = [replace(person, points=person.points + [x, 0]) for x in (0, 500, 1000)]
-            recorder.write('/k', KEYPOINTS, encode_keypoints(Header(stamp, ''), (0, 0), people), stamp, stamp)
-    calls = []
-
-    def associate(found: Detections) -> list[PersonTrack]:
-        calls.append(found)
-        return associate_people(found)
-
-    for module in (detections, load_keypoints):
-        monkeypatch.setattr(module, 'associate_people', associate)
-    sequences, lines = load_people(tmp_path / 'bag', Video(), LIMITS)
-    assert [s.person_id for s in sequences] == ['person_1', 'person_2', 'person_3']
-    assert len({s.image_size for s in sequences}) == len(calls) == 1
-    assert [line for line in lines if 'image size not known' in line] == lines

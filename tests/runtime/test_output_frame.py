@@ -176,18 +176,6 @@ def test_without_transforms_people_are_in_the_frame_of_the_camera_and_the_reason
     np.testing.assert_array_equal(stack(skeletons), stack(in_camera[0]))
 
 
-@pytest.mark.parametrize(('late_s', 'frame_id'), [(0.04, 'map'), (0.06, 'camera')])
-def test_a_transform_holds_for_the_time_that_the_parameter_says(
-    stream: list[bytes], in_camera: list[Any], late_s: float, frame_id: str
-) -> None:
-    pipeline = Pipeline(with_values(MAP_CONFIG, {'node.transform_tolerance': 0.05}))
-    pipeline.set_camera_info(camera_info())
-    feed_transforms(pipeline, Source.STATIC_TRANSFORMS, static_transforms())
-    newest_ns = stamp_of(in_camera[-1]) - round(late_s * SECOND_NS)
-    feed_transforms(pipeline, Source.TRANSFORMS, robot_at(newest_ns))
-    assert find_skeletons(process(pipeline, stream[-1])).header.frame_id == frame_id
-
-
 @pytest.mark.parametrize(
     ('values', 'message'),
     [
@@ -244,20 +232,6 @@ def test_a_replay_reads_the_transforms_of_the_bag(
     np.testing.assert_allclose(read_joints(tmp_path / 'plain'), [stack(own) for own in in_camera], atol=1e-9)
     in_optical_frame, _ = load_result(tmp_path / 'out')
     np.testing.assert_allclose(in_optical_frame.joints, [stack(own)[0] for own in in_camera], atol=1e-9)
-
-
-def test_a_replay_tells_once_what_the_node_remarks(
-    tmp_path: Path, stream: list[bytes], in_camera: list[Any]
-) -> None:
-    write_bag(tmp_path / 'bag', stream, in_camera)
-    nowhere = with_values(MAP_CONFIG, {'node.output_frame': 'nowhere'})
-    with Bag(tmp_path / 'bag') as bag:
-        result = replay(bag, tmp_path / 'out', ReplayOptions(nowhere))
-    assert (result.counters.accepted, result.first_rejection) == (FRAMES, '')
-    (remark,) = result.remarks
-    assert remark.startswith(f'{tmp_path / "bag"}: /keypoints: input ')
-    assert "'nowhere'" in remark
-    assert remark.endswith('so people are published in the frame of the camera')
 
 
 class LiveRobot:

@@ -21,7 +21,7 @@ from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.camera_info import decode_camera_info
-from mocap_ros.messages.cdr import Header, create_header, decode, encode
+from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
 from mocap_ros.messages.markers import MARKERS
 from mocap_ros.runtime.pipeline import MAX_CONSECUTIVE_ERRORS, Pipeline
@@ -93,13 +93,6 @@ def test_bad_input_is_counted_and_changes_nothing(stream: list[bytes]) -> None:
     assert (counters.accepted, counters.invalid, counters.dropped['stamp']) == (6, 6, 11)
 
 
-def test_a_refused_message_tells_whether_it_was_decoded(stream: list[bytes]) -> None:
-    pipeline = Pipeline(FAST_CONFIG)
-    pipeline.set_camera_info(camera_info(width=320, height=240))
-    results = [pipeline.feed(Source.KEYPOINTS, raw) for raw in (stream[1][:50], stream[1])]
-    assert [(r.verdict, r.was_decoded) for r in results] == [(Verdict.INVALID, False), (Verdict.INVALID, True)]
-
-
 def test_a_tracker_that_fails_at_every_image_is_reset_whatever_comes_between(stream: list[bytes]) -> None:
     resets: list[int] = []
 
@@ -118,28 +111,6 @@ def test_a_tracker_that_fails_at_every_image_is_reset_whatever_comes_between(str
         assert pipeline.feed(Source.CAMERA_INFO, camera_info()).verdict is Verdict.ACCEPTED
         assert pipeline.feed(Source.KEYPOINTS, raw).error_traceback
     assert resets == [MAX_CONSECUTIVE_ERRORS]
-
-
-def test_of_two_cameras_that_send_in_turn_only_the_first_is_used(stream: list[bytes]) -> None:
-    def of_camera(frame: int, camera: str, seconds: float) -> bytes:
-        message = decode(stream[frame], KEYPOINTS)
-        message.header = create_header(Header(round(seconds * 1e9), camera))
-        return encode(message, KEYPOINTS)
-
-    alone, mixed = Pipeline(FAST_CONFIG), Pipeline(FAST_CONFIG)
-    for n in range(6):
-        expected = process(alone, of_camera(n, 'front', 1 + n / 30))
-        assert process(mixed, of_camera(n, 'front', 1 + n / 30)) == expected
-        reason = reject(mixed, of_camera(5 - n, 'back', 1.01 + n / 30), Verdict.INVALID)
-        assert reason.startswith("header.frame_id: 'back', but the people of 'front' are being tracked")
-    assert (mixed.counters.accepted, mixed.counters.invalid) == (6, 6)
-    alone = Pipeline(FAST_CONFIG)
-    assert process(mixed, of_camera(3, 'back', 2.3)) == process(alone, of_camera(3, 'back', 2.3))
-    process(mixed, of_camera(4, '', 2.35))  # it has lost its name for a moment
-    process(mixed, of_camera(5, 'back', 2.4))
-    assert mixed.people[0].age == pytest.approx(0.1)
-    mixed.reset()
-    assert process(mixed, of_camera(3, 'front', 2.45)), 'after a reset, as in a replay, any camera is the first'
 
 
 def test_a_person_with_one_visible_joint_is_not_tracked() -> None:
@@ -202,10 +173,7 @@ def test_a_camera_info_that_does_not_fit_is_rejected(stream: list[bytes]) -> Non
 
 
 # Distortion coefficients of two lenses, by distortion model.
-LENSES = {
-    'plumb_bob': (-0.28, 0.07, 0.001, -0.002, 0.0),
-    'equidistant': (-0.02, 0.004, -0.001, 0.0002),
-}
+LENSES = {'plumb_bob': (-0.28, 0.07, 0.001, -0.002, 0.0), 'equidistant': (-0.02, 0.004, -0.001, 0.0002)}
 
 
 @pytest.mark.parametrize('model', LENSES)
@@ -261,21 +229,6 @@ def test_parameters_of_tracker_and_solver_restart_the_tracker(
     skeletons, expected = (process(p, stream[3])[0] for p in (pipeline, fresh if restarts else unchanged))
     assert skeletons.topic == 'skeletons'
     assert skeletons == expected
-
-
-def test_exchanged_sides_stay_counted_when_the_tracker_restarts() -> None:
-    skeleton = keypoint_layout('coco17')
-    mirror = np.array(skeleton.mirror)
-    pipeline = Pipeline(FAST_CONFIG)
-    for i, raw in enumerate(encode_demo_frames(12)):
-        message = decode(raw, KEYPOINTS)
-        if i == 10:
-            for person in message.people:
-                person.x, person.y, person.score = (v[mirror] for v in (person.x, person.y, person.score))
-        process(pipeline, encode(message, KEYPOINTS))
-    assert pipeline.swapped_frames == 1
-    assert pipeline.reconfigure(with_values(FAST_CONFIG, {'tracker.min_score': 0.4}))
-    assert pipeline.swapped_frames == 1
 
 
 def test_transforms_need_a_metric_scale_and_follow_rep_155(stream: list[bytes]) -> None:

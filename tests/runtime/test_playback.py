@@ -18,8 +18,7 @@ from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION
-from mocap_ros.runtime.playback import Playback
-from mocap_ros.runtime.sequence_messages import encode_sequence
+from mocap_ros.runtime.playback import Playback, encode_sequence
 from tests.support.bag_writing import DEFINITION
 from tests.support.camera_infos import camera_info
 from tests.support.foreign_messages import make_hri_inputs

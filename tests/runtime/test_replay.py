@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import re
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -18,10 +17,8 @@ from rosbags.typesys.store import Typestore
 
 from mocap_ros.bags.journal import (
     JOURNAL,
-    Entry,
     Journal,
     Verdict,
-    encode_entry,
     read_run,
 )
 from mocap_ros.bags.reader import Bag
@@ -36,7 +33,6 @@ from mocap_ros.messages.cdr import create_message, decode, encode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.runtime.replay import ReplayOptions, replay
-from mocap_ros.tracking.tracker import Tracker
 from tests.support.camera_infos import camera_info
 from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import FAST_CONFIG, FAST_VALUES, encode_demo_frames
@@ -139,50 +135,6 @@ def ros1_camera_info(store: Typestore) -> Any:
         for f in (name for name, _ in store.fielddefs[CAMERA_INFO][1])
     }
     return store.types[CAMERA_INFO](**{**values, 'header': ros1_header(store, ros2.header)})
-
-
-# Definitions of the package's messages in another version.
-OTHER_VERSION = {
-    'mocap_ros_msgs/msg/Keypoints2D': """
-        string id
-        string note
-        float32[] x
-        float32[] y
-        float32[] score
-        string skeleton
-    """,
-    KEYPOINTS: """
-        std_msgs/Header header
-        mocap_ros_msgs/Keypoints2D[] people
-        uint32 image_height
-        uint32 image_width
-    """,
-}
-
-
-def test_another_version_of_a_message_is_converted_by_the_names_of_its_fields(
-    tmp_path: Path, stream: list[bytes], skeletons: list[bytes]
-) -> None:
-    """The type has one field less, one more, and another order, as in a later version of this package."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in OTHER_VERSION.items():
-        store.register(get_types_from_msg(text, name))
-    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        camera = writer.add_connection('/camera_info', CAMERA_INFO, typestore=store)
-        points = writer.add_connection('/keypoints', KEYPOINTS, typestore=store)
-        writer.write(camera, START_NS, camera_info())
-        for i, raw in enumerate(stream):
-            m = decode(raw, KEYPOINTS)
-            person = store.types['mocap_ros_msgs/msg/Keypoints2D']
-            people = [
-                person(id=p.id, note='?', x=p.x, y=p.y, score=p.score, skeleton=p.skeleton) for p in m.people
-            ]
-            other = store.types[KEYPOINTS](
-                header=m.header, people=people, image_height=m.image_height, image_width=m.image_width
-            )
-            writer.write(points, START_NS + i * STEP_NS, store.serialize_cdr(other, KEYPOINTS))
-    for path in (tmp_path / 'bag', tmp_path / 'bag' / 'bag.mcap'):
-        assert replay_skeletons(path, tmp_path / f'{path.name}.out') == skeletons
 
 
 def test_a_split_bag_and_each_of_its_files_replay(
@@ -299,20 +251,6 @@ def test_set_changes_single_parameters_of_the_recorded_run(
     assert len(list((tmp_path / 'out').glob('*.mcap'))) > 1
 
 
-def test_events_that_this_version_does_not_know_are_refused_unless_a_file_gives_all_parameters(
-    tmp_path: Path, stream: list[bytes], skeletons: list[bytes]
-) -> None:
-    entry = encode_entry(Entry('pause', 1, parameters={'seconds': 2.0}))
-    write_bag(tmp_path / 'bag', stream)
-    with Bag(tmp_path / 'bag') as bag, Recorder(tmp_path / 'later', RecorderConfig()) as recorder:
-        for message in bag.messages(['/camera_info', '/keypoints']):
-            recorder.write(message.topic, message.type, message.raw, message.time_ns, message.time_ns)
-            recorder.write('/mocap_node/journal', JOURNAL, entry, message.time_ns, message.time_ns)
-    with pytest.raises(InputError, match=r'later: the run was recorded by another version .* by --config$'):
-        replay_skeletons(tmp_path / 'later', tmp_path / 'refused', ReplayOptions())
-    assert replay_skeletons(tmp_path / 'later', tmp_path / 'out') == skeletons
-
-
 def test_parameters_that_no_longer_exist_are_named_once_and_have_no_effect(
     tmp_path: Path, stream: list[bytes]
 ) -> None:
@@ -371,50 +309,3 @@ def test_inputs_keep_their_qos_in_a_replay(stream: list[bytes], tmp_path: Path) 
 def read_all(path: Path) -> list[tuple[str, int, bytes]]:
     with Bag(path) as bag:
         return [(m.topic, m.time_ns, m.raw) for m in bag.messages(bag.topics)]
-
-
-def test_internal_errors_cost_their_frame_and_are_told_once(
-    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    update, calls = Tracker.update, iter(range(100))
-    run_deferred_work, deferred_calls = Tracker.run_deferred_work, iter(range(100))
-
-    def fail_at_times(self: Tracker, *args: Any) -> Any:
-        call = next(calls)
-        if call in (2, 4):
-            raise ZeroDivisionError('a fault of the tracker')
-        return update(self, *args)
-
-    def fail_once(self: Tracker) -> None:
-        if next(deferred_calls) == 0:
-            raise KeyError('a fault of the deferred work')
-        run_deferred_work(self)
-
-    monkeypatch.setattr(Tracker, 'update', fail_at_times)
-    monkeypatch.setattr(Tracker, 'run_deferred_work', fail_once)
-    write_bag(tmp_path / 'bag', stream)
-    assert main(['replay', str(tmp_path / 'bag'), '-o', str(tmp_path / 'out'), *FAST_ARGUMENTS]) == 0
-    out, err = capsys.readouterr()
-    assert f'{len(stream) - 2} messages of people accepted, 2 dropped' in out
-    assert err.count('Traceback (most recent call last)') == 2
-    assert "\nKeyError: 'a fault of the deferred work'\n" in err
-    assert '\nZeroDivisionError: a fault of the tracker\n' in err
-    assert re.search(
-        r'\nmocap-ros: first message that was not accepted: .*: internal error: ZeroDivisionError: a fault', err
-    )
-    with Bag(tmp_path / 'out') as bag:
-        assert bag.count(['/skeletons']) == len(stream) - 2
-
-
-def test_bags_of_one_name_are_replayed_apart(
-    tmp_path: Path, stream: list[bytes], capsys: pytest.CaptureFixture[str]
-) -> None:
-    for folder in ('a', 'b'):
-        (tmp_path / folder).mkdir()
-        write_bag(tmp_path / folder / 'bag', stream[:1])
-    command = ['replay', str(tmp_path / 'a' / 'bag'), str(tmp_path / 'b' / 'bag'), '-o', str(tmp_path / 'out')]
-    assert main(command) == 1
-    assert (
-        'two bags are called bag, so their new bags would have one name; replay them apart'
-        in capsys.readouterr().err
-    )

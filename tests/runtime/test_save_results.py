@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -133,20 +132,6 @@ def test_trc_holds_the_joints(results: Path) -> None:
     assert table[:, 2:].reshape(-1, 26, 3) / 1000 == pytest.approx(load_joints_y_up(results), abs=1e-6)
 
 
-def test_a_bag_may_have_a_name_that_is_no_utf_8(tmp_path: Path, walker: KeypointSequence) -> None:
-    save_sequence(tmp_path / 'walk.npz', walker)
-    single = tmp_path / os.fsdecode(b'walk\xff.mcap')
-    quick = ['--model', 'walk', '--set', 'solver.max_iterations=2']
-    assert main(['reconstruct', str(tmp_path / 'walk.npz'), '-o', str(single), *quick]) == 0
-    folder = tmp_path / os.fsdecode(b'replayed\xff')
-    quick = ['--set', 'tracker.model=walk', '--set', 'tracker.iterations=1']
-    assert main(['replay', str(single), '-o', str(folder), *quick]) == 0
-    for path in (single, folder):
-        with Bag(path) as bag:
-            assert bag.count(['/keypoints']) == bag.count(['/skeletons']) == FRAMES
-    assert sorted(tmp_path.iterdir()) == sorted([tmp_path / 'walk.npz', single, folder])
-
-
 SCALE_KNOWN = 1  # the value of Skeleton3D
 LENSES = {  # distortion coefficients of sequence files, by the name of their model in a CameraInfo
     'plumb_bob': (0.1, -0.05, 0.001, -0.002),
@@ -192,19 +177,6 @@ def test_keypoints_of_hours_are_one_file(tmp_path: Path) -> None:
         assert [m.time_ns for m in bag.messages(['/keypoints'])] == stamps
 
 
-def test_uneven_times_are_resampled_at_a_constant_rate(tmp_path: Path, walker: KeypointSequence) -> None:
-    kept = [f for f in range(FRAMES) if f not in (9, 10, 11)]
-    uneven = KeypointSequence(
-        walker.keypoints[kept], walker.joint_names, walker.timestamps[kept], walker.image_size
-    )
-    save_sequence(tmp_path / 'w.npz', uneven)
-    quick = ['--model', 'walk', '--set', 'solver.max_iterations=3']
-    assert main(['reconstruct', str(tmp_path / 'w.npz'), '-o', str(tmp_path / 'w.bvh'), *quick]) == 0
-    bvh = load_bvh(tmp_path / 'w.bvh')
-    assert len(bvh.motion) == FRAMES
-    assert bvh.frame_time == pytest.approx(1 / 30)
-
-
 FIRST, LAST = 10, 29  # frames in which the person of the next test is seen first and last
 GAP = slice(18, 21)  # frames between these in which the person is not seen
 
@@ -242,16 +214,6 @@ def test_there_is_no_skeleton_before_the_first_and_after_the_last_sight(passing:
             counts = [len(m.people if msgtype == SKELETONS else m.cameras) for m in messages]
             assert counts == expected.astype(int).tolist()
         assert bag.count(['/keypoints']) == FRAMES
-
-
-def test_keyframes_give_no_skeleton_out_of_sight_either(passing: Path) -> None:
-    arguments = ['reconstruct', str(passing / 'walk.npz'), '-o', str(passing / 'k.npz'), '--method', 'keyframes']
-    assert main([*arguments, '--model', 'walk']) == 0
-    with np.load(passing / 'k.npz') as result:
-        has_skeleton = np.isfinite(result['joints3d']).all(axis=(1, 2))
-        in_sight = np.arange(FRAMES)[result['seen'].any(axis=1)]
-    assert np.flatnonzero(has_skeleton).tolist() == list(range(in_sight[0], in_sight[-1] + 1))
-    assert FIRST <= in_sight[0] < in_sight[-1] <= LAST
 
 
 def test_a_trc_has_empty_fields_and_a_bvh_the_nearest_pose_where_there_is_no_skeleton(passing: Path) -> None:

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Builds interface packages for tests, once: foreign ones into build/foreign, Foxy's markers into build/foxy."""
+"""Builds foreign interface packages for tests, once, into build/foreign."""
 
 from __future__ import annotations
 
@@ -14,18 +14,14 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from rosbags.typesys import Stores, get_typestore
-
 from mocap_ros.messages.foreign_types import DEFINITIONS
 from tests.support.paths import ROOT
 
 PREFIX = ROOT / 'build' / 'foreign'
-FOXY_PREFIX = ROOT / 'build' / 'foxy'
 SITE = f'lib/python{sys.version_info[0]}.{sys.version_info[1]}/site-packages'
 PACKAGES = ('yolo_msgs', 'hri_msgs', 'tf2_msgs')
 # Of the outputs for robots. moveit_msgs is not among them: it needs shape_msgs, which the wheels have apart.
 ROBOT_PACKAGES = ('people_msgs', 'nav2_dynamic_msgs', 'vision_msgs')
-FOXY_MARKERS = tuple(f'visualization_msgs/msg/{name}' for name in ('Marker', 'MarkerArray'))
 TEXTS: Mapping[str, str] = {**DEFINITIONS, 'tf2_msgs/msg/TFMessage': 'geometry_msgs/TransformStamped[] transforms'}
 
 
@@ -41,13 +37,6 @@ def environment(env: dict[str, str], prefix: Path = PREFIX) -> dict[str, str]:
         **before('LD_LIBRARY_PATH', prefix / 'lib'),
         **before('AMENT_PREFIX_PATH', prefix),
     }
-
-
-def build_foxy_markers() -> None:
-    """Build visualization_msgs with the markers of ROS 2 Foxy, which have fewer fields, if it is not there yet."""
-    store = get_typestore(Stores.ROS2_FOXY)
-    texts = {name: store.generate_msgdef(name, ros_version=2)[0].partition('=' * 80)[0] for name in FOXY_MARKERS}
-    build(('visualization_msgs',), texts, FOXY_PREFIX)
 
 
 def build(packages: Sequence[str] = PACKAGES, all_texts: Mapping[str, str] = TEXTS, prefix: Path = PREFIX) -> None:
@@ -98,4 +87,3 @@ def add_dependencies(text: str, package: str, definitions: Mapping[str, str]) ->
 
 if __name__ == '__main__':
     build((*PACKAGES, *ROBOT_PACKAGES))
-    build_foxy_markers()

@@ -16,7 +16,7 @@ from mocap_ros.messages.cdr import Header, OutputMessage, create_header, decode,
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.pipeline import Pipeline
-from mocap_ros.runtime.sequence_messages import encode_sequence
+from mocap_ros.runtime.playback import encode_sequence
 
 FAST_VALUES = {'tracker.model': 'walk', 'tracker.components': 8, 'tracker.iterations': 1}
 FAST_CONFIG = with_values(Config(), FAST_VALUES)
