@@ -4,7 +4,7 @@
 """Mistakes in valid input, each described in words once: what is suspicious, and what to check.
 
 Joints in another order, points of an image of another size, and a vertical that people contradict are suspected
-once they are so for most people over seconds (`tracking/lasting_doubt.py`); misspelt names of joints, distortions
+once they are so for most people over seconds (`tracking/vertical_check.py`); misspelt names of joints, distortions
 without an inverse, and a camera without a calibration are certain.
 """
 
@@ -27,9 +27,8 @@ from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15, KEYPOINT_LAYOUTS, canonical_joint_names
 from mocap_ros.solvers.vertical import AUTO, NONE
-from mocap_ros.tracking.lasting_doubt import LastingDoubt
 from mocap_ros.tracking.tracker import Tracker, find_absence
-from mocap_ros.tracking.vertical_check import VerticalCheck
+from mocap_ros.tracking.vertical_check import LastingDoubt, VerticalCheck
 from mocap_ros.units import NS_PER_S
 
 MEMORY_S = 5.0  # s; a corrected mistake is forgotten soon

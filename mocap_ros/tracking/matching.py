@@ -20,10 +20,9 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mocap_ros.keypoints.association import (
     MIN_SHARED_JOINTS,
@@ -54,8 +53,7 @@ TENTATIVE_COST = 0.5  # person sizes; a known person gets a detection sooner tha
 _MIRROR = np.array(CMU15.mirror)
 
 
-@dataclass(frozen=True, eq=False)
-class Matches:
+class Matches(NamedTuple):
     """The matches of a frame.
 
     Attributes:
@@ -64,24 +62,14 @@ class Matches:
         replaced: tracks whose id the detector has given to another person.
     """
 
-    detections: tuple[Detection, ...]
-    tracks: tuple[Track | None, ...]
-    replaced: tuple[Track, ...]
+    detections: list[Detection]
+    tracks: list[Track | None]
+    replaced: list[Track]
 
 
 def match_detections(stamp_ns: int, tracks: Sequence[Track], detections: Sequence[Detection]) -> Matches:
-    """Match the detections of a frame with the tracked people.
-
-    Args:
-        stamp_ns: ns, time of the image.
-        tracks: the tracked people.
-        detections: the detections.
-    """
-    expected = [_expect(t, stamp_ns) for t in tracks]
-    age_s = np.array([(stamp_ns - t.stamps_ns[-1]) / NS_PER_S for t in tracks])
-    distances, growths = measure_distances(expected, [(d.rays, d.weight) for d in detections], _MIRROR)
-    has_size = growths >= -(SIZE_GATE + SIZE_GATE_GROWTH_PER_S * age_s)
-    matcher = _Matcher(tracks, detections, expected, age_s, distances, has_size)
+    """Match the detections of a frame, stamp in ns, with the tracked people."""
+    matcher = _Matcher(stamp_ns, tracks, detections)
     matcher.match_near_ids()
     matcher.match_far_ids()
     matcher.match_positions()
@@ -89,21 +77,11 @@ def match_detections(stamp_ns: int, tracks: Sequence[Track], detections: Sequenc
     return matcher.finish()
 
 
-def _expect(track: Track, stamp_ns: int) -> ExpectedPerson:
-    """Return where a person is expected, from the frames of the last `VELOCITY_SPAN_S` before the newest."""
-    first = bisect_left(track.stamps_ns, track.stamps_ns[-1] - VELOCITY_SPAN_S * NS_PER_S)
-    age_s = np.array([stamp_ns - s for s in track.stamps_ns[first:]]) / NS_PER_S
-    return expect_person(track.rays[first:], track.weight[first:], age_s)
-
-
-@dataclass(eq=False)
 class _Matcher:
-    """The matching of one frame, step by step.
+    """The matching of the D detections of a frame with the P tracked people, step by step.
 
     Attributes:
-        tracks: the P tracked people.
-        detections: the D detections.
-        expected: (P,) where the people are expected.
+        expected: (P,) where the people are expected, from the frames of the last `VELOCITY_SPAN_S`.
         age_s: (P,) s, time since each person was last seen.
         distances: (D, P) distances of all detections from all people.
         has_size: (D, P) whether the detection is large enough to be that of the person.
@@ -111,22 +89,21 @@ class _Matcher:
         whole_of: detection of which a detection is part, by indices.
     """
 
-    tracks: Sequence[Track]
-    detections: Sequence[Detection]
-    expected: Sequence[ExpectedPerson]
-    age_s: Array
-    distances: Array
-    has_size: NDArray[np.bool_]
-    track_of: dict[int, int] = field(default_factory=dict)
-    whole_of: dict[int, int] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
+    def __init__(self, stamp_ns: int, tracks: Sequence[Track], detections: Sequence[Detection]) -> None:
+        self.tracks, self.detections = tracks, detections
+        self.expected = [_expect(t, stamp_ns) for t in tracks]
+        self.age_s = np.array([(stamp_ns - t.stamps_ns[-1]) / NS_PER_S for t in tracks])
+        seen = [(d.rays, d.weight) for d in detections]
+        self.distances, growths = measure_distances(self.expected, seen, _MIRROR)
+        self.has_size = growths >= -(SIZE_GATE + SIZE_GATE_GROWTH_PER_S * self.age_s)
         self.gates = GATE + GATE_GROWTH_PER_S * self.age_s
         self.same_id_gates = SAME_ID_GATE + SAME_ID_GATE_GROWTH_PER_S * self.age_s
         self.new_id_gates = NEW_ID_GATE + NEW_ID_GATE_GROWTH_PER_S * self.age_s
+        self.track_of: dict[int, int] = {}
+        self.whole_of: dict[int, int] = {}
         # tracks by the id that the detector gave the person last, and by the person's in the output
         self.called: dict[str, list[int]] = {}
-        for p, track in enumerate(self.tracks):
+        for p, track in enumerate(tracks):
             for name in {track.given_id, track.id}:
                 self.called.setdefault(name, []).append(p)
 
@@ -226,11 +203,17 @@ class _Matcher:
         tracks = [self.tracks[self.track_of[d]] if d in self.track_of else None for d in people]
         unmatched = [p for p in range(len(self.tracks)) if p not in self.track_of.values()]
         new = [d for d in people if d not in self.track_of]
-        replaced = tuple(self.tracks[p] for p in unmatched if any(self._is_replaced(p, d) for d in new))
-        return Matches(tuple(detections[d] for d in people), tuple(tracks), replaced)
+        replaced = [self.tracks[p] for p in unmatched if any(self._is_replaced(p, d) for d in new)]
+        return Matches([detections[d] for d in people], tracks, replaced)
 
     def _is_replaced(self, p: int, d: int) -> bool:
         """Return whether the detector has given a person's id to a new detection that is somebody else's."""
         name = self.detections[d].given_id
         is_far = self.distances[d, p] > self.same_id_gates[p]
         return bool(is_far) and name != '' and p in self.called.get(name, ())
+
+
+def _expect(track: Track, stamp_ns: int) -> ExpectedPerson:
+    first = bisect_left(track.stamps_ns, track.stamps_ns[-1] - VELOCITY_SPAN_S * NS_PER_S)
+    age_s = np.array([stamp_ns - s for s in track.stamps_ns[first:]]) / NS_PER_S
+    return expect_person(track.rays[first:], track.weight[first:], age_s)

@@ -15,7 +15,7 @@ matrix C in section 4.2 of the paper, C = A B + (1 - A) max B, with max B = 1 to
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,23 +28,15 @@ MIN_COMMON_JOINTS = 6  # joints, the default of `tracker.min_joints`; fewer can 
 MIN_SCALE = 1e-9  # px or px per torso length; guards divisions by the size of an image that is a single point
 
 
-@dataclass(frozen=True, eq=False)
-class KeyPose:
-    """A remembered pose.
-
-    Attributes:
-        image: (J, 2) image points in torso lengths; 0 for a joint that was not seen.
-        seen: (J,) whether each joint was seen.
-        pose: (J, 3) m, camera axes, centred on the mean of the joints.
-    """
+class KeyPose(NamedTuple):
+    """A pose (J, 3) m, camera axes, about its mean; its image (J, 2) in torso lengths, and where it was seen."""
 
     image: Array
     seen: NDArray[np.bool_]
     pose: Array
 
 
-@dataclass(frozen=True, eq=False)
-class RecalledPose:
+class RecalledPose(NamedTuple):
     """A remembered pose that looks like a person in the current image.
 
     Attributes:

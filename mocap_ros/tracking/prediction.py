@@ -78,18 +78,7 @@ def predict_ahead(
     upward: Array | None,
     sizes: Sequence[BodySize],
 ) -> list[list[PredictedPerson]]:
-    """Return the persons of solved tracks at some times after a frame, in which they need not be detected.
-
-    Args:
-        tracks: P solved tracks.
-        stamp_ns: ns, stamp of the frame.
-        times_s: s, T times after the frame.
-        upward: (3,) unit vector upwards in the optical frame; None for that of a level camera.
-        sizes: what is known of each person's size.
-
-    Returns:
-        T predictions for each of the P persons.
-    """
+    """Return T predictions for each of P tracks, at times in s after a frame; else as `predict_people`."""
     if not tracks:
         return []
     ages = [(stamp_ns - track.stamps_ns[-1]) / NS_PER_S for track in tracks]
@@ -108,11 +97,7 @@ def predict_ahead(
 def sample_past(track: Track, upward: Array | None = None) -> Past:
     """Return what is known of the motion of the core of a person of the assumed size up to the newest frame.
 
-    Before the first frame of the window, the person moves as at the newest.
-
-    Args:
-        track: a solved track.
-        upward: (3,) unit vector upwards in the optical frame; None for that of a level camera.
+    Before the first frame of the window, the person moves as at the newest. `upward` is as in `predict_people`.
     """
     frame = track.newest
     last = find_motion(track, frame)

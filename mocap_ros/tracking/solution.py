@@ -194,24 +194,14 @@ class TrackSolution:
         return copy_with(self, **{n: np.concatenate([getattr(self, n), s]) for n, s in states})
 
     def change_camera(self, old: Intrinsics, new: Intrinsics) -> TrackSolution:
-        """Return the solution under other intrinsics: the images of the body's origin stay the same, or resized.
-
-        Args:
-            old: intrinsics so far.
-            new: intrinsics from now on.
-        """
+        """Return the solution under other intrinsics: images of the body's origin stay the same, or resized."""
         old = old.resize_like(new)
         depth = self.roots[:, 2:] * new.focal / old.focal
         rays = new.pixels_to_rays(old.project(self.roots))
         return copy_with(self, roots=np.concatenate([rays * depth, depth], axis=-1))
 
     def change_model(self, target_name: str, target_model: BasePoses) -> TrackSolution:
-        """Return the solution with its poses approximated under another model; its fit is not measured again.
-
-        Args:
-            target_name: name of the other base poses.
-            target_model: the other base poses.
-        """
+        """Return the solution with its poses approximated under another model; its fit is not measured again."""
         rotation, theta = self.convert_poses(target_model, np.arange(len(self.theta)))
         lengths = target_model.skeleton.bone_lengths(target_model.poses(theta))
         return copy_with(
@@ -219,16 +209,7 @@ class TrackSolution:
         )
 
     def convert_poses(self, target_model: BasePoses, frames: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Approximate the 3D poses of some frames under another model.
-
-        Args:
-            target_model: other base poses.
-            frames: (n,) indices of the frames.
-
-        Returns:
-            rotation: (n, 3, 3) rotations from the body to the real camera under the other model.
-            theta: (n, K) m, weights of the other model.
-        """
+        """Return rotations (n, 3, 3) and weights (n, K) m under another model of the poses of n frames."""
         joints = self.compute_joints(frames)
         rotation = fit_rotation(target_model.mean[None], joints)
         return rotation, target_model.weights(joints @ rotation)
@@ -271,7 +252,7 @@ def _finish(
     errors = [error for error in reconstruction.residual.tolist() if not math.isnan(error)]
     rms_error = math.sqrt(sum(error * error for error in errors) / len(errors)) if errors else math.nan
     theta, rotation, roots, bone_lengths, frame_residuals = states
-    stature = float(bone_lengths.mean(axis=0) @ model.skeleton.stature_per_bone)
+    stature = float(np.add.reduce(bone_lengths) @ model.skeleton.stature_per_bone) / len(bone_lengths)
     return TrackSolution(
         *(
             model_name,
@@ -317,7 +298,7 @@ def build_refinement_window(
     start = chosen.convert_to_initial_values(*append_prediction(stamps_ns, solution, first))
     earlier_frames = None
     if fixed_frames and first > 0:
-        earlier_frames = EarlierFrames(first, solution.bone_lengths[:first].mean(axis=0))
+        earlier_frames = EarlierFrames(first, np.add.reduce(solution.bone_lengths[:first]) / first)
     window = chosen.build_solver_window(start, solution.noise, fixed_frames, earlier_frames)
     if window.lifted is not None:
         newest = window.lifted.select_frames(slice(-1, None))

@@ -157,17 +157,7 @@ class Track:
         focal: float,
         is_tentative: bool = True,
     ) -> Track:
-        """Return the track of a person who is seen for the first time.
-
-        Args:
-            name: stable name of the person in the output.
-            stamp_ns: ns, stamp of the frame.
-            detection: the person in this frame.
-            swap_filter: filter that has seen no frame.
-            intrinsics: intrinsics of the real camera.
-            focal: px, focal length that the solvers assume; infinite for weak perspective.
-            is_tentative: whether only later frames can show that there is somebody.
-        """
+        """Return the track of a person whom a frame shows first; the attributes have the arguments' meaning."""
         arrays = detection.rays, detection.weight, *detection.extremities
         rays, weight, *others = (a[None][:0] for a in arrays)
         camera = intrinsics, focal, is_tentative
@@ -266,12 +256,7 @@ class Track:
         self.observed = ObservedWindow(times, rays, weight, camera, self.focal, lifted, extremities)
 
     def change_camera(self, intrinsics: Intrinsics, focal: float) -> None:
-        """Use other intrinsics: the image points stay the same, or resized as the image is; nothing is lifted yet.
-
-        Args:
-            intrinsics: intrinsics from now on.
-            focal: px, focal length that the solvers assume from now on.
-        """
+        """Use other intrinsics: the image points stay the same, or resized as the image is; nothing is lifted yet."""
         if self.solution is not None:
             self.solution = self.solution.change_camera(self.intrinsics, intrinsics)
         old = self.intrinsics.resize_like(intrinsics)

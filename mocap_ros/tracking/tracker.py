@@ -410,13 +410,7 @@ class Tracker:
             track.observed = track.observed.append_lifted(lifted.select_frames(slice(end - count, end)))
 
     def _find_vertical(self, stamp_ns: int, tracks: Sequence[Track], joints: Array) -> None:
-        """Find the vertical anew by the newest poses of people who are not tentative.
-
-        Args:
-            stamp_ns: ns, stamp of the newest frame.
-            tracks: P tracks of the people in it.
-            joints: (P, J, 3) their newest poses, in the axes of the virtual cameras.
-        """
+        """Find the vertical anew by the newest poses (P, J, 3) of P tracks, in the axes of their virtual cameras."""
         directions = find_upward(joints)
         known = [p for p, track in enumerate(tracks) if not track.is_tentative and math.isfinite(directions[p, 0])]
         if not known:
@@ -467,10 +461,6 @@ class Tracker:
 
         It is this frame or, with `tracker.lag`, an older one (`delayed_output.py`); before one is old enough, the
         first frame since anybody was there, without its people.
-
-        Args:
-            stamp_ns: ns, stamp of this frame.
-            detected: tracks of the people who were detected in it, in the order of the detections.
         """
         lag_s, self.output_stamp_ns = self.config.tracker.lag, stamp_ns
         if lag_s > 0:

@@ -1,16 +1,22 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Check of a given vertical against how people stand: where they contradict it, it is wrong, or they all lie.
+"""Whether something is so for most people over seconds, above all that they contradict a given vertical.
 
-The directions upwards that poses tell (`models.upward_direction`) are compared with it in every frame. A
-difference of more than `MAX_ANGLE_DEG` that lasts is a doubt (`lasting_doubt.py`). The lifter takes a wrong
-vertical for a right one, so poses lean towards it, and errors below 60 degrees are hardly seen; a wrong sign or
-axis is.
+With x_i the share of the people of frame i for whom it is so, and dt_i the time for which that frame stands,
+
+    n = sum_i k_i dt_i,    m = sum_i k_i dt_i x_i,    k_i = exp(-(t - t_i) / T)
+
+it is so once n is at least S and m at least the share P of n. Frames without people do not count.
+
+The directions upwards that poses show (`models.upward_direction`) are compared with a given vertical in every
+frame. The lifter takes a wrong vertical for a right one, so poses lean towards it, and errors below 60 degrees are
+hardly seen; a wrong sign or axis is. So it is if all people lie.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,13 +24,41 @@ from numpy.typing import NDArray
 
 from mocap_ros.models.upward_direction import find_upward
 from mocap_ros.people import Person3D
-from mocap_ros.tracking.lasting_doubt import LastingDoubt
+from mocap_ros.units import NS_PER_S
 
-Array = NDArray[np.float64]
-
+LEAST_SHARE = 0.8  # 1; P: one person among several for whom it is not so speaks against it
+MAX_STEP_S = 1.0  # s; longest time that one frame stands for, so that a stream of 1 Hz still reaches S
 MAX_ANGLE_DEG = 40.0  # who sits or bends down is below it, who lies is above
-MEMORY_S = 20.0  # s; as long as a vertical that is found is remembered
-LEAST_S = 5.0  # s; longer than it takes to fall or to lie down for an exercise
+MEMORY_S = 20.0  # s; T, as long as a vertical that is found is remembered
+LEAST_S = 5.0  # s; S, longer than it takes to fall or to lie down for an exercise
+
+
+class LastingDoubt:
+    """Whether something has been so for most people over the last seconds.
+
+    Args:
+        memory_s: s, T.
+        least_s: s, S.
+    """
+
+    def __init__(self, memory_s: float, least_s: float) -> None:
+        self._memory_s, self._least_s = memory_s, least_s
+        self._seconds = self._doubted_seconds = 0.0  # n and m of the module
+        self._stamp_ns: int | None = None
+
+    def advance(self, stamp_ns: int, is_so: Sequence[bool]) -> bool:
+        """Return whether it is so after a frame, stamp in ns, in which it is so or not for each person."""
+        age_s = 0.0 if self._stamp_ns is None else (stamp_ns - self._stamp_ns) / NS_PER_S
+        self._stamp_ns = stamp_ns
+        if age_s < 0:  # the stamps began anew
+            self._seconds = self._doubted_seconds = age_s = 0.0
+        kept, step = math.exp(-age_s / self._memory_s), min(age_s, MAX_STEP_S)
+        self._seconds *= kept
+        self._doubted_seconds *= kept
+        if is_so:
+            self._seconds += step
+            self._doubted_seconds += step * sum(is_so) / len(is_so)
+        return self._seconds >= self._least_s and self._doubted_seconds >= LEAST_SHARE * self._seconds
 
 
 class VerticalCheck:
@@ -34,7 +68,7 @@ class VerticalCheck:
         self._doubt = LastingDoubt(MEMORY_S, LEAST_S)
         self._angle_deg = 0.0
 
-    def advance(self, stamp_ns: int, people: Sequence[Person3D], vertical: Array) -> float | None:
+    def advance(self, stamp_ns: int, people: Sequence[Person3D], vertical: NDArray[np.float64]) -> float | None:
         """Return the angle in degrees by which people contradict the vertical; None if they do not.
 
         Args:

@@ -5,7 +5,7 @@
 
 import pytest
 
-from mocap_ros.tracking.lasting_doubt import LastingDoubt
+from mocap_ros.tracking.vertical_check import LastingDoubt
 
 STEP_S = 0.1
 MEMORY_S, LEAST_S = 5.0, 2.5
