@@ -256,7 +256,7 @@ class Track:
         self.observed = ObservedWindow(times, rays, weight, camera, self.focal, lifted, extremities)
 
     def change_camera(self, intrinsics: Intrinsics, focal: float) -> None:
-        """Use other intrinsics: the image points stay the same, or resized as the image is; nothing is lifted yet."""
+        """Use other intrinsics: the image points stay, or are resized as the image is; nothing is lifted yet."""
         if self.solution is not None:
             self.solution = self.solution.change_camera(self.intrinsics, intrinsics)
         old = self.intrinsics.resize_like(intrinsics)

@@ -410,7 +410,7 @@ class Tracker:
             track.observed = track.observed.append_lifted(lifted.select_frames(slice(end - count, end)))
 
     def _find_vertical(self, stamp_ns: int, tracks: Sequence[Track], joints: Array) -> None:
-        """Find the vertical anew by the newest poses (P, J, 3) of P tracks, in the axes of their virtual cameras."""
+        """Find the vertical anew by the newest poses (P, J, 3) of P tracks, in the axes of virtual cameras."""
         directions = find_upward(joints)
         known = [p for p, track in enumerate(tracks) if not track.is_tentative and math.isfinite(directions[p, 0])]
         if not known:
