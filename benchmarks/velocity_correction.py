@@ -25,13 +25,8 @@ from motion_predictor import WARM_UP, list_views
 from numpy.typing import NDArray
 
 from mocap_ros.models.model_file import VELOCITY_NAME
-from mocap_ros.models.velocity_correction import (
-    INPUT_LIMIT,
-    SPANS_S,
-    VelocityCorrection,
-    VelocityPast,
-    build_inputs,
-)
+from mocap_ros.models.motion_predictor import INPUT_LIMIT
+from mocap_ros.models.velocity_correction import SPANS_S, VelocityCorrection, VelocityPast, build_inputs
 from mocap_ros.npz_file import write_npz
 from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.output import find_motion, sample_velocity_past
