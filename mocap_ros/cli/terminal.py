@@ -15,8 +15,6 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TypeVar
 
-from tqdm import tqdm
-
 from mocap_ros.errors import make_printable_line
 
 T = TypeVar('T')
@@ -34,12 +32,16 @@ def print_remark(line: object) -> None:
 
 def show_progress(items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:
     """Yield the items and show a progress bar; `total` is their number where `len(items)` does not give it."""
+    from tqdm import tqdm
+
     return tqdm(items, desc=description, total=total, disable=not sys.stderr.isatty(), leave=False)
 
 
 @contextmanager
 def show_stages() -> Iterator[Callable[[str], None]]:
     """Show the stage of a long computation and the time; yield the function that sets the stage."""
+    from tqdm import tqdm
+
     with tqdm(bar_format='{desc} {elapsed}', disable=not sys.stderr.isatty(), leave=False) as bar:
         yield bar.set_description_str
 

@@ -140,3 +140,59 @@ def measure_distances(
     free(extent)
     free(offset)
     return out, growths
+
+
+def choose_pairs(Points cost):
+    """Return for each of D detections the person of P, so that the sum of costs (D, P) is least; -1 for none.
+
+    All costs are finite. Each row in turn is given a column along the shortest augmenting path, by reduced costs
+    c_ij - u_i - v_j >= 0 (Crouse 2016; as in `scipy.optimize.linear_sum_assignment`, which is slow to import).
+    """
+    cdef Py_ssize_t i, j, k, index, row, sink, left, other, transposed = cost.shape[0] > cost.shape[1]
+    cdef Py_ssize_t rows = min(cost.shape[0], cost.shape[1]), columns = max(cost.shape[0], cost.shape[1])
+    cdef double reached, lowest, reduced
+    cdef double[::1] u = np.zeros(rows), v = np.zeros(columns), shortest = np.empty(columns)
+    cdef long long[::1] row_of = np.full(columns, -1), column_of = np.full(rows, -1)
+    cdef long long[::1] path = np.empty(columns, np.int64), remaining = np.empty(columns, np.int64)
+    cdef unsigned char[::1] is_row_passed = np.empty(rows, np.uint8), is_column_passed = np.empty(columns, np.uint8)
+    for row in range(rows):
+        for i in range(rows):
+            is_row_passed[i] = 0
+        for j in range(columns):
+            is_column_passed[j], shortest[j] = 0, INFINITY
+            remaining[j] = columns - j - 1  # in reverse order, so that equal costs give the identity
+        i, sink, left, reached = row, -1, columns, 0.0
+        while sink < 0:
+            index, lowest, is_row_passed[i] = -1, INFINITY, 1
+            for k in range(left):
+                j = remaining[k]
+                reduced = reached + (cost[j, i] if transposed else cost[i, j]) - u[i] - v[j]
+                if reduced < shortest[j]:
+                    path[j], shortest[j] = i, reduced
+                if shortest[j] < lowest or (shortest[j] == lowest and row_of[j] < 0):
+                    lowest, index = shortest[j], k
+            if index < 0:
+                raise ValueError('a cost is not finite')
+            reached, j = lowest, remaining[index]
+            if row_of[j] < 0:
+                sink = j
+            else:
+                i = row_of[j]
+            is_column_passed[j] = 1
+            left -= 1
+            remaining[index] = remaining[left]
+        u[row] += reached
+        for i in range(rows):
+            if is_row_passed[i] and i != row:
+                u[i] += reached - shortest[column_of[i]]
+        for j in range(columns):
+            if is_column_passed[j]:
+                v[j] -= reached - shortest[j]
+        j, i = sink, -1
+        while i != row:
+            i = path[j]
+            row_of[j] = i
+            other = column_of[i]
+            column_of[i] = j
+            j = other
+    return np.array(row_of if transposed else column_of)

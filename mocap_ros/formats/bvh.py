@@ -17,13 +17,16 @@ import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.text_files import check_position_count, quote_line, read_text
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -62,6 +65,8 @@ class BvhMotion:
 
     def compute_positions(self) -> Array:
         """Compute the positions (F, N, 3) of all nodes in the file's own frame and unit (forward kinematics)."""
+        from scipy.spatial.transform import Rotation
+
         frames = len(self.motion)
         position = np.zeros((frames, len(self.names), 3))
         rotation: list[Rotation] = []

@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.geometry.rotations import rotation_from_vector, vector_from_rotation
+
 Array = NDArray[np.float64]
 
 MAX_STEP_S = 0.2  # s; over a longer gap between two frames a limb may have swung to and fro
@@ -44,3 +46,17 @@ def central_velocity(times: Array, points: Array) -> Array:
         spans = (times[near + 1] - times[near - 1]).reshape(-1, *[1] * (points.ndim - 1))
         velocity[near] = (points[near + 1] - points[near - 1]) / spans
     return velocity
+
+
+def interpolate_rotations(times: Array, known_times: Array, rotations: Array) -> Array:
+    """R(t) = exp(s log(R_(k+1) R_k^T)) R_k, s = (t - t_k) / (t_(k+1) - t_k), between known rotations R_k.
+
+    Args:
+        times: (T,) s, between the first and the last of the known times.
+        known_times: (n,) s, increasing, n >= 2.
+        rotations: (n, 3, 3) at the known times.
+    """
+    before = np.clip(np.searchsorted(known_times, times, side='right') - 1, 0, len(known_times) - 2)
+    share = (times - known_times[before]) / np.diff(known_times)[before]
+    turns = vector_from_rotation(rotations[1:] @ np.swapaxes(rotations[:-1], -1, -2))[before]
+    return np.asarray(rotation_from_vector(share[:, None] * turns) @ rotations[before])

@@ -21,10 +21,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from mocap_ros.errors import ConfigError, InputError
-from mocap_ros.geometry.rotations import quaternion_from_rotation
+from mocap_ros.geometry.rotations import quaternion_from_rotation, rotation_from_vector
 
 Array = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]  # x, y, z, w, of unit length
@@ -159,5 +158,6 @@ def parse_camera_pose(text: str, name: str) -> RigidTransform:
         raise ConfigError(f'{name} = {text!r}: the camera is more than {MAX_CAMERA_DISTANCE_M / 1e3:g} km away')
     if max(map(abs, numbers[3:])) > 2 * math.pi:
         raise ConfigError(f'{name} = {text!r}: an angle is more than a turn; angles are in rad, not in degrees')
-    rotation = Rotation.from_euler('xyz', numbers[3:]).as_matrix() @ OPTICAL_TO_BODY
+    about_x, about_y, about_z = rotation_from_vector(np.diag(numbers[3:]))
+    rotation = about_z @ about_y @ about_x @ OPTICAL_TO_BODY
     return RigidTransform(np.array(numbers[:3]), quaternion_from_rotation(rotation))

@@ -36,7 +36,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from mocap_ros.engine import association as engine
 from mocap_ros.keypoints.person import Person2D
@@ -165,8 +164,5 @@ def choose_pairs(cost: Array, is_permitted: Mask) -> list[int | None]:
 
     It is None where the best pair is not permitted (D, P).
     """
-    chosen: list[int | None] = [None] * len(cost)
-    for row, column in zip(*linear_sum_assignment(cost), strict=True):
-        if is_permitted[row, column]:
-            chosen[int(row)] = int(column)
-    return chosen
+    chosen = engine.choose_pairs(np.ascontiguousarray(cost, float)).tolist()
+    return [p if p >= 0 and is_permitted[d, p] else None for d, p in enumerate(chosen)]

@@ -32,11 +32,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
 from mocap_ros.copying import copy_with
 from mocap_ros.engine import motion as engine
-from mocap_ros.geometry.interpolation import interpolate_linearly
+from mocap_ros.geometry.interpolation import interpolate_linearly, interpolate_rotations
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.models.base_poses import BasePoses
@@ -114,7 +113,7 @@ class TrackSolution:
         solved_times, times = observed.times[frames], observed.times[first:]
         rotation = camera.body_rotations(reconstruction.cameras)
         if len(frames) > 1:
-            rotation = Slerp(solved_times, Rotation.from_matrix(rotation))(times).as_matrix()
+            rotation = interpolate_rotations(times, solved_times, rotation)
         theta = interpolate_linearly(times, solved_times, reconstruction.theta)
         roots = camera.root_positions(reconstruction.cameras, reconstruction.translation)
         roots = interpolate_linearly(times, solved_times, roots)

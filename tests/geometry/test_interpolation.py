@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
 
-from mocap_ros.geometry.interpolation import find_nearest, interpolate_linearly
+from mocap_ros.geometry.interpolation import find_nearest, interpolate_linearly, interpolate_rotations
 
 
 @given(
@@ -30,3 +31,10 @@ def test_the_nearest_time_is_that_of_a_comparison_with_all(rng: np.random.Genera
     for share in (0.003, 0.1, 0.5, 1.0):
         known = times[(rng.random(400) < share) | (np.arange(400) == 77)]
         np.testing.assert_array_equal(find_nearest(times, known), np.abs(times[:, None] - known).argmin(axis=1))
+
+
+def test_rotations_are_interpolated_on_the_shortest_arc(rng: np.random.Generator) -> None:
+    known, times = np.array([0.0, 0.5, 0.6, 2.0]), np.r_[np.sort(rng.uniform(0, 2, 30)), 0.5, 2.0]
+    turns = Rotation.random(4, random_state=1)
+    found = interpolate_rotations(times, known, turns.as_matrix())
+    assert found == pytest.approx(Slerp(known, turns)(times).as_matrix(), abs=1e-9)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import linear_sum_assignment
 
 from mocap_ros.keypoints.association import (
     BASE_GATE,
@@ -159,3 +160,14 @@ def test_the_gate_of_keypoints_widens_with_the_time_since_a_person_was_seen() ->
         assert associate_keypoints([make_person(0)], [age_s], [make_person(1.01 * gate)]) == [None]
     assert associate_keypoints([], [], [make_person(0)]) == [None]
     assert associate_keypoints([make_person(0)], [0.0], []) == []
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 7), st.integers(1, 7), st.booleans())
+def test_the_pairs_are_those_of_the_least_sum(seed: int, detections: int, people: int, has_ties: bool) -> None:
+    cost = np.random.default_rng(seed).random((detections, people)) * 3
+    if has_ties:
+        cost = np.minimum(np.round(cost), 2)
+    expected: list[int | None] = [None] * detections
+    for row, column in zip(*linear_sum_assignment(cost), strict=True):
+        expected[row] = column
+    assert choose_pairs(cost, np.ones_like(cost, bool)) == expected

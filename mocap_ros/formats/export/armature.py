@@ -23,15 +23,17 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from mocap_ros.formats.bvh import END_SUFFIX, POSITION_CHANNELS, ROTATION_CHANNELS, BvhMotion
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -131,6 +133,8 @@ def build_armature(joints: Array, fps: float, orientation: Array | None = None) 
         The armature and its motion, with offsets and positions in cm. The motion is moved along y, by one distance
         for all frames, so that the lowest point of all frames is at y = 0.
     """
+    from scipy.spatial.transform import Rotation
+
     has_extremities = joints.shape[1] > CORE_COUNT
     bones = [_OUTER_BONES.get(bone.name, bone) if has_extremities else bone for bone in BONES]
     index = {name: i for i, name in enumerate((BODY26 if has_extremities else CMU15).joints)}
@@ -202,6 +206,8 @@ def _compute_channel_angles(rotation: Rotation) -> Array:
 
 def _shortest_rotations(rest: Direction, directions: Array) -> Rotation:
     """Return the smallest rotations that take `rest` to the directions of vectors (F, 3)."""
+    from scipy.spatial.transform import Rotation
+
     axis = np.cross(rest, directions)
     sine = np.linalg.norm(axis, axis=1)
     angle = np.arctan2(sine, directions @ np.array(rest))
@@ -212,6 +218,8 @@ def _shortest_rotations(rest: Direction, directions: Array) -> Rotation:
 
 def _fit_rotations(pairs: list[tuple[Array, Direction]]) -> Rotation:
     """Return the rotations that take several rest directions to those of vectors (F, 3), by least squares."""
+    from scipy.spatial.transform import Rotation
+
     lengths = [np.maximum(np.linalg.norm(v, axis=1, keepdims=True), TINY) for v, _ in pairs]
     target = np.stack([v / n for (v, _), n in zip(pairs, lengths, strict=True)], axis=1)
     rest = np.broadcast_to(np.array([rest for _, rest in pairs]), target.shape)

@@ -35,12 +35,16 @@ Joint positions determine the segments like this:
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
-from scipy.spatial.transform import Rotation
 
 from mocap_ros.skeleton import CMU15
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -74,6 +78,8 @@ def compute_joint_angles(joints: Array, fps: float) -> Array:
         joints: (F, 15, 3) m, y up, in the order of `skeleton.CMU15`, all finite.
         fps: mean frame rate in Hz.
     """
+    from scipy.spatial.transform import Rotation
+
     at = {name: joints[:, i] for i, name in enumerate(CMU15.joints)}
     trunk = at['neck'] - at['pelvis']
     between_hips = (at['lhip'] + at['rhip']) / 2
@@ -107,6 +113,8 @@ def compute_joint_angles(joints: Array, fps: float) -> Array:
 
 def _align(across: Array, up: Array, *, is_up_exact: bool) -> Rotation:
     """Return the rotations of segments whose z axis points across and y axis up (F, 3), one of them exactly."""
+    from scipy.spatial.transform import Rotation
+
     exact = _normalise(up if is_up_exact else across)
     other = across if is_up_exact else up
     x = np.cross(exact, other) if is_up_exact else np.cross(other, exact)
@@ -155,6 +163,8 @@ def _measure_limb(upper: Array, lower: Array, sign: float, bend: float, fps: flo
         bend: 1 if the lower bone is bent forwards (elbow), -1 if backwards (knee).
         fps: mean frame rate in Hz.
     """
+    from scipy.spatial.transform import Rotation
+
     mirror = np.array([1.0, 1.0, sign])
     flexion, adduction = _split_direction(upper * mirror, fps)
     turned = Rotation.from_euler('ZX', np.stack([flexion, adduction], axis=1)).inv().apply(lower * mirror)

@@ -14,14 +14,16 @@ length and d_n its direction.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.text_files import check_position_count, quote_line, read_text
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -62,6 +64,8 @@ def load_amc(motion: Path, skeleton: Path) -> dict[str, Array]:
         InputError: a file is not valid, or the motion is of another skeleton; the error names the file and, if one
             line is at fault, that line.
     """
+    from scipy.spatial.transform import Rotation
+
     bones, parents = _read_skeleton(skeleton)
     values = _read_motion(motion, bones)
     frames = len(values[ROOT])
@@ -127,6 +131,8 @@ def _parse_vector(words: list[str]) -> Array:
 
 def _parse_axes(words: list[str], in_degrees: bool) -> Rotation:
     """Parse `x y z ORDER`: the angles of rotations about the fixed axes, which are applied in that order."""
+    from scipy.spatial.transform import Rotation
+
     order = words[3].lower()
     by_axis = dict(zip('xyz', _parse_vector(words[:3]), strict=True))
     return Rotation.from_euler(order, [by_axis[axis] for axis in order], degrees=in_degrees)

@@ -17,9 +17,13 @@ two inliers more than `MAX_LINK_S` apart it is c, or 0 if the joint was not seen
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -38,6 +42,8 @@ def build_low_pass_matrix(times: Array, width: float) -> csr_array:
     Returns:
         (F, F) sparse matrix; its product with (F, D) values is the filtered values.
     """
+    from scipy.sparse import csr_array
+
     frames = len(times)
     first = np.searchsorted(times, times - FILTER_REACH * width)
     last = np.searchsorted(times, times + FILTER_REACH * width, side='right')
