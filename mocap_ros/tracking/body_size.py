@@ -91,9 +91,6 @@ class BodySize(NamedTuple):
     focal_share: float = 0.0
 
 
-ASSUMED = BodySize(1.0, math.hypot(0.12 / 1.7, POSE_SHARE))  # of adults, before anything is seen
-
-
 @dataclass(frozen=True)
 class FloorContact:
     """What feet on the floor say of a person's size; `advance` returns a new one.

@@ -28,7 +28,6 @@ from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.body_size import (
     ANKLE_SHARE,
     ANKLES,
-    ASSUMED,
     BodySize,
     FloorContact,
     assume_size,
@@ -40,6 +39,7 @@ from tests.support.swinging_body import STANDING
 from tests.support.synthetic_walk import make_walk
 
 HEIGHT_M = 1.7
+ASSUMED = assume_size(Config().tracker, is_focal_known=True)
 STEP_NS = 33_333_333
 CAMERA_HEIGHT_M = 1.5
 LEVEL = Floor(np.array([0.0, -1.0, 0.0]), CAMERA_HEIGHT_M)
@@ -156,7 +156,7 @@ def test_a_foot_that_is_lifted_for_a_while_changes_little() -> None:
 
 def test_a_known_height_or_focal_length_makes_the_distance_surer() -> None:
     config = Config().tracker
-    assert assume_size(config, is_focal_known=True) == pytest.approx(ASSUMED)
+    assert tuple(ASSUMED) == pytest.approx((1.0, math.hypot(0.12 / 1.7, 0.04), 0.0))
     known = with_settings(Config(), {'tracker.body_height_std': 0.02}).tracker
     sizes = [assume_size(c, is_focal_known=f) for c, f in ((known, True), (config, True), (config, False))]
     shares = [math.hypot(size.share, size.focal_share) for size in sizes]

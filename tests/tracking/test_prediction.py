@@ -18,7 +18,7 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15, CORE_COUNT
-from mocap_ros.tracking.body_size import ASSUMED
+from mocap_ros.tracking.body_size import BodySize
 from mocap_ros.tracking.output import find_motion
 from mocap_ros.tracking.prediction import MIN_CLEARANCE_M, predict_people
 from mocap_ros.tracking.track import Track
@@ -63,7 +63,7 @@ def see_walk(tracker: Tracker, scene: Array) -> Person3D:
 
 
 def predict(track: Track, stamp_ns: int) -> Person3D:
-    (person,) = predict_people([track], stamp_ns, None, [ASSUMED], CMU15)
+    (person,) = predict_people([track], stamp_ns, None, [BodySize(1.0, 0.08)], CMU15)
     return person
 
 

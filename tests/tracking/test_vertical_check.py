@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Doubts about a vertical that was given: once everybody contradicts it for a while, and not otherwise."""
+"""What must be so for most people over seconds, such as that they contradict a given vertical."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocap_ros.people import Person3D
-from mocap_ros.tracking.vertical_check import LEAST_S, VerticalCheck
+from mocap_ros.tracking.vertical_check import LEAST_S, LastingDoubt, VerticalCheck
 from tests.support.people import make_person_3d
 from tests.support.upright_body import UPRIGHT
 
 UP = np.array([0.0, 0.0, 1.0])
 STEP_NS = 100_000_000
+DOUBT_S = 2.5  # s, in tests of other doubts
 
 
 def make_leaning(angle_deg: float) -> Person3D:
@@ -63,3 +64,33 @@ def test_stamps_that_go_back_begin_anew_and_what_is_not_known_counts_for_nothing
     assert advance(check, [make_leaning(180)], 1) is None
     nowhere = replace(make_person_3d('bob'), joints=np.full((15, 3), np.nan))
     assert advance(VerticalCheck(), [nowhere], 20) is None
+
+
+def advance_doubt(doubt: LastingDoubt, is_so: list[bool], seconds: float, first: int = 0) -> bool:
+    frames = range(first, first + round(seconds / 0.1) + 1)
+    return [doubt.advance(round(i * 0.1 * 1e9), is_so) for i in frames][-1]
+
+
+def test_a_doubt_needs_most_people_for_seconds() -> None:
+    assert not advance_doubt(LastingDoubt(5.0, DOUBT_S), [True], DOUBT_S - 0.1)
+    assert advance_doubt(LastingDoubt(5.0, DOUBT_S), [True], DOUBT_S + 2)
+    assert advance_doubt(LastingDoubt(5.0, DOUBT_S), [True] * 9 + [False], DOUBT_S + 2)
+    assert not advance_doubt(LastingDoubt(5.0, DOUBT_S), [True, True, False], 60)
+    assert not advance_doubt(LastingDoubt(5.0, DOUBT_S), [], 60)
+    one_frame_a_minute = [LastingDoubt(5.0, DOUBT_S).advance(t, [True]) for t in range(0, 10**12, 60 * 10**9)]
+    assert not any(one_frame_a_minute)
+
+
+@pytest.mark.parametrize('hz', [1, 2, 5, 200])
+def test_a_doubt_comes_at_any_rate(hz: int) -> None:
+    doubt = LastingDoubt(5.0, DOUBT_S)
+    assert [doubt.advance(i * 10**9 // hz, [True]) for i in range(10 * hz)][-1]
+
+
+def test_a_doubt_ends_with_its_cause_and_with_stamps_that_begin_anew() -> None:
+    doubt = LastingDoubt(5.0, DOUBT_S)
+    assert advance_doubt(doubt, [True], 60)
+    assert not advance_doubt(doubt, [False], 3, first=300)
+    doubt = LastingDoubt(5.0, DOUBT_S)
+    assert advance_doubt(doubt, [True], 60)
+    assert not doubt.advance(0, [True])
