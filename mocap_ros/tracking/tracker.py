@@ -205,7 +205,7 @@ class Tracker:
         self.run_deferred_work()
         if backward_jump_s > 0:
             self._forget_everybody()
-        self.backward_jump_s = backward_jump_s
+        self.backward_jump_s, self._at_work = backward_jump_s, ()
         try:
             self._change_camera(intrinsics)
             self._use_floor(stamp_ns, floor)
