@@ -27,6 +27,7 @@ under the reference noise, and r the image noise over it. More than R times the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -67,27 +68,10 @@ class FiniteDifference:
     def residuals(self, features: Array) -> Array:
         """Return the numbers (N - D, F) whose squares are the term, of features (N, F)."""
         count = max(len(features) - self.order, 0)
-        parts = [c[:count, None] * features[e : e + count] for e, c in enumerate(self.factors.T)]
-        return np.asarray(np.sqrt(self.weight) * np.sum(parts, axis=0))
-
-    def add_to(self, features: Array, jacobian: Array, blocks: Array, coupling: Array, gradient: Array) -> None:
-        """Add the Gauss-Newton matrix and half the gradient, in place.
-
-        Args:
-            features: (N, F).
-            jacobian: (N, F, n) their derivatives by the unknowns of the frame.
-            blocks: (N, n, n) of the matrix, for each frame.
-            coupling: (N, 2, n, n) blocks in the rows of frame t + d + 1 and the columns of frame t.
-            gradient: (N, n).
-        """
-        residuals = self.residuals(features)
-        count, weighted = len(residuals), np.sqrt(self.weight)[:, None] * jacobian
-        by_frame = [c[:count, None, None] * weighted[e : e + count] for e, c in enumerate(self.factors.T)]
-        for e, own in enumerate(by_frame):
-            gradient[e : e + count] += (residuals[:, None] @ own)[:, 0]
-            for d, later in enumerate(by_frame[e:]):
-                target = blocks if d == 0 else coupling[:, d - 1]
-                target[e : e + count] += np.swapaxes(later, 1, 2) @ own
+        total = self.factors[:count, :1] * features[:count]
+        for e in range(1, self.order + 1):
+            total += self.factors[:count, e : e + 1] * features[e : e + count]
+        return np.asarray(np.sqrt(self.weight) * total)
 
 
 def measure_features(state: State) -> Array:
@@ -151,3 +135,36 @@ def measure_activity(values: Array, coarse: Batch, batch: Batch) -> Array:
         end = np.searchsorted(coarse.times[some], batch.times[every] + ACTIVITY_SPAN_S, side='right')
         out[every] = (sums[end] - sums[first]) / np.maximum(end - first, 1)
     return out
+
+
+def add_differences(
+    terms: Sequence[FiniteDifference],
+    features: Array,
+    jacobian: Array,
+    blocks: Array,
+    coupling: Array,
+    gradient: Array,
+) -> None:
+    """Add the Gauss-Newton matrix and half the gradient of differences whose weights w are 1, in place.
+
+    Args:
+        terms: of order 1 or 2.
+        features: (N, F).
+        jacobian: (N, F, n) their derivatives by the unknowns of the frame.
+        blocks: (N, n, n) of the matrix, for each frame.
+        coupling: (N, 2, n, n) blocks in the rows of frame t + d + 1 and the columns of frame t.
+        gradient: (N, n).
+    """
+    bands, force = np.zeros((3, len(features))), np.zeros_like(features)
+    for term in terms:
+        residuals = term.residuals(features)
+        count, c = len(residuals), term.factors[: len(residuals)]
+        for e in range(term.order + 1):
+            force[e : e + count] += c[:, e : e + 1] * residuals
+            for d in range(term.order + 1 - e):
+                bands[d, e : e + count] += c[:, e] * c[:, e + d]
+    transposed = np.swapaxes(jacobian, 1, 2)
+    for d, target in enumerate((blocks, coupling[:, 0], coupling[:, 1])):
+        count = max(len(features) - d, 0)
+        target[:count] += bands[d, :count, None, None] * (transposed[d:] @ jacobian[:count])
+    gradient += (transposed @ force[..., None])[..., 0]

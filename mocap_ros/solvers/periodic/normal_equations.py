@@ -205,12 +205,19 @@ def insert_heading(body: engine.JointProblem, vertical: Array) -> tuple[Array, A
         body: problem of the joint solver, with its equations H_t and h_t.
         vertical: (N, 3) the body's vertical in the camera frame, a_t.
     """
-    is_lower = np.tri(body.diagonal.shape[1], dtype=bool)
-    matrix = np.where(is_lower, body.diagonal, np.swapaxes(body.diagonal, 1, 2))
-    k = len(is_lower) - CAMERA_UNKNOWNS
-    turn = slice(k, k + 3)
-    column = (matrix[:, :, turn] @ vertical[:, :, None])[..., 0]
-    row = np.insert(column, k, (vertical * column[:, turn]).sum(axis=1), axis=1)
-    matrix = np.insert(np.insert(matrix, k, column, axis=2), k, row, axis=1)
-    gradient = np.insert(body.gradient, k, (vertical * body.gradient[:, turn]).sum(axis=1), axis=1)
-    return matrix, gradient, np.insert(body.bone_vectors[:, :k], k, 0.0, axis=1)
+    frames, n = body.gradient.shape
+    k = n - CAMERA_UNKNOWNS
+    turn, kept = slice(k, k + 3), ((slice(0, k), slice(0, k)), (slice(k, n), slice(k + 1, n + 1)))
+    blocks = np.where(np.tri(n, dtype=bool), body.diagonal, np.swapaxes(body.diagonal, 1, 2))
+    column = (blocks[:, :, turn] @ vertical[:, :, None])[..., 0]
+    matrix, gradient = np.empty((frames, n + 1, n + 1)), np.empty((frames, n + 1))
+    for old, new in kept:
+        gradient[:, new] = body.gradient[:, old]
+        matrix[:, k, new] = matrix[:, new, k] = column[:, old]
+        for old_column, new_column in kept:
+            matrix[:, new, new_column] = blocks[:, old, old_column]
+    matrix[:, k, k] = (vertical * column[:, turn]).sum(axis=1)
+    gradient[:, k] = (vertical * body.gradient[:, turn]).sum(axis=1)
+    bones = np.zeros((frames, k + 1, body.bone_vectors.shape[2]))
+    bones[:, :k] = body.bone_vectors[:, :k]
+    return matrix, gradient, bones

@@ -36,7 +36,12 @@ from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, fill_camera_jaco
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.joint.batch import Batch, State
-from mocap_ros.solvers.joint.differences import FiniteDifference, invert_time_steps, weigh_velocity_change
+from mocap_ros.solvers.joint.differences import (
+    FiniteDifference,
+    add_differences,
+    invert_time_steps,
+    weigh_velocity_change,
+)
 from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.periodic.fourier import FourierSeries, variance_shares
 from mocap_ros.solvers.periodic.normal_equations import PeriodicEquations, Step
@@ -151,8 +156,7 @@ class PeriodicObjective:
         equations.series_gradient[:size] += (self.prior * point.series.coefficients).ravel()
         blocks, gradient = equations.camera_prior, equations.camera_gradient
         matrices, jacobian = measure_matrices(cameras), differentiate_matrices(cameras)
-        for term in self.movement:
-            term.add_to(matrices, jacobian, blocks, equations.camera_coupling, gradient)
+        add_differences(self.movement, matrices, jacobian, blocks, equations.camera_coupling, gradient)
         tilt = np.zeros((len(vertical), 3, 3))  # by the rotation vector; the scale has no influence
         fill_rotation_jacobian(tilt, vertical)
         transposed = self.level_weight * np.swapaxes(tilt[:, ::2], -1, -2)
