@@ -180,12 +180,11 @@ cdef class BlockCholesky:
         if not factorise_blocks(&self.factor, &work[0, 0, 0], &diagonal[0, 0, 0], &corners[0, 0, 0, 0], &scratch[0, 0]):
             raise np.linalg.LinAlgError('the matrix is not positive definite')
 
-    def solve_lower(self, right):
-        """Return L^-1 times R right-hand sides, (F, n, R); 0 in frames that are held."""
-        cdef double[:, :, ::1] remaining = np.array(right, np.float64, order='C')
-        out = np.empty(right.shape)
+    def solve_lower(self, double[:, :, ::1] right):
+        """Return L^-1 times R right-hand sides, (F, n, R), which are overwritten; 0 in frames that are held."""
+        out = np.empty((right.shape[0], right.shape[1], right.shape[2]))
         cdef double[:, :, ::1] view = out
-        solve_forward(&self.factor, remaining.shape[2], &remaining[0, 0, 0], &view[0, 0, 0])
+        solve_forward(&self.factor, right.shape[2], &right[0, 0, 0], &view[0, 0, 0])
         return out
 
     def solve_lower_transposed(self, right):

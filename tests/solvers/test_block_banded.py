@@ -43,7 +43,7 @@ def test_solution_equals_the_dense_one(rng: np.random.Generator, distances: int,
     lower = np.zeros_like(dense)
     lower[np.ix_(free, free)] = np.linalg.cholesky(dense[np.ix_(free, free)])
     right = rng.normal(size=(FRAMES, UNKNOWNS, 4))
-    found = factor.solve_lower(right).reshape(-1, 4)
+    found = factor.solve_lower(right.copy()).reshape(-1, 4)
     assert lower @ found == pytest.approx(np.where(free[:, None], right.reshape(-1, 4), 0.0), abs=1e-12)
     found = factor.solve_lower_transposed(right[..., 0])
     assert lower.T @ found.ravel() == pytest.approx(np.where(free, right[..., 0].ravel(), 0.0), abs=1e-12)
