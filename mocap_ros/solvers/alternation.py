@@ -16,7 +16,7 @@ weighted centroids. The paper's box, and where each of its lines is found here:
 
     Algorithm 1: recover camera and shape
     Q <- base shapes                                              `BasePoses.truncate`
-    while no convergence do                                       `alternate`
+    while no convergence do                                       `reconstruct`
         for t = 1 -> f do                                         all frames at once
             calculate starting values for M_t    (eq. 10, 11)     `choose_initial_values`, only before the loop
             optimise |w_t - M_t Theta_t Q|_F + r_K,t    (eq. 13)  `AlternationProblem.optimise_cameras`
@@ -27,6 +27,7 @@ weighted centroids. The paper's box, and where each of its lines is found here:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,7 +42,6 @@ from mocap_ros.geometry.weak_perspective import (
 )
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.window import (
-    InitialValues,
     Reconstruction,
     SolverStatus,
     Window,
@@ -73,47 +73,20 @@ def reconstruct(window: Window, model: BasePoses, config: SolverConfig) -> Recon
     """
     model = model.truncate(config.components)  # Q <- base shapes
     start, s0 = choose_initial_values(window, model, config.start_window)  # theta = 0; M_t from eq. 10 and 11
-    result = alternate(AlternationProblem.build(model, window, s0, config), start, s0, config)
-    return replace(result, translation=interpolate_unseen(result.translation, window))
-
-
-def alternate(
-    problem: AlternationProblem, start: InitialValues, s0: float, config: SolverConfig
-) -> Reconstruction:
-    """Minimise the objective of a problem over cameras and weights in turn, from these initial values.
-
-    Args:
-        problem: objective, and the steps that lower it.
-        start: initial values, scales in px/m.
-        s0: px/m, by which the image points of the problem were divided.
-        config: `max_iterations` and `tolerance` apply.
-    """
+    problem = AlternationProblem.build(model, window, s0, config)
     theta = start.theta
     cameras = WeakPerspectiveCameras(start.cameras.scale / s0, start.cameras.rotation)
-    progress = _Progress([problem.objective(cameras, theta)])
-    while progress.status is SolverStatus.MAX_ITERATIONS and progress.iterations < config.max_iterations:
+    history, status = [problem.objective(cameras, theta)], SolverStatus.MAX_ITERATIONS
+    while status is SolverStatus.MAX_ITERATIONS and len(history) <= 2 * config.max_iterations:
+        before = history[-1]
         cameras = problem.optimise_cameras(cameras, theta)  # all M_t by eq. 13, which is eq. 9 + eq. 12
-        objective_after_cameras = problem.objective(cameras, theta)
+        history.append(problem.objective(cameras, theta))
         theta = problem.optimise_weights(cameras, theta)  # Theta by eq. 21, which is eq. 9 of all frames + eq. 20
-        progress.record(objective_after_cameras, problem.objective(cameras, theta), config.tolerance)
-    return _make_reconstruction(problem, cameras, theta, s0, progress)
-
-
-@dataclass
-class _Progress:
-    """Objective (m^2) after every half iteration, and the test for convergence."""
-
-    history: list[float]
-    iterations: int = 0
-    status: SolverStatus = SolverStatus.MAX_ITERATIONS
-
-    def record(self, after_cameras: float, after_weights: float, tolerance: float) -> None:
-        """Append the objective after both halves of an iteration; `tolerance` is a relative decrease."""
-        before = self.history[-1]
-        self.history += [after_cameras, after_weights]
-        self.iterations += 1
-        if before - after_weights <= tolerance * before:
-            self.status = SolverStatus.CONVERGED if after_weights < before else SolverStatus.NO_LOWER_STEP
+        history.append(problem.objective(cameras, theta))
+        if before - history[-1] <= config.tolerance * before:
+            status = SolverStatus.CONVERGED if history[-1] < before else SolverStatus.NO_LOWER_STEP
+    result = _make_reconstruction(problem, cameras, theta, s0, status, history)
+    return replace(result, translation=interpolate_unseen(result.translation, window))
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,15 +169,14 @@ class AlternationProblem:
         before = self.objective(cameras, theta)
         damping = INITIAL_DAMPING
         for _ in range(MAX_DAMPING_TRIALS):
-            step = equations.solve(damping)
-            candidate = theta - step
+            candidate = theta - solve_coupled_blocks(*equations, damping)
             if self.objective(cameras, candidate) <= before:
                 return candidate
             damping = max(damping * DAMPING_GROWTH, MIN_RAISED_DAMPING)
         return theta
 
-    def weight_equations(self, cameras: WeakPerspectiveCameras, theta: Array) -> WeightEquations:
-        """Return the Gauss-Newton equations of eq. 21.
+    def weight_equations(self, cameras: WeakPerspectiveCameras, theta: Array) -> tuple[Array, Array, float, Array]:
+        """Return the Gauss-Newton equations of eq. 21, for `solve_coupled_blocks`.
 
         With the reprojection Jacobian A_t, the reprojection error e_t, the bone-length Jacobian B_t and the bone
         lengths b_t of a frame,
@@ -232,28 +204,7 @@ class AlternationProblem:
         blocks = jac_t @ jac + self.beta * (bone_t @ bone_jac) + np.diag(self.prior)
         gradient = jac_t @ error + self.beta * (bone_t @ bone_error[..., None])
         gradient = gradient[..., 0] + self.prior * theta
-        return WeightEquations(blocks, gradient, bone_t, self.beta / frames)
-
-
-@dataclass(frozen=True, eq=False)
-class WeightEquations:
-    """Gauss-Newton equations (blockdiag(blocks) - coupling_weight G G^T) step = gradient of all weights.
-
-    Attributes:
-        blocks: (F, K, K) diagonal block of each frame, positive semidefinite; 0 where nothing tells the weights.
-        gradient: (F, K) half the gradient of the objective.
-        coupling: (F, K, B) the rows of G that belong to each frame.
-        coupling_weight: beta / F.
-    """
-
-    blocks: Array
-    gradient: Array
-    coupling: Array
-    coupling_weight: float
-
-    def solve(self, damping: float) -> Array:
-        """Return the step (F, K) under this relative damping of the diagonal."""
-        return solve_coupled_blocks(self.blocks, self.coupling, self.coupling_weight, self.gradient, damping)
+        return blocks, bone_t, self.beta / frames, gradient
 
 
 def solve_coupled_blocks(
@@ -290,7 +241,8 @@ def _make_reconstruction(
     cameras: WeakPerspectiveCameras,
     theta: Array,
     s0: float,
-    progress: _Progress,
+    status: SolverStatus,
+    history: Sequence[float],
 ) -> Reconstruction:
     """Return the result in px and px/m; the scales of `cameras` are relative to `s0` (px/m)."""
     poses = problem.model.poses(theta)
@@ -307,7 +259,7 @@ def _make_reconstruction(
         cameras=cameras_px,
         translation=problem.centroid * s0 - offset,
         residual=residual,
-        status=progress.status,
-        history=tuple(progress.history),
-        iterations=progress.iterations,
+        status=status,
+        history=tuple(history),
+        iterations=len(history) // 2,
     )
