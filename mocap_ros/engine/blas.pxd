@@ -4,7 +4,7 @@
 """SciPy's BLAS and LAPACK on matrices whose rows lie one after the other (C order).
 
 BLAS takes matrices column by column, so it sees the transpose of each: C = A B is computed as C^T = B^T A^T, and
-the lower triangle of a symmetric matrix is its upper one. Of a symmetric result only the lower triangle is written.
+the lower triangle of a symmetric matrix is its upper one. Of symmetric results only the lower triangle is written.
 """
 
 from scipy.linalg.cython_blas cimport dgemm, dgemv, dsyrk, dtrsm

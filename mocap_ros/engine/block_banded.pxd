@@ -8,6 +8,8 @@ cdef struct Factor:
     char* is_coupled  # (F, D) whether these are not 0
     const unsigned char* is_free  # (F,)
 
-cdef bint factorise_blocks(Factor* f, double* blocks, const double* diagonal, const double* corners, double* scratch) noexcept nogil
+cdef bint factorise_blocks(
+    Factor* f, double* blocks, const double* diagonal, const double* corners, double* scratch
+) noexcept nogil
 cdef void solve_forward(Factor* f, int right, double* remaining, double* out) noexcept nogil
 cdef void solve_backward(Factor* f, double* remaining, double* out) noexcept nogil

@@ -177,7 +177,9 @@ cdef class BlockCholesky:
             frames, n, distances, corners.shape[2], &self.inverse[0, 0, 0], &self.below[0, 0, 0, 0],
             &self.is_coupled[0, 0], &self.is_free[0],
         )
-        if not factorise_blocks(&self.factor, &work[0, 0, 0], &diagonal[0, 0, 0], &corners[0, 0, 0, 0], &scratch[0, 0]):
+        if not factorise_blocks(
+            &self.factor, &work[0, 0, 0], &diagonal[0, 0, 0], &corners[0, 0, 0, 0], &scratch[0, 0]
+        ):
             raise np.linalg.LinAlgError('the matrix is not positive definite')
 
     def solve_lower(self, double[:, :, ::1] right):

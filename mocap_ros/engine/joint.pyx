@@ -5,33 +5,36 @@
 """The objective of the joint solver, its normal equations, and Levenberg-Marquardt.
 
 A frame t has K weights theta of the base poses, a rotation R (body to camera), a scale s and a translation as
-unknowns. A step has n = K + 4 numbers a frame: changes of the weights, a rotation vector w with R <- exp([w]x) R, and
-the change of log s; the translation is eliminated. With the pose P_j = Q_0j + sum_l theta_l Q_lj of a frame, its
-scaled joints q_j = s R P_j, and rho(a) = c^2 log(1 + a / c^2) (Cauchy's loss; c infinite: least squares), the objective
-of a sequence is the sum over its frames of
+unknowns. A step x has n = K + 4 numbers a frame: changes of the weights, a rotation vector w with R <- exp([w]x) R,
+and the change of log s; the translation is eliminated. With the pose P_j = Q_0j + sum_l theta_l Q_lj of a frame, its
+scaled joints q_j = s R P_j, and Cauchy's loss rho(a) = c^2 log(1 + a / c^2) (c infinite: least squares), the
+objective of a sequence is the sum over its frames of
 
-    sum_j w_j rho(|e_j|^2) / v          reprojection: e_j = (q_j[:2] + translation) / d_j - x_j,  d_j = 1 + q_jz / f
+    sum_j w_j rho(|e_j|^2) / v          reprojection: e_j = (q_j[:2] + translation) / d_j - x_j, d_j = 1 + q_jz / f
   + sum_b beta_b (l_b - m_b)^2          bone lengths l_b and their means m_b over the sequence (TPAMI 2016, eq. 20)
   + sum_l lambda_l theta_l^2            prior of the base poses
   + omega sum_j rho(sum_i (q_ji - y_ji)^2 pi_ji)              lifted poses y with the precisions pi
   + sum_f w_f (sum_e c_te x_(t+e)f)^2   differences of order 1 or 2 of the features x of neighbouring frames
 
-with v the variance of the image noise over that of the reference of 10 mm. The features are the K weights and, of the
-camera, the 6 elements of s R[:2], the 6 of R[:2], and log s.
+with v the variance of the image noise over that of the reference of 10 mm. The features are the K weights and, of
+the camera, the 6 elements of s R[:2], the 6 of R[:2], and log s.
 
-Normal equations (A - beta-part) x = -g, A block banded (`block_banded`). Terms of the joints' positions have
-Gauss-Newton matrices M_j (3, 3) and half gradients m_j (3,) by q_j. With M_j = L_j L_j^T and J_j = dq_j / dx (3, n), the
-rows L_j^T J_j of all joints form one matrix whose square is added to the block of the frame. The elimination of the
-translation subtracts u u^T / w, u = sum_j J_j^T U_j, U_j (3, 2) the mixed second derivatives by q_j and the translation.
+Normal equations (A - G G^T / F) x = -g, A block banded (`block_banded`). Terms of the joints' positions have
+Gauss-Newton matrices M_j (3, 3) and half gradients m_j (3,) by q_j. With M_j = L_j L_j^T and J_j = dq_j / dx (3, n),
+the rows L_j^T J_j of all joints form one matrix, whose square is added to the block of the frame. The elimination of
+the translation subtracts u u^T / w, u = sum_j J_j^T U_j, with U_j (3, 2) the mixed second derivatives by q_j and the
+translation, and w the second derivative by the translation.
 
-The mean bone lengths are eliminated exactly: with G the gradients of sum_t sqrt(beta_b) l_tb (a column a bone), they
-subtract G G^T / F, of rank B. The Gauss-Newton matrix lacks the second derivatives of the lengths, and then needs several
-times as many steps. Those of bones that are too long are positive semidefinite and are put in. By Woodbury's identity,
-with B = L L^T the damped block-banded part, y = L^-1 g and V = L^-1 G,
+The mean bone lengths are eliminated exactly: with G the gradients of sum_t sqrt(beta_b) l_tb, a column a bone, they
+subtract G G^T / F, of rank B. The Gauss-Newton matrix lacks the second derivatives of the lengths, and then needs
+several times as many steps; those of bones that are too long are positive semidefinite and are put in. By Woodbury's
+identity, with A = L L^T under damping, y = L^-1 g and V = L^-1 G,
 
-    x = L^-T (y + V (I - V^T V / F)^-1 V^T y / F)
+    x = -L^-T (y + V (I - V^T V / F)^-1 V^T y / F)
 
 Sequences are not coupled: each has a damping of its own, and steps until it has converged.
+
+Sizes: P sequences, N frames of all and F of one, J joints, B bones, K base poses, T differences, D their largest order.
 """
 
 from libc.math cimport INFINITY, NAN, exp, fabs, isfinite, log1p, sqrt
@@ -64,8 +67,8 @@ cdef double MIN_DAMPING = 1e-5  # relative; a smaller damping changes no digit o
 cdef double MAX_DAMPING = 1e8  # relative; a sequence whose steps are still refused under more is at its minimum
 cdef double DAMPING_AFTER_SUCCESS = 0.2  # factor; tuned on CMU views for few steps, as the next
 cdef double DAMPING_AFTER_FAILURE = 10
-cdef double MIN_FREE_SHARE = 0.05  # of the coordinates; so many still measure the noise where nearly all are fitted
-cdef int COUNTED_FRAMES = 3  # frames of a sequence, at least, in which the coordinates that the fit absorbs are counted
+cdef double MIN_FREE_SHARE = 0.05  # of the coordinates; so many still measure the noise if all are fitted
+cdef int COUNTED_FRAMES = 3  # frames of a sequence, at least, in which absorbed coordinates are counted
 cdef double MIN_SCALE = 1e-9  # px/m; guards against a scale of zero where a lifted pose is degenerate
 cdef int COUNTED_FRAME_STEP = 15  # frames; of a longer sequence one further frame in so many is counted
 
@@ -173,41 +176,48 @@ cdef class JointProblem:
         bone_vectors: (N, n, B) G.
         coupling: (N, D, n) diagonals of the blocks in the rows of frame t + d + 1 and the columns of frame t.
         corners: (N, D, 4, 4) what is added to these in the rows and columns of the cameras.
-        cost, damping, iterations, status, is_done: (P,) objective in m^2, damping of the next step, number of steps
-            that were tried, `SolverStatus`, and whether a sequence steps no more.
+        cost: (P,) m^2.
+        damping: (P,) of the next step.
+        iterations: (P,) number of steps that were tried.
+        status: (P,) `SolverStatus`.
+        is_done: (P,) whether a sequence steps no more.
     """
 
-    cdef readonly int sequences, frames, joints, bones_count, components, unknowns, distances
+    cdef readonly int sequences, frames, joints, bones_count, components, unknowns, distances  # P, N, J, B, K, n, D
+    # the objective
     cdef const long long[::1] starts, counts, earlier_frames, parents, children
     cdef const unsigned char[::1] is_free
-    cdef const double[:, :, ::1] image, lifted, precision
-    cdef const double[:, ::1] score, earlier_lengths, basis, mean, bones
-    cdef const double[::1] focal, noise_ratio, bone_weight, prior
+    cdef const double[:, :, ::1] image, lifted, precision  # (N, J, 2), (N, J, 3), (N, J, 3)
+    cdef const double[:, ::1] score, earlier_lengths, basis, mean, bones  # (N, J), (P, B), (3J, K), (J, 3), (3B, K)
+    cdef const double[::1] focal, noise_ratio, bone_weight, prior  # (N,), (P,), (B,), (K,)
     cdef double robust_scale, lifter_weight, lifter_robust_scale
     cdef const long long[::1] orders
-    cdef const double[:, :, ::1] factors
-    cdef const double[:, ::1] feature_weight
-    cdef readonly object point, diagonal, gradient, bone_vectors, coupling, corners
-    cdef readonly object cost, damping, iterations, status, is_done
+    cdef const double[:, :, ::1] factors  # (T, N, 3)
+    cdef const double[:, ::1] feature_weight  # (T, K + 13)
+    # the current point, that after a step, and that of the normal equations: a `Frame` in each row, of this width
+    cdef readonly object point
+    cdef double[:, ::1] current, trial, linearised
     cdef int width
     cdef dict fields
-    cdef double[:, ::1] current, trial, linearised
-    cdef double[:, :, ::1] blocks, vectors, couplings, last_inverse
+    # the normal equations, for Python and in typed views
+    cdef readonly object diagonal, gradient, bone_vectors, coupling, corners
+    cdef double[:, :, ::1] blocks, vectors, couplings
     cdef double[:, :, :, ::1] corner_blocks
     cdef double[:, ::1] right
+    # the state of Levenberg-Marquardt, likewise
+    cdef readonly object cost, damping, iterations, status, is_done
     cdef double[::1] costs, dampings
     cdef long long[::1] tried, ends
     cdef unsigned char[::1] done, outdated, has_step
-    # of the largest sequence
-    cdef double[:, :, ::1] work, inverse, system, solved
+    cdef double[:, :, ::1] last_inverse  # (P, n, n) of the last step: X of the last frame
+    # working memory of one sequence
+    cdef double[:, :, ::1] work, inverse, system, solved, feature_jacobian
     cdef double[:, :, :, ::1] below
     cdef char[:, ::1] is_coupled
-    cdef double[:, ::1] step, rows
-    cdef double[:, :, ::1] feature_jacobian
-    cdef double[:, ::1] scratch, reduced, inner, by_basis, by_weights
+    cdef double[:, ::1] step, rows, scratch, reduced, inner, by_basis, by_weights
+    cdef double[::1] correction, pose
     cdef double[12] by_camera
     cdef double[2] by_translation
-    cdef double[::1] correction, means, pose
 
     def __init__(self, objective, arrays):
         batch, K, differences = objective.batch, len(objective.prior), objective.differences
@@ -234,10 +244,10 @@ cdef class JointProblem:
         self.unknowns, self.distances = n, D
         self.fields, self.width = {}, 0
         for name, size, shape in (
-            ('theta', K, (N, K)), ('features', FEATURES, (N, FEATURES)), ('rotation', 9, (N, 3, 3)), ('log_scale', 1, N),
-            ('translation', 2, (N, 2)), ('scaled_pose', 3 * J, (N, J, 3)), ('depth', J, (N, J)),
-            ('error', 2 * J, (N, J, 2)), ('squared', J, (N, J)), ('direction', 3 * B, (N, B, 3)), ('length', B, (N, B)),
-            ('excess', B, (N, B)),
+            ('theta', K, (N, K)), ('features', FEATURES, (N, FEATURES)), ('rotation', 9, (N, 3, 3)),
+            ('log_scale', 1, N), ('translation', 2, (N, 2)), ('scaled_pose', 3 * J, (N, J, 3)), ('depth', J, (N, J)),
+            ('error', 2 * J, (N, J, 2)), ('squared', J, (N, J)), ('direction', 3 * B, (N, B, 3)),
+            ('length', B, (N, B)), ('excess', B, (N, B)),
         ):
             self.fields[name] = self.width, size, shape
             self.width += size
@@ -264,7 +274,7 @@ cdef class JointProblem:
         self.rows = np.empty((3 * J + 4 * B + 2, n))
         self.scratch, self.reduced, self.inner = np.empty((n, n)), np.empty((B + 1, B + 1)), np.empty((B, B))
         self.by_basis, self.by_weights = np.empty((3, 3 * J)), np.empty((3, K))
-        self.correction, self.means, self.pose = np.empty(B + 1), np.empty(B), np.empty(3 * J)
+        self.correction, self.pose = np.empty(B + 1), np.empty(3 * J)
 
     cdef inline Frame view(self, double* numbers) noexcept nogil:
         cdef int J = self.joints, B = self.bones_count
@@ -286,7 +296,7 @@ cdef class JointProblem:
     # Measurement
 
     cdef void project(self, int t, Frame* f, double robust_scale, bint settle) noexcept nogil:
-        """Write depths and errors of a frame, after one step of the robust fit of the translation if it is to settle."""
+        """Write depths and errors of a frame, if it is to settle after one step of the robust fit of the translation."""
         cdef int j
         cdef double d, x, y, u, total = 0, shift_x = 0, shift_y = 0
         for j in range(self.joints):
@@ -313,9 +323,11 @@ cdef class JointProblem:
         return self.robust_scale * max(self.noise_ratio[p], 1.0)
 
     cdef double measure(self, int p, double* point, double settle_scale) noexcept nogil:
-        """Write what follows from the unknowns of a sequence at a point (N, width), and return its objective in m^2.
+        """Write what follows from the unknowns of a sequence at a point, and return its objective in m^2.
 
         Args:
+            p: the sequence.
+            point: (N, width).
             settle_scale: m, c under which the translations settle by one step; 0 keeps them.
         """
         cdef int start = self.starts[p], count = self.counts[p], J = self.joints, B = self.bones_count
@@ -417,7 +429,9 @@ cdef class JointProblem:
             m.l22 = sqrt(max(m.v * (m.a * m.a + m.b * m.b) + stiffness[2] - m.l20 * m.l20 - m.l21 * m.l21, 0.0))
         return m
 
-    cdef double write_joint_rows(self, int p, int t, Frame* f, bint with_lifted, int* rows, double* out) noexcept nogil:
+    cdef double write_joint_rows(
+        self, int p, int t, Frame* f, bint with_lifted, int* rows, double* out
+    ) noexcept nogil:
         """Write the rows of all joints, and keep sum_j J_j^T (m_j, U_j) in `by_weights` and `by_camera`.
 
         Args:
@@ -688,8 +702,8 @@ cdef class JointProblem:
         return 2 + total
 
     cdef double estimate_noise_of(self, int p) noexcept nogil:
-        """Return the noise of a sequence in m: its residual, shared among the coordinates that are not absorbed."""
-        cdef int start = self.starts[p], end = self.starts[p] + self.counts[p], first = self.starts[p], t, j, stride
+        """Return the noise of a sequence in m, from its residual and the coordinates that are not absorbed."""
+        cdef int start = self.starts[p], end = start + self.counts[p], first = start, t, j, stride
         cdef int coordinates = 0, counted = 0
         cdef double c = self.robust_scale_of(p), squares = 0, absorbed = 0
         cdef Frame f
@@ -898,7 +912,8 @@ cdef void write_best_rotation(const double* products, double* out) noexcept nogi
     for i in range(9):
         m[i] = products[i] / sqrt(size)
     k[0], k[5], k[10], k[15] = m[0] + m[4] + m[8], m[0] - m[4] - m[8], m[4] - m[0] - m[8], m[8] - m[0] - m[4]
-    k[1], k[2], k[3], k[6], k[7], k[11] = m[7] - m[5], m[2] - m[6], m[3] - m[1], m[3] + m[1], m[2] + m[6], m[7] + m[5]
+    k[1], k[2], k[3] = m[7] - m[5], m[2] - m[6], m[3] - m[1]
+    k[6], k[7], k[11] = m[3] + m[1], m[2] + m[6], m[7] + m[5]
     for i in range(4):
         for j in range(i):
             k[4 * i + j] = k[4 * j + i]
