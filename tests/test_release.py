@@ -66,11 +66,14 @@ def test_the_changelog_begins_with_the_version_of_the_package() -> None:
 
 def test_the_wheel_holds_every_file_of_the_package(distributions: Path) -> None:
     package = ROOT / 'mocap_ros'
-    files = {path.relative_to(ROOT).as_posix() for path in package.rglob('*') if path.is_file()}
+    sources = {'.pyx', '.pxd', '.so'}  # of the engine, which the wheel holds compiled
+    files = {path.relative_to(ROOT).as_posix() for path in package.rglob('*.*') if path.suffix not in sources}
     files |= {f'mocap_ros/messages/msg/{path.name}' for path in (ROOT / 'msg_defs' / 'msg').glob('*.msg')}
     (wheel,) = distributions.glob('*.whl')
     held = set(zipfile.ZipFile(wheel).namelist())
     assert {file for file in files if '__pycache__' not in file} - held == set()
+    compiled = {name.partition('.')[0] for name in held if name.endswith('.so')}
+    assert compiled == {f'mocap_ros/engine/{path.stem}' for path in package.glob('engine/*.pyx')}
     shared = {name.partition('.data/data/')[2] for name in held} - {''}
     assert shared >= {
         'share/ament_index/resource_index/packages/mocap_ros',
