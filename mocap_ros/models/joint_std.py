@@ -10,7 +10,7 @@
 
 The lifter's standard deviations say which poses an image leaves uncertain. The image noise, which the solver
 estimates, says how well this detector sees this person. The factors were chosen so that two thirds of the true
-errors are within the standard deviation and 95 % within two (docs/tracker.md, "Standard deviations"): those with a
+errors are within the standard deviation and 95 % within two: those with a
 lifter on trials of training persons, with clean points and under three models of detectors, all limbs seen or an
 arm or a leg hidden; the factors h_j, which are larger for inferred joints than for seen ones, on CMU trials of
 subject 35 (walk), UJ, UB and 05, with the subject left out of training.
