@@ -144,6 +144,7 @@ def test_a_recording_switched_by_parameter_ends_when_its_folder_is_removed(
     assert peer.set_parameter('recorder.enabled', True).successful
     peer.wait_until(lambda: len(list((tmp_path / 'bags').glob('*/*.mcap'))) == 2)
     (second,) = set((tmp_path / 'bags').glob('*/*.mcap')) - set(first.iterdir())
+    peer.wait_for_diagnostics('recorder', f'recording to {second.parent}')
     shutil.rmtree(second.parent)
     reason = f'{second}: the file was removed or moved while it was written'
     peer.wait_for_diagnostics('recorder', f'not recording: {reason}')
