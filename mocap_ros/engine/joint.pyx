@@ -34,7 +34,7 @@ identity, with A = L L^T under damping, y = L^-1 g and V = L^-1 G,
 
 Sequences are not coupled: each has a damping of its own, and steps until it has converged.
 
-Sizes: P sequences, N frames of all and F of one, J joints, B bones, K base poses, T differences, D their largest order.
+Sizes: P sequences, N frames of all and F of one, J joints, B bones, K base poses, T differences of order up to D.
 """
 
 from libc.math cimport INFINITY, NAN, exp, fabs, isfinite, log1p, sqrt
@@ -296,7 +296,7 @@ cdef class JointProblem:
     # Measurement
 
     cdef void project(self, int t, Frame* f, double robust_scale, bint settle) noexcept nogil:
-        """Write depths and errors of a frame, if it is to settle after one step of the robust fit of the translation."""
+        """Write depths and errors of a frame, after one robust step of the translation if it is to settle."""
         cdef int j
         cdef double d, x, y, u, total = 0, shift_x = 0, shift_y = 0
         for j in range(self.joints):
@@ -741,9 +741,11 @@ cdef class JointProblem:
         They are roots of the traces of their covariances; NaN where no step could be computed.
         """
         cdef int p, j, i, n = self.unknowns, K = self.components
-        cdef double scale, pose[3]
-        cdef Joint unit = Joint(1, 1, 0, 0, 1)
+        cdef double scale
+        cdef double[3] pose
+        cdef Joint unit
         cdef Frame f
+        unit.l00, unit.l11, unit.l20, unit.l21, unit.l22 = 1, 1, 0, 0, 1  # L = I
         std = np.zeros((self.sequences, self.joints))
         cdef double[:, ::1] out = std
         cdef double[:, ::1] whitened = np.empty((3, n))
@@ -902,8 +904,8 @@ cdef void write_best_rotation(const double* products, double* out) noexcept nogi
     cdef double size = 0, squared, best = -1, determinant, constant = 0, x, w, y, z
     cdef double m[9]
     cdef double k[16]
-    cdef double column[4]
-    cdef double q[4]
+    cdef double[4] column
+    cdef double[4] q = [1, 0, 0, 0]
     for i in range(9):
         size += products[i] * products[i]
         out[i] = 1 if i % 4 == 0 else 0
