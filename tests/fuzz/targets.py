@@ -282,7 +282,7 @@ def read_bag_folder(data: bytes, folder: Path) -> None:
 
 _MESSAGES = (
     *('messages.camera_info', 'messages.cdr', 'messages.images'),
-    *('messages.input_types', 'messages.keypoint', 'messages.skeletons', 'messages.transform_tree'),
+    *('messages.input_types', 'messages.keypoints', 'messages.skeletons', 'messages.transform_tree'),
     *('bags.journal', 'keypoints.validation'),
 )
 _NPZ = ('formats.npz_arrays', 'formats.sequence_file', 'npz_file', 'models.model_file')
