@@ -4,10 +4,10 @@
 """SciPy's BLAS and LAPACK on matrices whose rows lie one after the other (C order).
 
 BLAS takes matrices column by column, so it sees the transpose of each: C = A B is computed as C^T = B^T A^T, and
-the lower triangle of a symmetric matrix is its upper one. Of symmetric results only the lower triangle is written.
+the lower triangle of a symmetric matrix is its upper one.
 """
 
-from scipy.linalg.cython_blas cimport dgemm, dgemv, dsyrk, dtrsm
+from scipy.linalg.cython_blas cimport dgemm, dgemv, dtrsm
 from scipy.linalg.cython_lapack cimport dpotrf
 
 
@@ -42,14 +42,14 @@ cdef inline void multiply_vector_transposed(
 
 
 cdef inline void add_square(int m, int n, double factor, const double* a, double keep, double* out) noexcept nogil:
-    """C = keep C + factor A^T A: A (m, n), C (n, n), its lower triangle."""
-    dsyrk(b"U", b"N", &n, &m, &factor, <double*> a, &n, &keep, out, &n)
+    """C = keep C + factor A^T A: A (m, n), C (n, n). For such sizes dgemm is faster than dsyrk."""
+    dgemm(b"N", b"T", &n, &n, &m, &factor, <double*> a, &n, <double*> a, &n, &keep, out, &n)
 
 
 cdef inline void add_outer(int n, int k, double factor, const double* a, double* out) noexcept nogil:
-    """C = C + factor A A^T: A (n, k), C (n, n), its lower triangle."""
+    """C = C + factor A A^T: A (n, k), C (n, n)."""
     cdef double keep = 1
-    dsyrk(b"U", b"T", &n, &k, &factor, <double*> a, &k, &keep, out, &n)
+    dgemm(b"T", b"N", &n, &n, &k, &factor, <double*> a, &k, <double*> a, &k, &keep, out, &n)
 
 
 cdef inline bint factorise(int n, double* a) noexcept nogil:
