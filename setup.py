@@ -26,7 +26,12 @@ README = re.sub(
 # sevenths of the size and a third of the time of the build.
 FLAGS = ['-O3', '-g0', '-fno-wrapv', '-ffp-contract=off']
 ENGINE = [
-    Extension(source.removesuffix('.pyx').replace('/', '.'), [source], extra_compile_args=FLAGS)
+    Extension(
+        source.removesuffix('.pyx').replace('/', '.'),
+        [source],
+        depends=glob('mocap_ros/engine/*.pxd'),
+        extra_compile_args=FLAGS,
+    )
     for source in sorted(glob('mocap_ros/engine/*.pyx'))
 ]
 

@@ -15,6 +15,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -32,6 +33,8 @@ from mocap_ros.ros.throttled_log import Logger, ThrottledLog, TracebackLog
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 
 RECORDER_CHECK_SECONDS = 0.25  # s; between two looks at the recorder while no message arrives
+# s; for which inputs wait while a recording is finished, which then goes on by itself; 50 of a topic can wait
+MAX_PAUSE_SECONDS = 1.0
 MAX_STOP_SECONDS = 0.3  # s; time to process waiting messages at a stop, so that the node ends within 1 s
 
 
@@ -68,6 +71,7 @@ class LiveRun:
         self._logger, self._throttled_log, self._tracebacks = logger, ThrottledLog(logger), TracebackLog(logger)
         self.statistics, self.queue = RunStatistics(), InputQueue()
         self._recording: Recording | None = None
+        self._finisher = ThreadPoolExecutor(1, 'mocap recording')  # waits for the disk when a recording ends
         self._start_failure = ''  # why none could be started although recorder.enabled is set
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
         self._pipeline_lock = threading.Lock()  # guards the pipeline and the recording
@@ -97,6 +101,7 @@ class LiveRun:
                 self._tracebacks.report(traceback.format_exc())
         with suppress(RecordingError):  # it has been logged
             self.finish_recording()
+        self._finisher.shutdown()
 
     def enqueue(self, source: Source, raw: bytes, sent_ns: int, topic: str = '') -> None:
         """Put a message that has just been received into the queue.
@@ -177,14 +182,24 @@ class LiveRun:
     def finish_recording(self) -> Path | None:
         """Finish the recording and return its folder, or None if no recording is running.
 
+        If the disk is slow, the recording is finished after the return, and its end is logged.
+
         Raises:
             RecordingError: The recording could not be finished; this has been logged.
         """
         with self._pipeline_lock:
             recording, self._recording, self._start_failure = self._running, None, ''
-        if recording:
-            recording.finish()
-        return recording.folder if recording else None
+        if recording is None:
+            return None
+        ending = self._finisher.submit(recording.finish)
+        wait([ending], MAX_PAUSE_SECONDS)
+        if ending.done():
+            ending.result()
+        else:
+            self._logger.warning(
+                f'the disk is slow; the recording to {recording.folder} will be finished when it has taken all'
+            )
+        return recording.folder
 
     def set_recording(self, is_wanted: bool) -> None:
         """Start or finish the recording if it is not yet in the wanted state; a failure is logged, not raised."""

@@ -289,6 +289,22 @@ def test_a_disk_that_takes_nothing_is_reported_and_does_not_stop_the_run(
     assert read_messages(bag, '/keypoints') == stream[:1]
 
 
+def test_a_run_goes_on_while_a_recording_is_finished_on_a_disk_that_takes_nothing(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('mocap_ros.ros.live.MAX_PAUSE_SECONDS', 0.01)
+    disk_is_ready = block_disk(monkeypatch)
+    live = CollectingRun(recording_to(tmp_path / 'live'))
+    live.process(stream[:1])
+    assert live.run.finish_recording() == find_bag(tmp_path)
+    live.process(stream[1:3])
+    assert live.count_lines('is finished') == 0
+    disk_is_ready.set()
+    live.run.stop()
+    assert live.count_lines('is finished') == 1
+    assert read_messages(find_bag(tmp_path), '/keypoints') == stream[:1]
+
+
 def test_inputs_that_are_too_many_for_the_disk_are_counted_in_state_log_and_bag(
     tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
