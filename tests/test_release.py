@@ -6,30 +6,14 @@
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
-import sys
 import tarfile
 import xml.etree.ElementTree as ET
 import zipfile
 from pathlib import Path
 
-import pytest
-
 from tests.support.paths import ROOT
 
 VERSION = ET.parse(ROOT / 'package.xml').findtext('version')
-# Built in one process, the wheel from the source distribution alone.
-BUILD = """
-import os, pathlib, sys, tarfile
-from setuptools import build_meta
-out = pathlib.Path(sys.argv[1])
-sdist = build_meta.build_sdist(str(out))
-with tarfile.open(out / sdist) as archive:
-    archive.extractall(out, filter='data')
-os.chdir(out / sdist.removesuffix('.tar.gz'))
-build_meta.build_wheel(str(out))
-"""
 
 
 def read_first_version() -> tuple[str, str]:
@@ -37,25 +21,6 @@ def read_first_version() -> tuple[str, str]:
     heading = re.search(r'^## (\S+) (.*)$', (ROOT / 'CHANGELOG.md').read_text(encoding='utf-8'), re.MULTILINE)
     assert heading is not None
     return heading[1], heading[2]
-
-
-@pytest.fixture(scope='module')
-def distributions(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with the source distribution, unpacked too, and the wheel that was built from it."""
-    source = tmp_path_factory.mktemp('source')
-    for name in ('config', 'examples', 'mocap_ros', 'msg_defs', 'resource'):
-        shutil.copytree(
-            ROOT / name, source / name, symlinks=True, ignore=shutil.ignore_patterns('__pycache__', 'node_modules')
-        )
-    for file in ROOT.iterdir():
-        if file.is_file():
-            shutil.copy(file, source)
-    out = tmp_path_factory.mktemp('distributions')
-    ran = subprocess.run(
-        [sys.executable, '-c', BUILD, str(out)], cwd=source, capture_output=True, text=True, check=False
-    )
-    assert ran.returncode == 0, ran.stderr
-    return out
 
 
 def test_the_changelog_begins_with_the_version_of_the_package() -> None:

@@ -5,20 +5,12 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import subprocess
-import sys
 import venv
 from pathlib import Path
 
 import pytest
 
-from tests.support.paths import ROOT
-
-BUILD_OUTPUTS = {'.git', '.venv', 'build', 'demo_output', 'dist', 'install', 'log'}
-ROS_VARIABLES = ('PYTHONPATH', 'PYTHONHOME', 'AMENT_PREFIX_PATH', 'LD_LIBRARY_PATH', 'ROS_DISTRO')
-NO_INDEX = ('Temporary failure in name resolution', 'NewConnectionError', 'ProxyError', 'ConnectTimeoutError')
+from tests.support.distributions import NoIndexError, run_without_ros
 
 NOTEBOOK = """
 import importlib.util
@@ -70,45 +62,19 @@ assert 'rclpy' not in sys.modules
 """
 
 
-def run(command: list[object], folder: Path) -> str:
-    """Run a program without ROS; return its output, or skip the test where pip cannot reach a package index."""
-    env = {name: value for name, value in os.environ.items() if name not in ROS_VARIABLES}
-    process = subprocess.run(
-        [str(word) for word in command],
-        cwd=folder,
-        env={**env, 'OMP_NUM_THREADS': '1', 'PIP_DISABLE_PIP_VERSION_CHECK': '1'},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        check=False,
-    )
-    if process.returncode and 'pip' in command and any(reason in process.stdout for reason in NO_INDEX):
-        pytest.skip('pip reaches no package index')
-    assert process.returncode == 0, process.stdout
-    return process.stdout
-
-
-def ignore_build_outputs(folder: str, names: list[str]) -> set[str]:
-    return BUILD_OUTPUTS & set(names) if Path(folder) == ROOT else set()
-
-
 @pytest.mark.slow
-def test_the_wheel_works_without_ros(tmp_path: Path) -> None:
-    source, wheels, environment = tmp_path / 'source', tmp_path / 'wheels', tmp_path / 'environment'
-    shutil.copytree(ROOT, source, symlinks=True, ignore=ignore_build_outputs)
-    run([sys.executable, '-m', 'pip', 'wheel', '--no-deps', '--wheel-dir', wheels, source], tmp_path)
-    (wheel,) = wheels.glob('mocap_ros-*.whl')
-
+def test_the_wheel_works_without_ros(distributions: Path, tmp_path: Path) -> None:
+    (wheel,) = distributions.glob('mocap_ros-*.whl')
+    environment, notebook = tmp_path / 'environment', tmp_path / 'notebook'
     venv.create(environment, with_pip=True)
     python = environment / 'bin' / 'python'
-    run([python, '-m', 'pip', 'install', wheel], tmp_path)
+    try:
+        run_without_ros([python, '-m', 'pip', 'install', wheel], tmp_path)
+    except NoIndexError:
+        pytest.skip('pip reaches no package index')
 
-    notebook = tmp_path / 'notebook'
     notebook.mkdir()
     (notebook / 'notebook.py').write_text(NOTEBOOK, encoding='utf-8')
-    (package,) = environment.glob('lib/*/site-packages/mocap_ros')
-    compiled = 'compiled/__pycache__'  # of this installation; to compile it all once more takes a minute
-    shutil.copytree(ROOT / 'mocap_ros' / compiled, package / compiled, dirs_exist_ok=True)
-    printed = run([python, '-W', 'error', 'notebook.py'], notebook)
+    printed = run_without_ros([python, '-W', 'error', 'notebook.py'], notebook)
     assert 'Evaluation: MPJPE' in printed
     assert {p.suffix for p in notebook.iterdir()} == {'.py', '.npz', '.csv', '.mcap', '.bvh', '.trc'}
