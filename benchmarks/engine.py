@@ -128,7 +128,7 @@ def run_peer_and_node(root: Path, *, waits: bool = True) -> Iterator[tuple[Peer,
     with (
         tempfile.TemporaryDirectory() as name,
         Peer() as peer,
-        run_node(Path(name), environment=environment) as node,
+        run_node(Path(name), environment=environment, root=root) as node,
     ):
         if waits:
             peer.wait_for_node()

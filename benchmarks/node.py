@@ -71,14 +71,22 @@ def measure_usage(pid: int) -> Usage:
 
 @contextmanager
 def run_node(
-    folder: Path, log: Path | None = None, *arguments: str, environment: Mapping[str, str] | None = None
+    folder: Path,
+    log: Path | None = None,
+    *arguments: str,
+    environment: Mapping[str, str] | None = None,
+    root: Path | None = None,
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a node that records into a folder; `arguments` are parameters such as `node.queue:=20`."""
+    """Run a node that records into a folder; `arguments` are parameters such as `node.queue:=20`.
+
+    Started in a checkout (`root`), it runs the package there.
+    """
     given = ('recorder.enabled:=true', f'recorder.folder:={folder}', f'node.max_people:={MAX_PEOPLE}', *arguments)
     command = [sys.executable, '-m', 'mocap_ros.ros.main', '--ros-args']
     command += [word for parameter in given for word in ('-p', parameter)]
     with (log or Path(os.devnull)).open('wb') as file:
-        process = subprocess.Popen(command, env={**os.environ, **(environment or {})}, stdout=file, stderr=file)
+        environment = {**os.environ, **(environment or {})}
+        process = subprocess.Popen(command, env=environment, cwd=root, stdout=file, stderr=file)
     try:
         yield process
     finally:
