@@ -77,10 +77,7 @@ def run_node(
     environment: Mapping[str, str] | None = None,
     root: Path | None = None,
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a node that records into a folder; `arguments` are parameters such as `node.queue:=20`.
-
-    Started in a checkout (`root`), it runs the package there.
-    """
+    """Run the node of a checkout, with parameters such as `node.queue:=20`, that records into a folder."""
     given = ('recorder.enabled:=true', f'recorder.folder:={folder}', f'node.max_people:={MAX_PEOPLE}', *arguments)
     command = [sys.executable, '-m', 'mocap_ros.ros.main', '--ros-args']
     command += [word for parameter in given for word in ('-p', parameter)]
