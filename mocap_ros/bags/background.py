@@ -82,11 +82,6 @@ class BackgroundRecorder:
         self._thread.start()
 
     @property
-    def waiting_count(self) -> int:
-        """Number of batches that wait."""
-        return len(self._batches)
-
-    @property
     def stalled_s(self) -> float:
         """Seconds for which the disk has not taken what the recorder writes; 0 while nothing is being written."""
         since_s = self._busy_since_s

@@ -10,6 +10,8 @@ Array: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
 Bools: TypeAlias = NDArray[np.bool_]
 
+DAMPINGS: tuple[float, float, float, float]
+
 class JointProblem:
     diagonal: Array
     gradient: Array

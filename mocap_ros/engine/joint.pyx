@@ -67,6 +67,7 @@ cdef double MIN_DAMPING = 1e-5  # relative; a smaller damping changes no digit o
 cdef double MAX_DAMPING = 1e8  # relative; a sequence whose steps are still refused under more is at its minimum
 cdef double DAMPING_AFTER_SUCCESS = 0.2  # factor; tuned on CMU views for few steps, as the next
 cdef double DAMPING_AFTER_FAILURE = 10
+DAMPINGS = MIN_DAMPING, MAX_DAMPING, DAMPING_AFTER_SUCCESS, DAMPING_AFTER_FAILURE  # for `solvers.levenberg_marquardt`
 cdef double MIN_FREE_SHARE = 0.05  # of the coordinates; so many still measure the noise if all are fitted
 cdef int COUNTED_FRAMES = 3  # frames of a sequence, at least, in which absorbed coordinates are counted
 cdef double MIN_SCALE = 1e-9  # px/m; guards against a scale of zero where a lifted pose is degenerate
@@ -477,6 +478,11 @@ cdef class JointProblem:
         multiply(3, 3 * J, K, 1, &self.by_basis[0, 0], &self.basis[0, 0], 0, &self.by_weights[0, 0])
         return w
 
+    cdef void write_sum(self, int a, double* out) noexcept nogil:
+        """Write (n,) of what `write_joint_rows` keeps: 0 is sum_j J_j^T m_j, 1 and 2 are the columns of u."""
+        memcpy(out, &self.by_weights[a, 0], self.components * sizeof(double))
+        memcpy(out + self.components, self.by_camera + CAMERA * a, CAMERA * sizeof(double))
+
     cdef void linearise(self, int p) noexcept nogil:
         """Write the normal equations of a sequence at the current point."""
         cdef int start = self.starts[p], count = self.counts[p], t, i, n = self.unknowns, K = self.components
@@ -501,8 +507,7 @@ cdef class JointProblem:
             f = self.view(&self.current[t, 0])
             gradient, vectors, out = &self.right[t, 0], &self.vectors[t, 0, 0], &self.rows[0, 0]
             w = self.write_joint_rows(p, t, &f, self.lifted.shape[0] > 0, &rows, out)
-            for i in range(n):
-                gradient[i] = self.by_weights[0, i] if i < K else self.by_camera[i - K]
+            self.write_sum(0, gradient)
             out += rows * n
             for b in range(B):
                 u, flat = f.direction + 3 * b, &self.bones[3 * b, 0]
@@ -525,9 +530,9 @@ cdef class JointProblem:
             add_square(rows, n, 1, &self.rows[0, 0], 0, &self.blocks[t, 0, 0])
             if w > 0:
                 out = &self.rows[0, 0]
+                self.write_sum(1, out)
+                self.write_sum(2, out + n)
                 for i in range(n):
-                    out[i] = self.by_weights[1, i] if i < K else self.by_camera[CAMERA + i - K]
-                    out[n + i] = self.by_weights[2, i] if i < K else self.by_camera[2 * CAMERA + i - K]
                     gradient[i] -= (out[i] * self.by_translation[0] + out[n + i] * self.by_translation[1]) / w
                 add_square(2, n, -1 / w, out, 1, &self.blocks[t, 0, 0])
             for i in range(K):
@@ -679,7 +684,7 @@ cdef class JointProblem:
         It is tr(A_t^-1 D_t) + 2, with D_t the part of the block A_t that the reprojection has added, and the two
         coordinates that the translation takes.
         """
-        cdef int i, row, rows, n = self.unknowns, K = self.components
+        cdef int i, row, rows, n = self.unknowns
         cdef double total = 0, w, square
         cdef double* out
         cdef Frame f = self.view(&self.linearised[t, 0])
@@ -690,9 +695,8 @@ cdef class JointProblem:
             return 2
         w = self.write_joint_rows(p, t, &f, False, &rows, &self.rows[0, 0])
         out = &self.rows[rows, 0]
-        for i in range(n):
-            out[i] = self.by_weights[1, i] if i < K else self.by_camera[CAMERA + i - K]
-            out[n + i] = self.by_weights[2, i] if i < K else self.by_camera[2 * CAMERA + i - K]
+        self.write_sum(1, out)
+        self.write_sum(2, out + n)
         solve_rows(n, rows + 2, &self.scratch[0, 0], &self.rows[0, 0], False)
         for row in range(rows + 2 if w > 0 else rows):
             square = 0

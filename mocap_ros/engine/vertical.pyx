@@ -34,8 +34,7 @@ cdef extern from *:
 
 cdef double discount(const double* direction, const double* upward) noexcept nogil:
     """1 / (1 + (angle / A)^2) of the angle between two directions."""
-    cdef double cosine = direction[0] * upward[0] + direction[1] * upward[1] + direction[2] * upward[2]
-    cdef double angle = acos(min(max(cosine, -1.0), 1.0)) / (OUTLIER_DEG * DEGREE)
+    cdef double angle = acos(min(max(dot(direction, upward), -1.0), 1.0)) / (OUTLIER_DEG * DEGREE)
     return 1 / (1 + angle * angle)
 
 

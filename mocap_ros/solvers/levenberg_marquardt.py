@@ -15,14 +15,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.engine.joint import DAMPINGS
 from mocap_ros.solvers.stepwise import Stepwise
 
 Array = NDArray[np.float64]
 
-MIN_DAMPING = 1e-5  # relative; a smaller damping changes no digit of a step that matters
-MAX_DAMPING = 1e8  # relative; a sequence whose steps are still refused under more damping is at its minimum
-DAMPING_AFTER_SUCCESS = 0.2  # factor; tuned on CMU views for few steps, as the next
-DAMPING_AFTER_FAILURE = 10.0  # factor
+MIN_DAMPING, MAX_DAMPING, DAMPING_AFTER_SUCCESS, DAMPING_AFTER_FAILURE = DAMPINGS  # explained in the engine
 
 
 class Problem(Protocol):
