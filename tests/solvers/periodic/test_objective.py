@@ -72,6 +72,15 @@ def differentiate(
     return np.array(rows)
 
 
+def test_a_point_stays_when_another_one_is_measured(
+    objective_and_point: tuple[PeriodicObjective, Point], rng: np.random.Generator
+) -> None:
+    objective, point = objective_and_point
+    before = [np.copy(values) for values in (*point.cameras, *point.body)]
+    objective.measure(point.series, point.cameras._replace(translation=rng.normal(size=(FRAMES, 2))))
+    assert all(map(np.array_equal, (*point.cameras, *point.body), before))
+
+
 def make_dense_camera_matrix(equations: PeriodicEquations) -> np.ndarray:
     """Return the matrix E of the cameras, (4 N, 4 N)."""
     out = np.zeros((FRAMES, 4, FRAMES, 4))
