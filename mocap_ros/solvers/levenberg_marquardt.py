@@ -15,12 +15,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.engine.joint import DAMPINGS
+from mocap_ros.engine import joint as engine
 from mocap_ros.solvers.stepwise import Stepwise
 
 Array = NDArray[np.float64]
 
-MIN_DAMPING, MAX_DAMPING, DAMPING_AFTER_SUCCESS, DAMPING_AFTER_FAILURE = DAMPINGS  # explained in the engine
+MIN_DAMPING, MAX_DAMPING, DAMPING_AFTER_SUCCESS, DAMPING_AFTER_FAILURE = engine.DAMPINGS  # explained there
 
 
 class Problem(Protocol):
