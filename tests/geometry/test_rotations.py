@@ -1,14 +1,19 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Rotations as vectors and quaternions."""
+"""Rotations: representations, derivatives, interpolation, and the turn that makes a camera level."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from hypothesis import example, given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
 
+from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, camera_jacobian, fill_rotation_jacobian
+from mocap_ros.geometry.interpolation import find_nearest, interpolate_linearly, interpolate_rotations
+from mocap_ros.geometry.level import LEVEL_UP, average_vertical, rotation_to_level
 from mocap_ros.geometry.rotations import (
     quaternion_from_rotation,
     rotation_from_vector,
@@ -24,3 +29,81 @@ def test_rotations_as_vectors_and_quaternions() -> None:
     assert rotation_from_vector(vector_from_rotation(turns.as_matrix())) == pytest.approx(
         turns.as_matrix(), abs=1e-9
     )
+
+
+STEP = 1e-6  # of the central differences; their error is about its square, that of rounding 1e-10
+
+
+def differentiate(points: np.ndarray) -> np.ndarray:
+    """(..., 3, 4) central differences of points that a step of the camera rotates and scales."""
+
+    def move(step: np.ndarray) -> np.ndarray:
+        return np.exp(step[3]) * (points @ rotation_from_vector(step[:3]).T)
+
+    steps = STEP * np.eye(CAMERA_UNKNOWNS)
+    return np.stack([(move(step) - move(-step)) / (2 * STEP) for step in steps], axis=-1)
+
+
+@pytest.mark.parametrize('rows', [2, 3])
+def test_jacobian_agrees_with_finite_differences(rng: np.random.Generator, rows: int) -> None:
+    points = rng.normal(size=(4, 5, 3))
+    assert camera_jacobian(points, rows) == pytest.approx(differentiate(points)[..., :rows, :], abs=1e-8)
+
+
+def test_rotation_alone_leaves_the_column_of_the_scale(rng: np.random.Generator) -> None:
+    points = rng.normal(size=(6, 3))
+    out = np.full((6, 3, CAMERA_UNKNOWNS), 7.0)
+    fill_rotation_jacobian(out[..., :3], points)
+    assert out[..., :3] == pytest.approx(differentiate(points)[..., :3], abs=1e-8)
+    assert (out[..., 3] == 7.0).all()
+
+
+@given(
+    steps=st.lists(st.floats(1e-6, 10.0), min_size=0, max_size=12),
+    times=st.lists(st.floats(-5.0, 50.0), min_size=1, max_size=12),
+)
+def test_each_column_is_interpolated_and_kept_beyond_the_ends(steps: list[float], times: list[float]) -> None:
+    sample_times = np.concatenate([[0.0], np.cumsum(steps)])
+    samples = np.random.default_rng(len(steps)).normal(size=(len(sample_times), 3))
+    found = interpolate_linearly(np.array(times), sample_times, samples)
+    expected = np.stack([np.interp(times, sample_times, column) for column in samples.T], axis=-1)
+    assert found == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_nearest_time_is_that_of_a_comparison_with_all(rng: np.random.Generator) -> None:
+    times = np.arange(400) / 8  # multiples of a power of two, so that many are equally near
+    for share in (0.003, 0.1, 0.5, 1.0):
+        known = times[(rng.random(400) < share) | (np.arange(400) == 77)]
+        np.testing.assert_array_equal(find_nearest(times, known), np.abs(times[:, None] - known).argmin(axis=1))
+
+
+def test_rotations_are_interpolated_on_the_shortest_arc(rng: np.random.Generator) -> None:
+    known, times = np.array([0.0, 0.5, 0.6, 2.0]), np.r_[np.sort(rng.uniform(0, 2, 30)), 0.5, 2.0]
+    turns = Rotation.random(4, random_state=1)
+    found = interpolate_rotations(times, known, turns.as_matrix())
+    assert found == pytest.approx(Slerp(known, turns)(times).as_matrix(), abs=1e-9)
+
+
+ANGLES = st.floats(-180, 180)
+
+
+@given(ANGLES, ANGLES)
+@example(180.0, 0.0)
+@example(180.0, 0.002)
+@example(180.0, 1e-7)
+def test_the_vertical_becomes_that_of_a_level_camera_by_the_smallest_turn(pitch: float, roll: float) -> None:
+    vertical = Rotation.from_euler('xz', [pitch, roll], degrees=True).apply(LEVEL_UP)
+    rotation = rotation_to_level(vertical)
+    assert rotation @ vertical == pytest.approx(LEVEL_UP, abs=1e-11)
+    assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-14)
+    assert np.linalg.det(rotation) == pytest.approx(1)
+    angle = np.arctan2(np.linalg.norm(np.cross(vertical, LEVEL_UP)), vertical @ LEVEL_UP)
+    assert Rotation.from_matrix(rotation).magnitude() == pytest.approx(angle, abs=1e-11)
+
+
+def test_the_mean_leaves_out_what_is_not_known() -> None:
+    assert (rotation_to_level(np.full(3, np.nan)) == np.eye(3)).all()
+    vertical = np.array([[0.6, -0.8, 0], [-0.6, -0.8, 0], [np.nan] * 3])
+    assert average_vertical(vertical) == pytest.approx(LEVEL_UP)
+    assert np.isnan(average_vertical(vertical[2:])).all()
+    assert np.isnan(average_vertical(np.empty((0, 3)))).all()

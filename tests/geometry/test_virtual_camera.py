@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from mocap_ros.geometry.virtual_camera import (
     VirtualCamera,
     rotate_rays,
     rotation_to_optical_axis,
-    solver_focal,
 )
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.skeleton import CMU15
@@ -35,10 +33,10 @@ AT_EDGE_M = np.array([4.5, -0.4, 5.0])  # m in the camera's frame: 42 degrees of
 slope = st.floats(-50, 50)  # 1, x / z or y / z of a ray; 50 is 89 degrees off the optical axis
 
 
-def make_people(place: Array) -> tuple[Array, Array, Array]:
-    """Return joints (F, 15, 3) m of a person at a place in m, weights (F, 15) and times (F,) s."""
+def make_people(position: Array) -> tuple[Array, Array, Array]:
+    """Return joints (F, 15, 3) m of a person at a position in m, weights (F, 15) and times (F,) s."""
     poses, times = make_swinging_body(FRAMES)
-    return poses + place, np.ones(poses.shape[:2]), times
+    return poses + position, np.ones(poses.shape[:2]), times
 
 
 def to_rays(points: Array) -> Array:
@@ -79,9 +77,9 @@ def test_rays_behind_the_rotated_camera_are_finite_and_far_outside_the_image() -
     assert ahead == pytest.approx([0, 0], abs=1e-12)
 
 
-@pytest.mark.parametrize('place', [np.array([0.0, 0.0, 5.0]), AT_EDGE_M, AT_EDGE_M * [-1, -1, 1]])
-def test_positions_and_rotations_come_back_to_the_real_camera(place: Array) -> None:
-    joints, weight, times = make_people(place)
+@pytest.mark.parametrize('position', [np.array([0.0, 0.0, 5.0]), AT_EDGE_M, AT_EDGE_M * [-1, -1, 1]])
+def test_positions_and_rotations_come_back_to_the_real_camera(position: Array) -> None:
+    joints, weight, times = make_people(position)
     rays = CAMERA.pixels_to_rays(CAMERA.project(joints))
     view = VirtualCamera.look_at_person(rays, weight, times, SMOOTHING_S, CAMERA)
     pelvis = joints[:, [CMU15.index('pelvis')]]
@@ -116,7 +114,7 @@ def test_a_person_at_the_edge_of_the_image_looks_as_in_the_middle() -> None:
 
 def test_the_direction_of_a_long_sequence_is_that_of_all_frames_at_once(rng: np.random.Generator) -> None:
     times = np.cumsum(rng.choice([0.03, 0.04, 0.05], 2500))
-    times[1200:] += 400.0  # s; a pause in which nobody is seen
+    times[1200:] += 400.0  # s; a pause in which no person is seen
     weight = rng.random((2500, 3))
     weight[rng.random(2500) < 0.3] = 0
     weight[1190:1900] = 0
@@ -129,21 +127,6 @@ def test_the_direction_of_a_long_sequence_is_that_of_all_frames_at_once(rng: np.
     assert found.rotation == pytest.approx(expected, abs=1e-9)
 
 
-def test_one_camera_looks_at_the_mean_of_all_frames() -> None:
-    rays = np.array([[[0.1, 0.0], [0.3, 0.0]], [[0.6, 0.3], [9.0, 9.0]]])
-    weight = np.array([[1.0, 0.5], [0.5, 0.0]])
-    view = VirtualCamera.look_at_mean_position(rays, weight, CAMERA)
-    assert view.rotation.shape == (3, 3)
-    optical_axis = to_rays(view.to_real_camera(np.array([[0.0, 0.0, 1.0]])))
-    assert optical_axis[0] == pytest.approx([(0.1 + 0.5 * 0.3 + 0.5 * 0.6) / 2, 0.5 * 0.3 / 2])
-
-
 def test_without_any_seen_joint_the_camera_is_the_real_one() -> None:
     view = VirtualCamera.look_at_person(np.ones((2, 3, 2)), np.zeros((2, 3)), np.arange(2.0), SMOOTHING_S, CAMERA)
     assert view.rotation == pytest.approx(np.tile(np.eye(3), (2, 1, 1)))
-
-
-def test_only_a_known_focal_length_gives_perspective() -> None:
-    assert solver_focal(CAMERA, use_perspective=True) == CAMERA.focal
-    assert solver_focal(CAMERA, use_perspective=False) == math.inf
-    assert solver_focal(replace(CAMERA, is_focal_known=False), use_perspective=True) == math.inf

@@ -9,7 +9,6 @@ import pytest
 from mocap_ros.engine.left_right import compute_attachment_cost, compute_transition_cost
 from mocap_ros.keypoints.association import measure_extent
 from mocap_ros.keypoints.left_right import (
-    PARTS,
     BodySides,
     SwapFilter,
     ViterbiPaths,
@@ -17,7 +16,7 @@ from mocap_ros.keypoints.left_right import (
     find_swapped_parts,
 )
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.skeleton import CMU15, keypoint_layout
+from mocap_ros.skeleton import CMU15
 from tests.support.synthetic_walk import make_walk
 
 ENTER_PROBABILITY, LEAVE_PROBABILITY = np.array([0.0005, 0.003, 0.003]), np.array([0.2, 0.55, 0.55])
@@ -60,51 +59,23 @@ def run_filter(swap_filter: SwapFilter, points: np.ndarray, weight: np.ndarray =
     return swap_filter
 
 
-def test_every_joint_that_has_a_counterpart_belongs_to_a_part() -> None:
-    names = [[CMU15.joints[j] for j in np.flatnonzero(SIDES.part == p)] for p in range(3)]
-    assert PARTS == ('shoulders', 'legs', 'arms')
-    assert names == [
-        ['lshoulder', 'rshoulder'],
-        ['lhip', 'lknee', 'lankle', 'rhip', 'rknee', 'rankle'],
-        ['lelbow', 'lwrist', 'relbow', 'rwrist'],
-    ]
-    assert (SIDES.upper[0], SIDES.lower[0]) == (-1, -1)
-    assert [CMU15.joints[j] for j in SIDES.upper[1:]] == ['lshoulder', 'lshoulder']
-    assert [CMU15.joints[j] for j in SIDES.lower[1:]] == ['lhip', 'lelbow']
-    mediapipe = keypoint_layout('mediapipe33')
-    part = dict(zip(mediapipe.joints, BodySides.of(mediapipe).part, strict=True))
-    assert (part['nose'], part['lear'], part['rheel'], part['lfoot_index'], part['lindex']) == (-1, 0, 1, 1, 2)
-
-
 @pytest.mark.parametrize('parts', [WHOLE, LEGS, ARMS])
-@pytest.mark.parametrize(('first', 'last'), [(20, 20), (30, 34), (50, 52), (86, 89)])
-def test_an_injected_swap_is_found_in_its_parts(
+@pytest.mark.parametrize(('first', 'last'), [(20, 20), (30, 34), (86, 89)])
+def test_an_injected_swap_is_found_in_its_parts_and_undone(
     walk: np.ndarray, first: int, last: int, parts: np.ndarray
 ) -> None:
     is_swapped = swap_frames(np.arange(first, last + 1), parts)
-    found = find_swapped_parts(TIMES, swap(walk, is_swapped), SEEN, SIDES)
-    np.testing.assert_array_equal(found, is_swapped)
-
-
-def test_the_newest_frame_has_its_verdict_at_once(walk: np.ndarray) -> None:
-    for parts in (WHOLE, LEGS, ARMS):
-        is_swapped = swap_frames(np.array([40]), parts)[:41]
-        found = run_filter(SwapFilter(SIDES), swap(walk[:41], is_swapped)).is_swapped
-        np.testing.assert_array_equal(found, is_swapped)
-
-
-def test_undoing_the_found_swaps_restores_the_points(walk: np.ndarray) -> None:
-    is_swapped = swap_frames(np.array([10, 11, 40, 41, 42, 70])) | swap_frames(np.array([20, 30, 31]), ARMS)
     disturbed = swap(walk, is_swapped)
     found = find_swapped_parts(TIMES, disturbed, SEEN, SIDES)
-    restored, weight = exchange_sides(disturbed, SEEN, found, SIDES)
-    np.testing.assert_array_equal(restored, walk)
-    np.testing.assert_array_equal(weight, SEEN)
+    np.testing.assert_array_equal(found, is_swapped)
+    np.testing.assert_array_equal(exchange_sides(disturbed, SEEN, found, SIDES)[0], walk)
+    at_once = run_filter(SwapFilter(SIDES), disturbed[: first + 1]).is_swapped
+    np.testing.assert_array_equal(at_once, is_swapped[: first + 1])
 
 
 @pytest.mark.parametrize('seen', [0, 2])
-def test_frames_that_tell_nothing_are_not_swapped(walk: np.ndarray, seen: int) -> None:
-    """Frames with all points in one place or without any change nothing around them."""
+def test_frames_that_show_nothing_are_not_swapped(walk: np.ndarray, seen: int) -> None:
+    """Frames with all points at one position or without any change nothing around them."""
     points, weight, is_swapped = walk.copy(), SEEN.copy(), swap_frames(np.array([40, 41]))
     for frames in (slice(0, 3), slice(60, 62)):
         points[frames], weight[frames] = 5.0, 0.0
@@ -122,7 +93,7 @@ def test_the_filter_decides_as_the_whole_sequence_does(walk: np.ndarray, rng: np
 
 
 @pytest.mark.parametrize('parts', [LEGS, ARMS])
-def test_a_wrong_verdict_heals_within_half_a_second(walk: np.ndarray, parts: np.ndarray) -> None:
+def test_a_wrong_decision_is_corrected_within_half_a_second(walk: np.ndarray, parts: np.ndarray) -> None:
     """Legs or arms whose labels stay exchanged for long were confused before: detectors swap them briefly."""
     disturbed = swap(walk, swap_frames(np.arange(40, FRAMES), parts))
     newest = [run_filter(SwapFilter(SIDES), disturbed[:n]).is_swapped[-1] for n in range(41, 56)]
@@ -130,7 +101,7 @@ def test_a_wrong_verdict_heals_within_half_a_second(walk: np.ndarray, parts: np.
     assert not newest[-1].any()
 
 
-def test_somebody_seen_from_the_side_is_not_swapped(rng: np.random.Generator) -> None:
+def test_a_person_seen_from_the_side_is_not_swapped(rng: np.random.Generator) -> None:
     """Where left and right coincide but for the noise of the image, the order in which they lie says nothing."""
     body = np.stack([np.zeros(15), np.linspace(0, 200, 15)], axis=1)
     middle = (body + body[SIDES.mirror]) / 2
@@ -144,8 +115,6 @@ def test_a_disabled_filter_believes_the_detector(walk: np.ndarray) -> None:
     disabled = run_filter(SwapFilter(SIDES, enabled=False), disturbed)
     assert disabled.is_swapped.shape == (FRAMES, 3)
     assert not disabled.is_swapped.any()
-    assert disabled.paths is None
-    assert run_filter(SwapFilter(SIDES), disturbed).is_swapped.all(axis=1).sum() == 3
 
 
 @pytest.mark.parametrize('enabled', [True, False])

@@ -13,7 +13,7 @@ from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.joint_map import JointMap, build_joint_map
 from mocap_ros.keypoints.rays import convert_to_rays
-from mocap_ros.skeleton import CMU15, keypoint_layout
+from mocap_ros.skeleton import keypoint_layout
 
 Array = NDArray[np.float64]
 
@@ -83,15 +83,3 @@ def test_rays_are_those_of_the_formula(lens: Distortion, rng: np.random.Generato
         assert (rays[index][~seen] == 0).all()
         assert rays[index][seen] == pytest.approx(camera.pixels_to_rays(expected[seen]), abs=1e-12)
     assert 200 < seen_count < 800, 'some joints are seen and some are not'
-
-
-def test_a_point_that_no_camera_shows_counts_as_not_seen(rng: np.random.Generator) -> None:
-    camera = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
-    points, score = rng.uniform(0, 480, (17, 2)), np.ones(17)
-    points[NAMES.index('lwrist')], points[NAMES.index('rwrist')] = [7000.0, 200.0], [7500.0, 200.0]  # px
-    rays, weight = convert_to_rays(points, score, NAMES, camera, MIN_SCORE)
-    near, far = CMU15.index('lwrist'), CMU15.index('rwrist')
-    assert rays[near, 0] == pytest.approx((7000 - 320) / 500)
-    assert weight[near] == 1
-    assert not rays[far].any()
-    assert weight[far] == 0

@@ -10,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 
 from mocap_ros.models.lifter_input import (
-    HISTORY_SLOTS_S,
     JOINT_COUNT,
     encode_features,
     encode_histories,
@@ -50,7 +49,7 @@ def test_histories_agree_with_the_formula(rng: np.random.Generator, rate_hz: flo
 @pytest.mark.parametrize('focal', [np.inf, 1.5])
 def test_features_agree_with_the_formula(rng: np.random.Generator, focal: float) -> None:
     points, weight = sample_histories(*make_sequence(rng, 30.0), np.array([3, 20, 59]))
-    weight[1, 0] = 0  # nobody was seen in the newest frame
+    weight[1, 0] = 0  # no person was seen in the newest frame
     vertical, std = np.array([[0.0, -1, 0], [0.6, -0.8, 0], [np.nan] * 3]), np.array([0.02, 0.3, 0.02])
     encoded = encode_histories(points, weight, focal, vertical, std)
     for n in range(len(points)):
@@ -78,10 +77,3 @@ def test_features_of_examples_are_those_of_histories(rng: np.random.Generator) -
         assert features[n] == pytest.approx(expected, abs=1e-5)
         assert newest[n] == pytest.approx(expected_newest, abs=1e-5)
         assert size[n] == pytest.approx(expected_size, rel=1e-5)
-
-
-def test_nobody_gives_features_of_zero() -> None:
-    shape = (1, len(HISTORY_SLOTS_S), JOINT_COUNT)
-    encoded = encode_histories(np.full((*shape, 2), np.nan), np.zeros(shape), 600.0)
-    assert (encoded.features[..., :-1] == 0).all()
-    assert encoded.size == 1

@@ -19,12 +19,10 @@ from mocap_ros.offline import whole_sequence
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.leading_prior import (
-    LIFTER_SHARE,
     MAX_NOISE,
     MAX_NOISE_RATIO,
     NEGLIGIBLE_NOISE,
     explains_as_well,
-    let_base_poses_lead,
 )
 from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.tracker import Tracker
@@ -55,29 +53,13 @@ def reconstruct(keypoints: Array, base_poses: BasePoses, prior: str = 'learned')
     return centre_poses(found.core)
 
 
-@pytest.mark.parametrize('lifter_noise', [0.0, 0.001, 0.01, 0.02])
-def test_a_little_more_noise_is_allowed(lifter_noise: float) -> None:
+@pytest.mark.parametrize('lifter_noise', [0.0, 0.001, 0.01, 0.02, 2 * MAX_NOISE])
+def test_a_little_more_noise_is_allowed_but_not_any(lifter_noise: float) -> None:
     total = MAX_NOISE_RATIO * np.hypot(lifter_noise, NEGLIGIBLE_NOISE)
-    limit = np.sqrt(total**2 - NEGLIGIBLE_NOISE**2)
-    assert explains_as_well(0.0, lifter_noise)
+    limit = min(np.sqrt(total**2 - NEGLIGIBLE_NOISE**2), MAX_NOISE)
     assert explains_as_well(0.999 * limit, lifter_noise)
     assert not explains_as_well(1.001 * limit, lifter_noise)
     assert explains_as_well(1.001 * limit, lifter_noise, slack=1.1)
-
-
-def test_base_poses_that_hardly_explain_the_image_do_not_lead() -> None:
-    assert explains_as_well(0.999 * MAX_NOISE, MAX_NOISE)
-    assert not explains_as_well(1.001 * MAX_NOISE, 2 * MAX_NOISE)
-    assert explains_as_well(1.001 * MAX_NOISE, 2 * MAX_NOISE, slack=1.1)
-
-
-def test_in_the_lead_base_poses_have_the_weights_that_they_have_alone() -> None:
-    config = SolverConfig(lifter_weight=0.03, prior_weight=0.7)
-    led = let_base_poses_lead(config)
-    assert led.lifter_weight == pytest.approx(LIFTER_SHARE * 0.03)
-    assert (led.lifter_prior_factor, led.lifter_flip_factor, led.lifter_smooth_factor) == (1, 1, 1)
-    factors = ('lifter_weight', 'lifter_prior_factor', 'lifter_flip_factor', 'lifter_smooth_factor')
-    assert replace(led, **{name: getattr(config, name) for name in factors}) == config
 
 
 def test_base_poses_of_the_very_person_lead(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,10 +77,9 @@ def test_base_poses_of_the_very_person_lead(monkeypatch: pytest.MonkeyPatch) -> 
     np.testing.assert_array_equal(of_all, lifter_leads, 'base poses of that name are those of all motions')
 
 
-@pytest.mark.parametrize(('shown', 'given'), [('walk', 'jump'), ('jump', 'walk')])
-def test_base_poses_of_another_motion_do_not_lead(shown: str, given: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    _, _, keypoints = make_motion(shown)
-    _, base_poses, _ = make_motion(given)
+def test_base_poses_of_another_motion_do_not_lead(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, _, keypoints = make_motion('walk')
+    _, base_poses, _ = make_motion('jump')
     found = reconstruct(keypoints, base_poses)
     monkeypatch.setattr(whole_sequence, 'explains_as_well', lambda *_: False)
     np.testing.assert_array_equal(found, reconstruct(keypoints, base_poses))

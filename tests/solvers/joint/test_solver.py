@@ -4,19 +4,19 @@
 """The joint solver: right minimum, a batch that equals its parts."""
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers import alternation, joint
+from mocap_ros.solvers.joint.lifted_start import fit_lifted_poses
 from mocap_ros.solvers.window import (
-    InitialValues,
     Reconstruction,
     Window,
     initialise_from_mean_pose,
@@ -40,79 +40,69 @@ PLAIN = SolverConfig(
 )
 
 
-def window(
-    model: BasePoses,
-    frames: int = 30,
-    seed: int = 0,
-    noise: float = 2.0,
-    focal: float = math.inf,
-    lifted: bool = False,
-) -> Window:
-    """A noisy window with missing points and irregular times, perhaps with lifted poses of a kind."""
-    theta, _, points, times = make_walk(model, frames=frames, seed=seed)
+def window(model: BasePoses, frames: int = 30, seed: int = 0, noise: float = 2.0) -> Window:
+    """A noisy window with missing points and irregular times."""
+    _, _, points, times = make_walk(model, frames=frames, seed=seed)
     rng = np.random.default_rng(seed)
     weight = rng.uniform(0.3, 1, points.shape[:2]) * (rng.random(points.shape[:2]) > 0.1)
     times = times + rng.uniform(0, 0.01, frames)
-    noisy = points + noise * rng.normal(size=points.shape)
-    learned = None
-    if lifted:
-        wrong = 200 * model.poses(theta)
-        wrong = wrong + 30 * rng.normal(size=wrong.shape)
-        wrong[1] = np.nan
-        learned = LiftedPoses(wrong, rng.uniform(5, 50, wrong.shape))
-    return Window(noisy, weight, times, focal=focal, lifted=learned)
+    return Window(points + noise * rng.normal(size=points.shape), weight, times)
 
 
 def test_reaches_the_alternations_minimum_or_a_lower_one(walk_model: BasePoses) -> None:
     config = dataclasses.replace(PLAIN, tolerance=1e-9, max_iterations=3000)
-    for seed in range(3):
-        w = window(walk_model, seed=seed)
-        slow = alternation.reconstruct(w, walk_model, config)
-        (fast,) = joint.solve([w], walk_model, config)
-        assert fast.history[0] == pytest.approx(slow.history[0], rel=1e-9)
-        assert fast.cost <= slow.cost * (1 + 1e-3), 'the same or a neighbouring minimum'
-        further = dataclasses.replace(
-            w,
-            start=InitialValues(slow.theta, slow.cameras),
-            unit=float(np.median(initialise_from_mean_pose(w, walk_model, config.start_window).cameras.scale)),
-        )
-        (refined,) = joint.solve([further], walk_model, config)
-        assert refined.history[0] == pytest.approx(slow.cost, rel=1e-6)
-        assert refined.cost <= slow.cost
-        near = fast.cost * (1 + 1e-4)
-        steps = [int(np.argmax(np.array(r.history) <= near)) for r in (fast, slow)]
-        assert steps[0] <= 15
+    w = window(walk_model)
+    slow = alternation.reconstruct(w, walk_model, config)
+    (fast,) = joint.solve([w], walk_model, config)
+    assert fast.history[0] == pytest.approx(slow.history[0], rel=1e-9)
+    assert fast.cost <= slow.cost * (1 + 1e-3), 'the same or a neighbouring minimum'
+    assert np.argmax(np.array(fast.history) <= fast.cost * (1 + 1e-4)) <= 15
+
+
+def test_initial_cameras_are_shared_for_the_time_of_the_parameter(walk_model: BasePoses) -> None:
+    def measure_turn(start_window: float) -> float:
+        once = {'hypotheses': 1, 'adapt_noise': False, 'max_iterations': 1, 'tolerance': 1.0}
+        config = SolverConfig(start_window=start_window, **once)  # type: ignore[arg-type]
+        (result,) = joint.solve([window(walk_model, noise=0.0)], walk_model, config)
+        return float(np.ptp(result.cameras.rotation, axis=0).max())
+
+    assert measure_turn(60.0) < measure_turn(1.0) < measure_turn(0.0)
+
+
+@pytest.mark.parametrize('scale', [1e-3, 200.0])
+def test_lifted_poses_give_their_weights_and_cameras(
+    walk_model: BasePoses, rng: np.random.Generator, scale: float
+) -> None:
+    theta = 0.1 * walk_model.std * rng.normal(size=(30, len(walk_model.std)))
+    rotation = Rotation.random(30, random_state=0).as_matrix()
+    poses = scale * walk_model.poses(theta) @ np.swapaxes(rotation, -1, -2)
+    found = fit_lifted_poses(LiftedPoses(poses, np.full(poses.shape, 1e-6 * scale)), walk_model)
+    assert found.scale == pytest.approx(np.full(30, scale), rel=0.01)
+    assert found.theta == pytest.approx(theta, abs=0.02)
+    assert found.rotation == pytest.approx(rotation, abs=0.02)
 
 
 @settings(max_examples=25)
 @given(
+    weights=st.fixed_dictionaries(
+        {
+            'bone_weight': st.floats(0, 100),
+            'prior_weight': st.floats(0, 1e-2),
+            'flip_weight': st.floats(0, 1),
+            'smooth_weight': st.floats(0, 1e-2),
+            'robust_scale': st.sampled_from([0.0, 0.01, 0.1]),
+        }
+    ),
     seed=st.integers(0, 1000),
-    bone=st.floats(0, 100),
-    prior=st.floats(0, 1e-2),
-    flip=st.floats(0, 1),
-    smooth=st.floats(0, 1e-2),
-    robust=st.sampled_from([0.0, 0.01, 0.1]),
     noise=st.floats(0, 300),
 )
 def test_objective_never_rises(
     walk_model: BasePoses,
+    weights: dict[str, float],
     seed: int,
-    bone: float,
-    prior: float,
-    flip: float,
-    smooth: float,
-    robust: float,
     noise: float,
 ) -> None:
-    config = SolverConfig(
-        bone_weight=bone,
-        prior_weight=prior,
-        flip_weight=flip,
-        smooth_weight=smooth,
-        robust_scale=robust,
-        components=8,
-        max_iterations=15,
-    )
+    config = SolverConfig(components=8, max_iterations=15, **weights)  # type: ignore[arg-type]
     (result,) = joint.solve([window(walk_model, 12, seed, noise)], walk_model, config)
     assert (np.diff(result.history) <= 0).all()
     assert np.isfinite(result.joints).all()
@@ -166,26 +156,6 @@ def test_noise_is_found(walk_model: BasePoses) -> None:
         noisy = Window(points + px * rng.normal(size=points.shape), np.ones(points.shape[:2]), times)
         (result,) = joint.solve([noisy], walk_model, SolverConfig())
         assert result.noise == pytest.approx(px / 205, rel=0.2)
-
-
-@pytest.mark.parametrize('method', ['joint', 'alternation'])
-def test_initial_cameras_are_shared_for_the_time_of_the_parameter(walk_model: BasePoses, method: str) -> None:
-    _, _, points, times = make_walk(walk_model, frames=30)
-    window = Window(points, np.ones(points.shape[:2]), times)
-
-    def measure_turn(start_window: float) -> float:
-        """Return how far the cameras turn after a first iteration."""
-        config = SolverConfig(
-            start_window=start_window, hypotheses=1, adapt_noise=False, max_iterations=1, tolerance=1.0
-        )
-        if method == 'alternation':
-            rotation = alternation.reconstruct(window, walk_model, config).cameras.rotation
-        else:
-            (result,) = joint.solve([window], walk_model, config)
-            rotation = result.cameras.rotation
-        return float(np.ptp(rotation, axis=0).max())
-
-    assert measure_turn(60.0) < measure_turn(1.0) < measure_turn(0.0)
 
 
 def test_noise_below_the_floor_is_taken_for_the_floor(walk_model: BasePoses) -> None:

@@ -1,0 +1,233 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The periodic objective and its normal equations against finite differences and dense matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocap_ros.config import SolverConfig
+from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
+from mocap_ros.geometry.rotations import rotation_from_vector
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.solvers.joint.batch import State
+from mocap_ros.solvers.periodic.fourier import FourierSeries
+from mocap_ros.solvers.periodic.normal_equations import (
+    MIN_CAMERA_INFORMATION,
+    MIN_INFORMATION,
+    PeriodicEquations,
+    insert_heading,
+)
+from mocap_ros.solvers.periodic.objective import PeriodicObjective, Point, measure_matrices, move_cameras
+from mocap_ros.solvers.window import Window
+from tests.support.synthetic_walk import make_walk
+
+COMPONENTS, HARMONICS, FRAMES = 4, 2, 8
+CONFIG = SolverConfig(
+    harmonics=HARMONICS,
+    robust_scale=0.0,
+    periodic_prior_factor=3.0,
+    camera_velocity_weight=0.02,
+    camera_acceleration_weight=0.001,
+)
+SERIES_UNKNOWNS = (2 * HARMONICS + 1) * (COMPONENTS + 1) + 1
+STEP = 1e-5  # of the finite differences: errors of rounding and of the third order are about equal
+
+
+def make_point(walk_model: BasePoses, rng: np.random.Generator, is_seen: bool) -> tuple[PeriodicObjective, Point]:
+    """All points seen and cameras near the true ones, or almost nothing seen and tilted cameras that move.
+
+    Without robust loss, so that the step to the best translations reaches them.
+    """
+    model = walk_model.truncate(COMPONENTS)
+    _, cameras, points, _ = make_walk(walk_model, frames=FRAMES)
+    times, weight = np.cumsum(rng.uniform(0.02, 0.05, FRAMES)), np.ones(points.shape[:2])
+    config, rotation = CONFIG, rotation_from_vector(0.05 * rng.normal(size=(FRAMES, 3))) @ cameras.rotation
+    if not is_seen:
+        weight *= 1e-300 * (np.arange(FRAMES) == 0)[:, None]
+        config, rotation = replace(CONFIG, bone_weight=0.0), rotation_from_vector(rng.normal(size=(FRAMES, 3)))
+    objective = PeriodicObjective.build(Window(points, weight, times), 200.0, model, config)
+    shape = (2 * HARMONICS + 1, COMPONENTS + 1)
+    series = FourierSeries(0.05 * rng.normal(size=shape), 2 * np.pi * 0.95, float(times.mean()))
+    log_scale = np.log(cameras.scale / 200) + 0.05 * rng.normal(size=FRAMES)
+    translation = np.zeros((FRAMES, 2)) if is_seen else rng.normal(size=(FRAMES, 2))
+    return objective, objective.measure(series, State(np.zeros((FRAMES, 0)), rotation, log_scale, translation))
+
+
+@pytest.fixture
+def seen(walk_model: BasePoses, rng: np.random.Generator) -> tuple[PeriodicObjective, Point]:
+    return make_point(walk_model, rng, is_seen=True)
+
+
+@pytest.fixture
+def unseen(walk_model: BasePoses, rng: np.random.Generator) -> tuple[PeriodicObjective, Point]:
+    return make_point(walk_model, rng, is_seen=False)
+
+
+def move(objective: PeriodicObjective, point: Point, step: np.ndarray) -> Point:
+    """Return the point after a step of series and cameras in one vector."""
+    cameras = move_cameras(point.cameras, step[SERIES_UNKNOWNS:].reshape(FRAMES, CAMERA_UNKNOWNS))
+    return objective.measure(point.series.with_step(step[:SERIES_UNKNOWNS]), cameras)
+
+
+def differentiate(
+    objective: PeriodicObjective, point: Point, function: Callable[[Point], np.ndarray | float]
+) -> np.ndarray:
+    """Return central differences of a function of the point by all unknowns, one in each row."""
+    rows = []
+    for step in STEP * np.eye(SERIES_UNKNOWNS + FRAMES * CAMERA_UNKNOWNS):
+        up, down = (np.asarray(function(move(objective, point, s))) for s in (step, -step))
+        rows.append((up - down).ravel() / (2 * STEP))
+    return np.array(rows)
+
+
+def dense_matrices(equations: PeriodicEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the matrices A, B, C and the part E of C that does not come from the image."""
+    prior = np.zeros((FRAMES, CAMERA_UNKNOWNS, FRAMES, CAMERA_UNKNOWNS))
+    image = prior.copy()
+    for t in range(FRAMES):
+        prior[t, :, t], image[t, :, t] = equations.camera_prior[t], equations.camera_image[t]
+    for distance in (1, 2):
+        for t, block in enumerate(equations.camera_coupling[:-distance, distance - 1]):
+            prior[t + distance, :, t], prior[t, :, t + distance] = block, block.T
+    size = FRAMES * CAMERA_UNKNOWNS
+    prior_matrix, image_matrix = prior.reshape(size, size), image.reshape(size, size)
+    series = equations.series_matrix + np.diag(equations.series_prior)
+    return series, equations.mixed_matrix.reshape(size, -1).T, image_matrix + prior_matrix, prior_matrix
+
+
+def keep(objective: PeriodicObjective, *terms: str) -> PeriodicObjective:
+    """Return the objective with some of its terms beside those of the image."""
+    return replace(
+        objective,
+        prior=objective.prior * ('prior' in terms),
+        movement=tuple(
+            replace(m, factors=m.factors * (f'movement {i}' in terms)) for i, m in enumerate(objective.movement)
+        ),
+        level_weight=objective.level_weight * ('level' in terms),
+    )
+
+
+@pytest.mark.parametrize('term', ['image', 'prior', 'movement 0', 'movement 1', 'level'])
+def test_gradient_is_half_that_of_the_cost(walk_model: BasePoses, rng: np.random.Generator, term: str) -> None:
+    objective, point = make_point(walk_model, rng, is_seen=term == 'image')
+    objective = keep(objective, term)
+    equations = objective.normal_equations(point)
+    numeric = differentiate(objective, point, lambda p: p.cost)[:, 0] / 2
+    gradient = np.concatenate([equations.series_gradient, equations.camera_gradient.ravel()])
+    assert np.abs(numeric).max() > 0
+    assert np.abs(gradient - numeric).max() < 1e-6 * np.abs(numeric).max()
+
+
+def test_matrix_of_the_cameras_is_that_of_the_squares(unseen: tuple[PeriodicObjective, Point]) -> None:
+    objective, point = unseen
+
+    def compute_residuals(p: Point) -> np.ndarray:
+        matrices = measure_matrices(p.cameras)
+        tilt = np.sqrt(objective.level_weight) * p.cameras.rotation[:, ::2, 2]
+        return np.concatenate([*(m.residuals(matrices).ravel() for m in objective.movement), tilt.ravel()])
+
+    jacobian = differentiate(objective, point, compute_residuals)[SERIES_UNKNOWNS:]
+    expected = jacobian @ jacobian.T
+    found = dense_matrices(objective.normal_equations(point))[3]
+    assert found == pytest.approx(expected, abs=1e-8 * np.abs(expected).max())
+
+
+def test_a_point_stays_when_another_one_is_measured(
+    seen: tuple[PeriodicObjective, Point], rng: np.random.Generator
+) -> None:
+    objective, point = seen
+    before = [np.copy(values) for values in (*point.cameras, *point.body)]
+    objective.measure(point.series, point.cameras._replace(translation=rng.normal(size=(FRAMES, 2))))
+    assert all(map(np.array_equal, (*point.cameras, *point.body), before))
+
+
+@pytest.mark.parametrize('damping', [0.0, 0.3])
+def test_step_solves_the_equations_in_which_the_cameras_are_not_eliminated(
+    seen: tuple[PeriodicObjective, Point], damping: float
+) -> None:
+    objective, point = seen
+    equations = objective.normal_equations(point)
+    series, mixed, cameras, _ = dense_matrices(equations)
+    matrix = np.block([[series, mixed], [mixed.T, cameras]])
+    matrix += damping * np.diag(np.diag(matrix)) + MIN_INFORMATION * np.eye(len(matrix))
+    gradient = np.concatenate([equations.series_gradient, equations.camera_gradient.ravel()])
+    expected = -np.linalg.solve(matrix, gradient)
+    step = equations.solve_step(damping)
+    assert step is not None
+    found = np.concatenate([step.series, step.cameras.ravel()])
+    assert found == pytest.approx(expected, rel=1e-4, abs=1e-6 * np.abs(expected).max())
+
+
+def test_counts_and_determinants_are_those_of_the_dense_matrices(
+    seen: tuple[PeriodicObjective, Point],
+) -> None:
+    objective, point = seen
+    equations = objective.normal_equations(point)
+    series, _, cameras, prior = dense_matrices(equations)
+    small = np.eye(CAMERA_UNKNOWNS) * MIN_INFORMATION
+    blocks = cameras.reshape(FRAMES, CAMERA_UNKNOWNS, FRAMES, CAMERA_UNKNOWNS)
+    expected = SERIES_UNKNOWNS - np.trace(np.linalg.solve(series, np.diag(equations.series_prior)))
+    for t in range(FRAMES):
+        expected += np.trace(np.linalg.solve(blocks[t, :, t] + small, equations.camera_image[t])) + 2
+    assert equations.count_effective_parameters() == pytest.approx(expected, rel=1e-6)
+    both = [np.linalg.slogdet(m + MIN_CAMERA_INFORMATION * np.eye(len(m)))[1] for m in (cameras, prior)]
+    assert equations.camera_log_determinant_ratio() == pytest.approx(both[0] - both[1], rel=1e-6)
+
+
+def test_heading_is_inserted_by_the_chain_rule(seen: tuple[PeriodicObjective, Point]) -> None:
+    objective, point = seen
+    objective.normal_equations(point)
+    body = objective.problem
+    vertical = point.cameras.rotation[:, :, 2]
+    matrix, gradient, bones = insert_heading(body, vertical)
+    k = COMPONENTS
+    transform = np.zeros((FRAMES, k + 4, k + 5))  # d (theta, v, log s) / d (theta, psi, w, log s)
+    transform[:, range(k), range(k)] = 1
+    transform[:, range(k, k + 4), range(k + 1, k + 5)] = 1
+    transform[:, k : k + 3, k] = vertical
+    lower = np.tril(body.diagonal)
+    symmetric = lower + np.swapaxes(np.tril(lower, -1), 1, 2)
+    expected = np.einsum('tia,tij,tjb->tab', transform, symmetric, transform)
+    assert matrix == pytest.approx(expected, rel=1e-12, abs=1e-15)
+    assert gradient == pytest.approx(np.einsum('tia,ti->ta', transform, body.gradient), rel=1e-12)
+    expected = np.einsum('tia,tib->tab', transform, body.bone_vectors)[:, : k + 1]
+    assert bones == pytest.approx(expected, rel=1e-12, abs=1e-15)
+
+
+def test_products_of_the_series_are_those_of_its_jacobian(
+    seen: tuple[PeriodicObjective, Point], rng: np.random.Generator
+) -> None:
+    objective, point = seen
+    jacobian = point.series.jacobian(objective.body.batch.times)
+    dense = np.empty((FRAMES, COMPONENTS + 1, SERIES_UNKNOWNS))
+    for i, step in enumerate(STEP * np.eye(SERIES_UNKNOWNS)):
+        up, down = (point.series.with_step(s).evaluate(objective.body.batch.times) for s in (step, -step))
+        dense[:, :, i] = (up - down) / (2 * STEP)
+    x = rng.normal(size=(FRAMES, 3, COMPONENTS + 1))
+    assert jacobian.products(x) == pytest.approx(x @ dense, abs=1e-8)
+    assert jacobian.sum_products(x) == pytest.approx((x @ dense).sum(axis=0), abs=1e-8)
+    symmetric = rng.normal(size=(FRAMES, COMPONENTS + 1, COMPONENTS + 1))
+    symmetric = symmetric + np.swapaxes(symmetric, 1, 2)
+    expected = np.einsum('tia,tij,tjb->ab', dense, symmetric, dense)
+    assert jacobian.sum_congruences(symmetric) == pytest.approx(expected, abs=1e-7)
+
+
+def test_movement_integrates_the_squared_derivatives(
+    seen: tuple[PeriodicObjective, Point],
+) -> None:
+    objective, _ = seen
+    times = objective.body.batch.times
+    velocity, acceleration = objective.movement
+    line = (0.7 * times + 5)[:, None] * np.ones(6)
+    assert (velocity.residuals(line) ** 2).sum() == pytest.approx(6 * 0.02 * 0.7**2 * np.ptp(times))
+    middle = (times[2:] - times[:-2]) / 2
+    parabola = (times**2)[:, None] * np.ones(6)
+    assert (acceleration.residuals(parabola) ** 2).sum() == pytest.approx(6 * 0.001 * 4 * middle.sum())
+    still = objective.with_still_camera(CONFIG).movement[0]
+    np.testing.assert_allclose(still.factors**2, 300 * velocity.factors**2)

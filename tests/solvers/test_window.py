@@ -1,0 +1,177 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""How solvers end, Algorithm 1, and windows that cannot be solved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from mocap_ros.config import SolverConfig
+from mocap_ros.errors import InputError
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers import alternation, joint, periodic
+from mocap_ros.solvers.alternation import reconstruct
+from mocap_ros.solvers.joint.batch import Batch
+from mocap_ros.solvers.joint.objective import JointObjective
+from mocap_ros.solvers.joint.reference import compute_cost
+from mocap_ros.solvers.window import (
+    InitialValues,
+    Reconstruction,
+    SolverStatus,
+    Window,
+    choose_initial_values,
+)
+from tests.support.synthetic_walk import compute_mpjpe, make_noisy_window, make_walk
+
+CONFIG = SolverConfig(components=8, adapt_noise=False)
+
+
+@pytest.fixture
+def window(walk_model: BasePoses) -> Window:
+    """Noisy points of a walk, with fixed initial values and unit, so that all solutions have one objective."""
+    _, _, points, times = make_walk(walk_model)
+    points = points + 2 * np.random.default_rng(0).normal(size=points.shape)
+    window = Window(points, np.ones(points.shape[:2]), times)
+    start, unit = choose_initial_values(window, walk_model.truncate(CONFIG.components), 1.0)
+    return replace(window, start=start, unit=unit)
+
+
+def solve_jointly(window: Window, model: BasePoses, config: SolverConfig) -> Reconstruction:
+    (result,) = joint.solve([window], model, config)
+    return result
+
+
+def solve_periodically(window: Window, model: BasePoses, config: SolverConfig) -> Reconstruction:
+    (result,) = periodic.solve([window], model, config)
+    return result
+
+
+SOLVERS = [solve_jointly, reconstruct, solve_periodically]
+
+
+@pytest.mark.parametrize('solve', SOLVERS)
+def test_status_tells_convergence_from_the_limit_of_iterations(
+    walk_model: BasePoses, window: Window, solve: Callable[[Window, BasePoses, SolverConfig], Reconstruction]
+) -> None:
+    converged = solve(window, walk_model, replace(CONFIG, max_iterations=500))
+    assert converged.status is SolverStatus.CONVERGED
+    assert converged.success
+    assert 1 < converged.iterations < 500
+    stopped = solve(window, walk_model, replace(CONFIG, max_iterations=converged.iterations - 1))
+    assert stopped.status is SolverStatus.MAX_ITERATIONS
+    assert not stopped.success
+    assert stopped.iterations == converged.iterations - 1
+    assert stopped.cost > converged.cost
+
+
+@pytest.mark.parametrize('solve', [solve_jointly, solve_periodically])
+def test_without_tolerance_the_solver_ends_where_no_step_helps(
+    walk_model: BasePoses, window: Window, solve: Callable[[Window, BasePoses, SolverConfig], Reconstruction]
+) -> None:
+    result = solve(window, walk_model, replace(CONFIG, max_iterations=1000, tolerance=0.0))
+    assert result.status is SolverStatus.NO_LOWER_STEP
+    assert result.success
+    assert result.iterations < 1000
+
+
+def test_cost_is_that_of_the_solution(walk_model: BasePoses, window: Window) -> None:
+    model = walk_model.truncate(CONFIG.components)
+    result = solve_jointly(window, model, CONFIG)
+    assert window.unit is not None
+    unit = np.array([window.unit])
+    batch = Batch.build([window], unit, model)
+    state = batch.initial_state([InitialValues(result.theta, result.cameras)], unit)
+    state = state._replace(translation=result.translation / window.unit)
+    cost = compute_cost(JointObjective.build(batch, model, CONFIG), state)
+    assert result.cost == pytest.approx(cost[0], rel=1e-9)
+    assert result.cost == result.history[-1] < result.history[0]
+
+
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')
+def test_numbers_that_overflow_are_no_success(walk_model: BasePoses, window: Window) -> None:
+    (result,) = joint.solve([replace(window, points=1e200 * window.points)], walk_model, CONFIG)
+    assert result.status is SolverStatus.SINGULAR
+    assert not result.success
+
+
+def test_recovers_a_synthetic_walk(walk_model: BasePoses) -> None:
+    theta, cameras, points, times = make_walk(walk_model)
+    config = SolverConfig(
+        prior_weight=1e-7, bone_weight=0.05, flip_weight=1e-5, components=4,
+        max_iterations=400, tolerance=1e-7,
+    )  # fmt: skip
+    result = reconstruct(Window(points, np.ones(points.shape[:2]), times), walk_model, config)
+    assert compute_mpjpe(result, walk_model, theta, cameras) < 1.1 * 1.67  # mm; measured: 1.667
+    assert result.residual.max() < 1.1 * 0.25  # px; measured: 0.249
+    assert result.translation == pytest.approx(np.tile([320, 240], (len(times), 1)), abs=1e-3)  # px
+
+
+@settings(max_examples=15)
+@example(seed=405, bone=0.0, prior=0.0, flip=0.0, missing=0.5)  # nothing determines the weights of a frame
+@given(
+    seed=st.integers(0, 1000),
+    bone=st.floats(0, 100),
+    prior=st.floats(0, 1e-2),
+    flip=st.floats(0, 1),
+    missing=st.floats(0, 0.5),
+)
+def test_objective_never_rises(
+    walk_model: BasePoses, seed: int, bone: float, prior: float, flip: float, missing: float
+) -> None:
+    config = SolverConfig(bone_weight=bone, prior_weight=prior, flip_weight=flip, components=8, max_iterations=6)
+    result = reconstruct(make_noisy_window(walk_model, seed, missing), walk_model, config)
+    steps = np.diff(result.history)
+    assert (steps <= 1e-9 * np.abs(result.history[0])).all()
+    assert np.isfinite(result.joints).all()
+
+
+def test_woodbury_solution_equals_the_dense_one(rng: np.random.Generator) -> None:
+    frames, k, bones = 5, 4, 3
+    a = rng.normal(size=(frames, 9, k))
+    coupling = rng.normal(size=(frames, k, bones))
+    strength = 0.3
+    blocks = np.swapaxes(a, -1, -2) @ a + frames * strength * coupling @ np.swapaxes(coupling, -1, -2)
+    gradient = rng.normal(size=(frames, k))
+    dense = np.zeros((frames * k, frames * k))
+    for f in range(frames):
+        dense[f * k : (f + 1) * k, f * k : (f + 1) * k] = blocks[f]
+    g = coupling.reshape(frames * k, bones)
+    dense -= strength * g @ g.T
+    x = alternation.solve_coupled_blocks(blocks, coupling, strength, gradient, damping=0.0)
+    assert x.ravel() == pytest.approx(np.linalg.solve(dense, gradient.ravel()), rel=1e-8)
+
+
+def test_a_hidden_limb_is_reconstructed(walk_model: BasePoses) -> None:
+    theta, cameras, points, times = make_walk(walk_model)
+    weight = np.ones(points.shape[:2])
+    weight[:, [CMU15.index('lelbow'), CMU15.index('lwrist')]] = 0
+    points[weight == 0] = 0
+    config = SolverConfig(components=4, prior_weight=1e-6)
+    result = reconstruct(Window(points, weight, times), walk_model, config)
+    assert compute_mpjpe(result, walk_model, theta, cameras) < 1.1 * 17.8  # mm, measured
+
+
+def test_frames_without_any_joint_have_poses_but_no_residual(walk_model: BasePoses) -> None:
+    _, _, points, times = make_walk(walk_model)
+    weight = np.ones(points.shape[:2])
+    weight[10:14] = 0
+    result = reconstruct(Window(points, weight, times), walk_model, SolverConfig(components=6))
+    assert np.isfinite(result.joints).all()
+    assert np.isnan(result.residual[10:14]).all()
+
+
+@pytest.mark.parametrize(('kept', 'seen', 'message'), [(39, 1, 'do not fit'), (40, 0, 'nothing to reconstruct')])
+def test_windows_that_cannot_be_solved_are_refused(
+    walk_model: BasePoses, kept: int, seen: int, message: str
+) -> None:
+    _, _, points, times = make_walk(walk_model)
+    with pytest.raises(InputError, match=message):
+        Window(points[:kept], np.full((40, 15), float(seen)), times)
