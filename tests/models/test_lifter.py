@@ -215,7 +215,8 @@ def test_a_training_can_start_from_a_lifter(walk_model: BasePoses, rng: np.rando
     from mocap_ros.training import lifter as training
 
     torch.set_num_threads(1)
-    data, sizes = make_trials(walk_model, rng), {'batch': 64, 'width': 32}
+    data = make_trials(walk_model, rng)
+    sizes: dict[str, Any] = {'batch': 64, 'width': 32}
     trained = training.train_lifter(data, EQUAL_SHARES, training.TrainingSettings(steps=30, **sizes), {})
     features = ExampleSynthesiser(MotionLibrary.from_trials(data, EQUAL_SHARES), 1).make_batch(200).features
     network = training.LifterNetwork(32, 2, 0.0)

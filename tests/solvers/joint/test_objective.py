@@ -270,7 +270,8 @@ def test_terms_are_proportional_to_their_parameters(
     base = SolverConfig(tilt_weight=0.0, scale_weight=0.0)
     if TERMS[name] == 'difference 0':  # the others of this sum are off
         kind = name.split('_')[-2]
-        base = replace(base, **{f'{other}_weight': 0.0 for other in ('smooth', 'flip') if other != kind})
+        off: Any = {f'{other}_weight': 0.0 for other in ('smooth', 'flip') if other != kind}
+        base = replace(base, **off)
 
     def compute(value: float) -> float:
         changed: Any = {name: value}
