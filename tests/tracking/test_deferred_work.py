@@ -1,13 +1,10 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tests of the deferred work: its choice, its slices, when it ends without a result, and that nobody starves."""
+"""Deferred work: when it is due, its slices, when it ends without a result; no person waits for ever."""
 
-import gc
-import weakref
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +15,7 @@ from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.people import Motion, MotionKind
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, WINDOW_COST, DeferredWork, Work
 from mocap_ros.tracking.hypotheses import HypothesisChecker, Slices
-from mocap_ros.tracking.schedule import CheckSchedule, Classification
+from mocap_ros.tracking.schedule import NEW_TRACK_S, CheckSchedule, Classification
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
 from tests.support.synthetic_walk import make_walk
@@ -35,13 +32,7 @@ WALK = Motion(MotionKind.PERIODIC, 'walk', 0.01, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class IdleChecker(HypothesisChecker):
-    """Finds that every solution is the likeliest, in slices of known cost.
-
-    Attributes:
-        costs: those of the slices that were done.
-        checked: ids of the people who were checked, in this order.
-        classified: ids of the people who were classified, in this order.
-    """
+    """Finds that every solution is the likeliest, in slices of known cost; lists what was done."""
 
     costs: list[int] = field(default_factory=list)
     checked: list[str] = field(default_factory=list)
@@ -75,11 +66,6 @@ def track(known: Track) -> Track:
 @pytest.fixture(scope='module')
 def models(walk_model: BasePoses) -> dict[str, BasePoses]:
     return {'jump': load_base_poses('jump').truncate(10), 'walk': walk_model.truncate(10)}
-
-
-@pytest.fixture
-def work(models: dict[str, BasePoses]) -> DeferredWork:
-    return DeferredWork(HypothesisChecker(models, CONFIG), ('jump', 'walk'), 0.5)
 
 
 def with_schedule(
@@ -119,25 +105,14 @@ def test_the_work_that_is_latest_in_proportion_to_its_interval_begins(
     assert choose(new, later, ('moving', LATE, NOW - S, 0.1)) == ('moving', False), 'two of half a second'
 
 
-def test_interrupted_work_ends_with_the_object_that_does_it(known: Track, models: dict[str, BasePoses]) -> None:
-    """It holds some MB, and Python's garbage collections may not come for an hour."""
-    work = DeferredWork(IdleChecker(models, CONFIG), ('walk',), 0.5, frame_budget=1)
-    begin(work, with_schedule(known, 'anna', NOW, LATE))
-    watched: list[weakref.ref[Any]] = [weakref.ref(work), weakref.ref(work.begun)]
-    gc.disable()
-    try:
-        del work
-        assert [reference() for reference in watched] == [None, None]
-    finally:
-        gc.enable()
-
-
-def test_only_people_of_the_newest_frame_are_checked(known: Track, track: Track, work: DeferredWork) -> None:
-    work.advance([track], NOW)
-    undetected = change(with_schedule(known, 'bob', 0, 0), stamps_ns=(0, NOW - STEP_NS))
-    work.advance([track, undetected], NOW)
-    tentative = change(with_schedule(known, 'bob', 0, 0), is_tentative=True)
-    work.advance([tentative], NOW)
+def test_only_certain_people_of_the_newest_frame_are_checked(
+    known: Track, track: Track, models: dict[str, BasePoses]
+) -> None:
+    work, due = (
+        DeferredWork(HypothesisChecker(models, CONFIG), ('jump', 'walk'), 0.5),
+        with_schedule(known, 'b', 0, 0),
+    )
+    work.advance([track, change(due, stamps_ns=(0, NOW - STEP_NS)), change(due, is_tentative=True)], NOW)
     assert work.begun is None
 
 
@@ -154,13 +129,9 @@ def test_a_frame_is_followed_by_as_many_slices_as_the_budget_allows(known: Track
     per_frame = np.diff(counts).tolist()
     assert per_frame[:-1] == [first] + [whole] * (len(per_frame) - 2)
     assert sum(per_frame) == CHECK_SLICES
-    work = DeferredWork(checker, ('walk',), 0.5, frame_budget=1)
-    for frame in range(4):
-        begin(work, with_schedule(known, 'ann', 0, LATE) if frame == 0 else work.begun.track)  # type: ignore[union-attr]
-        assert len(checker.costs) == CHECK_SLICES + frame, 'one slice is always done, the first builds the windows'
 
 
-def test_nobody_starves_and_new_people_come_first(known: Track) -> None:
+def test_no_person_waits_for_ever_and_new_people_come_first(known: Track) -> None:
     """Forty people want more than can be done; one of them is new."""
     checker = IdleChecker({}, CONFIG)
     work = DeferredWork(checker, ('walk',), 5.0)
@@ -200,25 +171,6 @@ def test_work_that_fails_is_not_repeated_for_ever(known: Track, models: dict[str
 def turn_round(solution: TrackSolution) -> TrackSolution:
     """Return a wrong solution, in which the person faces the other way."""
     return replace(solution, rotation=solution.rotation @ np.diag([-1.0, -1.0, 1.0]), theta=0 * solution.theta)
-
-
-@pytest.mark.parametrize(
-    ('checked_model', 'restarts', 'age_s', 'is_found'),
-    [('walk', 0, 9.0, True), ('jump', 0, 9.0, False), ('jump', 1, 9.0, True), ('jump', 0, 0.9, True)],
-)
-def test_only_a_check_from_scratch_finds_another_heading(
-    track: Track, models: dict[str, BasePoses], checked_model: str, restarts: int, age_s: float, is_found: bool
-) -> None:
-    """A check of another model starts from the poses so far, unless the solution may be wrong."""
-    right = track.solved.rotation[-1]
-    track.solution, track.first_ns = turn_round(track.solved), NOW - round(age_s * S)
-    track.schedule.next_check_ns, track.schedule.pending_restarts = 0, restarts
-    names = (checked_model, 'walk' if checked_model == 'jump' else 'jump')
-    finish(DeferredWork(HypothesisChecker(models, CONFIG), names, 0.5), track)
-    same_heading = np.trace(track.solved.rotation[-1] @ right.T) > 2  # less than 60 degrees apart
-    assert same_heading == is_found
-    assert track.schedule.check_count == 1
-    assert track.schedule.next_check_ns > NOW
 
 
 @pytest.mark.parametrize('is_check', [True, False])
@@ -320,3 +272,61 @@ def test_a_classification_that_is_overtaken_by_the_end_of_the_motion_does_not_br
     finish(work, track)
     kind = track.schedule.classification.motion.kind
     assert kind is (MotionKind.NON_PERIODIC if stops else MotionKind.PERIODIC)
+
+
+PERIODIC = Classification(Motion(MotionKind.PERIODIC, 'walk', 0.01, 0.9), 'walk')
+OTHER = Classification(Motion(MotionKind.NON_PERIODIC, 'jump', 0.01, np.nan), '')
+
+
+def check(schedule: CheckSchedule, stamp_s: float, age_s: float, noise: float = 0.01) -> float:
+    """Check a track among three models, at most half a second apart; return the time in s to the next check."""
+    schedule.begin_check(round(stamp_s * S), age_s, 0.5)
+    schedule.finish_check(noise, turns=3)
+    return schedule.next_check_ns / S - stamp_s
+
+
+def classify(*found: tuple[float, Classification | None]) -> CheckSchedule:
+    """Return the schedule after classifications at times in s."""
+    schedule = CheckSchedule()
+    for stamp_s, classification in found:
+        schedule.finish_classification(round(stamp_s * S), classification)
+    return schedule
+
+
+def test_checks_become_rarer_with_age() -> None:
+    intervals = {age_s: check(CheckSchedule(), 7, age_s) for age_s in (0.1, 0.5, 1.5, 9.0)}
+    assert intervals == pytest.approx({0.1: 0.1, 0.5: 0.1, 1.5: 0.3, 9.0: 0.5})
+    assert CheckSchedule().is_from_scratch(NEW_TRACK_S - 0.01)
+    assert not CheckSchedule().is_from_scratch(NEW_TRACK_S)
+
+
+def test_a_rise_of_the_noise_starts_a_round_from_scratch() -> None:
+    schedule = CheckSchedule(check_count=3, baseline_noise=0.01, next_check_ns=100 * S)
+    schedule.restart_if_noise_rose(0.0129, 9 * S, 3)
+    assert (schedule.pending_restarts, schedule.next_check_ns) == (0, 100 * S)
+    new = CheckSchedule()
+    new.restart_if_noise_rose(5.0, 9 * S, 3)
+    assert new.pending_restarts == 0, 'no baseline yet'
+    schedule.restart_if_noise_rose(0.0131, 9 * S, 3)
+    assert (schedule.pending_restarts, schedule.next_check_ns, schedule.baseline_noise) == (3, 9 * S, np.inf)
+    pending = []
+    for number in range(3):
+        assert schedule.is_from_scratch(age_s=60.0)
+        assert check(schedule, 9 + number, age_s=60.0, noise=0.02) == pytest.approx(0.1), 'soon, whatever the age'
+        pending.append(schedule.pending_restarts)
+    assert pending == [2, 1, 0]
+    assert schedule.baseline_noise == 0.02, 'a new round of all models has ended'
+    assert not schedule.is_from_scratch(age_s=60.0)
+    assert check(schedule, 20, age_s=60.0) == 0.5
+
+
+def test_who_has_walked_is_classified_often_until_the_walk_goes_on() -> None:
+    walking, stopped = classify((4, PERIODIC)), ((4, PERIODIC), (5, OTHER))
+    assert walking.next_classification_ns == 5 * S, 'periodic motions less often than others'
+    assert classify((4, OTHER)).next_classification_ns == 4.5 * S
+    schedule, resumed, long_ago = (classify(*stopped, *more) for more in ((), ((6, PERIODIC),), ((20, OTHER),)))
+    assert (schedule.next_classification_ns, schedule.may_resume) == (5.25 * S, True)
+    assert (resumed.next_classification_ns, resumed.may_resume, resumed.is_periodic) == (7 * S, False, True)
+    assert (long_ago.next_classification_ns, long_ago.may_resume) == (20.5 * S, False)
+    impossible = classify(*stopped, (6, None))
+    assert (impossible.may_resume, impossible.classification) == (True, OTHER)

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tests of the choice of the frame that is put out with a lag."""
+"""Tests of the choice of the frame that is output with a lag."""
 
 import numpy as np
 import pytest
@@ -13,8 +13,8 @@ from mocap_ros.tracking.delayed_output import find_delayed_frame, find_oldest_ne
 INTERVAL_NS = 33_333_333
 
 
-def put_out(stamps_ns: list[int], lag_s: float) -> list[tuple[int, int]]:
-    """Return the stamp of each frame with that of the frame that is put out after it, both in ns."""
+def delay(stamps_ns: list[int], lag_s: float) -> list[tuple[int, int]]:
+    """Return the stamp of each frame with that of the frame that is output after it, both in ns."""
     waiting: list[int] = []
     out, has_begun = [], False
     for stamp_ns in stamps_ns:
@@ -31,10 +31,10 @@ def put_out(stamps_ns: list[int], lag_s: float) -> list[tuple[int, int]]:
 def test_one_frame_follows_another_whatever_the_jitter_and_the_lag(lag_s: float, jitter_ms: float) -> None:
     jitter = np.random.default_rng(0).uniform(-jitter_ms, jitter_ms, 400) * 1e6
     stamps_ns = [int(i * INTERVAL_NS + j) for i, j in enumerate(jitter)]
-    shown = [s for _, s in put_out(stamps_ns, lag_s)]
-    delay = round((stamps_ns[-1] - shown[-1]) / INTERVAL_NS)
+    shown = [s for _, s in delay(stamps_ns, lag_s)]
+    frames = round((stamps_ns[-1] - shown[-1]) / INTERVAL_NS)
     settled = shown[20:]
-    assert settled == stamps_ns[len(stamps_ns) - delay - len(settled) : len(stamps_ns) - delay]
+    assert settled == stamps_ns[len(stamps_ns) - frames - len(settled) : len(stamps_ns) - frames]
 
 
 @given(
@@ -43,7 +43,7 @@ def test_one_frame_follows_another_whatever_the_jitter_and_the_lag(lag_s: float,
 )
 def test_stamps_never_go_back_and_delays_are_bounded(steps_ms: list[int], lag_s: float) -> None:
     stamps_ns = [int(s) for s in np.cumsum(steps_ms) * 1_000_000]
-    out = put_out(stamps_ns, lag_s)
+    out = delay(stamps_ns, lag_s)
     shown = [s for _, s in out]
     assert shown == sorted(shown)
     for now_ns, shown_ns in out[1:]:
@@ -53,9 +53,3 @@ def test_stamps_never_go_back_and_delays_are_bounded(steps_ms: list[int], lag_s:
         assert now_ns - following_ns <= 1.5 * lag_s * 1e9 + 1, 'a later frame is older than the lag by a half'
         needed = [s for s in stamps_ns if s <= find_oldest_needed_ns(now_ns, lag_s)]
         assert not needed or shown_ns >= needed[-1]
-
-
-def test_a_frame_that_is_not_old_enough_is_not_put_out() -> None:
-    assert find_delayed_frame([0], 0.1, has_begun=False) == (0, False)
-    assert find_delayed_frame([0, INTERVAL_NS], 0.1, has_begun=False) == (0, False)
-    assert find_delayed_frame([0, 10**9], 0.1, has_begun=False) == (0, True)

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""After a long time without anybody, what the tracker does depends on nothing that came before."""
+"""What a tracker remembers of people who have gone, and that it forgets all after a long time."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 
 from mocap_ros.config import Config, with_settings
+from mocap_ros.errors import FrameDropped
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Array
+from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.frozen_state import list_values
+from tests.support.swinging_body import make_swinging_body
 from tests.support.synthetic_walk import make_walk
 from tests.support.tracks import CAMERA, STEP_NS
 
@@ -38,7 +41,7 @@ def visit(tracker: Tracker, first_frame: int, points: Array) -> list[tuple[Perso
 
 
 def wait(tracker: Tracker, first_frame: int, seconds: float) -> int:
-    """Track images of nobody, and return the number of the next frame."""
+    """Track empty images, and return the number of the next frame."""
     last = first_frame + round(seconds * 30)
     for frame in range(first_frame, last):
         assert tracker.update(frame * STEP_NS, [], CAMERA) == () or frame < first_frame + 30
@@ -57,6 +60,8 @@ def test_after_a_long_absence_a_tracker_is_as_new(walk_model: BasePoses, lag: fl
     later = [visit(tracker, back + 1, points) for tracker in (used, new)]
     assert list_values(tuple(later[0])) == list_values(tuple(later[1]))
     assert {p.id for p in later[0][-1]} == {'person_1', 'person_2'}
+    with pytest.raises(FrameDropped):
+        used.update((back - 1) * STEP_NS, [], CAMERA)
 
 
 def test_after_a_shorter_absence_names_go_on_and_poses_are_remembered(walk_model: BasePoses) -> None:
@@ -68,20 +73,37 @@ def test_after_a_shorter_absence_names_go_on_and_poses_are_remembered(walk_model
     assert {p.id for p in visit(tracker, back, points)[-1]} == {'person_3', 'person_4'}
 
 
-def test_a_stamp_is_refused_after_an_absence_as_ever(walk_model: BasePoses) -> None:
-    """The newest stamp is all that stays, so an old image does not come back as a new one."""
-    from mocap_ros.errors import FrameDropped
+def test_a_remembered_pose_is_recalled_and_the_memory_is_bounded() -> None:
+    poses, _ = make_swinging_body(200)
+    weight = np.ones(15)
 
-    tracker = make_tracker(walk_model)
-    visit(tracker, 0, make_walk(walk_model, FRAMES)[2])
-    back = wait(tracker, FRAMES, FORGET_ALL_S + 1.0)
-    with pytest.raises(FrameDropped):
-        tracker.update((back - 1) * STEP_NS, [], CAMERA)
+    def image(pose: np.ndarray) -> np.ndarray:
+        return 150.0 * pose[:, :2] + [300, 200]
 
-
-def test_people_are_kept_at_least_for_forget_after(walk_model: BasePoses) -> None:
-    points = make_walk(walk_model, FRAMES)[2]
-    tracker = make_tracker(walk_model, **{'tracker.forget_all_after': 0.0})
-    visit(tracker, 0, points)
-    back = wait(tracker, FRAMES, 0.5)
-    assert {p.id for p in visit(tracker, back, points)[-1]} == {'person_1', 'person_2'}
+    memory = KeyPoseMemory(beta=0.02, capacity=4)
+    assert memory.recall(image(poses[0]), weight) is None
+    for pose in poses[:100:10]:
+        memory.remember(image(pose), weight, pose)
+    assert len(memory.poses) == 4
+    newest = [p - p.mean(axis=0) for p in poses[60:100:10]]
+    assert np.array([p.pose for p in memory.poses]) == pytest.approx(np.array(newest))
+    known = poses[90]
+    partly = weight.copy()
+    partly[4] = 0
+    seen = 2.0 * image(known) - 70
+    seen[4] = np.nan
+    memory.beta = 0.2
+    found = memory.recall(np.nan_to_num(seen), partly)
+    memory.beta = 0.02
+    assert found is not None
+    assert found.pose == pytest.approx(known - known.mean(axis=0))
+    assert found.scale == pytest.approx(300.0)
+    again = found.scale * found.pose[:, :2] + found.translation
+    assert again[partly > 0] == pytest.approx(seen[partly > 0])
+    assert memory.recall(image(poses[90] * [1, 0.4, 1]), weight) is None
+    before = memory.poses[:3]
+    memory.remember(image(known), weight, known)
+    assert memory.poses[:3] == before
+    few = np.zeros(15)
+    few[:3] = 1
+    assert memory.recall(image(known), few) is None

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tests of what a track takes over from a solver: states in the real camera, kept frames, noise and fit."""
+"""Solutions of a track: states in the real camera, kept frames, predictions, and what a solver gets."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
-from mocap_ros.skeleton import estimate_stature
 from mocap_ros.solvers.joint import JointReconstruction
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.solvers.window import Array, SolverStatus
@@ -108,35 +107,19 @@ def assert_states(solution: TrackSolution, truth: TrackSolution, frames: slice =
         assert getattr(solution, name)[frames] == pytest.approx(getattr(truth, name)[frames], abs=1e-9), name
 
 
-@pytest.mark.parametrize('frames', [[0, 8], [0, 3, 8], list(range(9))])
-def test_a_first_solution_is_interpolated_in_the_real_camera(
+@pytest.mark.parametrize('frames', [[0, 8], [0, 3, 8], [4, 6, 8], list(range(9))])
+def test_a_first_solution_is_interpolated_in_the_real_camera_after_the_earlier_states(
     truth: TrackSolution, model: BasePoses, track: Track, frames: list[int]
 ) -> None:
     observed, chosen = track.observed, np.array(frames)
     result = reconstruct(truth, model, observed, chosen)
-    solution = TrackSolution.interpolate(result, observed, chosen, 'a name', model, earlier=None)
-    assert_states(solution, truth)
+    earlier = replace(truth, theta=truth.theta + 1, roots=truth.roots + 2, rotation=truth.rotation[::-1])
+    solution = TrackSolution.interpolate(result, observed, chosen, 'a name', model, earlier if frames[0] else None)
+    assert_states(solution, truth, slice(frames[0], None))
+    assert_states(solution, earlier, slice(frames[0]))
     assert (solution.model_name, solution.noise, solution.frame_residuals[-1]) == ('a name', 0.03, 3.0)
-    np.testing.assert_array_equal(solution.joint_std, result.joint_std)
     body_px = np.sqrt((result.joints[-1, :, :2] ** 2).sum(axis=1).mean()) * result.cameras.scale[-1]
     assert solution.residual == pytest.approx(np.sqrt((result.residual**2).mean()) / body_px)
-
-
-def test_frames_before_those_that_were_solved_keep_their_states(
-    truth: TrackSolution, model: BasePoses, track: Track
-) -> None:
-    observed, chosen = track.observed, np.array([4, 6, 8])
-    earlier = replace(
-        truth,
-        theta=truth.theta + 1,
-        roots=truth.roots + 2,
-        rotation=truth.rotation[::-1],
-        bone_lengths=truth.bone_lengths + 3,
-    )
-    result = reconstruct(truth, model, observed, chosen)
-    solution = TrackSolution.interpolate(result, observed, chosen, 'walk', model, earlier)
-    assert_states(solution, truth, slice(4, None))
-    assert_states(solution, earlier, slice(4))
 
 
 def test_a_refinement_replaces_the_newest_states_and_no_others(
@@ -160,49 +143,6 @@ def test_a_refinement_replaces_the_newest_states_and_no_others(
     assert solution.noise**2 == pytest.approx(share * before.noise**2 + (1 - share) * 0.03**2)
 
 
-def test_a_refinement_of_all_frames_keeps_nothing(truth: TrackSolution, model: BasePoses, track: Track) -> None:
-    before = replace(truth, theta=truth.theta + 1, roots=truth.roots + 2, noise=1.0)
-    result = reconstruct(truth, model, track.observed, slice(None))
-    solution = before.refine(result, track.observed, first=0, fixed_frames=0)
-    assert_states(solution, truth)
-    assert solution.noise == pytest.approx(0.03)
-
-
-def test_the_stature_is_that_of_the_poses(truth: TrackSolution, model: BasePoses, track: Track) -> None:
-    theta = np.zeros_like(truth.theta)
-    upright = replace(truth, theta=theta, bone_lengths=model.skeleton.bone_lengths(model.poses(theta)))
-    ratios, bent = [], reconstruct(truth, model, track.observed, slice(5, None))
-    for size in (1, 2):
-        grown = replace(model, mean=size * model.mean)
-        result = reconstruct(upright, grown, track.observed, slice(None))
-        ratios.append(replace(upright, model=grown).refine(result, track.observed, 0, 0).stature_ratio)
-    assert ratios[0] == pytest.approx(1.0, abs=0.05)
-    assert ratios[1] == pytest.approx(2 * ratios[0])
-    partly = upright.refine(bent, track.observed, 5, 1)
-    stature = estimate_stature(model.poses(partly.theta), model.skeleton)
-    assert partly.stature_ratio == pytest.approx(stature / model.stature, rel=1e-12)
-    assert abs(partly.stature_ratio - ratios[0]) > 1e-4
-
-
-def test_a_posterior_that_is_not_known_is_not_invented(
-    truth: TrackSolution, model: BasePoses, track: Track
-) -> None:
-    result = replace(reconstruct(truth, model, track.observed, slice(None)), joint_std=None)
-    assert np.isnan(truth.refine(result, track.observed, 0, 0).joint_std).all()
-
-
-def test_the_fit_leaves_out_frames_without_a_residual(
-    truth: TrackSolution, model: BasePoses, track: Track
-) -> None:
-    result = reconstruct(truth, model, track.observed, slice(None))
-    body_px = np.sqrt((result.joints[-1, :, :2] ** 2).sum(axis=1).mean()) * result.cameras.scale[-1]
-    for residual, rms in (([np.nan, 3.0, np.nan, 4.0], np.sqrt(12.5)), ([np.nan] * 4, np.nan)):
-        some = replace(result, residual=np.array(residual))
-        found = truth.refine(some, track.observed, 0, 0)
-        fit = found.residual, found.frame_residuals[-1]
-        assert fit == pytest.approx((rms / body_px, residual[-1]), nan_ok=True)
-
-
 def test_joints_between_frames_are_interpolated(truth: TrackSolution) -> None:
     solution, times = replace(truth, stature_ratio=1.1), -np.cumsum(np.linspace(0.02, 0.05, FRAMES))[::-1]
     joints = (solution.compute_joints(ALL) + solution.roots[:, None]) / 1.1
@@ -223,18 +163,6 @@ def test_poses_of_another_model_approximate_the_same_joints(truth: TrackSolution
     assert np.abs(changed.rotation - truth.rotation).max() > 0.1
     np.testing.assert_array_equal(changed.roots, truth.roots)
     assert changed.bone_lengths == pytest.approx(truth.bone_lengths, abs=1e-6)
-
-
-def test_a_new_frame_starts_where_the_last_movement_leads(
-    truth: TrackSolution, model: BasePoses, track: Track
-) -> None:
-    solution = keep(truth, FRAMES - 1)
-    theta, rotation, root = predict(track.stamps_ns, solution)
-    share = EXTRAPOLATION_SHARE
-    assert theta == pytest.approx(truth.theta[-2] + share * 0.1 * model.std)
-    assert root == pytest.approx(truth.roots[-2] + share * np.array([0.02, 0.01, 0.05]))
-    turned = Rotation.from_matrix(rotation @ truth.rotation[-2].T).as_rotvec()
-    assert turned == pytest.approx(share * np.array([0.01, 0.04, 0.0]), abs=1e-9)
 
 
 def test_with_a_lifter_a_new_frame_starts_from_its_lifted_pose(
@@ -278,63 +206,16 @@ def test_the_movement_is_repeated_for_a_limited_time(truth: TrackSolution, model
         assert turned == pytest.approx(share * np.array([0.01, 0.04, 0.0]), abs=1e-8)
 
 
-def test_nobody_is_expected_behind_the_camera(truth: TrackSolution) -> None:
-    """At a few frames a second somebody who comes towards the camera and stops would be."""
+def test_no_person_is_expected_behind_the_camera(truth: TrackSolution) -> None:
+    """At a few frames a second a person who comes towards the camera and stops would be."""
     before, last = np.array([0.3, 0.1, 2.0]), np.array([0.1, 0.1, 0.8])
     first = replace(keep(truth, 2), roots=np.stack([before, last]))
     _, _, root = predict((0, STEP_NS, 2 * STEP_NS), first)
     assert root[2] == pytest.approx((1 - 0.5) * last[2])
     assert root - last == pytest.approx((last - before) / 3)
-
-
-def test_after_a_single_solved_frame_the_person_stays(truth: TrackSolution) -> None:
-    theta, rotation, root = predict((0, STEP_NS), keep(truth, 1))
-    np.testing.assert_array_equal(theta, truth.theta[0])
-    assert rotation == pytest.approx(truth.rotation[0], abs=1e-15)
-    np.testing.assert_array_equal(root, truth.roots[0])
-
-
-def test_a_solver_gets_the_solution_in_the_virtual_camera(
-    truth: TrackSolution, model: BasePoses, track: Track
-) -> None:
-    solution = keep(truth, FRAMES - 1)
-    frames = np.arange(5, FRAMES)
-    window = build_refinement_window(track.stamps_ns, track.observed, solution, first=5, fixed_frames=1)
-    expected = reconstruct(truth, model, track.observed, frames)
-    assert window.start is not None
-    assert window.start.theta[:-1] == pytest.approx(expected.theta[:-1])
-    assert window.start.cameras.scale[:-1] == pytest.approx(expected.cameras.scale[:-1])
-    assert window.start.cameras.rotation[:-1] == pytest.approx(expected.cameras.rotation[:-1])
-    predicted, _, _ = predict(track.stamps_ns, solution)
-    states = append_prediction(track.stamps_ns, solution, first=5)
-    for found, name in zip(states, ('theta', 'rotation', 'roots'), strict=True):
-        np.testing.assert_array_equal(found[:-1], getattr(solution, name)[5:])
-    np.testing.assert_array_equal(window.start.theta[-1], predicted)
-    assert (window.noise, window.fixed_frames, window.focal) == (0.01, 1, CAMERA.focal)
-    assert window.times == pytest.approx(frames / 30)
-    assert window.earlier_frames is not None
-    assert window.earlier_frames.count == 5
-    lengths = model.skeleton.bone_lengths(model.poses(truth.theta[:5])).mean(axis=0)
-    assert window.earlier_frames.mean_bone_lengths == pytest.approx(lengths)
-    free = build_refinement_window(track.stamps_ns, track.observed, solution, first=5, fixed_frames=0)
-    assert (free.fixed_frames, free.earlier_frames) == (0, None)
-
-
-def test_a_check_gets_some_solved_frames(truth: TrackSolution, model: BasePoses, track: Track) -> None:
-    frames = np.array([1, 4, 8])
-    chosen, start = select_start(track.observed, truth, frames)
-    expected = reconstruct(truth, model, track.observed, frames)
-    np.testing.assert_array_equal(start.theta, truth.theta[frames])
-    assert start.cameras.scale == pytest.approx(expected.cameras.scale)
-    assert start.cameras.rotation == pytest.approx(expected.cameras.rotation)
-    assert chosen.times == pytest.approx(frames / 30)
-
-
-def test_a_solution_that_is_followed_by_its_own_is_that(truth: TrackSolution) -> None:
-    result = keep(truth, 6).follow(truth)
-    for name in ('theta', 'rotation', 'roots', 'bone_lengths'):
-        assert getattr(result, name) == pytest.approx(getattr(truth, name), abs=1e-6), name
-    assert keep(truth, 6).follow(keep(truth, 6)).theta.shape == (6, COMPONENTS)
+    stays = predict((0, STEP_NS), keep(truth, 1))
+    for found, expected in zip(stays, (truth.theta[0], truth.rotation[0], truth.roots[0]), strict=True):
+        assert found == pytest.approx(expected, abs=1e-15), 'after a single solved frame'
 
 
 def test_newer_frames_move_as_the_person_has_moved(truth: TrackSolution, walk_model: BasePoses) -> None:
@@ -360,3 +241,26 @@ def test_newer_frames_move_as_the_person_has_moved(truth: TrackSolution, walk_mo
     assert (
         np.linalg.norm(error, axis=-1).mean() < 0.25 * np.linalg.norm(joints[1] - joints[0], axis=-1).mean() + 0.01
     )
+
+
+def test_a_solver_gets_the_solution_in_the_virtual_camera(
+    truth: TrackSolution, model: BasePoses, track: Track
+) -> None:
+    solution = keep(truth, FRAMES - 1)
+    frames = np.arange(5, FRAMES)
+    window = build_refinement_window(track.stamps_ns, track.observed, solution, first=5, fixed_frames=1)
+    expected = reconstruct(truth, model, track.observed, frames)
+    _, for_check = select_start(track.observed, truth, frames[:-1])
+    for start in (window.start, for_check):
+        assert start is not None
+        assert start.theta[:3] == pytest.approx(expected.theta[:-1])
+        assert start.cameras.scale[:3] == pytest.approx(expected.cameras.scale[:-1])
+        assert start.cameras.rotation[:3] == pytest.approx(expected.cameras.rotation[:-1])
+    assert window.start is not None
+    np.testing.assert_array_equal(window.start.theta[-1], predict(track.stamps_ns, solution)[0])
+    assert (window.noise, window.fixed_frames, window.focal) == (0.01, 1, CAMERA.focal)
+    assert window.times == pytest.approx(frames / 30)
+    assert window.earlier_frames is not None
+    assert window.earlier_frames.count == 5
+    lengths = model.skeleton.bone_lengths(model.poses(truth.theta[:5])).mean(axis=0)
+    assert window.earlier_frames.mean_bone_lengths == pytest.approx(lengths)

@@ -46,15 +46,15 @@ def describe(people: tuple[Person3D, ...]) -> list[tuple[str, str]]:
     return [(p.id, 'tentative' if p.tentative else 'predicted' if p.predicted else 'seen') for p in people]
 
 
-def test_a_new_person_is_tentative_under_the_id_that_stays(tracker: Tracker, points: Array) -> None:
-    seen = [describe(tracker.update(f * STEP_NS, [see(points[f])], CAMERA)) for f in range(5)]
-    assert seen == [[('person_1', 'tentative')]] * 2 + [[('person_1', 'seen')]] * 3
-    assert 'tentative' in repr(Tracker(tracker.models, CONFIG).update(0, [see(points[0])], CAMERA)[0])
+@pytest.mark.parametrize('step_s', [1 / 30, 0.2, 1.0])
+def test_a_new_person_is_tentative_under_the_id_that_stays(tracker: Tracker, points: Array, step_s: float) -> None:
+    seen = [describe(tracker.update(round(f * step_s * 1e9), [see(points[0])], CAMERA)) for f in range(4)]
+    assert seen == [[('person_1', 'tentative')]] * 2 + [[('person_1', 'seen')]] * 2
 
 
-def test_ten_people_who_come_at_once_are_answered_at_once(tracker: Tracker, points: Array) -> None:
-    crowd = [see(points[0] + i * APART) for i in range(10)]
-    assert describe(tracker.update(0, crowd, CAMERA)) == [(f'person_{i + 1}', 'tentative') for i in range(10)]
+def test_where_frames_are_too_rare_people_are_not_tentative(tracker: Tracker, points: Array) -> None:
+    seen = [describe(tracker.update(f * 1_500_000_000, [see(points[0])], CAMERA)) for f in range(3)]
+    assert seen == [[('person_1', 'tentative')], [('person_2', 'seen')], [('person_3', 'seen')]]
 
 
 def test_a_tentative_person_is_never_predicted_and_costs_no_deferred_work(tracker: Tracker, points: Array) -> None:
@@ -79,17 +79,6 @@ def test_a_tentative_person_who_is_missed_for_a_few_frames_keeps_the_id(tracker:
         assert (describe(tracker.update((frame + 1) * STEP_NS, [], CAMERA)) != []) == (expected == 'seen')
 
 
-@pytest.mark.parametrize('step_s', [0.2, 0.5, 1.0])
-def test_at_a_low_frame_rate_the_third_frame_makes_certain(tracker: Tracker, points: Array, step_s: float) -> None:
-    seen = [describe(tracker.update(round(f * step_s * 1e9), [see(points[0])], CAMERA)) for f in range(4)]
-    assert seen == [[('person_1', 'tentative')]] * 2 + [[('person_1', 'seen')]] * 2
-
-
-def test_where_nobody_is_known_from_frame_to_frame_nobody_is_tentative(tracker: Tracker, points: Array) -> None:
-    seen = [describe(tracker.update(f * 1_500_000_000, [see(points[0])], CAMERA)) for f in range(3)]
-    assert seen == [[('person_1', 'tentative')], [('person_2', 'seen')], [('person_3', 'seen')]]
-
-
 def test_a_person_who_comes_back_while_the_track_is_kept_is_certain(tracker: Tracker, points: Array) -> None:
     for frame in range(5):
         tracker.update(frame * STEP_NS, [see(points[0], 'ann')], CAMERA)
@@ -102,8 +91,7 @@ def test_a_person_who_comes_back_while_the_track_is_kept_is_certain(tracker: Tra
     assert describe(again) == [('ann', 'tentative')], 'who was forgotten is new'
 
 
-@pytest.mark.parametrize('name', ['p', ''])
-@pytest.mark.parametrize('seed', [0, 1])
+@pytest.mark.parametrize(('name', 'seed'), [('p', 0), ('', 1)])
 def test_fragments_and_new_ids_make_no_people(tracker: Tracker, points: Array, name: str, seed: int) -> None:
     """A tenth of the detections are broken in two, seen twice or given a new id, of two people side by side."""
     rng = np.random.default_rng(seed)
@@ -133,17 +121,6 @@ def test_fragments_and_new_ids_make_no_people(tracker: Tracker, points: Array, n
     assert tracker.unusable_people == detections - people
 
 
-def test_broken_and_whole_give_the_same_person(walk_model: BasePoses, points: Array) -> None:
-    plain, broken = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
-    for frame in range(20):
-        (expected,) = plain.update(frame * STEP_NS, [see(points[frame], 'ann')], CAMERA)
-        seen = [see(points[frame], 'ann')]
-        if frame == 10:
-            seen = [see(points[frame], 'x', ~UPPER), see(points[frame], 'ann', UPPER)]
-        (found,) = broken.update(frame * STEP_NS, seen, CAMERA)
-        np.testing.assert_array_equal(found.joints, expected.joints)
-
-
 def test_an_id_given_anew_in_every_frame_is_one_person(tracker: Tracker, points: Array) -> None:
     for frame in range(30):
         moved = points[frame] + [4.0 * frame, 0]
@@ -152,16 +129,13 @@ def test_an_id_given_anew_in_every_frame_is_one_person(tracker: Tracker, points:
 
 
 @pytest.mark.parametrize('ids', [('', ''), ('ann', 'bob')])
-@pytest.mark.parametrize('hidden', [range(0), range(26, 34)])
-def test_people_who_cross_keep_their_ids(
-    tracker: Tracker, points: Array, ids: tuple[str, str], hidden: range
-) -> None:
+def test_people_who_cross_keep_their_ids(tracker: Tracker, points: Array, ids: tuple[str, str]) -> None:
     """Two people of one size in different poses walk through each other, one of them hidden for a while."""
     other = points[::-1] * [-1, 1] + [640, 0]
     for frame in range(FRAMES):
         x = 6.0 * (frame - FRAMES / 2)
         bodies = {'ann': points[frame] + [x, 0], 'bob': other[frame] - [x, 0]}
-        present = ['ann', 'bob'] if frame not in hidden else ['ann']
+        present = ['ann', 'bob'] if frame not in range(26, 34) else ['ann']
         seen = [see(bodies[n], i) for n, i in zip(('ann', 'bob'), ids, strict=True) if n in present]
         people = tracker.update(frame * STEP_NS, seen, CAMERA)
         known = ids if ids[0] else ('person_1', 'person_2')

@@ -53,17 +53,8 @@ def test_it_takes_a_while_and_who_stands_among_people_who_lie_confirms_it() -> N
     assert advance(VerticalCheck(), [*unsure], 20) is None
     check = VerticalCheck()
     assert advance(check, [make_leaning(0)], 10) is None
-    assert advance(check, [make_leaning(90)], 5, 100) is None, 'somebody who lies down'
+    assert advance(check, [make_leaning(90)], 5, 100) is None, 'a person who lies down'
     assert advance(check, [make_leaning(90)], 60, 150) is not None
-
-
-def test_stamps_that_go_back_begin_anew_and_what_is_not_known_counts_for_nothing() -> None:
-    check = VerticalCheck()
-    advance(check, [make_leaning(180)], LEAST_S - 0.5)
-    assert check.advance(0, [make_leaning(180)], UP) is None
-    assert advance(check, [make_leaning(180)], 1) is None
-    nowhere = replace(make_person_3d('bob'), joints=np.full((15, 3), np.nan))
-    assert advance(VerticalCheck(), [nowhere], 20) is None
 
 
 def advance_doubt(doubt: LastingDoubt, is_so: list[bool], seconds: float, first: int = 0) -> bool:
@@ -79,18 +70,14 @@ def test_a_doubt_needs_most_people_for_seconds() -> None:
     assert not advance_doubt(LastingDoubt(5.0, DOUBT_S), [], 60)
     one_frame_a_minute = [LastingDoubt(5.0, DOUBT_S).advance(t, [True]) for t in range(0, 10**12, 60 * 10**9)]
     assert not any(one_frame_a_minute)
-
-
-@pytest.mark.parametrize('hz', [1, 2, 5, 200])
-def test_a_doubt_comes_at_any_rate(hz: int) -> None:
-    doubt = LastingDoubt(5.0, DOUBT_S)
-    assert [doubt.advance(i * 10**9 // hz, [True]) for i in range(10 * hz)][-1]
+    for hz in (1, 2, 5, 200):
+        doubt = LastingDoubt(5.0, DOUBT_S)
+        assert [doubt.advance(i * 10**9 // hz, [True]) for i in range(10 * hz)][-1], 'at any rate'
 
 
 def test_a_doubt_ends_with_its_cause_and_with_stamps_that_begin_anew() -> None:
     doubt = LastingDoubt(5.0, DOUBT_S)
     assert advance_doubt(doubt, [True], 60)
     assert not advance_doubt(doubt, [False], 3, first=300)
-    doubt = LastingDoubt(5.0, DOUBT_S)
-    assert advance_doubt(doubt, [True], 60)
+    assert advance_doubt(doubt, [True], 60, first=400)
     assert not doubt.advance(0, [True])

@@ -1,20 +1,25 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""People of the tracker with face, feet, hands and orientations, and without them."""
+"""People of the tracker with face, feet, hands, orientations and standard deviations."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, with_settings, with_values
 from mocap_ros.demo.scene import make_recording
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.keypoints.person import Person2D
+from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
+from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.tracker import Tracker
+from tests.support.synthetic_walk import make_walk
 
 FRAMES = 24
 STEP_NS = 33_333_333
@@ -67,3 +72,39 @@ def test_what_the_detector_gives_is_seen_and_the_rest_inferred(whole: list[tuple
 def test_with_a_lag_every_frame_has_face_feet_and_hands_once() -> None:
     for people in track(lag=0.2)[8:-1]:
         assert all(p.skeleton == BODY26 and np.isfinite(p.joints).all() for p in people)
+
+
+CONFIG = with_settings(Config(), {'solver.components': 8, 'solver.prior': 'learned'})
+
+
+def follow(model: BasePoses, images: Array, camera: Intrinsics) -> Person3D:
+    """Return the person at the end of image points (F, 15, 2) px."""
+    tracker = Tracker(model, CONFIG)
+    for frame, points in enumerate(images):
+        (person,) = tracker.update(frame * STEP_NS, [Person2D('', CMU15.joints, points, np.ones(15))], camera)
+    return person
+
+
+@pytest.mark.parametrize('degrees', [30.0, 55.0])
+def test_sizes_and_deviations_are_the_same_beside_the_optical_axis(walk_model: BasePoses, degrees: float) -> None:
+    theta, cameras, _, _ = make_walk(walk_model, frames=12)
+    bodies = walk_model.poses(theta) @ np.swapaxes(cameras.rotation, -1, -2) + [0.0, 0.0, 4.0]
+    camera, turns = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True), np.radians([0.0, degrees])
+    people = [
+        follow(walk_model, camera.project(bodies @ rotation_from_vector(np.array([0.0, turn, 0.0])).T), camera)
+        for turn in turns
+    ]
+    assert people[1].std == pytest.approx(people[0].std, rel=0.05)
+    reach = [np.linalg.norm(p.joints[-11:].mean(axis=0) - p.joints[:15].mean(axis=0)) for p in people]
+    noses = [np.linalg.norm(p.joints[BODY26.index('nose')] - p.joints[CMU15.index('head')]) for p in people]
+    assert reach[1] == pytest.approx(reach[0], rel=0.03)
+    assert noses[1] == pytest.approx(noses[0], rel=0.03)
+
+
+def test_standard_deviations_are_in_metres_at_any_distance(walk_model: BasePoses) -> None:
+    camera = Intrinsics(20_000.0, (320.0, 240.0), is_focal_known=False)  # the scene is orthographic
+    points = make_walk(walk_model, frames=12)[2] - camera.center
+    near, far = (follow(walk_model, points * size + camera.center, camera) for size in (1.0, 0.5))
+    assert far.joints[:, 2].mean() == pytest.approx(2 * near.joints[:, 2].mean(), rel=0.02)
+    assert far.std == pytest.approx(near.std, rel=0.1)
+    assert 0.005 < np.median(near.std) < 0.1, 'm'
