@@ -4,7 +4,6 @@
 """The evaluation of one sequence: what is compared, what is left out, and what is refused."""
 
 import json
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -14,10 +13,7 @@ import pytest
 from mocap_ros.errors import InputError
 from mocap_ros.evaluation.evaluate import (
     Evaluation,
-    check_truth,
-    estimate_frame_rate,
     evaluate,
-    measure_person_size,
 )
 from mocap_ros.evaluation.metrics import LIMB_JOINTS
 from mocap_ros.skeleton import CMU15
@@ -87,39 +83,25 @@ def test_failed_frames_are_counted_and_leave_no_errors_if_all_fail(truth: np.nda
     assert list(counts_only.as_dict()) == RECORD_KEYS[8:]
 
 
+NEVER_COMPLETE = np.tile(np.random.default_rng(0).normal(size=(15, 3)), (FRAMES, 1, 1))
+NEVER_COMPLETE[np.arange(FRAMES), np.arange(FRAMES) % 2] = np.nan
+
+
 @pytest.mark.parametrize(
-    ('change', 'message'),
+    ('change', 'place'),
     [
-        ({'truth': np.full((FRAMES, 15, 3), np.nan)}, 'joints3d: no joint is known in any frame'),
-        ({'truth': np.zeros((FRAMES, 15, 3))}, 'joints3d: all joints at one place'),
-        ({'truth': np.zeros((FRAMES, 14, 3))}, r'joints3d: shape \(20, 14, 3\), expected \(20, 15, 3\)'),
-        ({'joints': np.zeros((3, 15, 3))}, r'joints: shape \(3, 15, 3\), expected \(20, 15, 3\)'),
-        ({'residual': np.zeros(3)}, r'residual: shape \(3,\), expected \(20,\)'),
+        ({'truth': np.full((FRAMES, 15, 3), np.nan)}, 'joints3d: '),
+        ({'truth': np.zeros((FRAMES, 15, 3))}, 'joints3d: '),
+        ({'truth': np.zeros((FRAMES, 14, 3))}, r'joints3d: shape \(20, 14, 3\)'),
+        ({'truth': NEVER_COMPLETE}, 'joints3d: no frame'),
+        ({'joints': np.zeros((3, 15, 3))}, r'joints: shape \(3, 15, 3\)'),
+        ({'residual': np.zeros(3)}, r'residual: shape \(3,\)'),
         ({'keypoint_names': CMU15.joints, 'keypoint_scores': np.ones((2, 15))}, 'keypoint_scores: shape'),
-        (
-            {'keypoint_names': CMU15.joints, 'keypoint_scores': np.zeros((FRAMES, 15))},
-            'joints3d: no frame in which all joints are known and most are seen',
-        ),
-        ({'truth_names': tuple('abcdefghijklmno')}, 'only 0 joints in common'),
+        ({'keypoint_names': CMU15.joints, 'keypoint_scores': np.zeros((FRAMES, 15))}, 'joints3d: no frame'),
+        ({'truth_names': tuple('abcdefghijklmno')}, 'only 0 joints'),
     ],
 )
-def test_refusals_name_the_field(truth: np.ndarray, change: dict[str, object], message: str) -> None:
+def test_refusals_name_the_field(truth: np.ndarray, change: dict[str, object], place: str) -> None:
     arguments: dict[str, Any] = {'joints': truth, 'truth': truth, **change}
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=place):
         evaluate_joints(**arguments)
-
-
-def test_a_truth_with_no_complete_frame_is_refused(truth: np.ndarray) -> None:
-    never_complete = truth.copy()
-    for frame in range(FRAMES):
-        never_complete[frame, frame % 2] = np.nan
-    with pytest.raises(InputError, match='joints3d: no frame in which all joints are known'):
-        evaluate_joints(truth, never_complete)
-    check_truth(never_complete)
-
-
-def test_size_and_frame_rate(truth: np.ndarray) -> None:
-    assert 1.0 < measure_person_size(truth) < 2.0
-    assert measure_person_size(np.full((2, 15, 3), np.nan)) == 0.0
-    assert estimate_frame_rate(np.arange(5) / 25) == pytest.approx(25.0)
-    assert math.isnan(estimate_frame_rate(np.zeros(1)))

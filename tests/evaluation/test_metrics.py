@@ -1,15 +1,15 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Errors agree with the measuring protocol, and each alignment removes what its name says."""
+"""Errors agree with the measuring protocol; covariances hold as many errors as they should."""
 
 from types import ModuleType
 
 import numpy as np
 import pytest
 
-from mocap_ros.errors import InputError
 from mocap_ros.evaluation import metrics
+from mocap_ros.evaluation.coverage import compute_coverage
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.skeleton import CMU15
 
@@ -56,17 +56,6 @@ def test_each_alignment_removes_what_its_name_says(poses: Poses) -> None:
     assert moved['root_mm'] == pytest.approx(300)
 
 
-def test_without_predictions_only_counts_are_returned() -> None:
-    empty = np.full((4, 15, 3), np.nan)
-    assert metrics.compute_errors(empty, np.zeros_like(empty), 30.0) == {
-        'joints': 15,
-        'frames': 4,
-        'failed_frames': 4,
-    }
-    with pytest.raises(InputError, match='only 0 joints in common'):
-        metrics.match_joints(['a'], ['b'])
-
-
 def test_accelerations_are_compared_where_no_frame_is_missing() -> None:
     times = np.arange(90) / 30
     truth = np.random.default_rng(0).normal(size=(1, 15, 3)) + 0.3 * np.sin(6 * times)[:, None, None]
@@ -78,3 +67,51 @@ def test_accelerations_are_compared_where_no_frame_is_missing() -> None:
     every_second = slice(None, None, 2)
     alone = metrics.compute_errors(predicted[every_second], truth[every_second], 30.0, times=times[every_second])
     assert np.isnan(alone['accel_mm_s2'])
+
+
+FRAMES = 4000
+STD_M = 0.05
+ROOT_COVARIANCE = np.diag([0.01, 0.0004, 0.04]) + 0.005
+TRUTH = np.random.default_rng(1).normal(size=(15, 3)) + [0, 0, 4]
+
+
+def draw(rng: np.random.Generator) -> np.ndarray:
+    """Return joints (F, 15, 3) with errors of the covariances above; those of the hips are the root's alone."""
+    root = rng.multivariate_normal(np.zeros(3), ROOT_COVARIANCE, FRAMES)
+    sight = TRUTH.mean(axis=0) / np.linalg.norm(TRUTH.mean(axis=0))
+    own = rng.normal(scale=STD_M / np.sqrt(6), size=(FRAMES, 15, 3))
+    own += (own @ sight)[..., None] * sight  # twice as much along the line of sight
+    own[:, [CMU15.index('lhip'), CMU15.index('rhip')]] = 0
+    return np.asarray(TRUTH + root[:, None] + own)
+
+
+def measure(factor: float, joints: np.ndarray, names: tuple[str, ...] = CMU15.joints) -> dict[str, float]:
+    std = np.full((FRAMES, 15), STD_M * factor)
+    std[:, [CMU15.index('lhip'), CMU15.index('rhip')]] = 0
+    covariance = np.tile(ROOT_COVARIANCE * factor**2, (FRAMES, 1, 1))
+    return compute_coverage(joints, std, covariance, CMU15, np.tile(TRUTH, (FRAMES, 1, 1)), names)
+
+
+@pytest.mark.parametrize(('factor', 'least', 'most'), [(0.5, 0.2, 0.6), (2.0, 0.995, 1.0)])
+def test_wrong_covariances_hold_too_few_or_too_many(
+    rng: np.random.Generator, factor: float, least: float, most: float
+) -> None:
+    found = measure(factor, draw(rng))
+    assert least < found['joints95'] <= most
+    assert least < found['roots95'] <= most
+
+
+def test_right_covariances_hold_the_share_and_unknown_ones_are_left_out(
+    rng: np.random.Generator,
+) -> None:
+    joints = draw(rng)
+    known = measure(1.0, joints)
+    right = {'joints68': 0.68, 'joints95': 0.95, 'roots68': 0.68, 'roots95': 0.95}
+    assert known == pytest.approx(right, abs=0.02)
+    half = joints.copy()
+    half[::2] = np.nan
+    assert measure(1.0, half) == pytest.approx(known, abs=0.03)
+    assert measure(1.0, np.full_like(joints, np.nan)) == {}
+    without_hips = tuple(f'x{name}' if name.endswith('hip') else name for name in CMU15.joints)
+    assert set(measure(1.0, joints, without_hips)) == {'joints68', 'joints95'}
+    assert measure(1.0, joints, tuple(f'x{name}' for name in CMU15.joints)) == {}

@@ -43,7 +43,8 @@ def find_shanks(vectors: Array) -> Array:
 
 
 def test_bones_keep_their_lengths(standing: Array, taken: Array) -> None:
-    assert np.linalg.norm(taken, axis=-1) == pytest.approx(np.linalg.norm(standing, axis=-1), abs=1e-5)
+    longer = np.linalg.norm(taken, axis=-1) - np.linalg.norm(standing, axis=-1)
+    assert np.abs(longer).max() < 1e-5
 
 
 def test_people_kneel_with_shanks_on_the_floor_behind_them(standing: Array, taken: Array) -> None:

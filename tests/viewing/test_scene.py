@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the scene says besides what it was given: undone swaps, colours, and the space that it fills."""
+"""Scenes: undone swaps, colours and the space that they fill; pictures: the errors that they draw."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocap_ros.skeleton import CMU15
+from mocap_ros.viewing import plots
 from mocap_ros.viewing.scene import (
     SceneKeypoints,
     ScenePerson,
@@ -22,6 +23,7 @@ from mocap_ros.viewing.scene import (
     list_colour_key,
 )
 from tests.support.scenes import INTRINSICS, make_keypoints, make_scene, make_scene_person
+from tests.support.swinging_body import make_swinging_body
 
 MIRROR = list(CMU15.mirror)
 LEGS = [CMU15.index(side + joint) for side in 'lr' for joint in ('hip', 'knee', 'ankle')]
@@ -33,39 +35,27 @@ def find_swaps(person: ScenePerson, *inputs: SceneKeypoints) -> np.ndarray:
 
 @pytest.mark.parametrize('joints', [list(range(15)), LEGS], ids=['whole body', 'legs'])
 def test_an_undone_swap_is_found_in_its_frames_only(joints: list[int]) -> None:
-    person = make_scene_person('anna', range(10), (0.0, 0.0, 4.0))
+    person = make_scene_person('anna', range(100), (0.0, 0.0, 4.0))
     keypoints = make_keypoints([person])
-    assert not find_swaps(person, keypoints).any()
-    points = keypoints.points.copy()
-    points[4:6, joints] = keypoints.points[4:6, [MIRROR[joint] for joint in joints]]
-    found = find_swaps(person, replace(keypoints, points=points))
-    assert np.flatnonzero(found).tolist() == [4, 5]
+    noise = np.random.default_rng(0).normal(0, 4, keypoints.points.shape)  # px; a person of 260 px
+    points = keypoints.points + noise.astype(np.float32)
+    swapped = points.copy()
+    swapped[4:6, joints] = points[4:6, [MIRROR[joint] for joint in joints]]
+    assert not find_swaps(person, replace(keypoints, points=points)).any()
+    assert np.flatnonzero(find_swaps(person, replace(keypoints, points=swapped))).tolist() == [4, 5]
+    assert not find_swaps(person).any(), 'without detections'
+    assert not find_swaps(person, replace(keypoints, frames=keypoints.frames + 100, points=swapped)).any()
 
 
-def test_a_swap_of_somebody_else_is_not_taken_for_the_persons() -> None:
-    anna = make_scene_person('anna', range(10), (-0.7, 0.0, 4.0))
-    ben = make_scene_person('ben', range(10), (0.7, 0.0, 4.0))
+def test_a_swap_of_another_person_is_not_taken_for_the_persons() -> None:
+    anna, ben = (make_scene_person(name, range(10), (x, 0.0, 4.0)) for name, x in (('anna', -0.7), ('ben', 0.7)))
     own, other = make_keypoints([anna]), make_keypoints([ben])
     other = replace(other, points=other.points[:, MIRROR])
     assert not find_swaps(anna, other, own).any()
     assert find_swaps(ben, own, other).all()
 
 
-def test_noise_is_no_swap() -> None:
-    person = make_scene_person('anna', range(200), (0.0, 0.0, 4.0))
-    keypoints = make_keypoints([person])
-    noise = np.random.default_rng(0).normal(0, 4, keypoints.points.shape)  # px; a person of 260 px
-    assert not find_swaps(person, replace(keypoints, points=keypoints.points + noise.astype(np.float32))).any()
-
-
-def test_a_person_whom_nobody_detected_has_no_swaps() -> None:
-    person = make_scene_person('anna', [5, 6], (0.0, 0.0, 4.0))
-    assert not find_swaps(person).any()
-    elsewhere = replace(make_keypoints([person]), frames=np.array([7, 8]))
-    assert not find_swaps(person, elsewhere).any()
-
-
-def test_people_are_told_apart_by_colour_and_the_sides_of_one_person_too() -> None:
+def test_people_differ_in_colour_and_so_do_the_sides_of_one_person() -> None:
     two = make_scene()
     colours = [choose_joint_colours(two, index) for index in (0, 1)]
     assert not set(colours[0]) & set(colours[1])
@@ -74,12 +64,9 @@ def test_people_are_told_apart_by_colour_and_the_sides_of_one_person_too() -> No
     assert {('left', left), ('right', right)} <= set(list_colour_key(one))
 
 
-def test_the_corners_of_the_picture_of_the_camera_are_those_of_the_image() -> None:
+def test_the_space_holds_the_people() -> None:
     corners = image_corners((640, 480), INTRINSICS)
     assert INTRINSICS.project(corners) == pytest.approx(np.array([[0, 0], [640, 0], [640, 480], [0, 480]]))
-
-
-def test_the_space_holds_the_people() -> None:
     scene = make_scene()
     assert scene.centre == pytest.approx([0, 0.1, 4.5], abs=0.5)
     assert 1.5 < scene.extent < 3
@@ -95,10 +82,54 @@ def test_the_space_holds_the_people() -> None:
 
 
 def test_the_floor_is_level_where_the_camera_is_not() -> None:
-    """A camera that looks down by 30 degrees: the floor is where it would be for a level camera at its place."""
+    """A camera that looks down by 30 degrees: the floor is where a level camera would have it."""
     scene = make_scene()
     turn = Rotation.from_euler('x', -30, degrees=True).as_matrix()
     seen = [replace(p, joints=(p.joints @ turn.T).astype(np.float32)) for p in scene.people]
     tilted = replace(scene, people=tuple(seen), vertical=turn @ [0.0, -1.0, 0.0])
     assert tilted.floor_y == pytest.approx(scene.floor_y, abs=1e-4)
     assert replace(tilted, vertical=np.full(3, np.nan)).floor_y != pytest.approx(scene.floor_y, abs=0.5)
+
+
+FRAMES = 30
+
+
+@pytest.fixture
+def data() -> plots.PlotData:
+    poses, times = make_swinging_body(FRAMES)
+    truth = poses + [0.3, 0.1, 4.0]
+    return plots.PlotData(
+        times=times,
+        keypoints=np.concatenate([truth[..., :2] * 100, np.ones((FRAMES, 15, 1))], axis=-1),
+        keypoint_skeleton=CMU15,
+        joints=truth,
+        seen=np.ones((FRAMES, 15), bool),
+        skeleton=CMU15,
+        truth=truth,
+    )
+
+
+def read_errors_mm(data: plots.PlotData) -> np.ndarray:
+    figure = plots.draw_poses_figure(data, [0, 10], 'title', ['a', 'b'])
+    (line, *_) = figure.axes[-2].lines
+    return np.asarray(line.get_ydata())
+
+
+def test_the_error_is_that_of_the_centred_joints(data: plots.PlotData) -> None:
+    assert read_errors_mm(replace(data, joints=data.joints + [0.5, 0, 1])) == pytest.approx(0, abs=1e-9)
+    joints = data.joints.copy()
+    joints[3, 0] += [0.15, 0, 0]  # the other 14 joints move by -10 mm with the centre
+    errors = read_errors_mm(replace(data, joints=joints))
+    assert errors[3] == pytest.approx((140 + 14 * 10) / 15)
+    assert np.delete(errors, 3) == pytest.approx(0, abs=1e-9)
+
+
+def test_the_share_of_joints_that_were_not_seen_is_filled(data: plots.PlotData) -> None:
+    seen = data.seen.copy()
+    seen[5:9, :3] = False
+    figure = plots.draw_poses_figure(replace(data, seen=seen), [0], 'title', ['a'])
+    (band,) = figure.axes[-1].collections
+    vertices = np.asarray(band.get_paths()[0].vertices)
+    assert vertices[:, 1].max() == pytest.approx(3 / 15)
+    filled = vertices[vertices[:, 1] > 0, 0]
+    assert [filled.min(), filled.max()] == pytest.approx([data.times[5], data.times[8]])
