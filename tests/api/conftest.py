@@ -17,7 +17,7 @@ FRAMES = 40
 
 @pytest.fixture(scope='session')
 def sequence() -> mocap_ros.KeypointSequence:
-    """Somebody who walks, with the truth."""
+    """A walking person, with the truth."""
     whole = make_recording().sequence()
     assert whole.truth is not None
     return replace(

@@ -92,16 +92,9 @@ def test_a_wrong_argument_is_one_error_that_names_it(
     assert type(caught.value) is kind
 
 
-def test_files_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(mocap_ros.ModelError, match="'waltz'"):
-        mocap_ros.BasePoses.load('waltz')
-    with pytest.raises(mocap_ros.MocapError, match=r'walk\.npz: cannot be written'):
-        mocap_ros.BasePoses.load('walk').save(tmp_path / 'none' / 'walk.npz')
-
-
-@pytest.mark.parametrize('path', [None, 5, b'walk', '', 'a\0b', 'a' * 5000])
+@pytest.mark.parametrize('path', ['waltz', None, 5, b'walk', '', 'a\0b', 'a' * 5000])
 def test_what_is_no_path_is_refused(path: Any) -> None:
-    with pytest.raises(mocap_ros.ModelError, match=r'^name_or_path: '):
+    with pytest.raises(mocap_ros.ModelError, match="'waltz'" if path == 'waltz' else r'^name_or_path: '):
         mocap_ros.BasePoses.load(path)
-    with pytest.raises(mocap_ros.InputError, match=r'^path: '):
-        mocap_ros.BasePoses.load('walk').save(path)
+    with pytest.raises(mocap_ros.MocapError, match=r'waltz/walk\.npz: ' if path == 'waltz' else r'^path: '):
+        mocap_ros.BasePoses.load('walk').save('waltz/walk.npz' if path == 'waltz' else path)

@@ -56,31 +56,12 @@ def test_the_result_is_that_of_the_solver(sequence: mocap_ros.KeypointSequence, 
         np.testing.assert_array_equal(result.turn_inferred, expected.turn_inferred)
 
 
-def test_the_weak_perspective_cameras_show_the_joints_where_they_were_seen(
-    sequence: mocap_ros.KeypointSequence,
-) -> None:
-    result = mocap_ros.reconstruct(sequence)
-    centred = result.joints - result.joints.mean(axis=1, keepdims=True)
-    image = result.scale[:, None, None] * centred[..., :2] + result.translation[:, None]
-    wrist = result.joint_names.index('lwrist')
-    keypoint = sequence.keypoints[:, sequence.joint_names.index('lwrist')]
-    seen = keypoint[:, 2] > 0
-    assert np.median(np.abs(image[:, wrist] - keypoint[:, :2])[seen]) < 10
-    assert np.linalg.det(result.rotation) == pytest.approx(1)
-
-
 def test_a_sequence_is_the_same_as_its_arrays(sequence: mocap_ros.KeypointSequence) -> None:
-    by_arrays = mocap_ros.reconstruct(**arguments_of(sequence))
-    by_lists = mocap_ros.reconstruct(
-        sequence.keypoints.tolist(),
-        'coco17',
-        sequence.timestamps.tolist(),
-        image_size=sequence.image_size,
-        parameters=QUICK,
-    )
+    given = arguments_of(sequence)
+    lists = {name: given[name].tolist() for name in ('keypoints', 'times')}
+    by_lists = mocap_ros.reconstruct(**{**given, **lists, 'joint_names': 'coco17'})
     by_sequence = mocap_ros.reconstruct(sequence, parameters=QUICK)
-    np.testing.assert_array_equal(by_sequence.joints, by_arrays.joints)
-    np.testing.assert_array_equal(by_lists.joints, by_arrays.joints)
+    np.testing.assert_array_equal(by_lists.joints, by_sequence.joints)
 
 
 def test_the_camera_is_used(sequence: mocap_ros.KeypointSequence) -> None:
@@ -131,19 +112,12 @@ INPUT, MODEL, CONFIG = mocap_ros.InputError, mocap_ros.ModelError, mocap_ros.Con
         ({'times': np.arange(40) * 33.3}, INPUT, 'times: 33.3 s from frame to frame: looks like milliseconds'),
         ({'times': np.arange(40) * 33_333_333 + 10**18}, INPUT, 'times: .* looks like nano'),
         ({'image_size': 640}, INPUT, r'image_size: shape \(\), expected \(2\)'),
-        (
-            {'image_size': (480, 640), 'keypoints': lambda points: points + [250, 0, 0]},
-            *(INPUT, 'image_size: .* width and height look transposed'),
-        ),
+        ({'image_size': (480, 640), 'keypoints': lambda k: k + [250, 0, 0]}, INPUT, 'image_size: .* transposed'),
         ({'camera_matrix': np.diag([0.006, 0.006, 1])}, INPUT, 'camera_matrix: focal lengths 0.006'),
         ({'camera_matrix': MATRIX / [[640], [480], [1]]}, INPUT, 'camera_matrix: .* looks normalised'),
         ({'camera_matrix': MATRIX + np.diag([np.nan, 0, 0])}, INPUT, 'camera_matrix: focal lengths nan'),
         ({'camera_matrix': MATRIX.T}, INPUT, r'camera_matrix: last row \[320.0, 240.0, 1.0\], expected 0 0 1'),
-        (
-            {'camera_matrix': MATRIX + [[0, 0, 9000], [0, 0, 0], [0, 0, 0]]},
-            INPUT,
-            'camera_matrix: principal point',
-        ),
+        ({'camera_matrix': MATRIX + np.outer([1, 0, 0], [0, 0, 9000])}, INPUT, 'camera_matrix: principal point'),
         ({'camera_matrix': [600, 600]}, INPUT, r'camera_matrix: shape \(2,\)'),
         ({'distortion': [0.1, 0, 0, 0]}, INPUT, 'distortion: needs a camera_matrix'),
         ({'camera_matrix': MATRIX, 'distortion': [0.1, 0, 0]}, INPUT, 'distortion: .* not 3'),
@@ -168,8 +142,8 @@ def test_a_wrong_argument_is_one_error_that_names_it(
     assert type(caught.value) is kind
 
 
-@pytest.mark.parametrize('argument', ['joint_names', 'times', 'image_size', 'camera_matrix', 'distortion'])
-def test_a_sequence_brings_its_own_arguments(sequence: mocap_ros.KeypointSequence, argument: str) -> None:
-    given: dict[str, Any] = {argument: (640, 480)}
-    with pytest.raises(mocap_ros.InputError, match=f'{argument}: the KeypointSequence has its own'):
-        mocap_ros.reconstruct(sequence, **given)
+def test_a_sequence_brings_its_own_arguments(sequence: mocap_ros.KeypointSequence) -> None:
+    for argument in ('joint_names', 'times', 'image_size', 'camera_matrix', 'distortion'):
+        given: dict[str, Any] = {argument: (640, 480)}
+        with pytest.raises(mocap_ros.InputError, match=f'{argument}: the KeypointSequence has its own'):
+            mocap_ros.reconstruct(sequence, **given)

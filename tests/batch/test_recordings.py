@@ -57,7 +57,7 @@ def test_the_bags_of_a_folder_are_found_largest_first(root: str) -> None:
     assert names(root, Work.RECONSTRUCT) == ['day2/b', 'day1/bag_a', 'GX01', 'day2/walk', 'day2/old', 'day2/c']
 
 
-def test_what_is_not_replayed_is_said(root: str) -> None:
+def test_what_is_not_replayed_is_counted(root: str) -> None:
     lines: list[str] = []
     for folder, work in ((root, Work.REPLAY), (root, Work.RECONSTRUCT), (f'{root}/day1', Work.REPLAY)):
         find_recordings(folder, work, (), lines.append)
@@ -90,11 +90,11 @@ def test_what_holds_no_recording_is_refused_in_one_line(root: str, source: str, 
 
 
 @pytest.mark.parametrize('other', ['day2/b.db3', 'day2/b/c.mcap'])
-def test_recordings_whose_results_would_share_a_place_are_refused(root: str, other: str) -> None:
+def test_recordings_whose_results_would_overwrite_each_other_are_refused(root: str, other: str) -> None:
     fs, path = fsspec.url_to_fs(root)
     fs.makedirs(f'{path}/day2/b', exist_ok=True)
     fs.pipe_file(f'{path}/{other}', b'b')
-    with pytest.raises(InputError, match=r'the results of day2/b and day2/b(/c)? would share a place'):
+    with pytest.raises(InputError, match=r'the results of day2/b and day2/b(/c)? '):
         find_recordings(root, Work.REPLAY)
 
 

@@ -24,67 +24,51 @@ MAX_WRITTEN_BYTES = 100  # bytes of a file on the disk that is full; fewer than 
 
 
 @pytest.mark.parametrize(
-    ('arguments', 'message'),
+    ('arguments', 'place'),
     [
         (['reconstruct', 'nowhere.npz'], 'nowhere.npz'),
-        (
-            ['reconstruct', 'RECORDING', '-o', 'x.docx'],
-            'x.docx: unknown file type; expected .npz, .csv, .mcap, .bvh, .trc',
-        ),
-        (['reconstruct', 'RECORDING', '--model', 'moonwalk'], "no base-pose model 'moonwalk'"),
-        (
-            ['reconstruct', 'RECORDING', '--set', 'solver.speed=1'],
-            "unknown parameter 'solver.speed'; `mocap-ros config",
-        ),
-        (['config', '--set', 'tracker.iteration=1'], "'tracker.iteration'; did you mean 'tracker.iterations'?"),
-        (['evaluate', 'BAG'], 'bag: the bag cannot be read'),
-        (['reconstruct', 'RECORDING', '--all-people'], 'holds one person; --all-people does not apply'),
-        (['reconstruct', 'x', '--all-people', '--person', 'x'], '--person and --all-people exclude each other'),
-        (['reconstruct', 'RECORDING', '--set', 'solver.prior=nofile'], 'solver.prior: nofile: No such file'),
-        (['replay', 'BAG', '-o', 'bag'], 'bag: exists already; choose another -o'),
-        (['reconstruct', 'RECORDING', '-o', '/nowhere/x.npz'], '/nowhere/x.npz'),
-        (['evaluate', 'GARBAGE'], 'garbage.npz'),
-        (['train', 'GARBAGE', '-o', 'x.npz'], 'garbage.npz'),
-        (['train', 'RECORDING', '-o', 'x.npz'], '_joints'),
+        (['reconstruct', 'RECORDING', '-o', 'x.docx'], 'x.docx: unknown file type'),
+        (['reconstruct', 'RECORDING', '--model', 'moonwalk'], "'moonwalk'"),
+        (['reconstruct', 'RECORDING', '--set', 'solver.speed=1'], "unknown parameter 'solver.speed'"),
+        (['config', '--set', 'tracker.iteration=1'], "did you mean 'tracker.iterations'?"),
+        (['reconstruct', 'RECORDING', '--all-people'], '--all-people does not apply'),
+        (['reconstruct', 'x', '--all-people', '--person', 'x'], '--person and --all-people'),
+        (['reconstruct', 'RECORDING', '--set', 'solver.prior=nofile'], 'solver.prior: nofile: '),
+        (['reconstruct', 'RECORDING', '--fps', '30'], 'demo.npz: is a sequence file, to which --fps'),
+        (['reconstruct', 'RECORDING', '-o', 'nowhere/x.npz'], 'x.npz: cannot be written: '),
+        (['reconstruct', 'RECORDING', '-o', 'pipe.npz'], 'pipe.npz: cannot be written: '),
+        (['reconstruct', 'FOLDER'], 'folder: is a folder without a bag'),
+        (['reconstruct', r'C:\walk.npz'], 'folders are separated by /'),
+        (['replay', 'BAG', '-o', 'bag'], 'bag: exists already'),
         (['replay', 'nowhere', '-o', 'x'], 'nowhere'),
-        (['config', '--config', 'nowhere.yaml'], 'nowhere.yaml'),
-        (['config', '--config', 'FOLDER'], 'folder: Is a directory'),
-        (['config', '--config', 'BOMB'], 'bomb.yaml: not YAML: line 2: aliases are not allowed'),
-        (['config', '--set', f'solver.max_iterations=1{"0" * 400}'], 'expected 1 to 10000'),
-        (
-            ['config', '--set', f'solver.max_iterations={"[" * 9999}'],
-            '--set solver.max_iterations: not YAML: line 1: nested too deep',
-        ),
-        (
-            ['reconstruct', 'FOLDER'],
-            'folder: is a folder without a bag and without OpenPose JSON (*_keypoints.json)',
-        ),
-        (
-            ['reconstruct', 'RECORDING', '--fps', '30'],
-            'demo.npz: is a sequence file, to which --fps does not apply',
-        ),
+        (['replay', 'RECORDING', '-o', 'x'], 'demo.npz: is a sequence file; expected a bag'),
+        (['recover', 'RECORDING', '-o', 'x'], 'demo.npz: is a sequence file; expected a bag'),
+        (['evaluate', 'BAG'], 'bag: the bag cannot be read'),
+        (['evaluate', 'GARBAGE'], 'garbage.npz'),
         (['evaluate', 'FOLDER'], 'folder: is a folder without a bag'),
         (['evaluate', 'RECORDING', '--truth', 'FOLDER'], 'folder: is a folder without a bag'),
-        (['evaluate', 'RECORDING', '--person', '1'], 'demo.npz: --person does not apply to a sequence file'),
-        (
-            ['reconstruct', 'RECORDING', '-o', 'nowhere/x.npz'],
-            'x.npz: cannot be written: there is no folder nowhere',
-        ),
-        (
-            ['reconstruct', 'RECORDING', '-o', 'pipe.npz'],
-            'pipe.npz: cannot be written: neither a file nor a folder',
-        ),
+        (['evaluate', 'RECORDING', '--person', '1'], 'demo.npz: --person does not apply'),
         (['evaluate', 'RECORDING', '--json', 'folder'], 'folder: cannot be written: is a folder'),
-        (['reconstruct', r'C:\walk.npz'], 'No such file or directory; folders are separated by /'),
+        (['config', '--config', 'nowhere.yaml'], 'nowhere.yaml'),
+        (['config', '--config', 'FOLDER'], 'folder: Is a directory'),
+        (['config', '--config', 'BOMB'], 'bomb.yaml: not YAML: line 2: '),
+        (['config', '--set', f'solver.max_iterations=1{"0" * 400}'], 'expected 1 to 10000'),
+        (['config', '--set', f'solver.max_iterations={"[" * 9999}'], 'solver.max_iterations: not YAML: line 1: '),
+        (['train', 'GARBAGE', '-o', 'x.npz'], 'garbage.npz'),
+        (['train', 'RECORDING', '-o', 'x.npz'], '_joints'),
         (['train', 'FOLDER', '-o', 'x.npz'], 'folder: no .amc, .bvh, .c3d in it'),
         (['train', 'TRIALS', '--manifest', 'LATIN', '-o', 'x.npz'], 'latin.csv: not UTF-8 at byte 14'),
         (['train', 'TRIALS', '-o', 'x.npz'], '1_1: a body 0 m tall'),
         (['train', 'TRIALS', '-o', 'x.npz', '--seed', '1'], '--seed: applies only to --lifter'),
+        (['train', '--lifter', 'a.bvh', '-o', 'x.npz', '--checkpoint', 'link.npz'], 'x.npz: not written'),
         (['view', 'nowhere.npz', '-o', 'x.html'], 'nowhere.npz: No such file'),
-        (['view', 'RECORDING', '-o', 'x.pgf'], 'x.pgf: unknown file type; expected .html, '),
-        (['view', 'RECORDING', '-o', 'nowhere/x.html'], 'x.html: cannot be written: there is no folder nowhere'),
+        (['view', 'RECORDING', '-o', 'x.pgf'], 'x.pgf: unknown file type'),
+        (['view', 'RECORDING', '-o', 'nowhere/x.html'], 'x.html: cannot be written: '),
         (['view', 'RECORDING', '-o', 'x.html', '--person', '7'], 'to which --person does not apply'),
         (['view', 'IMAGE', '-o', 'x.html'], 'walk.jpg: is an image'),
+        (['detect', 'walk.npz'], 'walk.npz: No such file'),
+        (['detect', 'RECORDING'], 'demo.npz: is a sequence file'),
+        (['detect', '99'], '/dev/video99: no camera ('),
     ],
 )
 def test_a_failure_is_one_line_on_stderr(
@@ -93,9 +77,10 @@ def test_a_failure_is_one_line_on_stderr(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     arguments: list[str],
-    message: str,
+    place: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    (tmp_path / 'link.npz').symlink_to(tmp_path / 'x.npz')
     (tmp_path / 'garbage.npz').write_bytes(b'PK\x03\x04 and then nothing of use')
     (tmp_path / 'bag').mkdir()
     (tmp_path / 'bag' / 'metadata.yaml').touch()
@@ -119,7 +104,7 @@ def test_a_failure_is_one_line_on_stderr(
     assert main([path_of.get(a, a) for a in arguments]) == 1
     error = capsys.readouterr().err
     assert error.count('\n') == 1
-    assert message in error
+    assert place in error
     assert 'pickle' not in error
     assert not list(tmp_path.glob('x.*'))
 
@@ -128,14 +113,12 @@ def test_a_failure_is_one_line_on_stderr(
 @pytest.mark.parametrize(
     ('name', 'reason'),
     [
-        (
-            'walk.JPG',
-            'is an image; run a 2D keypoint detector on it, and give the keypoints as a sequence file (.npz)',
-        ),
+        ('walk.JPG', 'is an image; run a 2D keypoint detector on it'),
         ('images', 'is a folder of images; run a 2D keypoint detector on it'),
-        ('empty.npz', 'is an empty file; expected'),
-        ('notes.txt', 'is a file of an unknown type; expected'),
-        ('walk.bvh', 'is of a format that mocap-ros writes but does not read; expected'),
+        ('empty.npz', 'is an empty file'),
+        ('notes.txt', 'is a file of an unknown type'),
+        ('walk.bvh', 'is of a format that mocap-ros writes but does not read'),
+        ('walk.mp4', ''),
     ],
 )
 def test_an_input_that_no_command_reads_is_named(
@@ -150,14 +133,16 @@ def test_an_input_that_no_command_reads_is_named(
     (tmp_path / 'images').mkdir()
     (tmp_path / 'images' / '0001.jpg').write_bytes(b'jpg')
     (tmp_path / 'empty.npz').touch()
-    for file in ('walk.JPG', 'notes.txt', 'walk.bvh'):
+    for file in ('walk.JPG', 'notes.txt', 'walk.bvh', 'walk.mp4'):
         (tmp_path / file).write_bytes(b'content')
     assert main([command, name]) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f'mocap-ros: {name}: {reason}')
+    if name == 'walk.mp4' and command in ('evaluate', 'recover'):
+        assert '`mocap-ros detect`' in line
 
 
-@pytest.mark.parametrize('name', ['pipe.npz', '/dev/zero', 'zero.json'])
+@pytest.mark.parametrize('name', ['pipe.npz', 'zero.json'])
 @pytest.mark.parametrize(
     'arguments',
     [
@@ -188,28 +173,6 @@ def test_an_input_that_is_no_file_is_refused_before_it_is_read(
     (line,) = capsys.readouterr().err.splitlines()
     assert name in line
     assert 'neither a file' in line
-
-
-@pytest.mark.parametrize('command', ['replay', 'recover'])
-def test_keypoints_that_are_no_bag_are_sent_to_reconstruct(
-    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
-) -> None:
-    assert main([command, str(short_recording), '-o', str(tmp_path / 'out')]) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f'mocap-ros: {short_recording}: is a sequence file; expected a bag ')
-    assert line.endswith(' or .db3); `mocap-ros reconstruct` reads it' if command == 'recover' else ' reads it')
-
-
-@pytest.mark.skipif(not Path('/dev/full').exists(), reason='no /dev/full here')
-@pytest.mark.parametrize('ending', ['.npz', '.csv', '.bvh', '.trc', '.png', '.json'])
-def test_a_full_disk_is_reported_with_the_name_of_the_file(
-    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str
-) -> None:
-    out = tmp_path / f'full{ending}'
-    out.symlink_to('/dev/full')
-    command, option = {'.png': ('view', '-o'), '.json': ('evaluate', '--json')}.get(ending, ('reconstruct', '-o'))
-    assert main([command, str(short_recording), option, str(out), *QUICK_OPTIONS]) == 1
-    assert capsys.readouterr().err == f'mocap-ros: {out}: cannot be written: No space left on device\n'
 
 
 @pytest.mark.parametrize(
@@ -259,15 +222,8 @@ def test_no_file_that_a_command_reads_is_overwritten(
     Path('walk/link.npz').symlink_to('demo.npz')
     Path('parameters.yaml').write_text('/**: {ros__parameters: {solver: {prior: read.npz}}}')
     assert main([str(recording) if a == 'RECORDING' else a for a in arguments]) == 1
-    assert capsys.readouterr().err == f'mocap-ros: {out}: not written, because it is the input file\n'
+    assert capsys.readouterr().err.startswith(f'mocap-ros: {out}: not written, ')
     assert Path(out).is_symlink() or Path(out).read_text() == '{}'
-
-
-def test_a_lifter_is_not_written_over_its_checkpoint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / 'link.npz').symlink_to(tmp_path / 'lifter.npz')
-    out, checkpoint = str(tmp_path / 'lifter.npz'), str(tmp_path / 'link.npz')
-    assert main(['train', '--lifter', 'anna_1.bvh', '-o', out, '--checkpoint', checkpoint]) == 1
-    assert capsys.readouterr().err == f'mocap-ros: {out}: not written, because it is the checkpoint as well\n'
 
 
 @pytest.mark.parametrize(

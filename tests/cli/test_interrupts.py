@@ -13,7 +13,7 @@ from contextlib import suppress
 import pytest
 
 from mocap_ros.cli import main as command_line
-from mocap_ros.cli.terminal import interrupt_between_items, is_interrupt
+from mocap_ros.cli.terminal import interrupt_between_items
 
 
 @pytest.fixture(autouse=True)
@@ -55,30 +55,21 @@ def test_an_ignored_interrupt_stays_ignored() -> None:
 
 
 @pytest.mark.parametrize('is_interrupted', [True, False])
+@pytest.mark.parametrize('link', ['__cause__', '__context__'])
 def test_an_interrupt_of_compiled_code_ends_a_command(
-    is_interrupted: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    is_interrupted: bool, link: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cause = KeyboardInterrupt() if is_interrupted else ValueError()
+    inner, outer = ValueError(), SystemError('returned a result with an exception set')
+    setattr(outer, link, inner)
+    setattr(inner, link, KeyboardInterrupt() if is_interrupted else None)
 
     def run(_: argparse.Namespace) -> int:
-        raise SystemError('returned a result with an exception set') from cause
+        raise outer
 
-    def add_run(parser: argparse.ArgumentParser) -> None:
-        parser.set_defaults(run=run)
-
-    monkeypatch.setattr('mocap_ros.cli.config.add_options', add_run)
+    monkeypatch.setattr('mocap_ros.cli.config.add_options', lambda parser: parser.set_defaults(run=run))
     if is_interrupted:
         assert command_line.main(['config']) == 130
         assert capsys.readouterr().err == 'mocap-ros: interrupted\n'
     else:
         with pytest.raises(SystemError):
             command_line.main(['config'])
-
-
-@pytest.mark.parametrize('link', ['__cause__', '__context__'])
-def test_an_interrupt_is_found_behind_the_errors_that_came_of_it(link: str) -> None:
-    inner, outer = ValueError(), SystemError()
-    setattr(outer, link, inner)
-    assert not is_interrupt(outer)
-    setattr(inner, link, KeyboardInterrupt())
-    assert is_interrupt(outer)

@@ -110,7 +110,7 @@ def test_an_id_that_two_people_of_one_frame_have_is_none(tmp_path: Path) -> None
     counts = {name: len(track.detection_by_frame) for name, track in tracks.items()}
     assert counts == {'person_1': 10, 'person_2': 9, '7': 9}
     assert {p.points[0, 0] for p in tracks['person_1'].detection_by_frame.values()} == {300}
-    assert detections.remarks[0].endswith(': 0')
+    assert detections.notes[0].endswith(': 0')
 
 
 def test_people_with_a_low_score_are_left_out(tmp_path: Path) -> None:

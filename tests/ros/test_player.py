@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The player: nobody listens; everything, in a loop, with clock and QoS."""
+"""The player over DDS: loop, clock and QoS; and its times without middleware."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import re
 import signal
 import subprocess
 import sys
+from math import inf
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
@@ -20,39 +22,37 @@ from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.formats.sequence_file import save_sequence
+from mocap_ros.messages.cdr import typestore
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION, encode_skeleton_definition
+from mocap_ros.ros import player
 from mocap_ros.ros.message_types import load_interface_class
+from mocap_ros.ros.player import PlaybackOptions, Player
+from mocap_ros.runtime.playback import PlaybackMessage, PlayedTopic
 from mocap_ros.skeleton import CMU15
-from tests.support.ros_node import TIMEOUT_S, Peer, keypoints_at, run_cli
+from tests.support.ros_node import TIMEOUT_S, Peer, keypoints_at
 
 pytest.importorskip('rclpy')
 pytest.importorskip('mocap_ros_msgs')
-
 pytestmark = pytest.mark.ros
 
 
-def test_playing_without_a_subscriber_fails_in_one_line(env: dict[str, str], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ('options', 'reason'),
+    [
+        (['--wait', '0.3'], 'no subscriber to /keypoints '),
+        (['--topic', '/people'], '--topic: '),
+        (['--to', 'key points'], "--to 'key points': "),
+    ],
+)
+def test_what_cannot_be_played_is_one_line(
+    env: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], reason: str
+) -> None:
+    assert env['ROS_DOMAIN_ID']
     save_sequence(tmp_path / 'demo.npz', make_recording().sequence())
-    done = run_cli(env, 'play', tmp_path / 'demo.npz', '--wait', '0.3')
-    assert done.returncode == 1
-    assert done.stderr.startswith('mocap-ros: no subscriber to /keypoints appeared within 0.3 s; ')
-    assert done.stderr.count('\n') == 1
-    assert done.stdout.endswith('demo.npz: waiting for a subscriber to /keypoints, for at most 0.3 s\n')
-
-
-def test_a_sequence_has_no_topic_to_choose(env: dict[str, str], tmp_path: Path) -> None:
-    save_sequence(tmp_path / 'demo.npz', make_recording().sequence())
-    done = run_cli(env, 'play', tmp_path / 'demo.npz', '--topic', '/people')
-    assert done.returncode == 1
-    assert done.stderr == 'mocap-ros: --topic: a sequence file has no topics; --to /people publishes on this one\n'
-
-
-def test_a_name_that_ros_refuses_is_named_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    save_sequence(tmp_path / 'demo.npz', make_recording().sequence())
-    assert main(['play', str(tmp_path / 'demo.npz'), '--to', 'key points']) == 1
+    assert main(['play', str(tmp_path / 'demo.npz'), *options]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("mocap-ros: --to 'key points': topic name must not contain characters")
+    assert line.startswith(f'mocap-ros: {reason}')
 
 
 def test_all_topics_play_in_a_loop_with_clock_and_recorded_qos(
@@ -105,3 +105,55 @@ def test_all_topics_play_in_a_loop_with_clock_and_recorded_qos(
     assert min(times) >= 5.0
     assert max(times) <= 5.9
     assert len(set(times)) > 10
+
+
+POINT = 'geometry_msgs/msg/Point'  # a type that is installed
+START_NS = 5 * 10**9
+
+
+class SteadyClock:
+    """The module `time`, in which only sleeping takes time."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+
+
+class NodeWithTopics:
+    """A node whose publishers keep when they publish what."""
+
+    def __init__(self, clock: SteadyClock) -> None:
+        self.published: list[tuple[float, str]] = []
+        self._clock = clock
+
+    def create_publisher(self, _: object, topic: str, __: object) -> Any:
+        return SimpleNamespace(publish=lambda _: self.published.append((self._clock.now_s - 100.0, topic)))
+
+
+def make_player(options: PlaybackOptions, *types: str) -> Player:
+    """Return a player of topics /topic0, /topic1 and so on, of these types."""
+    topics = [PlayedTopic(f'/topic{i}', msgtype) for i, msgtype in enumerate(types)]
+    return Player(cast(Any, SimpleNamespace(topics=topics, count=0)), options)
+
+
+@pytest.mark.parametrize('rate', [0.5, inf])
+def test_the_rate_divides_the_times_between_messages(monkeypatch: pytest.MonkeyPatch, rate: float) -> None:
+    clock = SteadyClock()
+    monkeypatch.setattr(player, 'time', clock)
+    node = NodeWithTopics(clock)
+    tested = make_player(PlaybackOptions(rate), POINT, 'nowhere/msg/Unknown', POINT)
+    tested._create_publishers(node)
+    raw = bytes(typestore().serialize_cdr(typestore().types[POINT](1.0, 2.0, 3.0), POINT))
+    due = [(0.0, 2), (0.5, 0), (0.6, 1), (3.0, 2)]  # s and topic
+    tested._publish_once(PlaybackMessage(START_NS + round(s * 1e9), raw, topic) for s, topic in due)
+    assert [topic for _, topic in node.published] == ['/topic2', '/topic0', '/topic2']
+    assert [s for s, _ in node.published] == pytest.approx([0.0, 0.5 / rate, 3.0 / rate])
+    assert tested.published_count == 3
+    assert tested.published_topics == ['/topic0', '/topic2']
+    (skipped,) = tested.skipped_topics
+    assert skipped.startswith('/topic1: type nowhere/msg/Unknown is not installed')

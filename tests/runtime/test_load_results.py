@@ -35,7 +35,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def make_person(name: str, height: float) -> Person3D:
-    """Return a person whose joints are all in one place."""
+    """Return a person whose joints are all at one point."""
     return Person3D(
         id=name,
         joints=np.full((15, 3), height),
@@ -55,9 +55,9 @@ def test_a_result_file_and_a_bag_hold_the_same(results: Path) -> None:
     assert not holds_result(results / 'walk.npz')
     assert holds_result(results / 'r.npz')
     assert holds_result(results / 'r.mcap')
-    file, nobody = load_result(results / 'r.npz')
+    file, no_name = load_result(results / 'r.npz')
     bag, person = load_result(results / 'r.mcap')
-    assert (nobody, person) == ('', 'person_1')
+    assert (no_name, person) == ('', 'person_1')
     with np.load(results / 'r.npz') as arrays:
         assert np.array_equal(file.joints, arrays['joints3d'])
         assert np.array_equal(file.seen, arrays['seen'])

