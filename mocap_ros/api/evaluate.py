@@ -67,7 +67,9 @@ def evaluate(
         collapsed = np.ptp(predicted, axis=1).max(axis=-1) < evaluation.MIN_PERSON_SIZE_M
         if collapsed.any():
             frame = int(collapsed.argmax())
-            raise InputError(f'joints: frame {frame}: all joints at one place; NaN expected where nobody is')
+            raise InputError(
+                f'joints: frame {frame}: all joints at one point; NaN expected where there is no person'
+            )
         residual, names, scores = np.full(len(predicted), math.nan), (), None
         frame_times = np.zeros(1)
         if times is not None:

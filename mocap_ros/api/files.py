@@ -61,7 +61,7 @@ def read(
             RTMPose or MoveNet (`.onnx`); by default the one that comes with MediaPipe.
         hfov: degrees, horizontal field of view of a camera without calibration; by default a nominal focal length
             is assumed, to which distances from the camera are proportional.
-        focal: px, focal length of a camera without calibration, in place of `hfov`.
+        focal: px, focal length of a camera without calibration, instead of `hfov`.
 
     Raises:
         InputError: the file has none of these formats, or its content or an argument is not valid; the error names

@@ -109,7 +109,7 @@ class Tracker:
             people: (P, J, 3) keypoints of the P people in the image, possibly none: x to the right and y down in
                 px, and confidence score in [0, 1]; NaN, x = y = 0 or score 0 where a keypoint was not seen.
             ids: (P,) names that the detector gives the people, empty where it gives none; by default, or with
-                None, people are told apart by their positions.
+                None, people are distinguished by their positions.
 
         Returns:
             The people in this frame, in the order of `people`, without those who show too few joints; then those

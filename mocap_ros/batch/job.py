@@ -67,7 +67,7 @@ COLUMNS = {
     'bag_invalid': 'int64',
     'bag_swaps': 'int64',
     'bag_work_s': 'float64',
-    'remark': 'string',
+    'note': 'string',
     'error': 'string',
     'version': 'string',
     'configuration': 'string',
@@ -229,14 +229,14 @@ def _replay(path: Path, job: Job, scratch: Path) -> tuple[dict[str, Path], Rows]
     with Bag(path) as bag:
         options = ReplayOptions(settings.config, settings.topic, settings.camera_info, changes=settings.changes)
         found = replay(bag, out, options)
-    remark = ' '.join((found.first_rejection or ' '.join(found.tracebacks) or ' '.join(found.remarks)).split())
+    note = ' '.join((found.first_rejection or ' '.join(found.tracebacks) or ' '.join(found.notes)).split())
     columns = {
         'bag_frames': found.counters.accepted,
         'bag_dropped': found.counters.dropped.total(),
         'bag_invalid': found.counters.invalid,
         'bag_swaps': found.swapped_frames,
         'configuration': _compute_key(to_yaml(found.config))[:KEY_DIGITS],
-        'remark': remark,
+        'note': note,
     }
     return {job.result_url: out}, [{**columns, **_describe(a)} for a in found.appearances] or [columns]
 
@@ -286,7 +286,7 @@ def _load_sequence(path: Path, job: Job) -> tuple[KeypointSequence, dict[str, An
     return sequence, {
         'bag_frames': len(sequence),
         'configuration': _compute_key(to_yaml(config))[:KEY_DIGITS],
-        'remark': '; '.join(lines),
+        'note': '; '.join(lines),
         **_describe(appearance),
     }
 
@@ -304,7 +304,7 @@ def _describe(appearance: Appearance) -> dict[str, Any]:
 
 
 def _drop_nan(value: float) -> float | None:
-    """Return a number, or None in the place of NaN, which JSON does not know."""
+    """Return a number, or None instead of NaN, which JSON does not know."""
     return value if math.isfinite(value) else None
 
 

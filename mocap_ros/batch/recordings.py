@@ -95,7 +95,7 @@ def find_recordings(
         report: function that is called with a line about files that are no bags, where only bags are taken.
 
     Raises:
-        InputError: there is nothing, it cannot be read, or the results of two recordings would have one place.
+        InputError: there is nothing, it cannot be read, or the results of two recordings would have one path.
     """
     left_out = tuple(f'{_write_url(*open_file_system(folder))}/' for folder in leave_out)
     sizes: dict[str, int] = {}
@@ -125,7 +125,9 @@ def find_recordings(
     for first, second in pairwise(sorted(recording.name.split('/') for recording in recordings)):
         if second[: len(first)] == first:
             one, other = '/'.join(first), '/'.join(second)
-            raise InputError(f'{source}: the results of {one} and {other} would share a place; rename one of them')
+            raise InputError(
+                f'{source}: the results of {one} and {other} would overwrite each other; rename one of them'
+            )
     return sorted(recordings, key=lambda r: (-r.size_bytes, r.name))
 
 
@@ -182,11 +184,11 @@ def _walk(top: str) -> Iterator[str]:
     tops, seen = [top], set[str]()
     for each in tops:
         for folder, folders, files in os.walk(each, onerror=_refuse):
-            place = os.path.realpath(folder)
-            if place in seen:
+            path = os.path.realpath(folder)
+            if path in seen:
                 folders.clear()
                 continue
-            seen.add(place)
+            seen.add(path)
             folders.sort()
             tops += [path for path in (f'{folder}/{name}' for name in folders) if Path(path).is_symlink()]
             yield from (f'{folder}/{name}' for name in files)

@@ -90,7 +90,7 @@ class Bridge:
         return self._convert_predictions(read_predictions(raw, self._numbers))
 
     def clear(self) -> list[OutputMessage]:
-        """Return the messages that say that nobody is there, if somebody was."""
+        """Return the messages that say that all people are gone, if there were any."""
         outputs: list[OutputMessage] = []
         if self._people.ids:
             outputs += self._convert_people(People(self._people.header))

@@ -3,14 +3,14 @@
 
 """mocap_ros_msgs/BodyCapsulesArray, and markers of the same for RViz and Foxglove: bodies as capsules.
 
-A capsule is all that is nearer to the segment between two places of the body than its radius
+A capsule is all that is nearer to the segment between two points of the body than its radius
 
     r = g + k s
 
 with g half the thickness of the body part, s the larger standard deviation of its two ends (the root of the trace
 of the covariance) and k of the part: so large that 95 of 100 parts of its volume are inside. The k were fitted to
 training persons seen by four detectors, about whose true joints bodies were put (`benchmarks/robots.py` measures
-it on others). A trunk needs little, as g is that of a heavy person; a hand, whose place is known least, most.
+it on others). A trunk needs little, as g is that of a heavy person; a hand, whose position is known least, most.
 
 The whole body may be nearer or farther than it seems, as its height is not known. This is not in the radii but in
 Skeleton3D.root_covariance: added to every capsule, it would make all of them thick in all directions.
@@ -31,7 +31,7 @@ from mocap_ros.skeleton import BODY26, CMU15, Skeleton
 
 CAPSULES = MOCAP_ROS_MSGS + 'BodyCapsulesArray'
 CAPSULE_STYLE = MarkerStyle(0.75, 0.3)  # chosen for the look: the bones within can be seen
-MIN_LENGTH_M = 1e-6  # m; between places that are nearer to each other there is no axis
+MIN_LENGTH_M = 1e-6  # m; between points that are nearer to each other there is no axis
 MIN_QUATERNION = 1e-6  # 1; length of the quaternion before it is made 1, of an axis that points down
 
 
@@ -130,7 +130,7 @@ def compute_capsules(joints: Array, std: Array, skeleton: Skeleton) -> Capsules:
 
 
 def find_axis_poses(start: Array, end: Array) -> tuple[Array, Array]:
-    """Return the lengths (..., P) in m of the segments between places (..., P, 3), and their poses (..., P, 7).
+    """Return the lengths (..., P) in m of the segments between points (..., P, 3), and their poses (..., P, 7).
 
     A pose is the position of the middle in m and the quaternion x, y, z, w that turns the z axis to the axis a of
     the segment by the shortest way: (-a_y, a_x, 0, 1 + a_z), of unit length; half a turn about x where the axis

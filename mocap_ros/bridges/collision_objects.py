@@ -3,7 +3,7 @@
 
 """moveit_msgs/CollisionObject: each person as an object of MoveIt's planning scene, made of cylinders.
 
-A capsule between two places at the distance l with the radius r lies in the cylinder of the length l + 2 r and the
+A capsule between two points at the distance l with the radius r lies in the cylinder of the length l + 2 r and the
 radius r about the same axis; planning scenes have no capsules.
 """
 

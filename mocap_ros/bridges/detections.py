@@ -18,7 +18,7 @@ from mocap_ros.people import HIPS
 def convert_detections(people: People) -> dict[str, Any]:
     """Return people as detections.
 
-    The pose is that of the place between the hips, with the axes of the body (x forward, z up along the trunk).
+    The pose is that of the point between the hips, with the axes of the body (x forward, z up along the trunk).
     The covariance is of x, y, z and of the rotations about x, y, z.
     """
     header, count = people.header, len(people.ids)
@@ -53,7 +53,7 @@ def _compute_heading_stds(people: People) -> Array:
     """Return the standard deviations (N,) in rad of bodies' directions: hips that are off turn the line between.
 
     Across the line of sight, the line of length b turns by sqrt(4/3) std / b, as two thirds of the variances lie
-    along it (`models/joint_std.py`); otherwise placed it turns less. Where nothing is known of the joints, it is
+    along it (`models/joint_std.py`); elsewhere it turns less. Where nothing is known of the joints, it is
     the deviation of a direction of which nothing is known.
     """
     left, right = HIPS

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""people_msgs/People: name, place and velocity of each person, for the social layers of Nav2's costmaps."""
+"""people_msgs/People: name, position and velocity of each person, for the social layers of Nav2's costmaps."""
 
 from __future__ import annotations
 

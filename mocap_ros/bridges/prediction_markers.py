@@ -31,7 +31,7 @@ def _list_markers(predictions: Predictions) -> list[Marker]:
     last, markers = max((then.ahead for then in predictions.times), default=0.0), []
     for ahead, numbers, joints in predictions.times:
         style = MarkerStyle(GHOST_SATURATION, GHOST_OPACITY[0] + GHOST_OPACITY[1] * (1 - ahead / last))
-        for number, places in zip(numbers, joints[:, _BONE_ENDS], strict=True):
+        for number, ends in zip(numbers, joints[:, _BONE_ENDS], strict=True):
             color = choose_color(number, style)
-            markers.append(Marker(f'{ahead:g} s', number, LINE_LIST, GHOST_SCALE, color, places))
+            markers.append(Marker(f'{ahead:g} s', number, LINE_LIST, GHOST_SCALE, color, ends))
     return markers

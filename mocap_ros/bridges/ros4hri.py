@@ -15,7 +15,7 @@ left and -1 on the right, and e the unit vector of an axis. In the axes of the t
 which give the angles: of the arm by its two directions, of the leg by the thigh and the axis of the knee, to which
 both are at right angles. Where the knee is straight, the axis is that of the trunk; where an arm is, r is 0, and y
 where it hangs down. The waist and the yaw of the
-head are 0, for positions do not tell them. Angles may be beyond the limits of the model, which are not those of
+head are 0, for positions do not show them. Angles may be beyond the limits of the model, which are not those of
 dancers.
 """
 
@@ -42,7 +42,7 @@ LIMBS = ('shoulder', 'elbow'), ('elbow', 'wrist'), ('hip', 'knee'), ('knee', 'an
 STRAIGHT_SINE = 0.05  # 1; sine of 3 degrees: of a straighter limb, the axis of its bending is noise
 LIMB_RADIUS_M = 0.03  # m; of the cylinders that draw limbs, as in human_description
 MAX_LENGTH_CHANGE = 0.1  # share of a length; a body that changes more is described again
-EFFORT, SPEED = '1000', '0.5'  # limits that URDF demands; nobody drives these joints
+EFFORT, SPEED = '1000', '0.5'  # limits that URDF demands; no motor drives these joints
 
 
 class Joint(NamedTuple):
@@ -103,10 +103,10 @@ def _arc(function: Any, values: Array) -> Array:
     return np.asarray(function(np.clip(values, -1.0, 1.0)))
 
 
-def _find_arm_angles(places: dict[str, Array], side: str) -> Array:
-    """Return the angles (N, 4) y, p, r of a shoulder and that of its elbow, from places in the trunk's axes."""
+def _find_arm_angles(positions: dict[str, Array], side: str) -> Array:
+    """Return the angles (N, 4) y, p, r of a shoulder and that of its elbow, from positions in the trunk's axes."""
     s = SIDES[side]
-    shoulder, elbow, wrist = (places[side + name] for name in ('shoulder', 'elbow', 'wrist'))
+    shoulder, elbow, wrist = (positions[side + name] for name in ('shoulder', 'elbow', 'wrist'))
     upper, fore = _unit(elbow - shoulder), _unit(wrist - elbow)
     pitch = _arc(np.arccos, -upper[:, 2])
     is_level = np.hypot(upper[:, 0], upper[:, 1]) > STRAIGHT_SINE  # it neither hangs nor is held straight up
@@ -119,9 +119,9 @@ def _find_arm_angles(places: dict[str, Array], side: str) -> Array:
     return np.stack([yaw, pitch, roll, _arc(np.arccos, -z)], axis=1)
 
 
-def _find_leg_angles(places: dict[str, Array], side: str) -> Array:
-    """Return the angles (N, 4) y, p, r of a hip and that of its knee, from places in the trunk's axes."""
-    hip, knee, ankle = (places[side + name] for name in ('hip', 'knee', 'ankle'))
+def _find_leg_angles(positions: dict[str, Array], side: str) -> Array:
+    """Return the angles (N, 4) y, p, r of a hip and that of its knee, from positions in the trunk's axes."""
+    hip, knee, ankle = (positions[side + name] for name in ('hip', 'knee', 'ankle'))
     thigh, shin = _unit(knee - hip), _unit(ankle - knee)
     axis = np.cross(thigh, shin)
     is_bent = np.linalg.norm(axis, axis=1, keepdims=True) >= STRAIGHT_SINE
@@ -148,33 +148,33 @@ def compute_joint_states(joints: Array) -> tuple[Array, NDArray[np.bool_]]:
     origin, _, axes = compute_links(joints)
     is_known = np.asarray(np.isfinite(axes).all(axis=(1, 2)))
     local = (joints - origin[:, None]) @ axes
-    places = dict(zip(CMU15.joints, local.swapaxes(0, 1), strict=True))
-    head = _unit(places['head'] - (places['lshoulder'] + places['rshoulder']) / 2)
+    positions = dict(zip(CMU15.joints, local.swapaxes(0, 1), strict=True))
+    head = _unit(positions['head'] - (positions['lshoulder'] + positions['rshoulder']) / 2)
     angles = np.zeros((len(joints), len(MOVED_JOINTS)))
     angles[:, MOVED_JOINTS.index('r_head')] = np.arctan2(-head[:, 1], head[:, 2])
     angles[:, MOVED_JOINTS.index('p_head')] = -_arc(np.arcsin, head[:, 0])
     for side in SIDES:
         arm, leg = (MOVED_JOINTS.index(f'{side}_y_{joint}') for joint in ('shoulder', 'hip'))
-        angles[:, arm : arm + 4] = _find_arm_angles(places, side)
-        angles[:, leg : leg + 4] = _find_leg_angles(places, side)
+        angles[:, arm : arm + 4] = _find_arm_angles(positions, side)
+        angles[:, leg : leg + 4] = _find_leg_angles(positions, side)
     return angles, is_known
 
 
 def measure_lengths(joints: Array) -> Array:
     """Return the `LENGTHS` (N, 8) in m of bodies with joints (N, 15, 3) m; of limbs the means of both sides."""
-    places = dict(zip(CMU15.joints, joints.swapaxes(0, 1), strict=True))
-    chest, pelvis = ((places[f'l{name}'] + places[f'r{name}']) / 2 for name in ('shoulder', 'hip'))
+    positions = dict(zip(CMU15.joints, joints.swapaxes(0, 1), strict=True))
+    chest, pelvis = ((positions[f'l{name}'] + positions[f'r{name}']) / 2 for name in ('shoulder', 'hip'))
 
     def measure(start: Array, end: Array) -> Array:
         return np.asarray(np.linalg.norm(start - end, axis=1))
 
-    limbs = [[measure(places[s + start], places[s + end]) for s in SIDES] for start, end in LIMBS]
+    limbs = [[measure(positions[s + start], positions[s + end]) for s in SIDES] for start, end in LIMBS]
     return np.stack(
         [
             measure(chest, pelvis),
-            measure(places['head'], chest),
-            measure(places['lshoulder'], places['rshoulder']) / 2,
-            measure(places['lhip'], places['rhip']) / 2,
+            measure(positions['head'], chest),
+            measure(positions['lshoulder'], positions['rshoulder']) / 2,
+            measure(positions['lhip'], positions['rhip']) / 2,
             *((left + right) / 2 for left, right in limbs),
         ],
         axis=1,
@@ -199,8 +199,8 @@ def describe_body(body_id: str, measured: Array) -> str:
         ET.SubElement(element, 'parent', link=f'{joint.parent}_{body_id}')
         ET.SubElement(element, 'child', link=f'{joint.link}_{body_id}')
         name, direction = joint.offset
-        place = ' '.join(f'{lengths.get(name, 0.0) * d:.4f}' for d in direction)
-        ET.SubElement(element, 'origin', xyz=place, rpy='0 0 0')
+        origin = ' '.join(f'{lengths.get(name, 0.0) * d:.4f}' for d in direction)
+        ET.SubElement(element, 'origin', xyz=origin, rpy='0 0 0')
         if joint.axis:
             ET.SubElement(element, 'axis', xyz=joint.axis)
             low, high = (f'{limit:g}' for limit in joint.limits)

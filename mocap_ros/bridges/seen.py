@@ -124,15 +124,15 @@ def read_people(raw: bytes, numbers: PersonNumbers) -> People:
             raise InputError(
                 f'people[{i}]: {len(person.joints)} joints, {len(person.joint_std)} joint_std; expected {joints}'
             )
-    places, roots = np.array([p.joints for p in people]), np.array([p.root for p in people])
-    if not (np.isfinite(places).all() and np.isfinite(roots).all()):
+    positions, roots = np.array([p.joints for p in people]), np.array([p.root for p in people])
+    if not (np.isfinite(positions).all() and np.isfinite(roots).all()):
         raise InputError('people: joints that are not finite')
     return People(
         header,
         tuple(p.id for p in people),
         tuple(numbers.find(p.id) for p in people),
         skeleton,
-        places,
+        positions,
         np.array([p.joint_std for p in people], float),
         roots,
         np.nan_to_num([p.root_velocity for p in people]),

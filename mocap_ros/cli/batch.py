@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from mocap_ros.cli.inputs import add_topic_options, add_video_options, read_video_options
 from mocap_ros.cli.options import add_config_options, load_config_file, parse_changes, parse_count
-from mocap_ros.cli.terminal import print_remark, print_result
+from mocap_ros.cli.terminal import print_note, print_result
 from mocap_ros.errors import InputError, MocapError, tell_installation
 from mocap_ros.runtime.save_results import SUFFIXES
 
@@ -79,14 +79,14 @@ def run(args: argparse.Namespace) -> int:
         )
     settings = _make_settings(args)
     own_folders = [settings.place(folder) for folder in OWN_FOLDERS]
-    recordings = find_recordings(args.source, settings.work, own_folders, print_remark)
+    recordings = find_recordings(args.source, settings.work, own_folders, print_note)
     start = time.monotonic()
     outcomes: list[Outcome] = []
     with (
         connect(args.scheduler, args.workers, args.memory) as client,
         tqdm(desc='batch', total=len(recordings), disable=not sys.stderr.isatty(), leave=False) as bar,
     ):
-        print_remark(f'{len(recordings)} recordings; dashboard: {client.dashboard_link}')
+        print_note(f'{len(recordings)} recordings; dashboard: {client.dashboard_link}')
 
         def report(outcome: Outcome) -> None:
             outcomes.append(outcome)
@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
         print_result(line)
     failed = [outcome for outcome in outcomes if outcome.status is Status.FAILED]
     for outcome in failed:
-        print_remark(outcome.reason)
+        print_note(outcome.reason)
     return 1 if failed else 0
 
 

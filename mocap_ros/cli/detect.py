@@ -15,7 +15,7 @@ import numpy as np
 
 from mocap_ros.cli.inputs import list_sources, name_file_in_errors
 from mocap_ros.cli.options import derive_output_stem, parse_count, parse_positive
-from mocap_ros.cli.terminal import interrupt_between_items, print_remark, print_result, show_progress
+from mocap_ros.cli.terminal import interrupt_between_items, print_note, print_result, show_progress
 from mocap_ros.errors import InputError, tell_installation
 from mocap_ros.formats.detections import Detections, select_person
 from mocap_ros.formats.sequence_file import describe_frames, save_sequence
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     if output.suffix == BAG_SUFFIX and args.person is not None:
         raise InputError(f'{output}: holds all people; --person applies to a .npz')
     if camera is not None and args.person is not None:
-        raise InputError(f'{path}: --person applies to a video; a camera shows nobody twice')
+        raise InputError(f'{path}: --person applies to a video; a camera shows each person once')
     sources = list_sources(args)
     check_output(output, *sources)
     if camera is None:
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         detections = _detect_until_interrupted(camera, args, limit_and_show)
     if output.suffix == BAG_SUFFIX:
-        lines, times = list(detections.remarks), np.array([stamp / NS_PER_S for stamp in detections.stamps_ns])
+        lines, times = list(detections.notes), np.array([stamp / NS_PER_S for stamp in detections.stamps_ns])
         with replace_output(output, *sources) as unfinished:
             save_detections(unfinished, detections)
         what = f'{len({p.id for people in detections.people for p in people})} people'
@@ -117,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
             save_sequence(unfinished, sequence)
         what = f'{len(sequence.joint_names)} keypoints of {sequence.person_id}'
     for line in lines:
-        print_remark(f'{path}: {line}')
+        print_note(f'{path}: {line}')
     print_result(f'{output}: {what}, {describe_frames(times)}')
     return 0
 

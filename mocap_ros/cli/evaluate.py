@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mocap_ros.cli.inputs import add_model_option, list_sources, load_models, name_file_in_errors
 from mocap_ros.cli.options import add_config_options, load_config
 from mocap_ros.cli.reconstruct import reconstruct_file
-from mocap_ros.cli.terminal import print_remark, print_result, show_progress
+from mocap_ros.cli.terminal import print_note, print_result, show_progress
 from mocap_ros.errors import InputError
 from mocap_ros.evaluation.coverage import SHARES, compute_coverage
 from mocap_ros.evaluation.evaluate import (
@@ -121,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
         with name_file_in_errors(path):
             record, warning = compare_with_truth(result, truths[place])
         if warning:
-            print_remark(f'{path}: {warning}')
+            print_note(f'{path}: {warning}')
         records.append({'file': path.name, **record, **timing})
     if args.json is not None:
         with replace_output(args.json, *sources) as unfinished:
@@ -130,7 +130,7 @@ def run(args: argparse.Namespace) -> int:
     print_coverage(records)
     for path, sequence in truths.items():
         if measure_person_size(_get_truth(sequence).joints) > MAX_PERSON_SIZE_M:
-            print_remark(f'{path}: joints3d: the values look like mm, but m are expected')
+            print_note(f'{path}: joints3d: the values look like mm, but m are expected')
     return 0
 
 
@@ -235,7 +235,7 @@ def print_coverage(records: Sequence[Mapping[str, Any]]) -> None:
     """Print, for each result with covariances, how many of its true errors are within them."""
     wanted = ' and '.join(f'{100 * p:.0f}' for p in SHARES)
     for record in records:
-        for kind, what in (('joints', 'joints'), ('roots', 'places between the hips')):
+        for kind, what in (('joints', 'joints'), ('roots', 'points between the hips')):
             keys = [f'{kind}{100 * p:.0f}' for p in SHARES]
             if shares := ' and '.join(f'{100 * record[key]:.0f}' for key in keys if key in record):
                 print_result(

@@ -15,7 +15,7 @@ import numpy as np
 from mocap_ros.bags.reader import list_bag_files
 from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.cli.options import parse_positive
-from mocap_ros.cli.terminal import print_remark, show_progress
+from mocap_ros.cli.terminal import print_note, show_progress
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError, MocapError, name_errors
 from mocap_ros.formats.detections import HFOV_RANGE_DEG, Video
@@ -116,7 +116,7 @@ def add_video_options(parser: argparse.ArgumentParser) -> None:
         '--focal',
         type=parse_positive,
         metavar='PX',
-        help='px, focal length of a camera without calibration, in place of --hfov (default: likewise)',
+        help='px, focal length of a camera without calibration, instead of --hfov (default: likewise)',
     )
     parser.add_argument(
         '--layout',
@@ -151,7 +151,7 @@ def load_sequences(
     The chosen person and the assumptions about the input are printed on stderr.
 
     Raises:
-        InputError: the input cannot be used; the message names the place.
+        InputError: the input cannot be used; the message names where.
     """
     options = read_input_options(args, config)
     if all_people:
@@ -160,7 +160,7 @@ def load_sequences(
         sequence, lines = load_input(args.input, options)
         sequences = [sequence]
     for line in lines:
-        print_remark(line)
+        print_note(line)
     return sequences
 
 

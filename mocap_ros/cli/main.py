@@ -18,7 +18,7 @@ from collections.abc import Collection, Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
-from mocap_ros.cli.terminal import is_interrupt, print_remark
+from mocap_ros.cli.terminal import is_interrupt, print_note
 from mocap_ros.errors import MocapError, make_printable_line
 from mocap_ros.runtime.cpu_setup import configure_process
 
@@ -119,12 +119,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, SystemError) as error:
         if not is_interrupt(error):
             raise
-        print_remark('interrupted')
+        print_note('interrupted')
         return INTERRUPTED
 
 
 def _report_failure(message: str) -> int:
-    print_remark(message)
+    print_note(message)
     return 1
 
 

@@ -43,8 +43,8 @@ def derive_output_stem(input_path: Path) -> str:
 
 def name_bag(bag: Path) -> str:
     """Return the name of a bag: of its folder, which may hold dots, or of its file without the suffix."""
-    place = bag.resolve()
-    return place.name if bag.is_dir() else place.stem
+    path = bag.resolve()
+    return path.name if bag.is_dir() else path.stem
 
 
 def parse_positive(text: str) -> float:

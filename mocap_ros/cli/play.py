@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mocap_ros.cli.inputs import add_topic_options
 from mocap_ros.cli.options import parse_positive
-from mocap_ros.cli.terminal import print_remark, print_result, show_progress
+from mocap_ros.cli.terminal import print_note, print_result, show_progress
 from mocap_ros.errors import ConfigError, MocapError
 from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
 from mocap_ros.runtime.playback import Playback
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
             lambda line: print_result(f'{args.input}: {line}', flush=True),
         )
     for reason in player.skipped_topics:
-        print_remark(f'not played: {reason}')
+        print_note(f'not played: {reason}')
     print_result(
         f'{args.input}: {player.published_count} messages published on {", ".join(player.published_topics)}'
     )

@@ -22,7 +22,7 @@ from mocap_ros.cli.inputs import (
     name_file_in_errors,
 )
 from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config
-from mocap_ros.cli.terminal import print_remark, print_result, show_stages
+from mocap_ros.cli.terminal import print_note, print_result, show_stages
 from mocap_ros.config import Config, load_yaml
 from mocap_ros.errors import InputError
 from mocap_ros.formats.bvh import BLENDER_IMPORT
@@ -108,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
         except InputError as error:  # noqa: PERF203 # one who cannot be reconstructed does not stop the others
             errors.append(error)
             if len(errors) < len(sequences):
-                print_remark(f'{error} (person {sequence.person_id!r} is left out)')
+                print_note(f'{error} (person {sequence.person_id!r} is left out)')
     if len(errors) == len(sequences):
         raise errors[-1]
     return 0
@@ -175,7 +175,7 @@ def _save(
     missing = int(np.isnan(result.joints).any(axis=(1, 2)).sum())
     if missing:
         line = f'{missing} frames before the first and after the last sight of the person have no skeleton'
-        print_remark(f'{args.input}: {line}')
+        print_note(f'{args.input}: {line}')
     solution = result.solution
     warning = '' if solution.success else f'. {solution.message}'
     distance = f'{np.nanmedian(result.joints[..., 2]):.1f} m away'

@@ -15,7 +15,7 @@ from tqdm import tqdm
 from mocap_ros.bags.recovery import list_recoverable_files, recover
 from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.cli.options import name_bag
-from mocap_ros.cli.terminal import print_remark, print_result
+from mocap_ros.cli.terminal import print_note, print_result
 from mocap_ros.runtime.input_kind import InputKind, require_kind
 
 
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
 
         found = recover(args.bag, out, watch)
     for loss in found.losses:
-        print_remark(loss)
+        print_note(loss)
     print_result(f'{out}: {found.messages.total()} messages on {len(found.messages)} topics')
     return 0
 
@@ -59,7 +59,7 @@ def _choose_output(bag: Path) -> Path:
     """Return the default path of the new bag: beside the damaged bag, also where only a file of it is given."""
     folder = bag.absolute().parent
     is_in_bag = (folder / METADATA).is_file() or re.match(rf'{re.escape(folder.name)}_\d+\.', bag.name)
-    place = bag.parent if is_in_bag and not bag.is_dir() else bag
-    if place.name in ('', '..'):  # the present folder is `.`
-        place = place.resolve()
-    return place.with_name(f'{name_bag(bag)}_recovered')
+    source = bag.parent if is_in_bag and not bag.is_dir() else bag
+    if source.name in ('', '..'):  # the present folder is `.`
+        source = source.resolve()
+    return source.with_name(f'{name_bag(bag)}_recovered')

@@ -15,7 +15,7 @@ from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import remove_partial
 from mocap_ros.cli.inputs import add_topic_options
 from mocap_ros.cli.options import add_config_options, load_config_file, name_bag, parse_changes
-from mocap_ros.cli.terminal import interrupt_between_items, print_remark, print_result, show_progress
+from mocap_ros.cli.terminal import interrupt_between_items, print_note, print_result, show_progress
 from mocap_ros.errors import InputError, MocapError, RecordingError, make_printable_line
 from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
 from mocap_ros.runtime.replay import ReplayOptions, replay
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
         except MocapError as error:  # noqa: PERF203 # a failure does not stop the others
             if len(jobs) == 1:
                 raise
-            print_remark(error)
+            print_note(error)
             has_failed = True
     return int(has_failed)
 
@@ -105,11 +105,11 @@ def _replay_one(path: Path, out: Path, options: ReplayOptions) -> None:
     for traceback in result.tracebacks:
         print(*map(make_printable_line, traceback.splitlines()), sep='\n', file=sys.stderr)
     if result.first_rejection:
-        print_remark(f'first message that was not accepted: {result.first_rejection}')
-    for remark in result.remarks:
-        print_remark(remark)
+        print_note(f'first message that was not accepted: {result.first_rejection}')
+    for note in result.notes:
+        print_note(note)
     if result.unrecorded_inputs:
-        print_remark(
+        print_note(
             f'{path}: {result.unrecorded_inputs} inputs are missing because the disk was too slow for the '
             'recorder; the results after the first missing input differ from the live ones'
         )

@@ -25,7 +25,7 @@ def print_result(line: object, *, flush: bool = False) -> None:
     print(make_printable_line(str(line)), flush=flush)
 
 
-def print_remark(line: object) -> None:
+def print_note(line: object) -> None:
     """Print a line about the input or the work on stderr, with the name of the program."""
     print(make_printable_line(f'mocap-ros: {line}'), file=sys.stderr)
 
@@ -47,7 +47,7 @@ def show_stages() -> Iterator[Callable[[str], None]]:
 
 
 class StopAtInterrupt:
-    """Function that yields items until SIGINT comes, and raises KeyboardInterrupt in place of the next item.
+    """Function that yields items until SIGINT comes, and raises KeyboardInterrupt instead of the next item.
 
     `is_requested` says whether SIGINT has come, for items that could be waited for without an end.
     """
@@ -56,7 +56,7 @@ class StopAtInterrupt:
         self.is_requested = False
 
     def __call__(self, items: Iterable[T]) -> Iterator[T]:
-        """Yield the items; raises KeyboardInterrupt in place of the item that follows the signal."""
+        """Yield the items; raises KeyboardInterrupt instead of the item that follows the signal."""
         for item in items:
             if self.is_requested:
                 raise KeyboardInterrupt

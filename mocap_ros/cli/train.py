@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.cli.inputs import list_sources
 from mocap_ros.cli.options import parse_count, parse_positive
-from mocap_ros.cli.terminal import print_remark, print_result, show_progress
+from mocap_ros.cli.terminal import print_note, print_result, show_progress
 from mocap_ros.errors import InputError, MocapError, tell_installation
 from mocap_ros.formats.mocap.joint_maps import LENGTH_UNITS_M, load_marker_map
 from mocap_ros.formats.mocap.trials import Trial, TrialOptions, load_trials, select_trials
@@ -190,7 +190,7 @@ def _train_lifter(args: argparse.Namespace, sources: Sequence[Path]) -> None:
     checkpoint = None if path is None or not path.exists() else _load_checkpoint(path, steps)
     # a training that goes on keeps its precision, also on another processor
     precision = checkpoint['fixed']['precision'] if checkpoint else training.find_fastest_precision(settings)
-    print_remark(f'the network is trained in {precision}')
+    print_note(f'the network is trained in {precision}')
     lifter = training.train_lifter(
         [t.all_joints for t in trials],
         shares,

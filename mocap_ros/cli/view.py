@@ -13,7 +13,7 @@ import numpy as np
 from mocap_ros.bags.reader import is_bag
 from mocap_ros.cli.inputs import add_input_options, add_model_option, list_sources, load_models, read_input_options
 from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config
-from mocap_ros.cli.terminal import print_remark, print_result, show_progress
+from mocap_ros.cli.terminal import print_note, print_result, show_progress
 from mocap_ros.errors import InputError
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.runtime.input_kind import require_kind
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     options = SceneOptions(config, load_models(args, config), read_input_options(args, config), not is_page)
     scene, lines = load_scene(args.input, options, lambda items, total: show_progress(items, 'view', total))
     for line in lines:
-        print_remark(line)
+        print_note(line)
     with replace_output(output, *sources) as unfinished:
         if is_page:
             unfinished.write_text(build_page(scene), encoding='utf-8')

@@ -306,7 +306,7 @@ class NodeConfig:
     floor_height: str = define_parameter(
         '',
         'm, height of the floor in node.output_frame, whose z axis must be up, such as 0: the feet of people who '
-        'stand on it tell how tall they are and how far away; empty: not known',
+        'stand on it show how tall they are and how far away; empty: not known',
         read_only=True,
         takes_numbers=True,
         is_common=True,

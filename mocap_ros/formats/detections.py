@@ -97,7 +97,7 @@ class Detections:
         image_size: (width, height) in px, (0, 0) where unknown.
         intrinsics: intrinsics of the camera, or None where unknown.
         frame_id: name of the camera's optical frame, or empty.
-        remarks: lines that say what the reader left out.
+        notes: lines that say what the reader left out.
         is_one_person: whether people without an id are of one person if no frame shows two people; False for a
             detector that may jump from one person to another.
     """
@@ -107,7 +107,7 @@ class Detections:
     image_size: ImageSize = UNKNOWN_SIZE
     intrinsics: Intrinsics | None = None
     frame_id: str = ''
-    remarks: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     is_one_person: bool = True
 
 
@@ -159,7 +159,7 @@ def arrange_frames(people_by_number: Mapping[int, Sequence[Person2D]], video: Vi
     """Arrange numbered frames in time; frames whose number is missing show no people.
 
     An id that two people of one frame have identifies neither, as the 0 that AlphaPose gives to all people if it
-    does not track. It is left out wherever it occurs, and a line of `remarks` says so.
+    does not track. It is left out wherever it occurs, and a line of `notes` says so.
 
     Raises:
         InputError: there are no frames, the frame rate is missing or above `MAX_FRAME_RATE_HZ`, or the numbers are
@@ -184,10 +184,10 @@ def arrange_frames(people_by_number: Mapping[int, Sequence[Person2D]], video: Vi
         [replace(p, id='') if p.id in repeated else p for p in people_by_number.get(number, ())]
         for number in all_numbers
     ]
-    remarks: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     if repeated:
-        remarks = (f'ids left out, because two people of one frame have the same: {_list_some(sorted(repeated))}',)
-    return Detections(people, stamps, resolve_image_size(configured=video.image_size), remarks=remarks)
+        notes = (f'ids left out, because two people of one frame have the same: {_list_some(sorted(repeated))}',)
+    return Detections(people, stamps, resolve_image_size(configured=video.image_size), notes=notes)
 
 
 def associate_people(detections: Detections) -> list[PersonTrack]:
@@ -257,8 +257,8 @@ def select_person(detections: Detections, person_id: str | None = None) -> tuple
     line = f'person {wanted!r}, seen in {frame_counts[wanted]} of {len(detections.people)} frames'
     if len(tracks) > 1:
         line += f'; {len(tracks) - 1} more, choose by --person: {everybody}'
-    (sequence,), remarks = arrange_people(detections, [track for track in tracks if track.id == wanted])
-    return sequence, [line, *remarks]
+    (sequence,), notes = arrange_people(detections, [track for track in tracks if track.id == wanted])
+    return sequence, [line, *notes]
 
 
 def arrange_people(
@@ -278,8 +278,8 @@ def arrange_people(
         people = [np.column_stack([p.points, p.score]) for in_frame in detections.people for p in in_frame]
         size = resolve_image_size(keypoints=np.concatenate(people))
         line = f'image size not known, {size[0]}x{size[1]} px assumed; give it by --image-size'
-        detections = replace(detections, image_size=size, remarks=(*detections.remarks, line))
-    return [_arrange_sequence(detections, track) for track in tracks], detections.remarks
+        detections = replace(detections, image_size=size, notes=(*detections.notes, line))
+    return [_arrange_sequence(detections, track) for track in tracks], detections.notes
 
 
 def _arrange_sequence(detections: Detections, track: PersonTrack) -> KeypointSequence:

@@ -23,7 +23,7 @@ from mocap_ros.ros.throttled_log import ThrottledLog
 from mocap_ros.ros.topics import Publishers, SilenceMonitor, subscribe
 
 CHECK_PERIOD_S = 0.5  # s; between two looks at how long nothing has arrived
-CLEAR_AFTER_S = 2.0  # s without skeletons, after which nobody is there any more
+CLEAR_AFTER_S = 2.0  # s without skeletons, after which all people count as gone
 WARN_AFTER_S = 15.0  # s without messages, after which the log says so; mocap_node takes its time to start
 START_MOCAP_NODE = 'start mocap_node, or remap the topic to the one on which it publishes'
 START_PREDICTIONS = 'start mocap_node with -p node.publish_predictions:=true'
@@ -90,7 +90,7 @@ class BridgeNode(ManagedNode):
         self.get_logger().info(f'the node is active: it listens on {listened}, and publishes {published}')
 
     def stop_run(self) -> None:
-        """Unsubscribe, and publish that nobody is there any more."""
+        """Unsubscribe, and publish that all people are gone."""
         for subscription in self._subscriptions_in_use:
             self.destroy_subscription(subscription)
         if self._timer is not None:

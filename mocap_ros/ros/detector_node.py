@@ -29,7 +29,7 @@ from mocap_ros.units import NS_PER_S
 class DetectorNode(Node):
     """Node that runs a detector on the newest image and publishes who is seen in it.
 
-    Every image gives one message with the header of the image, also if nobody is seen. Images that arrive while
+    Every image gives one message with the header of the image, also if no person is seen. Images that arrive while
     the detector works are dropped but for the newest.
 
     Raises:

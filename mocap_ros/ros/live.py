@@ -309,7 +309,7 @@ class LiveRun:
             self._logger.info(f'{topic}: {before}people are being published')
             self._has_published_people = True
         elif not self._has_accepted:
-            self._logger.info(f'{topic}: the first message was accepted, and nobody is in it who can be tracked')
+            self._logger.info(f'{topic}: the first message was accepted, and no person in it can be tracked')
         self._has_accepted = True
         if not self._pipeline.output_header.frame_id and not self._has_warned_of_frame_id:
             self._logger.warning(

@@ -22,7 +22,7 @@ from mocap_ros.units import NS_PER_S
 ShowProgress = Callable[[Iterable[VideoImage], int | None], Iterable[VideoImage]]
 
 MAX_LISTED_CHANGES = 5  # changes of the person that are named in a line
-NOBODY_SEEN = 'nobody is seen in any image'
+NO_PERSON_SEEN = 'no person is seen in any image'
 
 
 def detect_people(detector: Detector, image: Image, time_s: float) -> list[Person2D]:
@@ -55,7 +55,7 @@ def detect_in_video(
         is_interrupted: returns whether to end while a camera gives no image.
 
     Raises:
-        InputError: the video cannot be decoded, is too long, or shows nobody; the error names it.
+        InputError: the video cannot be decoded, is too long, or shows no person; the error names it.
         ModelError: the model cannot be used; the error names it.
         Both end the images of a camera instead, which cannot be shown again, once a person was detected.
     """
@@ -80,11 +80,11 @@ def detect_in_video(
             images.close()
             detector.close()
     if not any(people):
-        raise InputError(f'{path}: {NOBODY_SEEN} ({len(people)} images, {detector.name})')
+        raise InputError(f'{path}: {NO_PERSON_SEEN} ({len(people)} images, {detector.name})')
     left_out = f'{reader.left_out} images left out that are damaged or not later than the one before'
-    remarks = f'keypoints by {detector.name}', left_out if reader.left_out else '', ending or reader.ending
+    notes = f'keypoints by {detector.name}', left_out if reader.left_out else '', ending or reader.ending
     detections, changes = name_people(Detections(people, stamps_ns, size))
-    return replace(detections, remarks=(*filter(None, remarks), *changes))
+    return replace(detections, notes=(*filter(None, notes), *changes))
 
 
 def _check_image(path: Path, item: VideoImage, count: int, size: tuple[int, int]) -> tuple[int, int]:

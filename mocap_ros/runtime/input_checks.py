@@ -89,7 +89,7 @@ class InputChecks:
     ) -> list[str]:
         """Return what is wrong with the input and was not described before.
 
-        Once nobody has been there for so long that the tracker has forgotten everybody, all is described anew.
+        Once no person has been seen for so long that the tracker has forgotten all, everything is described anew.
 
         Args:
             frame: What the detector saw in the image.

@@ -93,7 +93,7 @@ def load_people(path: Path, options: InputOptions) -> tuple[list[KeypointSequenc
     tracks = associate_people(detections)
     long_tracks = [track for track in tracks if len(track.detection_by_frame) >= MIN_FRAMES]
     if not long_tracks:
-        raise InputError(f'{path}: nobody is seen in {MIN_FRAMES} frames or more')
+        raise InputError(f'{path}: no person is seen in {MIN_FRAMES} frames or more')
     with naming(path):
         sequences, lines = arrange_people(detections, long_tracks)
     if left_out := len(tracks) - len(long_tracks):
@@ -190,7 +190,7 @@ def load_bag(
     with Bag(path) as bag:
         topics = find_people_topics(bag, topic)
         node = replace(limits, input_type=find_people_type(bag, topics))
-        camera, camera_remark = find_camera(bag, next(iter(topics)), node, camera_info)
+        camera, camera_note = find_camera(bag, next(iter(topics)), node, camera_info)
         known = camera.size if camera else None
         size = resolve_image_size(camera=known, configured=(node.image_width, node.image_height))
         frames, reasons = _assemble_frames(bag, topics, node, camera, size)
@@ -206,7 +206,7 @@ def load_bag(
         image_size=resolve_image_size(stated=(last.image_width, last.image_height), configured=size),
         intrinsics=camera.intrinsics if camera else None,
         frame_id=next((f.header.frame_id for f in frames.values() if f.header.frame_id), ''),
-        remarks=tuple(filter(None, (skipped, camera_remark))),
+        notes=tuple(filter(None, (skipped, camera_note))),
     )
 
 

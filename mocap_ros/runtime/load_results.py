@@ -95,7 +95,7 @@ def load_result(path: Path, person: str | None = None) -> tuple[StoredResult, st
                     recorded.add(message.raw)
         counts = {person_id: len(own) for person_id, own in recorded.by_id.items()}
         if not counts:
-            raise InputError(f'{path}: {topic}: nobody is in any message')
+            raise InputError(f'{path}: {topic}: no person is in any message')
         chosen = max(counts, key=counts.__getitem__) if person is None else person
         if chosen not in counts:
             people = ', '.join(f'{i} ({n})' for i, n in sorted(counts.items(), key=lambda item: -item[1]))

@@ -86,7 +86,7 @@ def load_scene(
         The scene, and lines for the user about people and messages that were left out.
 
     Raises:
-        InputError: the input is of no known format, is damaged or shows nobody; the error names the place.
+        InputError: the input is of no known format, is damaged or shows no person; the error names where.
     """
     kind = require_kind(path, VIEWED_KINDS, VIEWED_FORMATS)
     try:
@@ -119,7 +119,7 @@ def _reconstruct_people(
     """Return the scene of some people; `lines` gets one for each person who cannot be reconstructed.
 
     Raises:
-        InputError: nobody can be reconstructed.
+        InputError: no person can be reconstructed.
     """
     nominal = options.config.tracker.nominal_focal_length
     stamps = np.unique(np.concatenate([sequence.stamps_ns for sequence in sequences]))
@@ -266,8 +266,8 @@ def _load_bag_scene(path: Path, options: SceneOptions, progress: ProgressWrapper
                 faults.append(f'{message.topic}: {error}')
     vertical = average_vertical(np.array([v for v in verticals if 0 < np.linalg.norm(v) < MAX_VERTICAL]))
     scene = _build_bag_scene(people, reading.person, detections, drops)
-    remarks = [*detections.remarks, *([f'{len(faults)} messages left out; {faults[0]}'] if faults else [])]
-    return replace(scene, title=path.name, vertical=vertical), [f'{path}: {remark}' for remark in remarks]
+    notes = [*detections.notes, *([f'{len(faults)} messages left out; {faults[0]}'] if faults else [])]
+    return replace(scene, title=path.name, vertical=vertical), [f'{path}: {note}' for note in notes]
 
 
 def _build_bag_scene(
@@ -276,13 +276,13 @@ def _build_bag_scene(
     """Return the scene of recorded people, or of one; `drops` are stamps in ns and reasons.
 
     Raises:
-        InputError: nobody is in any message, or the skeletons' cameras are not valid.
+        InputError: no person is in any message, or the skeletons' cameras are not valid.
     """
     by_id, skeleton = recorded.by_id, recorded.skeleton
     if person_id is not None:
         by_id = {person_id: by_id[person_id]} if person_id in by_id else {}
     if not by_id:
-        wanted = 'nobody' if person_id is None else f'no person {person_id!r}'
+        wanted = 'no person' if person_id is None else f'no person {person_id!r}'
         raise InputError(f'{wanted} is in any message of skeletons')
     stamps = np.array(sorted({*detections.stamps_ns, *recorded.stamps_ns}))
     stamps = stamps[int(is_stamp_missing(stamps[0], stamps[-1])) :]

@@ -49,7 +49,7 @@ class OutputEncoder:
 
     def __init__(self) -> None:
         self._markers, self._names = MarkerEncoder(), FrameNames()
-        self._order: dict[str, int] = {}  # places of the people of the image before, by id
+        self._order: dict[str, int] = {}  # positions in the list of the image before, by id
 
     def encode(
         self,
@@ -92,7 +92,7 @@ class OutputEncoder:
     def _keep_order(self, people: Sequence[Person3D]) -> list[Person3D]:
         """Return the people in the order of the image before, new ones last; that of detectors changes."""
         ordered = sorted(people, key=lambda p: self._order.get(p.id, len(self._order)))
-        self._order = {person.id: place for place, person in enumerate(ordered)}
+        self._order = {person.id: number for number, person in enumerate(ordered)}
         return ordered
 
     def encode_clear(self, header: Header) -> tuple[OutputMessage, ...]:

@@ -64,7 +64,7 @@ class ReplayResult:
     """Summary of a replay."""
 
     counters: Counters  # numbers of keypoint messages by verdict
-    # Place of the first message that was not accepted, and the reason; empty if there is none
+    # Where the first message that was not accepted, and the reason; empty if there is none
     first_rejection: str
     # Number of inputs that the recorded run processed but that the bag lacks; the outputs after the first of these
     # may differ from those of the recorded run
@@ -75,7 +75,7 @@ class ReplayResult:
     swapped_frames: int = 0  # number of detections whose left and right were swapped back
     # What is to be said of accepted messages, in order of occurrence; of lines that differ in their numbers alone
     # the first
-    remarks: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def replay(
@@ -127,7 +127,7 @@ class _Replay:
         if camera_info is not None:
             self._inputs[camera_info] = Source.CAMERA_INFO
         self._run = read_run(bag)
-        self._remarks: dict[str, str] = {}  # by kind
+        self._notes: dict[str, str] = {}  # by kind
         self._repeats_parameters = options.config is None
         config = with_values(options.config or Config(), options.changes)
         self._recorder_config = config.recorder  # never that of the recorded run, whose disk was another
@@ -169,7 +169,7 @@ class _Replay:
             pipeline.config,
             self._appearances.list_all(),
             pipeline.swapped_frames,
-            tuple(self._remarks.values()),
+            tuple(self._notes.values()),
         )
 
     def _is_input(self, message: BagMessage) -> bool:
@@ -213,7 +213,7 @@ class _Replay:
         ]
         if changed:
             line = f'{path}: recorded by another version; without effect in this one: {", ".join(changed)}'
-            self._remarks.setdefault('constants', line)
+            self._notes.setdefault('constants', line)
         kept = {name: v for name, v in recorded.items() if name in known and name not in self._changes}
         shipped = {'tracker.model': (AUTO, *list_shipped_base_poses()), 'solver.prior': PRIORS}
         for name in shipped.keys() & kept.keys():
@@ -248,10 +248,10 @@ class _Replay:
     def _report(self, number: int, message: BagMessage, result: ProcessingResult) -> None:
         if result.outputs:
             self._appearances.add(result.outputs[-1].stamp_ns, self._pipeline.people)
-        place = f'{self._bag.path}: {message.topic}: input {number} of the bag: {result.reason}'
+        line = f'{self._bag.path}: {message.topic}: input {number} of the bag: {result.reason}'
         if result.verdict is not Verdict.ACCEPTED:
-            self._first_rejection = self._first_rejection or place
+            self._first_rejection = self._first_rejection or line
         elif result.reason:
-            self._remarks.setdefault(find_kind(result.reason), place)
+            self._notes.setdefault(find_kind(result.reason), line)
         if result.error_traceback:
             self._tracebacks.setdefault(result.reason, result.error_traceback)
