@@ -110,13 +110,6 @@ def test_a_person_seen_from_the_side_is_not_swapped(rng: np.random.Generator) ->
     assert not any(run_filter(SwapFilter(SIDES), points[:n]).is_swapped[-1].any() for n in range(1, FRAMES))
 
 
-def test_a_disabled_filter_believes_the_detector(walk: np.ndarray) -> None:
-    disturbed = swap(walk, swap_frames(np.array([20, 21, 22])))
-    disabled = run_filter(SwapFilter(SIDES, enabled=False), disturbed)
-    assert disabled.is_swapped.shape == (FRAMES, 3)
-    assert not disabled.is_swapped.any()
-
-
 @pytest.mark.parametrize('enabled', [True, False])
 def test_frames_that_are_dropped_leave_the_decisions_about_later_ones(walk: np.ndarray, enabled: bool) -> None:
     before = run_filter(SwapFilter(SIDES, enabled), swap(walk, swap_frames(np.array([5, 40, 41]))))

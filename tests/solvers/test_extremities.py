@@ -171,15 +171,6 @@ def test_unseen_parts_are_where_the_core_has_them_with_larger_deviations_and_fla
     assert nose @ np.cross(shoulders, [0, 0, 1]) > 0.9 * np.linalg.norm(nose[:2]) * np.linalg.norm(shoulders)
 
 
-def test_a_sequence_backwards_gives_the_same() -> None:
-    evidence = look_around(9).evidence
-    core, lifted, std, rays, weight = (a[::-1] for a in evidence[:5])
-    backwards = ExtremityEvidence(core, lifted, std, rays, weight, evidence.noise)
-    one, other = (smooth_extremities(TIMES, e, STATURE_M).offsets for e in (evidence, backwards))
-    far = np.linalg.norm(one - other[::-1], axis=-1)
-    assert np.median(far) < 0.003  # m; the core's limbs remember their turns in one direction of time only
-
-
 @settings(max_examples=20)
 @given(
     numbers=arrays(float, (3, 5, JOINTS, 3), elements=st.floats(-5, 5)),

@@ -17,7 +17,7 @@ from mocap_ros.config import SolverConfig
 from mocap_ros.errors import InputError
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15
-from mocap_ros.solvers import alternation, joint, periodic
+from mocap_ros.solvers import joint, periodic
 from mocap_ros.solvers.alternation import reconstruct
 from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.joint.objective import JointObjective
@@ -133,22 +133,6 @@ def test_objective_never_rises(
     assert np.isfinite(result.joints).all()
 
 
-def test_woodbury_solution_equals_the_dense_one(rng: np.random.Generator) -> None:
-    frames, k, bones = 5, 4, 3
-    a = rng.normal(size=(frames, 9, k))
-    coupling = rng.normal(size=(frames, k, bones))
-    strength = 0.3
-    blocks = np.swapaxes(a, -1, -2) @ a + frames * strength * coupling @ np.swapaxes(coupling, -1, -2)
-    gradient = rng.normal(size=(frames, k))
-    dense = np.zeros((frames * k, frames * k))
-    for f in range(frames):
-        dense[f * k : (f + 1) * k, f * k : (f + 1) * k] = blocks[f]
-    g = coupling.reshape(frames * k, bones)
-    dense -= strength * g @ g.T
-    x = alternation.solve_coupled_blocks(blocks, coupling, strength, gradient, damping=0.0)
-    assert x.ravel() == pytest.approx(np.linalg.solve(dense, gradient.ravel()), rel=1e-8)
-
-
 def test_a_hidden_limb_is_reconstructed(walk_model: BasePoses) -> None:
     theta, cameras, points, times = make_walk(walk_model)
     weight = np.ones(points.shape[:2])
@@ -157,15 +141,6 @@ def test_a_hidden_limb_is_reconstructed(walk_model: BasePoses) -> None:
     config = SolverConfig(components=4, prior_weight=1e-6)
     result = reconstruct(Window(points, weight, times), walk_model, config)
     assert compute_mpjpe(result, walk_model, theta, cameras) < 1.1 * 17.8  # mm, measured
-
-
-def test_frames_without_any_joint_have_poses_but_no_residual(walk_model: BasePoses) -> None:
-    _, _, points, times = make_walk(walk_model)
-    weight = np.ones(points.shape[:2])
-    weight[10:14] = 0
-    result = reconstruct(Window(points, weight, times), walk_model, SolverConfig(components=6))
-    assert np.isfinite(result.joints).all()
-    assert np.isnan(result.residual[10:14]).all()
 
 
 @pytest.mark.parametrize(('kept', 'seen', 'message'), [(39, 1, 'do not fit'), (40, 0, 'nothing to reconstruct')])

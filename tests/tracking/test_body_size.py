@@ -155,21 +155,6 @@ def test_the_floor_in_the_frame_of_the_outputs() -> None:
     assert [is_level(name) for name in names] == [True, True, False, False]
 
 
-@given(st.floats(0.5, 1.2), st.floats(0.8, 1.2))
-@settings(max_examples=20)
-def test_a_height_that_is_known_of_a_person_and_the_floor_are_weighed(ratio: float, known: float) -> None:
-    config = with_settings(Config(), {'tracker.body_heights': f'7=1.50, a=b={known * 1.7:.4f}'}).tracker
-    prior, others = (assume_size(config, i, is_focal_known=True) for i in ('a=b', '8'))
-    assert prior.ratio == pytest.approx(known, abs=1e-4)
-    assert others == assume_size(Config().tracker, is_focal_known=True)
-    assert prior.share < others.share
-    contact = contact_after(60, make_standing(ratio))
-    assert contact is not None
-    together = contact.find_size(prior)
-    assert min(ratio, known) - 1e-4 <= together.ratio <= max(ratio, known) + 1e-4
-    assert abs(together.ratio - known) <= abs(contact.find_size(BodySize(prior.ratio, 1.0)).ratio - known) + 1e-4
-
-
 def test_a_known_height_counts_from_when_the_detector_names_the_person() -> None:
     sequence = load_sequence(ROOT / 'mocap_ros' / 'demo' / 'demo.npz')
     people: list[list[Person3D]] = [[], []]

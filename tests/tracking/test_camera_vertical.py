@@ -91,17 +91,6 @@ def test_another_camera_or_a_restart_forgets_what_was_found_and_a_little_drift_d
     assert drifting.vertical is None
 
 
-def test_a_camera_may_also_change_while_the_image_is_empty() -> None:
-    tracker = make_tracker(forget_after=0.1)
-    feed(tracker, 0, 10)
-    for frame in range(10, 20):
-        tracker.update(round(frame * NS_PER_S / 30) + 1, [], CAMERA)
-    assert not tracker.tracks
-    assert tracker.vertical is not None
-    tracker.update(round(20 * NS_PER_S / 30) + 1, [], replace(CAMERA, focal=1.3 * CAMERA.focal))
-    assert tracker.vertical is None
-
-
 def test_a_given_vertical_stays_and_turns_people() -> None:
     tilted = make_tracker(vertical='0 -0.9397 -0.3420')  # the camera looks down by 20 degrees, which is not true
     plain = make_tracker(vertical='none')

@@ -64,22 +64,6 @@ def test_with_a_lag_velocities_are_those_of_the_smooth_solution_without_deviatio
     assert all(np.isnan(p.velocity_std).all() for p in people.values())
 
 
-def test_in_a_gap_the_velocity_is_that_of_the_prediction_and_less_certain() -> None:
-    gap = (FRAMES - 5, FRAMES - 1)
-    people = track_demo({}, [*range(gap[0]), FRAMES])
-    last, first = people[gap[0] - 1], people[gap[0]]
-    moved = (people[gap[1]].root - first.root) / ((gap[1] - gap[0]) * STEP_NS / 1e9)
-    np.testing.assert_allclose(first.root_velocity, moved, atol=0.5)  # the gait goes on about the root
-    for n, frame in enumerate(range(gap[0], FRAMES), 1):
-        person = people[frame]
-        assert person.predicted
-        assert person.unseen_for == pytest.approx(n * STEP_NS / 1e9, abs=1e-6)
-        assert (person.velocity_std > last.velocity_std).all()
-        assert np.trace(person.root_covariance) > np.trace(people[frame - 1].root_covariance)
-    assert people[FRAMES].unseen_for == 0
-    assert people[FRAMES].age == pytest.approx(FRAMES * STEP_NS / 1e9, abs=1e-6)
-
-
 def test_the_position_of_a_body_is_least_certain_along_the_line_of_sight() -> None:
     root, share, ratios = np.array([1.0, -0.5, 4.0]), 0.06, (1.0, 1.0, 0.7)
     sizes = [BodySize(ratio, share, focal) for ratio, focal in zip(ratios, (0.0, 0.2, 0.0), strict=True)]

@@ -100,21 +100,6 @@ def test_a_margin_keeps_the_choice_of_the_model(
     assert found is None or found.model_name == 'twin'
 
 
-def test_there_is_no_margin_within_a_model(
-    track: Track, checker: HypothesisChecker, walk_model: BasePoses, walk: Walk
-) -> None:
-    """A solution from scratch under the track's own model needs no margin to replace a wrong one."""
-    wrong = change(track, solution=turn_round(track.solved))
-    found = finish(checker.check(wrong, 'walk'))
-    frames = np.arange(FRAMES - 30, FRAMES)  # the newest second, which is checked
-    error = {
-        name: measure_error(solution.compute_joints(frames), walk_model, walk, frames)
-        for name, solution in (('wrong', wrong.solved), ('found', found), ('right', track.solved))
-    }
-    assert error['wrong'] > 150
-    assert error['found'] < error['right'] + 15
-
-
 def test_the_tracker_finds_back_to_the_right_solution(walk_model: BasePoses, walk: Walk) -> None:
     """A wrong solution is given to a person; checks replace it within a second."""
     injected = track_walk({'jump': load_base_poses('jump'), 'walk': walk_model}, CONFIG, walk[2][:FRAMES])

@@ -91,19 +91,6 @@ def test_swapped_sides_are_put_right_and_later_frames_may_change_the_decision(po
         assert track.schedule.next_check_ns == (frame * STEP_NS if is_relabelled else 10**12)
 
 
-def test_lifted_poses_before_the_first_frame_with_another_decision_are_kept(points: Array) -> None:
-    track = make_track(points[:10])
-    lifted = LiftedPoses(np.arange(10 * 45.0).reshape(10, 15, 3), np.ones((10, 15, 3)))
-    is_swapped = track.swap_filter.is_swapped.copy()
-    assert not is_swapped.any()
-    is_swapped[[6, 8], 1] = True  # decisions that the next frame changes
-    track.swap_filter = replace(track.swap_filter, is_swapped=is_swapped)
-    track.observed = replace(track.observed, lifted=lifted)
-    track.add_frame(10 * STEP_NS, make_detection(points[10]), window_s=8 * STEP_NS / 1e9)
-    assert track.observed.lifted is not None
-    np.testing.assert_array_equal(track.observed.lifted.joints, lifted.joints[2:6])
-
-
 @pytest.mark.parametrize('lens', [Distortion(), Distortion('plumb_bob', (-0.1, 0.02, 0.001, -0.001, 0.0))])
 def test_a_change_of_the_camera_keeps_the_image(points: Array, lens: Distortion) -> None:
     track = change(make_track(points), solution=make_solution(FRAMES))
@@ -121,22 +108,6 @@ def test_a_change_of_the_camera_keeps_the_image(points: Array, lens: Distortion)
     assert back.rays == pytest.approx(track.rays, abs=1e-9)
     assert back.observed.virtual_camera.rotation == pytest.approx(track.observed.virtual_camera.rotation, abs=1e-9)
     assert back.solved.roots == pytest.approx(track.solved.roots, abs=1e-7)
-
-
-def test_after_a_change_of_the_camera_left_and_right_are_where_they_were(points: Array) -> None:
-    aside = points + [180.0, 0.0]
-    other = Intrinsics(300.0, (320.0, 240.0), is_focal_known=True)
-    track = make_track(aside[:6])
-    known = track.swap_filter.paths
-    assert known is not None
-    track.change_camera(other, focal=300.0)
-    changed = track.swap_filter.paths
-    assert changed is not None
-    assert changed.points == pytest.approx(known.points * 500 / 300)
-    assert changed.velocity == pytest.approx(known.velocity * 500 / 300, abs=1e-9)
-    for frame in range(6, FRAMES):
-        track.add_frame(frame * STEP_NS, make_detection(aside[frame], camera=other), window_s=2.0)
-    assert not track.swap_filter.is_swapped.any()
 
 
 def test_the_best_seen_frame_of_each_step_is_selected(points: Array) -> None:

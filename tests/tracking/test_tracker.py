@@ -3,7 +3,6 @@
 
 """Tests of the tracker: people who come and go, stamps out of order, and equal output for equal input."""
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import fields
 
@@ -114,29 +113,6 @@ def test_a_large_backward_jump_of_stamps_restarts_the_tracker(
         assert tracker.backward_jump_s == pytest.approx(0 if frame else restart_after)
 
 
-@pytest.mark.parametrize(
-    ('values', 'solved_again'),
-    [
-        ({'tracker.refine_seconds': 0.1}, 3),
-        ({'tracker.refine_seconds': 0.3}, 9),
-        ({'tracker.refine_seconds': 0.1, 'tracker.lag': 0.2}, 6),
-    ],
-)
-def test_the_newest_part_of_the_window_is_solved_again(
-    walk_model: BasePoses, walk: Walk, values: dict[str, object], solved_again: int
-) -> None:
-    _, _, points, _ = walk
-    tracker = Tracker(walk_model, with_settings(CONFIG, values))
-    before, counts = np.zeros((0, 1)), []
-    for frame in range(len(points)):
-        tracker.update(frame * STEP_NS, people(points, frame), CAMERA)
-        (track,) = tracker.tracks
-        now = track.solved.theta[:, :1]
-        counts.append(int((now[: len(before)] != before).sum()))
-        before = now
-    assert Counter(counts[15:]).most_common(1)[0][0] == solved_again, 'apart from frames with a hypothesis check'
-
-
 def test_lost_people_are_predicted_and_later_forgotten(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, with_settings(CONFIG, {'tracker.predict_for': 0.2}))
@@ -239,18 +215,6 @@ def test_an_id_given_to_another_person_hides_no_frame_that_waits(walk_model: Bas
     assert all((x > 2000) == (frame >= 30) for frame, x in shown_x.items())
 
 
-def test_with_a_lag_the_residual_is_that_of_the_frame_that_is_output(walk_model: BasePoses, walk: Walk) -> None:
-    _, _, points, _ = walk
-    points[20] += np.random.default_rng(0).normal(size=(15, 2)) * 12  # px
-    tracker = Tracker(walk_model, with_settings(CONFIG, {'tracker.lag': 0.5}))
-    residuals = {}
-    for frame in range(40):
-        for person in tracker.update(frame * STEP_NS, people(points, frame), CAMERA):
-            residuals[tracker.output_stamp_ns // STEP_NS] = person.residual
-    assert max(residuals, key=residuals.__getitem__) == 20
-    assert residuals[20] > 1.5 * max(r for frame, r in residuals.items() if abs(frame - 20) > 1)
-
-
 @pytest.mark.parametrize('lens', [Distortion(), Distortion('plumb_bob', (-0.2, 0.05, 0.001, -0.002, 0.0))])
 def test_a_person_near_the_camera_and_off_its_axis_is_located(walk_model: BasePoses, lens: Distortion) -> None:
     theta, cameras, _, _ = make_walk(walk_model, frames=45)
@@ -339,17 +303,6 @@ def test_a_walk_is_classified_as_periodic_and_a_jump_is_not() -> None:
     assert (walk.kind, walk.category) == (MotionKind.PERIODIC, 'walk')
     assert walk.cadence == pytest.approx(0.9, abs=1.1 * 0.029)  # Hz; measured: 0.871 and 0.874
     assert jump.kind is MotionKind.NON_PERIODIC
-
-
-def test_a_known_id_far_away_belongs_to_another_person(walk_model: BasePoses, walk: Walk) -> None:
-    _, _, points, _ = walk
-    alone = with_settings(CONFIG, {'tracker.vertical': 'none'})  # else the second person has it of the first
-    tracker, fresh = Tracker(walk_model, alone), Tracker(walk_model, alone)
-    for frame in range(10):
-        tracker.update(frame * STEP_NS, people(points, frame, ['a']), CAMERA)
-    distant = people(points + 4000, 10, ['a'])
-    (person, first) = (t.update(10 * STEP_NS, distant, CAMERA)[0] for t in (tracker, fresh))
-    assert (person.id, person.joints.tolist()) == ('a', first.joints.tolist())
 
 
 @pytest.mark.parametrize(

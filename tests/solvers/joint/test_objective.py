@@ -174,28 +174,6 @@ def test_a_step_solves_the_damped_equations(walk_model: BasePoses, rng: np.rando
         np.testing.assert_allclose(getattr(found, name), getattr(moved, name), atol=1e-9)
 
 
-def test_first_base_poses_alone_are_all_of_them_with_the_others_at_zero(
-    walk_model: BasePoses, rng: np.random.Generator
-) -> None:
-    objective, state = make_objective(walk_model, rng)
-    state = state._replace(theta=np.where(np.arange(COMPONENTS) < 3, state.theta, 0.0))
-    few = objective.truncate(3).compile(state._replace(theta=state.theta[:, :3]))
-    np.testing.assert_allclose(few.cost, objective.compile(state).cost, rtol=1e-12)
-
-
-def test_interpolation_between_selected_frames(walk_model: BasePoses, rng: np.random.Generator) -> None:
-    objective, state = make_objective(walk_model, rng)
-    batch = objective.batch
-    frames = np.array([0, 6, 8, 11])
-    found = batch.interpolate(state.select(frames), frames)
-    for values, expected in zip(found.select(frames), state.select(frames), strict=True):
-        np.testing.assert_allclose(values, expected, atol=1e-12)
-    share = (batch.times[2] - batch.times[0]) / (batch.times[6] - batch.times[0])
-    expected = state.theta[0] + share * (state.theta[6] - state.theta[0])
-    np.testing.assert_allclose(found.theta[2], expected)
-    np.testing.assert_allclose(found.theta[7], state.theta[8])
-
-
 def test_the_limit_of_accelerations_gives_way_to_fast_motion_and_holds_under_noise() -> None:
     change = np.array([[1.0, -2.0, 1.0]])
     for noise_ratio, limit in ((1.0, 3.0), (0.5, 1.5), (1.5, 4.5), (20.0, 3 * MAX_NOISE_RATIO)):
