@@ -65,10 +65,15 @@ LIVE = (
 )
 
 
+def load_demo() -> dict[str, Any]:
+    """Return the arrays of the demo without its camera, so that the nominal focal length is assumed."""
+    with np.load(DEMO) as archive:
+        return {key: archive[key] for key in archive if key != 'camera_matrix'}
+
+
 def list_views() -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield the names and the arrays of the recordings and of the protocol's views."""
-    with np.load(DEMO) as archive:
-        yield 'demo', dict(archive)
+    yield 'demo', load_demo()
     for detector, camera in RECORDINGS:
         yield f'recording_{detector}_{camera}', common.load_recording(detector, camera).sequence
     protocol, names = common.load_protocol(), load_motion()[1]
@@ -122,9 +127,10 @@ def run_live(name: str, sequences: Sequence[mocap_ros.KeypointSequence]) -> Numb
 def run_replay() -> Numbers:
     """Replay a bag of the demo's keypoints by the commands, and read what it publishes of people."""
     with tempfile.TemporaryDirectory() as folder:
-        bag, replayed = Path(folder) / 'bag.mcap', Path(folder) / 'replayed'
+        demo, bag, replayed = (Path(folder) / name for name in ('demo.npz', 'bag.mcap', 'replayed'))
+        np.savez(demo, **load_demo())
         program = [sys.executable, '-c', 'import sys; from mocap_ros.cli.main import main; sys.exit(main())']
-        for arguments in (['reconstruct', DEMO, '-o', bag], ['replay', bag, '-o', replayed]):
+        for arguments in (['reconstruct', demo, '-o', bag], ['replay', bag, '-o', replayed]):
             subprocess.run([*program, *map(str, arguments)], check=True, stdout=subprocess.DEVNULL)
         columns: dict[str, list[float]] = {}
         with AnyReader([replayed]) as reader:

@@ -86,7 +86,8 @@ def list_demo() -> list[list[str]]:
     """Return the rows of the demo: frame by frame, as the node does it, and as a whole."""
     sequence = mocap_ros.read(str(files('mocap_ros') / 'demo' / 'demo.npz'))
     assert sequence.truth is not None
-    tracker = mocap_ros.Tracker(sequence.joint_names, image_size=sequence.image_size)
+    size, camera = sequence.image_size, sequence.camera_matrix
+    tracker = mocap_ros.Tracker(sequence.joint_names, image_size=size, camera_matrix=camera)
     joints = np.full((len(sequence), len(BODY26.joints), 3), np.nan)
     for frame, (time_s, keypoints) in enumerate(zip(sequence.timestamps, sequence.keypoints, strict=True)):
         for person in tracker.update(float(time_s), [keypoints]):

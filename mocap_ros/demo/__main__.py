@@ -53,5 +53,5 @@ def _path_of(name: str) -> Path:
 if __name__ == '__main__':
     for argument in sys.argv[1:2]:
         learn_motions(Path(argument))
-    save_sequence(_path_of('demo.npz'), scene.make_recording().sequence())
+    save_sequence(_path_of('demo.npz'), scene.make_recording().sequence(is_calibrated=True))
     print(f'made {_path_of("demo.npz")}')

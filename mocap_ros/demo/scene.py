@@ -26,6 +26,9 @@ Array = NDArray[np.float64]
 
 IMAGE_SIZE = (640, 480)  # px, width and height of a common USB camera
 FOCAL_LENGTH_PX = 600.0  # px, a horizontal field of view of 56 degrees, as common USB cameras have
+CAMERA_MATRIX = np.array(
+    [[FOCAL_LENGTH_PX, 0, IMAGE_SIZE[0] / 2], [0, FOCAL_LENGTH_PX, IMAGE_SIZE[1] / 2], [0, 0, 1]]
+)
 CAMERA_HEIGHT_M = 1.3  # m, height of a robot's head above the ground
 CIRCLE_RADIUS_M = 2.8  # m, radius of the path, so that the person is seen from all sides
 CIRCLE_DISTANCE_M = 6.5  # m, from the camera to the centre of the path, so that the whole body is in the image
@@ -72,13 +75,14 @@ class Recording:
     timestamps: Array
     truth: Array
 
-    def sequence(self) -> KeypointSequence:
-        """Return the content of a sequence file, without the camera's intrinsics, which users often lack too."""
+    def sequence(self, *, is_calibrated: bool = False) -> KeypointSequence:
+        """Return the content of a sequence file; users often lack the camera's intrinsics."""
         return KeypointSequence(
             keypoints=self.keypoints,
             joint_names=keypoint_layout('coco17').joints,
             timestamps=self.timestamps,
             image_size=IMAGE_SIZE,
+            camera_matrix=CAMERA_MATRIX if is_calibrated else None,
             truth=GroundTruth(self.truth, CMU15.joints),
         )
 

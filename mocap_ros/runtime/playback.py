@@ -14,6 +14,7 @@ from rosbags.interfaces import Qos
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.topics import Source, find_people_topics
 from mocap_ros.formats.sequence_file import KeypointSequence
+from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, encode_camera_info
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.runtime.load_keypoints import load_sequence_file
@@ -60,7 +61,8 @@ class PlayedTopic(NamedTuple):
 class Playback:
     """The messages of a bag or a sequence file that are to be published; it can be iterated repeatedly.
 
-    By default these are the keypoints and the CameraInfo that belongs to them, published on `camera_info`.
+    By default these are the keypoints and the CameraInfo that belongs to them, published on `camera_info`. A
+    sequence file has one if it states its camera.
 
     Args:
         path: bag, or sequence file (.npz).
@@ -88,8 +90,11 @@ class Playback:
         self._path = path
         self._is_sequence = path.suffix == '.npz'
         if self._is_sequence:
+            sequence = load_sequence_file(path)
             self.topics = [PlayedTopic(to, KEYPOINTS)]
-            self.count = len(load_sequence_file(path))
+            if sequence.is_camera_known:
+                self.topics.append(PlayedTopic(CAMERA_INFO_TOPIC, CAMERA_INFO))
+            self.count = len(sequence) * len(self.topics)
             return
         with Bag(path) as bag:
             published_names: dict[str, str] = {}  # by recorded name
@@ -108,7 +113,12 @@ class Playback:
 
     def __iter__(self) -> Iterator[PlaybackMessage]:
         if self._is_sequence:
-            for frame in encode_sequence(load_sequence_file(self._path)):
+            sequence = load_sequence_file(self._path)
+            camera = CameraInfo(sequence.image_size, sequence.intrinsics(1.0))
+            for frame in encode_sequence(sequence):
+                if sequence.is_camera_known:
+                    raw = encode_camera_info(Header(frame.stamp_ns, DEFAULT_FRAME_ID), camera)
+                    yield PlaybackMessage(frame.stamp_ns, raw, 1)
                 yield PlaybackMessage(frame.stamp_ns, frame.raw, 0)
             return
         index = {t.recorded: i for i, t in enumerate(self.topics)}

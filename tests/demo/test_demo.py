@@ -56,7 +56,7 @@ def test_a_domain_is_given_away_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_truth_and_the_person_are_in_the_frames_of_the_sequence(tmp_path: Path) -> None:
-    sequence = make_recording().sequence()
+    sequence = make_recording().sequence(is_calibrated=True)
     assert sequence.truth is not None
     with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
         for frame, raw in enumerate(encode_demo_frames(FRAMES)):
@@ -75,9 +75,10 @@ def test_the_truth_and_the_person_are_in_the_frames_of_the_sequence(tmp_path: Pa
 
 def test_the_shipped_recording_is_the_generated_one(tmp_path: Path) -> None:
     shipped = load_sequence(ROOT / 'mocap_ros' / 'demo' / 'demo.npz')
-    save_sequence(tmp_path / 'demo.npz', make_recording().sequence())
+    save_sequence(tmp_path / 'demo.npz', make_recording().sequence(is_calibrated=True))
     made = load_sequence(tmp_path / 'demo.npz')
     assert shipped.keypoints == pytest.approx(made.keypoints, abs=1e-3, nan_ok=True)
+    assert shipped.camera_matrix == pytest.approx(made.camera_matrix)
     assert shipped.truth is not None
     assert made.truth is not None
     assert shipped.truth.joints == pytest.approx(made.truth.joints, abs=1e-5)

@@ -14,7 +14,7 @@ from mocap_ros.bags.topics import list_input_types
 from mocap_ros.config import RecorderConfig
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.formats.sequence_file import save_sequence
-from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION
@@ -69,10 +69,16 @@ def test_bodies_of_ros4hri_keep_their_topics(tmp_path: Path) -> None:
     assert {m.raw for m in playback} == {raw for _, raw, _ in inputs}
 
 
-def test_a_sequence_file_is_played_at_its_stamps(tmp_path: Path) -> None:
-    sequence = make_recording().sequence()
+@pytest.mark.parametrize('is_calibrated', [False, True])
+def test_a_sequence_file_is_played_at_its_stamps(tmp_path: Path, is_calibrated: bool) -> None:
+    sequence = make_recording().sequence(is_calibrated=is_calibrated)
     save_sequence(tmp_path / 'demo.npz', sequence)
     playback = Playback(tmp_path / 'demo.npz')
-    assert [(t.name, t.type) for t in playback.topics] == [('keypoints', KEYPOINTS)]
-    assert playback.count == len(sequence)
-    assert [(m.due_ns, m.raw) for m in playback] == [(f.stamp_ns, f.raw) for f in encode_sequence(sequence)]
+    topics = [('keypoints', KEYPOINTS), ('camera_info', CAMERA_INFO)][: 1 + is_calibrated]
+    assert [(t.name, t.type) for t in playback.topics] == topics
+    messages = [*playback]
+    assert playback.count == len(messages) == len(sequence) * len(topics)
+    keypoints = [(m.due_ns, m.raw) for m in messages if m.topic == 0]
+    assert keypoints == [(f.stamp_ns, f.raw) for f in encode_sequence(sequence)]
+    for message in messages[:is_calibrated]:  # before the first keypoints
+        assert decode_camera_info(message.raw).intrinsics.focal_lengths == pytest.approx([600.0, 600.0])

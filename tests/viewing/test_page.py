@@ -24,9 +24,10 @@ from mocap_ros.viewing.page import NOT_A_NUMBER, UNKNOWN_STD, build_page
 from mocap_ros.viewing.scene import Scene
 from tests.support.browser import count_colours, open_browser, write_and_open
 from tests.support.paths import ROOT
-from tests.support.scenes import make_scene
+from tests.support.scenes import make_scene, make_scene_person
 
 TIMEOUT_S = 60.0  # s; a busy machine draws a picture a second
+TELEPHONE = {'width': 390, 'height': 844}  # px
 FILES = ROOT / 'mocap_ros' / 'viewing' / 'page_files'
 
 
@@ -118,22 +119,28 @@ def test_the_bundle_is_the_one_that_the_lock_file_makes() -> None:
     )
 
 
+def open_scene(page: Any, path: Path, scene: Scene) -> None:
+    write_and_open(page, path, build_page(scene))
+    page.wait_for_selector('body[data-ready]')
+
+
 def test_chromium_draws_the_page(scene: Scene, tmp_path: Path) -> None:
     with open_browser() as page:
-        write_and_open(page, tmp_path / 'page.html', build_page(scene))
-        page.wait_for_selector('body[data-ready]')
+        open_scene(page, tmp_path / 'page.html', scene)
         assert page.title() == scene.title
+        before = page.evaluate('mocapPage.pictures()')
+        deadline = time.monotonic() + TIMEOUT_S
+        # It plays at once. Playwright's own wait needs eval, which the page forbids
+        while page.evaluate('mocapPage.pictures()') < before + 3:
+            assert time.monotonic() < deadline
+            page.wait_for_timeout(50)
         first, unsure, last = (page.evaluate(f'mocapPage.showTime({time})') for time in scene.times[[0, 4, -1]])
         picture = page.screenshot(path=tmp_path / 'page.png')
         image = page.locator('#image-view').screenshot()
         curves = page.locator('#curves-view').screenshot()
-        page.evaluate('mocapPage.play()')
-        before = page.evaluate('mocapPage.pictures()')
-        deadline = time.monotonic() + TIMEOUT_S
-        # Playwright's own wait needs eval, which the page forbids
-        while page.evaluate('mocapPage.pictures()') < before + 3:
-            assert time.monotonic() < deadline
-            page.wait_for_timeout(50)
+        page.set_viewport_size(TELEPHONE)
+        fits = page.evaluate('document.documentElement.scrollWidth <= innerWidth')
+        boxes = [page.locator(place).bounding_box() for place in ('#space', '#image', '#curves', 'footer')]
     assert first['frame'] == 0
     assert [person['id'] for person in first['people']] == ['anna']
     assert (first['jointsDrawn'], first['bonesDrawn'], first['cloudsDrawn']) == (15, 14, 15)
@@ -146,6 +153,36 @@ def test_chromium_draws_the_page(scene: Scene, tmp_path: Path) -> None:
     assert count_colours(picture) > 100
     assert count_colours(image) > 10
     assert count_colours(curves) > 10
+    assert fits
+    assert all(box['width'] > 300 and box['height'] > 20 for box in boxes)
+
+
+def test_the_view_jumps_skipped_frames_do_not_flicker_and_names_stand_apart(
+    tmp_path: Path,
+) -> None:
+    """Six people close together, who walk 6 m aside at 1 s and are missing in every fourth frame."""
+    frames = np.array([frame for frame in range(60) if frame % 4])
+    people = [make_scene_person(f'walker_{i}', frames, (0.1 * i, 0, 4 + 0.1 * i)) for i in range(6)]
+    for person in people:
+        person.joints[frames >= 30, :, 0] += 6
+    crowd = replace(make_scene(60), people=tuple(people), keypoints=(), marks=())
+    with open_browser() as page:
+        open_scene(page, tmp_path / 'page.html', crowd)
+        shown = [page.evaluate(f'mocapPage.showTime({time})') for time in (0.1, 1.9, crowd.times[8])]
+        page.evaluate("document.getElementById('time').value = 5")
+        page.locator('#time').dispatch_event('input')
+        page.wait_for_timeout(200)
+        target = page.evaluate('mocapPage.target()')
+        labels = page.locator('#names span:visible')
+        boxes = [labels.nth(i).bounding_box() for i in range(labels.count())]
+    assert shown[1]['target'][0] - shown[0]['target'][0] == pytest.approx(6, abs=0.3)
+    assert target == pytest.approx(shown[0]['target'], abs=0.3)  # it is back at once
+    assert shown[2]['jointsDrawn'] == 6 * 15  # in a frame that was skipped
+    assert len(boxes) == 6
+    for i, box in enumerate(boxes):
+        for other in boxes[:i]:
+            apart_x = abs(box['x'] - other['x']) >= min(box['width'], other['width']) - 6
+            assert apart_x or abs(box['y'] - other['y']) >= 12
 
 
 def test_what_is_not_known_of_any_person_has_no_row_and_a_tilted_camera_leaves_people_upright(
@@ -163,8 +200,7 @@ def test_what_is_not_known_of_any_person_has_no_row_and_a_tilted_camera_leaves_p
         scene, people=(plain,), keypoints=(), marks=(), vertical=turn @ [0.0, -1.0, 0.0], intrinsics=camera
     )
     with open_browser() as page:
-        write_and_open(page, tmp_path / 'page.html', build_page(tilted))
-        page.wait_for_selector('body[data-ready]')
+        open_scene(page, tmp_path / 'page.html', tilted)
         shown = page.evaluate('mocapPage.showTime(0)')
         assert not page.is_visible('#clouds')
         assert 'nominal focal length' in page.inner_text('#image-caption')

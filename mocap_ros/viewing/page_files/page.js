@@ -14,7 +14,11 @@
   const BODY_RADIUS_M = 0.9; // m; of the sphere that holds a person, for the distance of the view
   const MAX_RATIO = 2; // canvas pixels per CSS pixel; more is not seen and takes time
   const MIN_RATIO = 0.5; // canvas pixels per CSS pixel; less is too coarse to read
-  const GAP_S = 0.2; // s; over a longer time without a frame of a person, curves are interrupted
+  const GAP_S = 0.2; // s; a person who is missing for less stays where they were, and for longer interrupts the curves
+  const FOLLOW_S = 0.15; // s; time constant with which the view follows people who move
+  const JUMP_S = 0.5; // s; after a larger step in time the view is at once where the people are
+  const SETTLED_M = 1e-3; // m; a view that is nearer to the people than this stands still
+  const NAME_STEPS = 8; // heights of a line by which a name moves up at most, out of the way of others
   const SLOW_FRAME_MS = 30; // ms; a slower picture lowers the resolution, so that 30 pictures a second remain
   const MOTION_NAMES = ['unknown', 'periodic', 'not periodic'];
   const MOTION_COLOURS = ['#dddddd', '#8fbf8f', '#b9a3d0'];
@@ -64,12 +68,21 @@
     scene.frameCount = ticks.length;
     for (const person of scene.people) {
       Object.assign(person, unpackAll(bytes, person.arrays));
-      person.rowOfFrame = new Int32Array(scene.frameCount).fill(-1);
-      person.frames.forEach((frame, row) => { person.rowOfFrame[frame] = row; });
+      person.rowOfFrame = findRows(scene.seconds, person.frames);
     }
     for (const input of scene.keypoints) Object.assign(input, unpackAll(bytes, input.arrays));
     if (scene.truth) Object.assign(scene.truth, unpackAll(bytes, scene.truth.arrays));
     return scene;
+  }
+
+  // The row of a person in each frame, -1 where there is none. In frames that the tracker skipped it is the one before.
+  function findRows(seconds, frames) {
+    const rows = new Int32Array(seconds.length).fill(-1);
+    frames.forEach((frame, row) => {
+      const next = row + 1 < frames.length ? frames[row + 1] : frame;
+      rows.fill(row, frame, seconds[next] - seconds[frame] < GAP_S ? Math.max(next, frame + 1) : frame + 1);
+    });
+    return rows;
   }
 
   // The index of the last value that is not above `value`, in increasing values.
@@ -277,11 +290,16 @@
       return this.toSpace(new THREE.Vector3(...at));
     }
 
-    follow() {
-      if (!$('follow').checked || !this.hasMean || this.isAtCamera) return;
-      const shift = this.target().sub(this.controls.target).multiplyScalar(0.2);
+    // Move the view towards the people, wholly where `elapsed` (s) is infinite; return whether it has arrived.
+    follow(elapsed) {
+      if (!$('follow').checked || !this.hasMean || this.isAtCamera) return true;
+      const shift = this.target().sub(this.controls.target);
+      const distance = shift.length();
+      const share = distance < SETTLED_M ? 1 : 1 - Math.exp(-elapsed / FOLLOW_S);
+      shift.multiplyScalar(share);
       this.controls.target.add(shift);
       this.camera.position.add(shift);
+      return distance * (1 - share) < SETTLED_M;
     }
 
     choose(view) {
@@ -326,28 +344,45 @@
     drawNames(frame) {
       const { people, joints } = this.scene;
       const wanted = [];
+      const want = (text, person, row, joint, above, kind) => {
+        if (!this.isKnown(person, row, joint)) return;
+        const at = this.toSpace(this.jointOf(person, row, joint, this.points[0]));
+        at.setY(at.y + above).project(this.camera);
+        const [x, y] = [(at.x + 1) / 2 * this.canvas.clientWidth, (1 - at.y) / 2 * this.canvas.clientHeight];
+        if (at.z <= 1) wanted.push({ text, kind, x, y, depth: at.z, colour: kind ? '' : person.colour });
+      };
       for (const person of people) {
         const row = person.rowOfFrame[frame];
         if (row < 0) continue;
-        if (people.length > 1) wanted.push([person.id, row, person, 0, 0.22, '']);
-        if ($('joint-names').checked) {
-          joints.forEach((name, joint) => wanted.push([name, row, person, joint, 0, 'joint']));
-        }
+        if (people.length > 1) want(person.id, person, row, 0, 0.22, '');
+        if ($('joint-names').checked) joints.forEach((name, joint) => want(name, person, row, joint, 0, 'joint'));
+      }
+      // The nearest keep their places; the others go up to where they are free, and joint names go.
+      wanted.sort((a, b) => Boolean(a.kind) - Boolean(b.kind) || a.depth - b.depth);
+      const placed = [];
+      for (const label of wanted) {
+        const height = label.kind ? 11 : 15;
+        const width = label.text.length * (label.kind ? 6 : 7.5);
+        const left = label.kind ? label.x : label.x - width / 2;
+        const isTaken = (y) => placed.some((other) => left < other.left + other.width && other.left < left + width
+          && y < other.y + other.height && other.y < y + height);
+        let steps = 0;
+        while (steps <= NAME_STEPS && isTaken(label.y - steps * height)) steps++;
+        label.isFree = steps <= (label.kind ? 0 : NAME_STEPS);
+        label.y -= steps * height;
+        if (label.isFree) placed.push({ left, width, height, y: label.y });
       }
       const box = $('names');
       while (this.labels.length < wanted.length) this.labels.push(box.appendChild(document.createElement('span')));
       this.labels.forEach((label, i) => {
-        label.hidden = i >= wanted.length;
+        label.hidden = !wanted[i]?.isFree;
         if (label.hidden) return;
-        const [text, row, person, joint, above, kind] = wanted[i];
-        const at = this.toSpace(this.jointOf(person, row, joint, this.points[0]));
-        at.setY(at.y + above).project(this.camera);
-        label.hidden = at.z > 1 || !this.isKnown(person, row, joint);
+        const { text, kind, x, y, colour } = wanted[i];
         label.textContent = text;
         label.className = kind;
-        label.style.color = kind ? '' : person.colour;
-        label.style.left = `${(at.x + 1) / 2 * this.canvas.clientWidth}px`;
-        label.style.top = `${(1 - at.y) / 2 * this.canvas.clientHeight}px`;
+        label.style.color = colour;
+        label.style.left = `${x}px`;
+        label.style.top = `${y}px`;
       });
     }
   }
@@ -380,10 +415,11 @@
       const { context, scene } = this;
       const { clientWidth: width, clientHeight: height } = this.canvas;
       const [imageWidth, imageHeight] = scene.camera.imageSize;
-      const scale = Math.min(width / imageWidth, (height - 20) / imageHeight);
+      const scale = Math.min(width / imageWidth, height / imageHeight);
+      const dot = Math.min(Math.max(4 * scale, 1.2), 3); // px
       context.clearRect(0, 0, width, height);
       const x0 = (width - imageWidth * scale) / 2;
-      const y0 = (height - 20 - imageHeight * scale) / 2;
+      const y0 = (height - imageHeight * scale) / 2;
       context.fillStyle = '#ffffff';
       context.fillRect(x0, y0, imageWidth * scale, imageHeight * scale);
       const step = scene.pixelPerStep * scale;
@@ -393,11 +429,7 @@
         context.moveTo(x0 + points[i] * step, y0 + points[i + 1] * step);
         context.lineTo(x0 + points[j] * step, y0 + points[j + 1] * step);
       };
-      context.save();
-      context.beginPath();
-      context.rect(0, 0, width, height - 18);
-      context.clip();
-      context.lineWidth = 3;
+      context.lineWidth = dot;
       for (const person of scene.people) {
         const row = person.rowOfFrame[frame];
         if (row < 0) continue;
@@ -413,11 +445,11 @@
           if (!(person.inferred[row] >> joint & 1) || person.image[i] === NOT_A_NUMBER) continue;
           context.fillStyle = scene.inferredColour;
           context.beginPath();
-          context.arc(x0 + person.image[i] * step, y0 + person.image[i + 1] * step, 4, 0, 2 * Math.PI);
+          context.arc(x0 + person.image[i] * step, y0 + person.image[i + 1] * step, dot, 0, 2 * Math.PI);
           context.fill();
         }
       }
-      context.lineWidth = 1;
+      context.lineWidth = dot / 3;
       context.strokeStyle = '#000000';
       context.fillStyle = '#000000';
       for (const input of scene.keypoints) {
@@ -430,12 +462,12 @@
           for (let joint = 0; joint < joints; joint++) {
             const i = at + 2 * joint;
             if (input.points[i] === NOT_A_NUMBER) continue;
-            context.fillRect(x0 + input.points[i] * step - 1.5, y0 + input.points[i + 1] * step - 1.5, 3, 3);
+            context.fillRect(x0 + input.points[i] * step - dot / 2, y0 + input.points[i + 1] * step - dot / 2, dot, dot);
           }
         }
       }
-      context.restore();
       context.strokeStyle = '#999999';
+      context.lineWidth = 1;
       context.strokeRect(x0, y0, imageWidth * scale, imageHeight * scale);
     }
   }
@@ -620,6 +652,7 @@
     let isStale = true;
     let before = 0;
     let slowFrames = 0;
+    let hasJumped = true; // whether the view goes at once to where the people are
     const refresh = () => { isStale = true; };
     let space;
     try {
@@ -629,6 +662,7 @@
     }
     const image = new ImageView(scene);
     const goTo = (time) => {
+      if (Math.abs(time - seconds) > JUMP_S) hasJumped = true;
       seconds = Math.min(Math.max(time, 0), scene.seconds[scene.frameCount - 1]);
       frame = Math.max(findLast(scene.seconds, seconds + 1e-6), 0);
       isStale = true;
@@ -650,7 +684,7 @@
       image.update(frame);
       curves.update(seconds);
       $('time').value = frame;
-      $('clock').textContent = `${seconds.toFixed(2)} s, frame ${frame} of ${scene.frameCount}`;
+      $('clock').textContent = `${seconds.toFixed(2)} s (${frame + 1} / ${scene.frameCount})`;
     };
     const setPlaying = (value) => {
       isPlaying = value;
@@ -668,9 +702,9 @@
         if (slowFrames > 10) { space.lowerResolution(); slowFrames = 0; }
       }
       if (isStale) {
-        isStale = false;
         show();
-        space.follow();
+        isStale = !space.follow(hasJumped ? Infinity : elapsed / 1000);
+        hasJumped = false;
         space.draw(frame);
         pictures++;
       }
@@ -706,11 +740,13 @@
       view: (name) => { space.choose(name); refresh(); },
       pictures: () => pictures,
       pixelRatio: () => space.ratio,
+      target: () => space.controls.target.toArray(),
       // Draw the frame at this time at once; return what was drawn.
       showTime: (time) => {
+        setPlaying(false);
         goTo(time);
         show();
-        for (let i = 0; i < 40; i++) space.follow();
+        space.follow(Infinity);
         space.controls.update();
         space.draw(frame);
         return {
@@ -723,6 +759,7 @@
           }),
           jointsDrawn: space.joints.count,
           bonesDrawn: space.bones.count,
+          target: window.mocapPage.target(),
           rows: [...curves.curves.map(([name]) => name), ...curves.lanes],
           // Place of each joint over the floor in the frame in which y is up, m.
           heights: scene.people.flatMap((person) => {
@@ -736,7 +773,7 @@
       },
     };
     document.body.dataset.ready = 'true';
-    if (location.hash === '#play') setPlaying(true);
+    if (location.hash !== '#pause') setPlaying(true);
   }
 
   start().catch((error) => fail(`The page cannot be shown: ${error.message}`));
