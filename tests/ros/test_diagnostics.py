@@ -35,9 +35,12 @@ class Run:
         self.frames = iter(encode_demo_frames(9))
         self.statistics.record_receipt()
 
-    def process(self, count: int = 1) -> None:
-        for _ in range(count):
-            process(self.pipeline, next(self.frames))
+    def feed(self, *messages: bytes) -> None:
+        for raw in messages:
+            self.pipeline.feed(Source.KEYPOINTS, raw)
+
+    def process(self) -> None:
+        process(self.pipeline, next(self.frames))
 
     def report(self, fault: str = '') -> tuple[int, str]:
         (status,) = decode(self.reporter.encode_status('off', 10**9, fault), DIAGNOSTICS).status
@@ -46,20 +49,12 @@ class Run:
         return status.level, status.message
 
 
-def with_scores(raw: bytes, score: float) -> Any:
-    """Return a keypoints message in which every keypoint has this score."""
-    message = decode(raw, KEYPOINTS)
-    for person in message.people:
-        person.score = np.full_like(person.score, score)
-    return message
-
-
 def flood(run: Run) -> None:
     run.statistics.removed += 7
 
 
 def refuse(run: Run) -> None:
-    run.pipeline.feed(Source.KEYPOINTS, next(run.frames)[:50])
+    run.feed(next(run.frames)[:50])
     run.pipeline.note_backlog()
     run.process()
 
@@ -74,18 +69,19 @@ def refuse_camera_info(run: Run) -> None:
 
 def repeat_a_stamp(run: Run) -> None:
     run.statistics.record_receipt()
-    for raw in [next(run.frames)] * 3:
-        run.pipeline.feed(Source.KEYPOINTS, raw)
+    run.feed(*[next(run.frames)] * 3)
 
 
 def refuse_all(run: Run) -> None:
     for _ in range(3):
         run.statistics.record_receipt()
-        run.pipeline.feed(Source.KEYPOINTS, b'')
+        run.feed(b'')
 
 
 def see_too_little(run: Run) -> None:
-    process(run.pipeline, encode(with_scores(next(run.frames), 0.05), KEYPOINTS))
+    message = decode(next(run.frames), KEYPOINTS)
+    message.people[0].score = np.full_like(message.people[0].score, 0.05)
+    run.feed(encode(message, KEYPOINTS))
 
 
 def warn_of_input(run: Run) -> None:
@@ -167,8 +163,8 @@ def test_the_values_are_those_of_the_run() -> None:
     assert [run.values[name] for name in names] == ['1', 'walk', 'nominal focal length', 'off', '3', '7']
     run.pipeline.reset()
     run.report()
-    names = 'people', 'category', 'residual (px)', 'age of newest frame (s)'
-    assert [run.values[key] for key in names] == ['0', '', 'nan', 'nan']
+    emptied = 'people', 'category', 'residual (px)', 'age of newest frame (s)'
+    assert [run.values[key] for key in emptied] == ['0', '', 'nan', 'nan']
 
 
 def test_people_in_the_frame_of_the_camera_instead_of_the_output_frame_are_a_warning() -> None:

@@ -8,8 +8,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -42,63 +41,49 @@ def make_skeletons(ahead_m: float) -> bytes:
     return encode(message, SKELETONS)
 
 
-@contextmanager
-def run_example(
-    peer: Peer, env: dict[str, str], name: str, topic: str, kind: str
-) -> Iterator[tuple[Any, list[Any]]]:
-    """Run an example; yield a publisher of skeletons and the list of what the example publishes."""
+@pytest.mark.parametrize(
+    ('name', 'topic', 'kind', 'is_free'),
+    [
+        ('stop_when_near', 'stop', 'std_msgs/msg/Bool', lambda m: not m.data),
+        ('follow_person', 'cmd_vel', 'geometry_msgs/msg/Twist', lambda m: m.linear.x > 0),
+        ('people_layer', 'people_points', 'sensor_msgs/msg/PointCloud2', lambda m: m.width > 0),
+    ],
+)
+def test_an_example_acts_on_a_person_far_away_and_is_safe_when_nothing_is_heard_or_it_ends(
+    peer: Peer, env: dict[str, str], name: str, topic: str, kind: str, is_free: Callable[[Any], bool]
+) -> None:
     received: list[Any] = []
-    peer.subscriptions.append(
-        peer.node.create_subscription(load_interface_class(kind), topic, received.append, 10)
-    )
-    publisher = peer.node.create_publisher(load_interface_class(SKELETONS), 'skeletons', 10)
+    subscription = peer.node.create_subscription(load_interface_class(kind), topic, received.append, 10)
+    peer.subscriptions.append(subscription)
+    skeletons = peer.node.create_publisher(load_interface_class(SKELETONS), 'skeletons', 10)
     example = subprocess.Popen([sys.executable, str(ROOT / 'examples' / f'{name}.py')], env=env)
+
+    def publish_until(ahead_m: float, condition: Callable[[Any], bool]) -> None:
+        def is_as_expected() -> bool:
+            skeletons.publish(make_skeletons(ahead_m))
+            return bool(received) and condition(received[-1])
+
+        peer.wait_until(is_as_expected)
+
     try:
         peer.wait_until(lambda: peer.node.count_subscribers('skeletons') == 2)  # the peer has one of its own
-        yield publisher, received
+        publish_until(5.0, is_free)
+        if name == 'people_layer':
+            cloud = received[-1]
+            assert (cloud.header.frame_id, [field.name for field in cloud.fields]) == (
+                'base_link',
+                ['x', 'y', 'z'],
+            )
+            points = np.frombuffer(cloud.data.tobytes(), '<f4').reshape(cloud.width, 3)
+            assert points[:, :2].mean(axis=0) == pytest.approx([5.0, 0.0], abs=1e-5)
+        else:
+            publish_until(0.5, lambda message: not is_free(message))
+            publish_until(5.0, is_free)
+            peer.wait_until(lambda: not is_free(received[-1]))  # nothing is heard any more
+            publish_until(5.0, is_free)
         example.send_signal(signal.SIGINT)
         assert example.wait(TIMEOUT_S) == 0
+        peer.wait_until(lambda: name == 'people_layer' or not is_free(received[-1]))
     finally:
         example.kill()
         example.wait()
-
-
-def publish_until(peer: Peer, publisher: Any, received: list[Any], raw: bytes, condition: Any) -> None:
-    received.clear()
-
-    def is_as_expected() -> bool:
-        publisher.publish(raw)
-        return bool(received) and condition(received[-1])
-
-    peer.wait_until(is_as_expected)
-
-
-def test_the_robot_stops_unless_everybody_is_far_away(peer: Peer, env: dict[str, str]) -> None:
-    with run_example(peer, env, 'stop_when_near', 'stop', 'std_msgs/msg/Bool') as (publisher, received):
-        peer.wait_until(lambda: received and received[-1].data)  # nothing is heard
-        for ahead_m, must_stop in ((5.0, False), (0.5, True), (5.0, False)):
-            publish_until(peer, publisher, received, make_skeletons(ahead_m), lambda m, s=must_stop: m.data == s)
-        peer.wait_until(lambda: received[-1].data)  # nothing is heard any more
-        publish_until(peer, publisher, received, make_skeletons(5.0), lambda stop: not stop.data)
-    peer.wait_until(lambda: received[-1].data)  # the example has ended
-
-
-def test_the_robot_drives_to_a_person_and_stands_when_nothing_is_heard_or_it_ends(
-    peer: Peer, env: dict[str, str]
-) -> None:
-    with run_example(peer, env, 'follow_person', 'cmd_vel', 'geometry_msgs/msg/Twist') as (publisher, received):
-        for _ in range(2):
-            publish_until(peer, publisher, received, make_skeletons(5.0), lambda command: command.linear.x > 0)
-            peer.wait_until(lambda: received[-1].linear.x == 0)
-        publish_until(peer, publisher, received, make_skeletons(5.0), lambda command: command.linear.x > 0)
-    peer.wait_until(lambda: received[-1].linear.x == 0)
-
-
-def test_the_costmap_gets_points_about_a_person(peer: Peer, env: dict[str, str]) -> None:
-    kind = 'sensor_msgs/msg/PointCloud2'
-    with run_example(peer, env, 'people_layer', 'people_points', kind) as (publisher, received):
-        publish_until(peer, publisher, received, make_skeletons(5.0), lambda cloud: cloud.width > 0)
-        cloud = received[-1]
-        assert (cloud.header.frame_id, [field.name for field in cloud.fields]) == ('base_link', ['x', 'y', 'z'])
-        points = np.frombuffer(cloud.data.tobytes(), '<f4').reshape(cloud.width, 3)
-        assert points[:, :2].mean(axis=0) == pytest.approx([5.0, 0.0], abs=1e-5)

@@ -400,7 +400,7 @@ def test_a_camera_without_a_name_is_logged_where_people_have_no_frame(
     assert live.count_lines('header.frame_id is empty') == is_warned
 
 
-@pytest.mark.parametrize('latched', [(True,), (), (False, True)], ids=str)
+@pytest.mark.parametrize('latched', [(True,), (False, True)], ids=str)
 def test_inputs_of_a_split_recording_are_read_whole_and_file_by_file(
     tmp_path: Path, stream: list[bytes], latched: tuple[bool, ...]
 ) -> None:

@@ -16,7 +16,6 @@ import pytest
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.config import Config, to_yaml
-from mocap_ros.errors import ConfigError
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS
@@ -80,18 +79,6 @@ def test_a_node_that_cannot_start_logs_why_in_one_line_and_keeps_running(
     (line,) = stop_node(process)
     assert label == state
     assert re.search(reason, line), line
-
-
-def test_a_refused_node_is_reported_in_one_line() -> None:
-    from rclpy.impl.implementation_singleton import rclpy_implementation
-
-    from mocap_ros.ros.nodes import create_node
-
-    def refuse() -> None:
-        raise rclpy_implementation.RCLError('no permission\nfor it, at /a/b.cpp:4, at /c.c:24')
-
-    with pytest.raises(ConfigError, match=r'no permission for it$'):
-        create_node(refuse)
 
 
 def test_a_parameter_file_holds_in_every_namespace_and_a_wrong_value_ends_the_start(

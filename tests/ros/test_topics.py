@@ -24,9 +24,9 @@ from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.messages.transforms import TRANSFORMS
-from mocap_ros.ros.message_types import MessageVersions, load_interface_class
+from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.ros.qos import choose_playback_profile
-from mocap_ros.ros.subscriptions import MAX_PUBLISHERS, InputSubscriptions, LostMessages
+from mocap_ros.ros.subscriptions import InputSubscriptions, LostMessages
 from mocap_ros.ros.topics import SilenceMonitor
 from tests.support.ros_node import Peer
 
@@ -49,33 +49,6 @@ def test_a_played_topic_serves_late_subscribers_as_its_publishers_did(
     profile = choose_playback_profile(parse_qos(offered), msgtype)
     assert profile.durability.name == durability
     assert profile.depth == depth
-
-
-def test_an_override_holds_for_its_topic_alone(peer: Peer) -> None:
-    import rclpy
-    from rclpy.parameter import Parameter
-
-    overrides = {
-        'keypoints.subscription.reliability': 'reliable',
-        'camera_info.subscription.durability': 'transient_local',
-    }
-    node = rclpy.create_node(
-        'listener',
-        context=peer.context,
-        parameter_overrides=[Parameter(f'qos_overrides./{name}', value=v) for name, v in overrides.items()],
-    )
-    inputs = InputSubscriptions(node, KEYPOINTS, MessageVersions(), lambda: Config().node)
-    inputs.subscribe(cast(Any, None))
-
-    def find_profiles() -> dict[str, tuple[str, str]]:
-        found = {topic: peer.node.get_subscriptions_info_by_topic(topic) for topic in inputs.topics}
-        profiles = {t: s.qos_profile for t, infos in found.items() for s in infos if s.node_name == 'listener'}
-        return {topic: (p.reliability.name, p.durability.name) for topic, p in profiles.items()}
-
-    expected = {'/keypoints': ('RELIABLE', 'VOLATILE'), '/camera_info': ('BEST_EFFORT', 'TRANSIENT_LOCAL')}
-    peer.wait_until(lambda: len(find_profiles()) == 2)
-    assert find_profiles() == expected
-    node.destroy_node()
 
 
 @pytest.fixture
@@ -170,6 +143,7 @@ def describe(publisher: int, number: int) -> dict[str, object]:
 @given(arrivals=st.lists(st.tuples(st.integers(0, 2), st.booleans()), max_size=60))
 def test_what_is_missing_between_messages_of_a_publisher_is_lost(arrivals: list[tuple[int, bool]]) -> None:
     counter, numbers, lost, counted = LostMessages(), [5, 900, 1], 0, 0
+    assert counter.count({'publication_sequence_number': None}) == counter.count({}) == 0
     missing, has_arrived = [0] * 3, [False] * 3
     for publisher, arrives in arrivals:
         numbers[publisher] += 1
@@ -179,12 +153,3 @@ def test_what_is_missing_between_messages_of_a_publisher_is_lost(arrivals: list[
         counted += counter.count(describe(publisher, numbers[publisher]))
         lost, missing[publisher], has_arrived[publisher] = lost + missing[publisher], 0, True
         assert counted == lost
-
-
-def test_publishers_that_come_and_go_take_no_memory_and_numbers_may_be_absent() -> None:
-    counter = LostMessages()
-    for publisher in range(5 * MAX_PUBLISHERS):
-        assert counter.count(describe(publisher, 7)) == 0
-        assert len(counter._last_numbers) <= MAX_PUBLISHERS
-    assert counter.count({'publication_sequence_number': None}) == counter.count({}) == 0
-    assert [counter.count({'publication_sequence_number': number}) for number in (4, 6)] == [0, 1]

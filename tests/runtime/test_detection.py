@@ -16,13 +16,13 @@ import pytest
 from mocap_ros.config import NodeConfig
 from mocap_ros.detectors.detector import Detector, Image
 from mocap_ros.errors import InputError, ModelError
-from mocap_ros.formats.detections import Detections, Video, create_person, select_person
+from mocap_ros.formats.detections import Detections, Video, create_person
 from mocap_ros.formats.video import VideoImage
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.runtime import detection
 from mocap_ros.runtime.detection import detect_in_video, detect_people, name_people
 from mocap_ros.runtime.load_keypoints import InputOptions, load_input
-from tests.support.blob_people import draw, save_movenet, save_rtmpose, walk, write_video
+from tests.support.blob_people import draw, save_movenet, walk, write_video
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -37,22 +37,6 @@ def at(shift_px: Sequence[float | None]) -> Detections:
     keypoints = np.column_stack([points, np.full(len(points), 0.9)])
     people = [[] if shift is None else [create_person(keypoints + [shift, 0, 0])] for shift in shift_px]
     return Detections(people, [STEP_NS * i for i in range(len(people))], (640, 480))
-
-
-def test_the_times_are_those_of_the_images_before_and_after_the_person_too(tmp_path: Path) -> None:
-    times_s = np.cumsum([0.0, *([0.033, 0.045] * 10)])[: FRAMES + 6]
-    images = [draw([])] * 3 + [draw([person]) for person in walk(FRAMES)] + [draw([])] * 3
-    path = write_video(tmp_path / 'walk.mkv', images, times_s.tolist())
-    detections = detect_in_video(path, save_rtmpose(tmp_path / 'rtmpose.onnx'))
-    assert np.array(detections.stamps_ns) == pytest.approx(times_s * 1e9, abs=1)
-    assert [len(people) for people in detections.people] == [0] * 3 + [1] * FRAMES + [0] * 3
-    assert detections.image_size == (640, 480)
-    sequence, lines = select_person(detections)
-    assert [line.split(',')[0] for line in lines] == ["person 'person_1'", 'keypoints by RTMPose (rtmpose.onnx)']
-    assert sequence.timestamps == pytest.approx(times_s[3:-3])
-    seen = sequence.keypoints[..., 2] > 0.5
-    errors = np.linalg.norm(sequence.keypoints[..., :2] - walk(FRAMES), axis=-1)[seen]
-    assert np.median(errors) < 1.0
 
 
 def test_a_video_of_two_people_in_turn_gives_one_of_them_and_a_warning(tmp_path: Path) -> None:

@@ -9,11 +9,9 @@ import os
 from pathlib import Path
 
 import numpy as np
-import pytest
 
-from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import save_sequence
-from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, find_input_kind, require_kind
+from mocap_ros.runtime.input_kind import InputKind, find_input_kind
 from tests.support.keypoint_files import make_walker
 
 
@@ -64,19 +62,3 @@ def test_kinds_by_name_and_content(tmp_path: Path) -> None:
         'none.mp4': InputKind.MISSING,
     }
     assert {name: find_input_kind(tmp_path / name) for name in expected} == expected
-
-
-def test_the_refusal_says_what_to_do(tmp_path: Path) -> None:
-    save_sequence(tmp_path / 'walk.npz', make_walker())
-    assert require_kind(tmp_path / 'walk.npz', KEYPOINT_KINDS, KEYPOINT_FORMATS) is InputKind.SEQUENCE
-    with pytest.raises(
-        InputError, match=r'walk\.npz: is a sequence file; expected a bag; `mocap-ros reconstruct`'
-    ):
-        require_kind(tmp_path / 'walk.npz', [InputKind.BAG], 'a bag')
-    np.savez(tmp_path / 'r.npz', joints3d=np.zeros(1), theta=np.zeros(1), residual_px=np.zeros(1))
-    with pytest.raises(
-        InputError, match=r'r\.npz: is a result of reconstruct; give the sequence file that it was'
-    ):
-        require_kind(tmp_path / 'r.npz', KEYPOINT_KINDS, KEYPOINT_FORMATS)
-    with pytest.raises(InputError, match=r'none\.npz: No such file or directory$'):
-        require_kind(tmp_path / 'none.npz', KEYPOINT_KINDS, KEYPOINT_FORMATS)

@@ -5,10 +5,8 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +16,6 @@ from mocap_ros.bags.recorder import Recorder
 from mocap_ros.config import Config, RecorderConfig, with_values
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError
-from mocap_ros.formats.detections import Video
 from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
 from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
@@ -32,7 +29,6 @@ from mocap_ros.runtime.load_scene import SceneOptions, load_scene
 from mocap_ros.runtime.playback import DEFAULT_FRAME_ID
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.viewing.scene import MarkKind
-from tests.support.keypoint_files import flatten_keypoints
 from tests.support.pipeline_inputs import FAST_CONFIG
 
 FRAMES = 20
@@ -146,26 +142,6 @@ def test_a_sequence_file_and_its_results_look_the_same(
         assert scene.image_size == pytest.approx(sequence.image_size, abs=1)
         assert bool(scene.keypoints) == (suffix == '.mcap')
         assert scene.intrinsics.is_focal_known == is_calibrated
-
-
-def test_json_of_two_people_is_reconstructed(sequence: KeypointSequence, tmp_path: Path) -> None:
-    results: list[dict[str, Any]] = [
-        {'image_id': frame, 'keypoints': row, 'score': 0.9}
-        for frame, row in enumerate(flatten_keypoints(sequence))
-        if frame != 12
-    ]
-    for result in list(results):
-        moved = np.reshape(result['keypoints'], (-1, 3)) + np.array([-150, 0, 0])
-        results.append({**result, 'keypoints': (moved * (moved[:, 2:] > 0)).ravel().tolist()})
-    path = tmp_path / 'people.json'
-    path.write_text(json.dumps(results), encoding='utf-8')
-    with pytest.raises(InputError, match='give the frame rate'):
-        load_scene(path, OPTIONS)
-    scene, _ = load_scene(path, OPTIONS._replace(input=InputOptions(Video(30.0, (640, 480)))))
-    assert [person.id for person in scene.people] == ['person_1', 'person_2']
-    distance = np.abs(scene.people[0].image[..., 0].mean() - scene.people[1].image[..., 0].mean())
-    assert distance == pytest.approx(150, abs=5)
-    assert len(scene.keypoints[0].frames) == 2 * (FRAMES - 1)
 
 
 def test_what_shows_no_person_is_refused(sequence: KeypointSequence, tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from mocap_ros.bags.journal import Verdict
 from mocap_ros.bags.topics import Source
@@ -23,7 +22,7 @@ from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
 from mocap_ros.messages.markers import MARKERS
 from mocap_ros.runtime.pipeline import MAX_CONSECUTIVE_ERRORS, Pipeline
-from mocap_ros.skeleton import BODY26, CORE_COUNT
+from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.camera_infos import camera_info
 from tests.support.pipeline_inputs import (
@@ -204,47 +203,6 @@ def test_parameters_of_tracker_and_solver_restart_the_tracker(
     skeletons, expected = (process(p, stream[3])[0] for p in (pipeline, fresh if restarts else unchanged))
     assert skeletons.topic == 'skeletons'
     assert skeletons == expected
-
-
-def test_transforms_need_a_metric_scale_and_follow_rep_155(stream: list[bytes]) -> None:
-    pipeline = Pipeline(with_values(FAST_CONFIG, {'node.publish_tf': True, 'node.frame_prefix': 'cam1_'}))
-
-    def transforms(raw: bytes) -> dict[str, Any]:
-        (tf,) = (o for o in process(pipeline, raw) if o.topic == '/tf')
-        return {t.child_frame_id: t for t in decode(tf.data, tf.type).transforms}
-
-    assert [transforms(raw) for raw in stream[:5]] == [{}] * 5
-    pipeline.set_camera_info(camera_info())
-    found = transforms(stream[5])
-    person = pipeline.people[0]
-    assert len(found) == 26
-    body = found[f'cam1_body_{person.id}']
-    assert body.header.frame_id == 'camera'
-    q, t = body.transform.rotation, body.transform.translation
-    body_to_camera = Rotation.from_quat([q.x, q.y, q.z, q.w])
-    joints = dict(zip(BODY26.joints, person.joints, strict=True))
-    hips, shoulders = ((joints[f'l{j}'] + joints[f'r{j}']) / 2 for j in ('hip', 'shoulder'))
-    limbs = [f'{side}_{j}' for side in 'lr' for j in ('shoulder', 'elbow', 'wrist', 'hip', 'knee', 'ankle')]
-    limbs += [f'{side}_{j}' for side in 'lr' for j in ('toe', 'heel', 'hand', 'eye', 'ear')]
-    origins = {'torso': shoulders, 'head': joints['head'], 'nose': joints['nose']} | {
-        name: joints[name.replace('_', '')] for name in limbs
-    }
-    assert found.keys() == {f'cam1_{name}_{person.id}' for name in ('body', *origins)}
-    np.testing.assert_allclose([t.x, t.y, t.z], hips, atol=1e-9)
-    for name, expected in origins.items():
-        frame = found[f'cam1_{name}_{person.id}']
-        assert frame.header.frame_id == f'cam1_body_{person.id}'
-        in_body = frame.transform.translation
-        in_camera = body_to_camera.apply([in_body.x, in_body.y, in_body.z]) + [t.x, t.y, t.z]
-        np.testing.assert_allclose(in_camera, expected, atol=1e-9)
-    turn = found[f'cam1_l_ankle_{person.id}'].transform.rotation
-    in_camera = body_to_camera * Rotation.from_quat([turn.x, turn.y, turn.z, turn.w])
-    toe = joints['ltoe'] - joints['lheel']
-    np.testing.assert_allclose(in_camera.apply([1, 0, 0]), toe / np.linalg.norm(toe), atol=1e-6)
-    assert found[f'cam1_head_{person.id}'].transform.translation.z > 0.4  # up
-    assert found[f'cam1_l_hip_{person.id}'].transform.translation.y > 0.04  # left
-    up = (shoulders - hips) / np.linalg.norm(shoulders - hips)
-    np.testing.assert_allclose(body_to_camera.apply([0, 0, 1]), up, atol=1e-9)
 
 
 def test_tentative_people_are_flagged_and_have_no_transforms(stream: list[bytes]) -> None:
