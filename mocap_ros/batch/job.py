@@ -279,7 +279,7 @@ def _load_sequence(path: Path, job: Job) -> tuple[KeypointSequence, dict[str, An
     if kind in (InputKind.SEQUENCE, InputKind.VIDEO, InputKind.BAG):
         video = Video(detector=video.detector, hfov=video.hfov, focal=video.focal)
     topics = (settings.topic, settings.camera_info) if kind is InputKind.BAG else (None, None)
-    sequence, lines = load_input(path, InputOptions(video, config.node, None, *topics))
+    sequence, lines = load_input(path, InputOptions(video, config.node, None, *topics, tracker=config.tracker))
     stamps = sequence.stamps_ns
     appearance = Appearance(sequence.person_id or '', int(stamps[0]), int(stamps[-1]))
     appearance.seconds['unknown'] = (stamps[-1] - stamps[0]) / NS_PER_S

@@ -140,7 +140,7 @@ def read_video_options(args: argparse.Namespace) -> Video:
 def read_input_options(args: argparse.Namespace, config: Config) -> InputOptions:
     """Return what the options of `add_input_options` state."""
     video, topics = read_video_options(args), (args.topic, args.camera_info)
-    return InputOptions(video, config.node, args.person, *topics, show_detection_progress)
+    return InputOptions(video, config.node, args.person, *topics, show_detection_progress, config.tracker)
 
 
 def load_sequences(

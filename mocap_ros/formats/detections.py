@@ -3,8 +3,7 @@
 
 """All people that a detector saw in the images of one camera, and the choice of the person to reconstruct.
 
-People with an id are identified by it. People without an id are associated by position
-(`keypoints.association.associate_keypoints`).
+People are who the live tracker takes them for (`keypoints.identities`).
 """
 
 from __future__ import annotations
@@ -13,19 +12,21 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import count, pairwise
+from itertools import pairwise
 from math import gcd
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, KeypointSequence
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.association import associate_keypoints
+from mocap_ros.keypoints.identities import EXCHANGED_IDS, FollowedPerson, Identities
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_image_size
 from mocap_ros.keypoints.joint_map import build_joint_map
+from mocap_ros.keypoints.matching import Detection
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import find_first_fault, looks_normalised, mark_unseen
 from mocap_ros.skeleton import keypoint_layout
@@ -42,8 +43,9 @@ LAYOUT_BY_KEYPOINT_COUNT = {
 MAX_FRAME_RATE_HZ = 10_000.0  # far above that of any video of people; keeps times that are rounded to 1 us apart
 MAX_FRAMES = 1_000_000  # guards the memory against frame numbers that are not of one video; 9 h at 30 Hz
 MAX_KEYPOINTS = 50_000_000  # of a person over time; guards the memory; 9 h of body25 have half of it
-MAX_GAP_S = 3.0  # s without a detection after which a track without an id ends; documented in docs/files.md
 HFOV_RANGE_DEG = 1.0, 170.0  # degrees; fields of view of lenses without a distortion that has to be known
+DEFAULTS = TrackerConfig()
+ANY_SIZE = 640, 480  # px, image size for the association where none is known: only ratios of lengths count there
 MAX_LISTED_PEOPLE = 5  # people named in a line of output
 
 
@@ -92,14 +94,12 @@ class Detections:
     """All people in all frames.
 
     Attributes:
-        people: (F,) the people in each frame; people without an id are identified by position.
+        people: (F,) the people in each frame.
         stamps_ns: (F,) ns, strictly increasing.
         image_size: (width, height) in px, (0, 0) where unknown.
         intrinsics: intrinsics of the camera, or None where unknown.
         frame_id: name of the camera's optical frame, or empty.
         notes: lines that say what the reader left out.
-        is_one_person: whether people without an id are of one person if no frame shows two people; False for a
-            detector that may jump from one person to another.
     """
 
     people: Sequence[Sequence[Person2D]]
@@ -108,20 +108,14 @@ class Detections:
     intrinsics: Intrinsics | None = None
     frame_id: str = ''
     notes: tuple[str, ...] = ()
-    is_one_person: bool = True
 
 
 @dataclass(eq=False)
 class PersonTrack:
-    """The detections of one person over time: the id, and the keypoints by frame, in the order of the frames."""
+    """The detections of one person over time: the name, and the keypoints by frame, in the order of the frames."""
 
     id: str
     detection_by_frame: dict[int, Person2D] = field(default_factory=dict)
-
-    @property
-    def last_frame(self) -> int:
-        """Index of the last frame in which the person was seen."""
-        return next(reversed(self.detection_by_frame))
 
 
 def create_person(
@@ -190,53 +184,61 @@ def arrange_frames(people_by_number: Mapping[int, Sequence[Person2D]], video: Vi
     return Detections(people, stamps, resolve_image_size(configured=video.image_size), notes=notes)
 
 
-def associate_people(detections: Detections) -> list[PersonTrack]:
-    """Associate the detections of each person over time, by id, or by position where there is no id.
+def associate_people(
+    detections: Detections, settings: TrackerConfig = DEFAULTS
+) -> tuple[list[PersonTrack], tuple[str, ...]]:
+    """Associate the detections of each person over time, as the live tracker does.
 
-    If no frame shows two people, all detections without an id are of one person, or, without
-    `Detections.is_one_person`, of the person who was seen last where no person was seen for `MAX_GAP_S`.
+    Detections with fewer than `min_joints` joints are left out, and parts of a person are joined.
 
     Returns:
-        The tracks in the order of their first frame.
+        The tracks in the order of their first frame, and lines on what was left out.
     """
-    tracks: list[PersonTrack] = []
-    track_by_id: dict[str, PersonTrack] = {}
-    unnamed_tracks: list[PersonTrack] = []
-    used_ids = {person.id for people in detections.people for person in people}
-    unused_ids = (person_id for person_id in (f'person_{n}' for n in count(1)) if person_id not in used_ids)
-
-    def compute_gap_s(track: PersonTrack, frame: int) -> float:
-        return (detections.stamps_ns[frame] - detections.stamps_ns[track.last_frame]) / NS_PER_S
-
-    is_alone = all(len(people) <= 1 for people in detections.people)
-    for frame, people in enumerate(detections.people):
-        seen = [person for person in people if (person.score > 0).any()]
-        for person in seen:
-            if person.id:
-                if person.id not in track_by_id:
-                    tracks.append(track_by_id.setdefault(person.id, PersonTrack(person.id)))
-                track_by_id[person.id].detection_by_frame[frame] = person
-        unnamed = [person for person in seen if not person.id]
-        if is_alone and detections.is_one_person:
-            indices: list[int | None] = [0 if unnamed_tracks else None for _ in unnamed]
-        else:
-            recent = [t for t in unnamed_tracks if compute_gap_s(t, frame) <= MAX_GAP_S]
-            last_seen = sorted(unnamed_tracks, key=lambda track: track.last_frame)[-1:]
-            unnamed_tracks = recent or (last_seen if is_alone else [])
-            ages_s = [compute_gap_s(t, frame) for t in unnamed_tracks]
-            last = [t.detection_by_frame[t.last_frame] for t in unnamed_tracks]
-            indices = associate_keypoints(last, ages_s, unnamed)
-        for index, person in zip(indices, unnamed, strict=True):
-            track = PersonTrack(next(unused_ids)) if index is None else unnamed_tracks[index]
-            track.detection_by_frame[frame] = person
-            if index is None:
-                unnamed_tracks.append(track)
-                tracks.append(track)
-    return tracks
+    who, known, tracks = Identities[FollowedPerson](settings), list[FollowedPerson](), dict[str, PersonTrack]()
+    unusable, are_ids_ignored = 0, False
+    size = detections.image_size if all(detections.image_size) else ANY_SIZE
+    camera = detections.intrinsics or Intrinsics.from_image_size(*size, settings.nominal_focal_length)
+    for frame, (stamp_ns, people) in enumerate(zip(detections.stamps_ns, detections.people, strict=True)):
+        limits = settings.min_score, settings.min_joints
+        converted = [Detection.from_person(person, camera, *limits) for person in people]
+        seen = [(p, d) for p, d in zip(people, converted, strict=True) if d is not None]
+        unusable += len(people) - len(seen)
+        for lost in who.find_lost(stamp_ns, known):
+            known.remove(lost)
+        if who.is_everybody_gone(stamp_ns):
+            who, known = who.restart(), []
+        matches = who.match(stamp_ns, known, [d for _, d in seen])
+        known = [person for person in known if person not in matches.replaced]
+        names, is_tentative = {person.id for person in known}, who.is_first_tentative(stamp_ns)
+        for detection, found, members in zip(matches.detections, matches.tracks, matches.members, strict=True):
+            person = found or FollowedPerson(who.name(stamp_ns, detection, names), stamp_ns, is_tentative)
+            if found is None:
+                known.append(person)
+            person.add_frame(stamp_ns, detection)
+            track = tracks.setdefault(person.id, PersonTrack(person.id))
+            track.detection_by_frame[frame] = _join_parts([seen[m][0] for m in members], settings.min_score)
+        who.end_frame(stamp_ns, has_people=bool(seen))
+        are_ids_ignored = are_ids_ignored or who.are_ids_ignored
+    few = f'{unusable} detections left out, of which fewer than {settings.min_joints} joints are seen'
+    notes = (EXCHANGED_IDS if are_ids_ignored else '', few if unusable else '')
+    return list(tracks.values()), tuple(filter(None, notes))
 
 
-def select_person(detections: Detections, person_id: str | None = None) -> tuple[KeypointSequence, list[str]]:
-    """Select the person with an id, by default the one who is seen in most frames.
+def _join_parts(parts: Sequence[Person2D], min_score: float) -> Person2D:
+    """Return a person with those keypoints of the parts, with the same joints, that the first of them lacks."""
+    whole = parts[0]
+    for part in parts[1:]:
+        if part.joints == whole.joints:
+            is_added = (whole.score < min_score) & (part.score >= min_score)
+            points = np.where(is_added[:, None], part.points, whole.points)
+            whole = replace(whole, points=points, score=np.where(is_added, part.score, whole.score))
+    return whole
+
+
+def select_person(
+    detections: Detections, person_id: str | None = None, settings: TrackerConfig = DEFAULTS
+) -> tuple[KeypointSequence, list[str]]:
+    """Select the person with a name, or with an id of the detector, by default the one seen in most frames.
 
     Returns:
         The keypoints from the first frame with that person to the last, and lines for the user that say who was
@@ -246,19 +248,24 @@ def select_person(detections: Detections, person_id: str | None = None) -> tuple
         InputError: no person is seen, none has that id, the keypoints are not in px, or there are more than
             `MAX_KEYPOINTS`.
     """
-    tracks = associate_people(detections)
+    tracks, ignored = associate_people(detections, settings)
     if not tracks:
-        raise InputError('nobody is seen in any frame')
+        _refuse_normalised(detections)
+        raise InputError(f'nobody is seen with {settings.min_joints} joints in any frame')
     frame_counts = Counter({track.id: len(track.detection_by_frame) for track in tracks})
     everybody = _list_some([f'{name} ({n})' for name, n in frame_counts.most_common()])
     wanted = frame_counts.most_common(1)[0][0] if person_id is None else person_id
+    if wanted not in frame_counts:
+        by_id = Counter({t.id: sum(p.id == wanted for p in t.detection_by_frame.values()) for t in tracks})
+        ((found, count),) = by_id.most_common(1)
+        wanted = found if count else wanted
     if wanted not in frame_counts:
         raise InputError(f'no person {wanted!r}; there are {everybody}')
     line = f'person {wanted!r}, seen in {frame_counts[wanted]} of {len(detections.people)} frames'
     if len(tracks) > 1:
         line += f'; {len(tracks) - 1} more, choose by --person: {everybody}'
     (sequence,), notes = arrange_people(detections, [track for track in tracks if track.id == wanted])
-    return sequence, [line, *notes]
+    return sequence, [line, *ignored, *notes]
 
 
 def arrange_people(
@@ -274,12 +281,24 @@ def arrange_people(
     Raises:
         InputError: the keypoints are not in px, or a person has more than `MAX_KEYPOINTS`.
     """
+    _refuse_normalised(detections)
     if not all(detections.image_size):
-        people = [np.column_stack([p.points, p.score]) for in_frame in detections.people for p in in_frame]
-        size = resolve_image_size(keypoints=np.concatenate(people))
+        size = resolve_image_size(keypoints=_stack_keypoints(detections))
         line = f'image size not known, {size[0]}x{size[1]} px assumed; give it by --image-size'
         detections = replace(detections, image_size=size, notes=(*detections.notes, line))
     return [_arrange_sequence(detections, track) for track in tracks], detections.notes
+
+
+def _stack_keypoints(detections: Detections) -> Array:
+    """Return all keypoints (N, 3) of all people."""
+    people = [np.column_stack([p.points, p.score]) for in_frame in detections.people for p in in_frame]
+    return np.concatenate([np.zeros((0, 3)), *people])
+
+
+def _refuse_normalised(detections: Detections) -> None:
+    keypoints = _stack_keypoints(detections)
+    if looks_normalised(keypoints[:, :2], keypoints[:, 2], detections.image_size[0]):
+        raise InputError('keypoints look normalised; px expected')
 
 
 def _arrange_sequence(detections: Detections, track: PersonTrack) -> KeypointSequence:
@@ -292,8 +311,6 @@ def _arrange_sequence(detections: Detections, track: PersonTrack) -> KeypointSeq
     for frame, person in track.detection_by_frame.items():
         columns = [column[name] for name in person.joints]
         keypoints[frame - frames[0], columns] = np.column_stack([person.points, person.score])
-    if looks_normalised(keypoints[..., :2], keypoints[..., 2], detections.image_size[0]):
-        raise InputError('keypoints look normalised; px expected')
     stamps = tuple(detections.stamps_ns[frame] for frame in frames)
     return KeypointSequence(
         keypoints=keypoints,

@@ -19,18 +19,10 @@ Where fewer than four joints are both expected and detected, centres m and sizes
 
     distance(p, d) = |m_d - m_p| / s + |growth|
     growth = log(s_d / s_p)
-
-Readers of files have no predictions and compare the keypoints with those of the last detection of the person
-(`associate_keypoints`), age_p seconds ago:
-
-    distance(p, d) = median over joints j of |d_j - p_j| / s
-    gate(p) = BASE_GATE + UNPREDICTED_GATE_GROWTH_PER_S * age_p
-    cost(p, d) = distance(p, d) / gate(p)
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -38,18 +30,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.engine import association as engine
-from mocap_ros.keypoints.person import Person2D
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-BASE_GATE = 1.0  # person sizes (RMS radius, about 0.5 m of an adult); no person moves farther between two frames
-UNPREDICTED_GATE_GROWTH_PER_S = 3.0  # person sizes/s; more than with a prediction, as the person keeps moving
 VELOCITY_SPAN_S = 0.25  # s; velocities are averaged over this time, which evens out image noise and single steps
 MIN_VELOCITY_SPAN_S = 0.05  # s; over a shorter time image noise, divided by the time, looks like a fast movement
 MIN_SHARED_JOINTS = 4  # joints; a median of fewer is that of one limb, which may be anywhere
 RADIUS_OFFSET = 0.1  # person sizes; the radius of a few joints that lie close together is mostly image noise
-MIN_SIZE_PX = 1.0  # px; guards a division by the size of a person of whom a single keypoint is seen
 MIN_SIZE = 1e-9  # in the units of the points; guards the divisions by a size when all joints coincide
 # rays, 0.5 px at a focal length of 500 px; a detection that is no larger has all its joints in one place
 MIN_DETECTION_SIZE = 1e-3
@@ -130,33 +118,6 @@ def measure_distances(
     exchange = np.ascontiguousarray(mirror, np.int64)
     limits = min_shared, MIN_SIZE, MIN_SHARED_JOINTS, RADIUS_OFFSET
     return engine.measure_distances(*people, *seen, exchange, *limits)
-
-
-def associate_keypoints(
-    known: Sequence[Person2D], ages_s: Sequence[float], detected: Sequence[Person2D]
-) -> list[int | None]:
-    """Return the index of the known person of each detection, None for an unknown one, at the least sum of costs.
-
-    Args:
-        known: the last detection of each known person; of every person at least one keypoint is seen.
-        ages_s: s since each of these detections.
-        detected: the detections, with keypoints in px.
-    """
-    if not known or not detected:
-        return [None] * len(detected)
-    gates = [BASE_GATE + UNPREDICTED_GATE_GROWTH_PER_S * age_s for age_s in ages_s]
-    cost = np.array([[compute_keypoint_distance(k, d) for k in known] for d in detected]) / gates
-    return choose_pairs(np.minimum(cost, 1.0), cost < 1)  # no person costs the same, however far away
-
-
-def compute_keypoint_distance(a: Person2D, b: Person2D) -> float:
-    """Return the median distance of the keypoints that are seen in both, or of the centres, in person sizes."""
-    extents = [measure_extent(p.points, p.score) for p in (a, b)]
-    size = max(*(e.size for e in extents), MIN_SIZE_PX)
-    seen_in_both = (a.score > 0) & (b.score > 0) if a.joints == b.joints else np.zeros(0, bool)
-    if seen_in_both.any():
-        return float(np.median(np.linalg.norm(a.points[seen_in_both] - b.points[seen_in_both], axis=1))) / size
-    return math.hypot(extents[0].x - extents[1].x, extents[0].y - extents[1].y) / size
 
 
 def choose_pairs(cost: Array, is_permitted: Mask) -> list[int | None]:

@@ -107,10 +107,9 @@ def _check_image(path: Path, item: VideoImage, count: int, size: tuple[int, int]
 def name_people(detections: Detections) -> tuple[Detections, list[str]]:
     """Name the people of a detector that does not say who is who, by where they are.
 
-    A detector of one person may change from one person to another. These are two people here, separated by the
-    gates of `keypoints.association`, whatever the gaps, and a line that is returned says so.
+    A detector of one person may change from one person to another, and a line that is returned says so.
     """
-    tracks = associate_people(replace(detections, is_one_person=False))
+    tracks, _ = associate_people(detections)
     id_by_person = {id(person): track.id for track in tracks for person in track.detection_by_frame.values()}
     people = [
         [replace(person, id=id_by_person[id(person)]) for person in in_frame if id(person) in id_by_person]

@@ -21,13 +21,14 @@ import numpy as np
 from mocap_ros.config import Config, TrackerConfig
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import Floor
+from mocap_ros.keypoints.identities import EXCHANGED_IDS, find_absence
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import describe_points_outside, describe_transposed_size
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15, KEYPOINT_LAYOUTS, canonical_joint_names
 from mocap_ros.solvers.vertical import AUTO, NONE
-from mocap_ros.tracking.tracker import Tracker, find_absence
+from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.tracking.vertical_check import LastingDoubt, VerticalCheck
 from mocap_ros.units import NS_PER_S
 
@@ -113,7 +114,8 @@ class InputChecks:
             describe_unusable_distortion(intrinsics),
         )
         self.warnings = tuple(filter(None, found))
-        notes = [floor[1], self._check_calibration(stamp_ns, intrinsics, config)] if frame.people else []
+        ids = EXCHANGED_IDS if tracker.are_ids_ignored else ''
+        notes = [floor[1], self._check_calibration(stamp_ns, intrinsics, config), ids] if frame.people else []
         new = []
         for words in filter(None, (*notes, *self.warnings)):
             if (kind := find_kind(words)) not in self._described:

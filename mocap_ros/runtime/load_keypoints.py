@@ -16,7 +16,7 @@ import numpy as np
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.topics import Source, find_people_topics, find_people_type
-from mocap_ros.config import NodeConfig
+from mocap_ros.config import NodeConfig, TrackerConfig
 from mocap_ros.errors import FrameDropped, InputError, naming
 from mocap_ros.formats.detections import Detections, Video, arrange_people, associate_people, select_person
 from mocap_ros.formats.detector_json import load_coco, load_openpose
@@ -54,6 +54,7 @@ class InputOptions(NamedTuple):
     camera_info: str | None = None
     # Function that shows the progress of a detector on a video
     show_detection: ShowProgress = lambda images, _: images
+    tracker: TrackerConfig = TrackerConfig()  # parameters by which people are associated
 
 
 def load_input(path: Path, options: InputOptions) -> tuple[KeypointSequence, list[str]]:
@@ -73,7 +74,7 @@ def load_input(path: Path, options: InputOptions) -> tuple[KeypointSequence, lis
     else:
         detections = _load_detections(path, kind, options)
         with naming(path):
-            sequence, lines = select_person(detections, options.person)
+            sequence, lines = select_person(detections, options.person, options.tracker)
     (sequence,), lines = _finish(path, kind, [sequence], options.video, lines)
     return sequence, lines
 
@@ -90,12 +91,13 @@ def load_people(path: Path, options: InputOptions) -> tuple[list[KeypointSequenc
     if kind is InputKind.SEQUENCE:
         raise InputError(f'{path}: a sequence file holds one person; --all-people does not apply')
     detections = _load_detections(path, kind, options)
-    tracks = associate_people(detections)
+    tracks, ignored = associate_people(detections, options.tracker)
     long_tracks = [track for track in tracks if len(track.detection_by_frame) >= MIN_FRAMES]
     if not long_tracks:
         raise InputError(f'{path}: no person is seen in {MIN_FRAMES} frames or more')
     with naming(path):
-        sequences, lines = arrange_people(detections, long_tracks)
+        sequences, notes = arrange_people(detections, long_tracks)
+    lines = *ignored, *notes
     if left_out := len(tracks) - len(long_tracks):
         lines = (*lines, f'{left_out} people are left out, who are seen in less than {MIN_FRAMES} frames')
     return _finish(path, kind, sequences, options.video, lines)

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
-from mocap_ros.keypoints.association import Extent, measure_extent
-from mocap_ros.keypoints.extremities import Extremities, convert_body_to_rays, exchange_body_sides
+from mocap_ros.keypoints.extremities import Extremities, exchange_body_sides
+from mocap_ros.keypoints.identities import is_new
 from mocap_ros.keypoints.left_right import SwapFilter
-from mocap_ros.keypoints.person import Person2D
+from mocap_ros.keypoints.matching import Detection
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.extremities import ExtremityState
 from mocap_ros.solvers.observed_window import ObservedWindow
@@ -33,67 +33,6 @@ from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
-
-# What a new person must have been seen for; docs/method.md has what other numbers cost.
-MIN_FRAMES = 3  # frames; at a low frame rate a wrong detection is in one or two
-MIN_AGE_S = 0.06  # s; at a high frame rate it lasts for several frames; three frames at 30 Hz last 0.067 s
-
-
-@dataclass(frozen=True, eq=False)
-class Detection:
-    """One detected person of whom enough was seen to be tracked.
-
-    Attributes:
-        given_id: name that the detector gives the person; empty if it gives none.
-        rays: (J, 2) x / z and y / z of the model's joints in the camera; 0 for a joint that was not seen.
-        weight: (J,) confidence scores in [0, 1]; 0 for a joint that was not seen.
-        extent: centre and size in the image, in the units of rays.
-        extremities: face, feet and hands.
-    """
-
-    given_id: str
-    rays: Array
-    weight: Array
-    extent: Extent
-    extremities: Extremities
-
-    @staticmethod
-    def from_person(
-        person: Person2D, intrinsics: Intrinsics, min_score: float, min_joints: int
-    ) -> Detection | None:
-        """Convert the keypoints of a person to rays of the model's joints.
-
-        Args:
-            person: keypoints as a detector gave them.
-            intrinsics: intrinsics of the camera.
-            min_score: confidence score below which a keypoint counts as not seen.
-            min_joints: smallest number of seen joints, at least 1, that makes a detection usable.
-
-        Returns:
-            The detection; None if fewer joints were seen, or all of them in one place.
-
-        Raises:
-            SkeletonError: The person's joints do not cover enough of the model's.
-        """
-        keypoints = person.points, person.score, person.joints
-        rays, weight, extremities = convert_body_to_rays(*keypoints, intrinsics, min_score)
-        if np.count_nonzero(weight) < min_joints:
-            return None
-        extent = measure_extent(rays, weight)
-        if extent.is_one_place:
-            return None
-        return Detection(person.id, rays, weight, extent, extremities)
-
-    def join(self, part: Detection) -> Detection:
-        """Return the detection with the joints of another detection of the same person that this one lacks."""
-        rays, weight = _fill_gaps(self.rays, self.weight, part.rays, part.weight)
-        extremities = Extremities(*_fill_gaps(*self.extremities, *part.extremities))
-        return Detection(self.given_id or part.given_id, rays, weight, measure_extent(rays, weight), extremities)
-
-
-def _fill_gaps(rays: Array, weight: Array, other_rays: Array, other_weight: Array) -> tuple[Array, Array]:
-    is_own = weight > 0
-    return np.where(is_own[:, None], rays, other_rays), np.where(is_own, weight, other_weight)
 
 
 @dataclass(eq=False)
@@ -111,6 +50,7 @@ class Track:
         focal: px, focal length that the solvers assume; infinite for weak perspective.
         is_tentative: whether the person has not been seen for long enough to be sure that there is somebody.
         given_id: name that the detector gave the person last; empty if it gave none.
+        has_newest_id: whether it gave a name in the newest frame.
         frames_seen: number of frames in which the person was seen, some of which the window may have left behind.
         stamps_ns: (F,) ns, stamps of the frames of the window, increasing.
         rays: (F, J, 2) x / z and y / z of the joints in the real camera, with the detector's labels.
@@ -138,6 +78,7 @@ class Track:
     extremities: Extremities
     observed: ObservedWindow = field(init=False)
     given_id: str = ''
+    has_newest_id: bool = False
     frames_seen: int = 0
     stamps_ns: tuple[int, ...] = ()
     solution: TrackSolution | None = None
@@ -237,13 +178,13 @@ class Track:
             self.schedule.check_at(stamp_ns)
         if self.solution is not None:
             self.solution = self.solution.drop_oldest(dropped)
-        self.given_id = detection.given_id or self.given_id
+        self.given_id, self.has_newest_id = detection.given_id or self.given_id, bool(detection.given_id)
         self.stamps_ns = (*self.stamps_ns[dropped:], stamp_ns)
         self.rays = np.concatenate([self.rays[dropped:], detection.rays[None]])
         self.weight = np.concatenate([self.weight[dropped:], detection.weight[None]])
         self.extremities = self.extremities.append_frame(detection.extremities, dropped)
         self.frames_seen += 1
-        self.is_tentative &= self.frames_seen < MIN_FRAMES or self.age_s <= MIN_AGE_S
+        self.is_tentative &= is_new(self.frames_seen, self.age_s)
         self._correct_sides(lifted)
 
     def _correct_sides(self, lifted: LiftedPoses | None) -> None:

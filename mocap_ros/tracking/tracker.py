@@ -23,12 +23,14 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.config import Config, TrackerConfig
+from mocap_ros.config import Config
 from mocap_ros.errors import FrameDropped
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import Floor
 from mocap_ros.geometry.virtual_camera import solver_focal
+from mocap_ros.keypoints.identities import Identities
 from mocap_ros.keypoints.left_right import BodySides, SwapFilter
+from mocap_ros.keypoints.matching import Detection
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.models.model_file import load_prior_lifter, load_velocity_correction
@@ -51,21 +53,19 @@ from mocap_ros.tracking.body_size import BodySize, FloorContact, assume_size, re
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, FRAME_BUDGET_WITHOUT_LIFTER, DeferredWork
 from mocap_ros.tracking.delayed_output import find_delayed_frame
 from mocap_ros.tracking.hypotheses import HypothesisChecker
-from mocap_ros.tracking.matching import match_detections
 from mocap_ros.tracking.motion_filter import CoreMotion
 from mocap_ros.tracking.output import Cores, filter_motion, find_published_motion, follow_extremities, make_people
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.prediction import predict_ahead, predict_people
 from mocap_ros.tracking.schedule import MIN_CHECK_INTERVAL_S
 from mocap_ros.tracking.solution import build_refinement_window
-from mocap_ros.tracking.track import Detection, Track
+from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 Shown: TypeAlias = list[tuple[Track, int]]  # people who are put out, and the index of the frame in each window
 
 CHECK_INTERVAL_S = 0.5  # s; longest interval between checks without a lifter, where models take turns
-TENTATIVE_FORGET_S = 0.2  # s; a detector misses a person for a few frames, and a new one must not be new again
 # s; shortest `tracker.lag` with which accelerations are limited. The velocity of a frame whose future is unknown
 # rests on few noisy frames; to go on with it costs the newest frame 1 to 6 mm, and one 0.1 s before it 1 to 3 mm.
 MIN_ACCELERATION_LAG_S = 0.15
@@ -150,6 +150,11 @@ class Tracker:
         known = self._vertical
         return None if known is None else CameraVertical(known.direction, known.std)
 
+    @property
+    def are_ids_ignored(self) -> bool:
+        """Whether the detector's ids are ignored, as they go from people to others far away again and again."""
+        return self._who.are_ids_ignored
+
     def reset(self) -> None:
         """Forget all people and all stamps."""
         self._forget_everybody()
@@ -158,13 +163,11 @@ class Tracker:
         """Begin without people, names and stamps; the counters and a vertical that was given stay."""
         self.tracks: list[Track] = []
         self._leaving: list[Track] = []  # with a lag, tracks that have ended and are still to be put out
-        self._newest_ns: int | None = None  # stamp of the newest accepted frame
-        self._newest_person_ns: int | None = None  # stamp of the newest one with a detection that can be used
+        self._who = Identities[Track](self.config.tracker)
         self._waiting_ns: list[int] = []  # with a lag, stamps of the frame that is put out and of those after it
         self._has_output_begun = False  # with a lag, whether a frame was old enough since anybody was there
         self._is_work_pending = False
         self._intrinsics: Intrinsics | None = None
-        self._name_count = 0  # names that were given to people without an id
         self._at_work: Sequence[Track] = ()  # the people whom a stage works on
         self.pose_memory = KeyPoseMemory()
         self._vertical = self._vertical and self._vertical.forget()
@@ -198,7 +201,7 @@ class Tracker:
         """
         settings = self.config.tracker
         backward_jump_s = self._measure_backward_jump(stamp_ns)
-        if backward_jump_s == 0 and not self._is_everybody_gone(stamp_ns):
+        if backward_jump_s == 0 and not self._who.is_everybody_gone(stamp_ns):
             intrinsics = self._choose_intrinsics(intrinsics)
         converted = [Detection.from_person(p, intrinsics, settings.min_score, settings.min_joints) for p in people]
         detections = [d for d in converted if d is not None]
@@ -221,8 +224,8 @@ class Tracker:
             self._forget_concerned()
             raise
         finally:
-            self._newest_ns, self._is_work_pending = stamp_ns, True
-            self._newest_person_ns = stamp_ns if detections else self._newest_person_ns
+            self._who.end_frame(stamp_ns, has_people=bool(detections))
+            self._is_work_pending = True
         self.swapped_frames += sum(t.is_newest_swapped for t in tracks)
         self.unusable_people += len(people) - len(tracks)
         return tuple(output)
@@ -236,11 +239,12 @@ class Tracker:
         Returns:
             The people at each of the times, without those who are tentative.
         """
-        if self._newest_ns is None:
+        newest_ns = self._who.newest_ns
+        if newest_ns is None:
             return [[] for _ in times_s]
-        tracks = self._list_known(self._newest_ns)
+        tracks = self._list_known(newest_ns)
         sizes = [*map(self._find_size, tracks)]
-        people = predict_ahead(tracks, self._newest_ns, times_s, self._upward, sizes)
+        people = predict_ahead(tracks, newest_ns, times_s, self._upward, sizes)
         return [[person[i] for person in people] for i in range(len(times_s))]
 
     def run_deferred_work(self) -> None:
@@ -248,9 +252,9 @@ class Tracker:
 
         The next `update` would do this work first. A caller who has time before then spares that frame the delay.
         """
-        if self._is_work_pending and self._newest_ns is not None:
+        if self._is_work_pending and self._who.newest_ns is not None:
             self._is_work_pending = False
-            self._deferred_work.advance(self.tracks, self._newest_ns)
+            self._deferred_work.advance(self.tracks, self._who.newest_ns)
 
     def _measure_backward_jump(self, stamp_ns: int) -> float:
         """Return by how many seconds the stamp goes back, so that tracking must restart; 0 for a newer stamp.
@@ -258,14 +262,15 @@ class Tracker:
         Raises:
             FrameDropped: The stamp repeats the newest or is a little older.
         """
-        if self._newest_ns is None:
+        newest_ns = self._who.newest_ns
+        if newest_ns is None:
             return 0.0
-        back_ns = self._newest_ns - stamp_ns
+        back_ns = newest_ns - stamp_ns
         if back_ns > self.config.tracker.restart_after * NS_PER_S:
             return back_ns / NS_PER_S
         if back_ns >= 0:
             relation = 'is older than' if back_ns else 'repeats'
-            raise FrameDropped(f'stamp {stamp_ns} ns {relation} the newest accepted, {self._newest_ns} ns')
+            raise FrameDropped(f'stamp {stamp_ns} ns {relation} the newest accepted, {newest_ns} ns')
         return 0.0
 
     def _choose_intrinsics(self, given: Intrinsics) -> Intrinsics:
@@ -313,24 +318,14 @@ class Tracker:
         is forgotten. Poses and names of earlier people then have no influence on what follows, so a recording that
         is cut in two after such an absence gives the same people as the whole.
         """
-        longest_ns = self.config.tracker.forget_after * NS_PER_S
-        for track in self.tracks[:]:
-            age_ns = stamp_ns - track.stamps_ns[-1]
-            was_missed = track.stamps_ns[-1] != self._newest_ns
-            is_nobody = track.is_tentative and was_missed and age_ns > TENTATIVE_FORGET_S * NS_PER_S
-            if age_ns > longest_ns or is_nobody:
-                if not track.is_tentative:
-                    self._checker.remember_poses(self.pose_memory, track)
-                self._end(track)
-        if self._is_everybody_gone(stamp_ns):
-            newest_ns, intrinsics = self._newest_ns, self._intrinsics
+        for track in self._who.find_lost(stamp_ns, self.tracks):
+            if not track.is_tentative:
+                self._checker.remember_poses(self.pose_memory, track)
+            self._end(track)
+        if self._who.is_everybody_gone(stamp_ns):
+            newest_ns, intrinsics = self._who.newest_ns, self._intrinsics
             self._forget_everybody()
-            self._newest_ns, self._intrinsics = newest_ns, intrinsics
-
-    def _is_everybody_gone(self, stamp_ns: int) -> bool:
-        """Return whether nobody was there for so long that everything is forgotten."""
-        newest_ns = self._newest_person_ns
-        return newest_ns is not None and stamp_ns - newest_ns > find_absence(self.config.tracker) * NS_PER_S
+            self._who.newest_ns, self._intrinsics = newest_ns, intrinsics
 
     def _end(self, track: Track) -> None:
         """End a track; with a lag, its last frames are still to be put out."""
@@ -352,18 +347,17 @@ class Tracker:
     def _associate(self, stamp_ns: int, detections: Sequence[Detection], intrinsics: Intrinsics) -> list[Track]:
         """Match the detections with the known people; return the track of each person with this frame added.
 
-        A new person is called as the detector does or, without an id or if it is in use, by a new name, and is
-        tentative. Only in a stream so slow that nobody is known from one frame to the next, new people are not.
+        A new person is tentative. Only in a stream so slow that nobody is known from one frame to the next, new
+        people are not.
         The track of a person whose id the detector has given to another person ends.
         """
         settings = self.config.tracker
         focal = solver_focal(intrinsics, settings.perspective)
-        matches = match_detections(stamp_ns, self.tracks, detections)
+        matches = self._who.match(stamp_ns, self.tracks, detections)
         for track in matches.replaced:
             self._end(track)
         used_ids = {t.id for t in self.tracks}
-        before_ns = stamp_ns if self._newest_ns is None else self._newest_ns
-        is_tentative = stamp_ns - before_ns <= settings.forget_after * NS_PER_S
+        is_tentative = self._who.is_first_tentative(stamp_ns)
         tracks = []
         for detection, known in zip(matches.detections, matches.tracks, strict=True):
             if known is not None:
@@ -371,11 +365,7 @@ class Tracker:
                 known.add_frame(stamp_ns, detection, settings.window, settings.lag)
                 tracks.append(known)
                 continue
-            name = detection.given_id
-            while not name or name in used_ids:
-                self._name_count += 1
-                name = f'person_{self._name_count}'
-            used_ids.add(name)
+            name = self._who.name(stamp_ns, detection, used_ids)
             camera = intrinsics, focal, is_tentative
             tracks.append(Track.begin(name, stamp_ns, detection, self._new_swap_filter, *camera))
             self.tracks.append(tracks[-1])
@@ -464,7 +454,7 @@ class Tracker:
         """
         lag_s, self.output_stamp_ns = self.config.tracker.lag, stamp_ns
         if lag_s > 0:
-            if self._newest_person_ns is None:
+            if self._who.newest_person_ns is None:
                 self._waiting_ns, self._has_output_begun = [], False
             self._waiting_ns.append(stamp_ns)
             first, self._has_output_begun = find_delayed_frame(
@@ -534,8 +524,3 @@ class Tracker:
     @property
     def _upward(self) -> Array | None:
         return None if self._vertical is None else self._vertical.direction
-
-
-def find_absence(settings: TrackerConfig) -> float:
-    """Return the time in s without anybody after which everything is forgotten, and nobody waits to be put out."""
-    return max(settings.forget_all_after, settings.forget_after, settings.lag)

@@ -106,7 +106,7 @@ def test_an_id_that_two_people_of_one_frame_have_is_none(tmp_path: Path) -> None
     ]
     path.write_text(json.dumps(people))
     detections = load_coco(path, VIDEO)
-    tracks = {track.id: track for track in associate_people(detections)}
+    tracks = {track.id: track for track in associate_people(detections)[0]}
     counts = {name: len(track.detection_by_frame) for name, track in tracks.items()}
     assert counts == {'person_1': 10, 'person_2': 9, '7': 9}
     assert {p.points[0, 0] for p in tracks['person_1'].detection_by_frame.values()} == {300}

@@ -14,23 +14,18 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
 from mocap_ros.keypoints.association import (
-    BASE_GATE,
     MIN_DETECTION_SIZE,
     MIN_SHARED_JOINTS,
     RADIUS_OFFSET,
-    UNPREDICTED_GATE_GROWTH_PER_S,
     VELOCITY_SPAN_S,
     Array,
     ExpectedPerson,
-    associate_keypoints,
     choose_pairs,
-    compute_keypoint_distance,
     expect_person,
     measure_distances,
     measure_extent,
 )
-from mocap_ros.keypoints.person import Person2D
-from mocap_ros.skeleton import CMU15, keypoint_layout
+from mocap_ros.skeleton import CMU15
 
 MIRROR = np.array(CMU15.mirror)
 JOINTS = len(MIRROR)
@@ -96,7 +91,7 @@ def test_people_who_cross_are_distinguished_by_their_poses(rng: np.random.Genera
     seen = [(p + rng.normal(0, 0.05, p.shape), np.ones(JOINTS)) for p in poses]
     for order in ([0, 1], [1, 0]):
         distances, _ = measure_distances(people, [seen[i] for i in order], MIRROR)
-        assert choose_pairs(distances, distances < BASE_GATE) == order
+        assert choose_pairs(distances, distances < 1.0) == order
 
 
 def test_a_person_is_expected_where_the_movement_goes(rng: np.random.Generator) -> None:
@@ -117,39 +112,6 @@ def test_a_person_is_expected_where_the_movement_goes(rng: np.random.Generator) 
         held = body[2] + [0.04, -0.02] + moved * min((gap + 3) * step_s, VELOCITY_SPAN_S)
         assert person.points[2] == pytest.approx(held)
         assert person.weight.tolist() == known.astype(float).tolist()
-
-
-def make_person(x: float, y: float = 0.0, seen: int = 17) -> Person2D:
-    """Return a person 100 px tall whose upper left corner is at (x, y), of whom the first keypoints are seen."""
-    points = np.stack([x + np.linspace(0, 30, 17), y + np.linspace(0, 100, 17)], axis=1)
-    score = np.where(np.arange(17) < seen, 0.9, 0.0)
-    return Person2D('', keypoint_layout('coco17').joints, np.where(score[:, None] > 0, points, np.nan), score)
-
-
-def test_the_distance_of_keypoints_is_their_median_in_sizes_of_the_larger_person() -> None:
-    size = measure_extent(make_person(0).points, np.ones(17)).size
-    assert compute_keypoint_distance(make_person(0, seen=5), make_person(60)) == pytest.approx(60 / size)
-    moved = make_person(60)
-    moved.points[3] += 1000  # one keypoint that was found elsewhere
-    assert compute_keypoint_distance(make_person(0), moved) < 65 / size
-    other_layout = Person2D('', ('a',), np.array([[15.0, 50.0]]), np.ones(1))
-    assert compute_keypoint_distance(make_person(0), other_layout) == pytest.approx(0, abs=1e-9)
-
-
-def test_a_person_who_is_gone_does_not_push_others_to_wrong_people() -> None:
-    """Both detections are within reach of other people, but the first is where the second person was."""
-    known = [make_person(0), make_person(25)]
-    assert associate_keypoints(known, [0.0, 0.0], [make_person(25), make_person(25, y=25)]) == [1, None]
-
-
-def test_the_gate_of_keypoints_widens_with_the_time_since_a_person_was_seen() -> None:
-    size = measure_extent(make_person(0).points, np.ones(17)).size
-    for age_s in (0.0, 0.5, 2.0):
-        gate = (BASE_GATE + UNPREDICTED_GATE_GROWTH_PER_S * age_s) * size
-        assert associate_keypoints([make_person(0)], [age_s], [make_person(0.99 * gate)]) == [0]
-        assert associate_keypoints([make_person(0)], [age_s], [make_person(1.01 * gate)]) == [None]
-    assert associate_keypoints([], [], [make_person(0)]) == [None]
-    assert associate_keypoints([make_person(0)], [0.0], []) == []
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 7), st.integers(1, 7), st.booleans())

@@ -60,7 +60,7 @@ def test_a_video_of_two_people_in_turn_gives_one_of_them_and_a_warning(tmp_path:
         ([0, 5, 300, 305, 310, 12], '112221', 2),
         ([0, None, None, 3], '1..1', 0),
         ([0, 400, 0], '121', 2),
-        ([0] + [None] * 100 + [400, 405], '1' + '.' * 100 + '11', 0),  # 4 s later
+        ([0] + [None] * 100 + [400, 405], '1' + '.' * 100 + '22', 1),  # 4 s later
     ],
 )
 def test_people_of_a_detector_of_one_person_are_distinguished(

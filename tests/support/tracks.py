@@ -13,11 +13,12 @@ import numpy as np
 from mocap_ros.config import Config
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.left_right import BodySides, SwapFilter
+from mocap_ros.keypoints.matching import Detection
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Array
-from mocap_ros.tracking.track import Detection, Track
+from mocap_ros.tracking.track import Track
 from mocap_ros.tracking.tracker import Tracker
 
 CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)

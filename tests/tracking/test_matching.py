@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mocap_ros.keypoints.matching import NEW_ID_GATE, NEW_ID_GATE_GROWTH_PER_S, Detection, match_detections
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Array
-from mocap_ros.tracking.matching import NEW_ID_GATE, NEW_ID_GATE_GROWTH_PER_S, match_detections
-from mocap_ros.tracking.track import Detection, Track
+from mocap_ros.tracking.track import Track
 from tests.support.synthetic_walk import make_walk
 from tests.support.tracks import CAMERA, STEP_NS, change, make_detection, make_track
 

@@ -135,7 +135,7 @@ def test_lost_people_are_predicted_and_later_forgotten(walk_model: BasePoses, wa
     assert recalled is not None
     error = recalled.pose - (last.core - last.core.mean(axis=0))
     assert np.linalg.norm(error, axis=-1).mean() < 0.05  # m
-    assert tracker.update(200 * STEP_NS, people(points, 2), CAMERA)[0].id == 'person_2'
+    assert tracker.update(200 * STEP_NS, people(points + [900.0, 0], 2), CAMERA)[0].id == 'person_2'
 
 
 def test_a_reset_restores_the_initial_state_but_keeps_counting(walk_model: BasePoses, walk: Walk) -> None:

@@ -7,7 +7,9 @@ The steps, each for the people and detections that are left by those before:
 
 1. A detection with a person's id that is near where the person is expected is this person: a detector that gives
    good ids decides who is who, also where people cross.
-2. So is one that is farther away, unless it is part of somebody who was found in the first step.
+2. So is one that is farther away, unless it is part of somebody who was found in the first step, or lies where
+   another person is and both had their ids in their newest frames: no two people exchange their places from one
+   frame to the next, but ids do, above all those that count the people of an image.
 3. The others are matched by position, size and pose (Hungarian method). A detection without an id, or with an id
    that is new, goes on with the track of a known person; with a new id it must be nearer.
 4. A detection that fits a person who has been found is part of it or the same once more, and one that fits a new
@@ -20,21 +22,26 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
+from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.association import (
     MIN_SHARED_JOINTS,
     VELOCITY_SPAN_S,
     Array,
     ExpectedPerson,
+    Extent,
     choose_pairs,
     expect_person,
     measure_distances,
+    measure_extent,
 )
+from mocap_ros.keypoints.extremities import Extremities, convert_body_to_rays
+from mocap_ros.keypoints.person import Person2D
 from mocap_ros.skeleton import CMU15
-from mocap_ros.tracking.track import Detection, Track
 from mocap_ros.units import NS_PER_S
 
 GATE = 0.6  # person sizes (RMS radius, about 0.5 m of an adult); acrobats move less from frame to frame
@@ -48,36 +55,115 @@ NEW_ID_GATE_GROWTH_PER_S = 1.0  # person sizes/s; likewise
 SAME_ID_GATE = 5.0  # person sizes; a detection with a known id that is farther away belongs to another person
 SAME_ID_GATE_GROWTH_PER_S = 10.0  # person sizes/s; likewise
 PART_GATE = 0.3  # person sizes, about 0.15 m; the joints of a part are those of the person, but for image noise
+UNTRACKED_ID = '-1'  # the id by which some detectors say that they know none
 TENTATIVE_COST = 0.5  # person sizes; a known person gets a detection sooner than one who may be none
 
-_MIRROR = np.array(CMU15.mirror)
+MIRROR = np.array(CMU15.mirror)
 
 
-class Matches(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """One detected person of whom enough was seen to be tracked.
+
+    Attributes:
+        given_id: name that the detector gives the person; empty if it gives none.
+        rays: (J, 2) x / z and y / z of the model's joints in the camera; 0 for a joint that was not seen.
+        weight: (J,) confidence scores in [0, 1]; 0 for a joint that was not seen.
+        extent: centre and size in the image, in the units of rays.
+        extremities: face, feet and hands.
+    """
+
+    given_id: str
+    rays: Array
+    weight: Array
+    extent: Extent
+    extremities: Extremities
+
+    @staticmethod
+    def from_person(
+        person: Person2D, intrinsics: Intrinsics, min_score: float, min_joints: int
+    ) -> Detection | None:
+        """Convert the keypoints of a person to rays of the model's joints.
+
+        Args:
+            person: keypoints as a detector gave them.
+            intrinsics: intrinsics of the camera.
+            min_score: confidence score below which a keypoint counts as not seen.
+            min_joints: smallest number of seen joints, at least 1, that makes a detection usable.
+
+        Returns:
+            The detection; None if fewer joints were seen, or all of them in one place.
+
+        Raises:
+            SkeletonError: The person's joints do not cover enough of the model's.
+        """
+        keypoints = person.points, person.score, person.joints
+        rays, weight, extremities = convert_body_to_rays(*keypoints, intrinsics, min_score)
+        if np.count_nonzero(weight) < min_joints:
+            return None
+        extent = measure_extent(rays, weight)
+        if extent.is_one_place:
+            return None
+        given_id = '' if person.id == UNTRACKED_ID else person.id
+        return Detection(given_id, rays, weight, extent, extremities)
+
+    def join(self, part: Detection) -> Detection:
+        """Return the detection with the joints of another detection of the same person that this one lacks."""
+        rays, weight = _fill_gaps(self.rays, self.weight, part.rays, part.weight)
+        extremities = Extremities(*_fill_gaps(*self.extremities, *part.extremities))
+        return Detection(self.given_id or part.given_id, rays, weight, measure_extent(rays, weight), extremities)
+
+
+def _fill_gaps(rays: Array, weight: Array, other_rays: Array, other_weight: Array) -> tuple[Array, Array]:
+    is_own = weight > 0
+    return np.where(is_own[:, None], rays, other_rays), np.where(is_own, weight, other_weight)
+
+
+class KnownPerson(Protocol):
+    """What matching needs of a person who is known; the attributes are those of `tracking.track.Track`."""
+
+    id: str
+    given_id: str
+    has_newest_id: bool
+    is_tentative: bool
+    stamps_ns: tuple[int, ...]
+    rays: Array
+    weight: Array
+
+
+P = TypeVar('P', bound=KnownPerson)
+
+
+class Matches(NamedTuple, Generic[P]):
     """The matches of a frame.
 
     Attributes:
         detections: the detections of people, in their order, with their parts joined to them.
-        tracks: the track of each of these detections; None for a detection of nobody known.
-        replaced: tracks whose id the detector has given to another person.
+        tracks: the person who each of these detections is; None for a detection of nobody known.
+        replaced: people whose id the detector has given to another person.
+        members: for each of these detections its index, and those of its parts.
+        are_ids_exchanged: whether ids have gone from people to others who are where they were.
     """
 
     detections: list[Detection]
-    tracks: list[Track | None]
-    replaced: list[Track]
+    tracks: list[P | None]
+    replaced: list[P]
+    members: list[list[int]]
+    are_ids_exchanged: bool
 
 
-def match_detections(stamp_ns: int, tracks: Sequence[Track], detections: Sequence[Detection]) -> Matches:
-    """Match the detections of a frame, stamp in ns, with the tracked people."""
+def match_detections(stamp_ns: int, tracks: Sequence[P], detections: Sequence[Detection]) -> Matches[P]:
+    """Match the detections of a frame, stamp in ns, with the people who are known."""
     matcher = _Matcher(stamp_ns, tracks, detections)
     matcher.match_near_ids()
+    matcher.find_exchanged_ids()
     matcher.match_far_ids()
     matcher.match_positions()
     matcher.join_parts()
     return matcher.finish()
 
 
-class _Matcher:
+class _Matcher(Generic[P]):
     """The matching of the D detections of a frame with the P tracked people, step by step.
 
     Attributes:
@@ -86,20 +172,22 @@ class _Matcher:
         distances: (D, P) distances of all detections from all people.
         has_size: (D, P) whether the detection is large enough to be that of the person.
         track_of: index of the track of each matched detection, by the detection's index.
+        exchanged: detections that have the id of a person who is far, where somebody else is.
         whole_of: detection of which a detection is part, by indices.
     """
 
-    def __init__(self, stamp_ns: int, tracks: Sequence[Track], detections: Sequence[Detection]) -> None:
+    def __init__(self, stamp_ns: int, tracks: Sequence[P], detections: Sequence[Detection]) -> None:
         self.tracks, self.detections = tracks, detections
-        self.expected = [_expect(t, stamp_ns) for t in tracks]
+        self.expected = [expect_known(t, stamp_ns) for t in tracks]
         self.age_s = np.array([(stamp_ns - t.stamps_ns[-1]) / NS_PER_S for t in tracks])
         seen = [(d.rays, d.weight) for d in detections]
-        self.distances, growths = measure_distances(self.expected, seen, _MIRROR)
+        self.distances, growths = measure_distances(self.expected, seen, MIRROR)
         self.has_size = growths >= -(SIZE_GATE + SIZE_GATE_GROWTH_PER_S * self.age_s)
         self.gates = GATE + GATE_GROWTH_PER_S * self.age_s
         self.same_id_gates = SAME_ID_GATE + SAME_ID_GATE_GROWTH_PER_S * self.age_s
         self.new_id_gates = NEW_ID_GATE + NEW_ID_GATE_GROWTH_PER_S * self.age_s
         self.track_of: dict[int, int] = {}
+        self.exchanged: set[int] = set()
         self.whole_of: dict[int, int] = {}
         # tracks by the id that the detector gave the person last, and by the person's in the output
         self.called: dict[str, list[int]] = {}
@@ -114,11 +202,27 @@ class _Matcher:
             if p is not None:
                 self.track_of[d] = p
 
+    def find_exchanged_ids(self) -> None:
+        """Find the detections whose ids people cannot have taken with them since their newest frames."""
+        if len(self.tracks) < 2:
+            return
+        for d, detection in enumerate(self.detections):
+            called = self.called.get(detection.given_id, ()) if detection.given_id else ()
+            if d in self.track_of or not called or not all(self.tracks[p].has_newest_id for p in called):
+                continue
+            is_there = self.has_size[d] & (self.distances[d] <= PART_GATE)
+            others = [p for p in np.flatnonzero(is_there).tolist() if p not in called]
+            if (self.distances[d, called] > self.gates[[*called]]).all() and any(
+                self.tracks[p].has_newest_id and not self.tracks[p].is_tentative for p in others
+            ):
+                self.exchanged.add(d)
+
     def match_far_ids(self) -> None:
         """Match detections with people of their id who are far, but for parts of people who have been found."""
         found = list(self.track_of)
         for d in range(len(self.detections)):
-            p = None if d in self.track_of else self._find_same_id(d, self.same_id_gates)
+            is_settled = d in self.track_of or d in self.exchanged
+            p = None if is_settled else self._find_same_id(d, self.same_id_gates)
             if p is not None and self._find_whole(d, found) is None:
                 self.track_of[d] = p
 
@@ -178,7 +282,7 @@ class _Matcher:
         detection = self.detections[d]
         seen = [(detection.rays, detection.weight)]
         people = [self._complete(whole) for whole in wholes]
-        distances = measure_distances(people, seen, _MIRROR, MIN_SHARED_JOINTS)[0][0]
+        distances = measure_distances(people, seen, MIRROR, MIN_SHARED_JOINTS)[0][0]
         ages_s = [self.age_s[self.track_of[w]] if w in self.track_of else 0.0 for w in wholes]
         distances /= PART_GATE + NEW_ID_GATE_GROWTH_PER_S * np.array(ages_s)
         nearest = int(np.argmin(distances))
@@ -194,7 +298,7 @@ class _Matcher:
         points = np.where(is_seen[:, None], detection.rays, expected.points)
         return ExpectedPerson(points, np.maximum(is_seen, expected.weight))
 
-    def finish(self) -> Matches:
+    def finish(self) -> Matches[P]:
         """Return the matches."""
         detections = list(self.detections)
         for part, whole in self.whole_of.items():
@@ -204,7 +308,8 @@ class _Matcher:
         unmatched = [p for p in range(len(self.tracks)) if p not in self.track_of.values()]
         new = [d for d in people if d not in self.track_of]
         replaced = [self.tracks[p] for p in unmatched if any(self._is_replaced(p, d) for d in new)]
-        return Matches([detections[d] for d in people], tracks, replaced)
+        members = [[d, *(part for part, whole in self.whole_of.items() if whole == d)] for d in people]
+        return Matches([detections[d] for d in people], tracks, replaced, members, bool(self.exchanged))
 
     def _is_replaced(self, p: int, d: int) -> bool:
         """Return whether the detector has given a person's id to a new detection that is somebody else's."""
@@ -213,7 +318,8 @@ class _Matcher:
         return bool(is_far) and name != '' and p in self.called.get(name, ())
 
 
-def _expect(track: Track, stamp_ns: int) -> ExpectedPerson:
+def expect_known(track: KnownPerson, stamp_ns: int) -> ExpectedPerson:
+    """Return where a person is expected at a stamp in ns, from the frames of the last `VELOCITY_SPAN_S`."""
     first = bisect_left(track.stamps_ns, track.stamps_ns[-1] - VELOCITY_SPAN_S * NS_PER_S)
     age_s = np.array([stamp_ns - s for s in track.stamps_ns[first:]]) / NS_PER_S
     return expect_person(track.rays[first:], track.weight[first:], age_s)

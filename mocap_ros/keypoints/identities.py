@@ -1,0 +1,179 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Who is who from frame to frame: the tracker and the readers of whole recordings name the same people alike.
+
+Each frame is matched with the people who are known (`keypoints.matching`). Whoever is not seen for a while is
+forgotten, and whoever is new gets a name: the detector's id or, without one, a number. Where a person was lost
+less than `RETURN_S` ago, a new one without an id, or with an id that no person had, is that person again and has
+the name of before.
+
+Ids that the detector does not keep for a person but counts anew in each image go from one person to another, far
+away, again and again (`Matches.are_ids_exchanged`). Once they did so in `MAX_EXCHANGES` frames of
+`EXCHANGE_MEMORY_S`, ids are ignored.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Generic, NamedTuple
+
+import numpy as np
+
+from mocap_ros.config import TrackerConfig
+from mocap_ros.keypoints.association import VELOCITY_SPAN_S, Array, ExpectedPerson, measure_distances
+from mocap_ros.keypoints.matching import (
+    GATE,
+    GATE_GROWTH_PER_S,
+    MIRROR,
+    Detection,
+    Matches,
+    P,
+    expect_known,
+    match_detections,
+)
+from mocap_ros.skeleton import CORE_COUNT
+from mocap_ros.units import NS_PER_S
+
+# What a new person must have been seen for; docs/method.md has what other numbers cost.
+MIN_FRAMES = 3  # frames; at a low frame rate a wrong detection is in one or two
+MIN_AGE_S = 0.06  # s; at a high frame rate it lasts for several frames; three frames at 30 Hz last 0.067 s
+TENTATIVE_FORGET_S = 0.2  # s; a detector misses a person for a few frames, and a new one must not be new again
+RETURN_S = 10.0  # s; who comes back later, at the same place, may as well be somebody else
+MAX_NAMES = 1000  # names that are remembered
+MAX_EXCHANGES, EXCHANGE_MEMORY_S = 3, 10.0  # frames, s; a detector that tracks people confuses them less often
+EXCHANGED_IDS = 'ids of people change places from frame to frame, as numbers of a list do; they are ignored'
+
+
+def is_new(frames_seen: int, age_s: float) -> bool:
+    """Return whether a person has not been seen for long enough to be sure that there is somebody."""
+    return frames_seen < MIN_FRAMES or age_s <= MIN_AGE_S
+
+
+def find_absence(settings: TrackerConfig) -> float:
+    """Return the time in s without anybody after which everything is forgotten, and nobody waits to be put out."""
+    return max(settings.forget_all_after, settings.forget_after, settings.lag)
+
+
+class _Lost(NamedTuple):
+    """A person who was forgotten: name, stamp of the last frame in ns, place in it, and the gate there."""
+
+    name: str
+    stamp_ns: int
+    place: ExpectedPerson
+    gate: float
+
+
+class Identities(Generic[P]):
+    """The identities of the people before one camera.
+
+    Args:
+        settings: parameters; `forget_after`, `forget_all_after` and `lag` apply.
+
+    Attributes:
+        newest_ns: ns, stamp of the newest frame; None before the first.
+        newest_person_ns: ns, stamp of the newest frame with a detection that can be used; None likewise.
+        are_ids_ignored: whether the detector's ids have turned out to say nothing.
+    """
+
+    def __init__(self, settings: TrackerConfig) -> None:
+        self._settings = settings
+        self.newest_ns: int | None = None
+        self.newest_person_ns: int | None = None
+        self.are_ids_ignored = False
+        self._exchanges_ns: list[int] = []
+        self._lost: list[_Lost] = []
+        self._names: deque[str] = deque(maxlen=MAX_NAMES)
+        self._name_count = 0  # names that were given to people without an id
+
+    def is_everybody_gone(self, stamp_ns: int) -> bool:
+        """Return whether nobody was there for so long that everything is forgotten."""
+        newest_ns = self.newest_person_ns
+        return newest_ns is not None and stamp_ns - newest_ns > find_absence(self._settings) * NS_PER_S
+
+    def find_lost(self, stamp_ns: int, people: Sequence[P]) -> list[P]:
+        """Return the people who were not detected for `tracker.forget_after`, and tentative ones sooner."""
+        longest_ns, lost = self._settings.forget_after * NS_PER_S, []
+        for person in people:
+            age_ns = stamp_ns - person.stamps_ns[-1]
+            was_missed = person.stamps_ns[-1] != self.newest_ns
+            is_nobody = person.is_tentative and was_missed and age_ns > TENTATIVE_FORGET_S * NS_PER_S
+            if age_ns > longest_ns or is_nobody:
+                lost.append(person)
+                if not (person.is_tentative and was_missed):
+                    gate = GATE + GATE_GROWTH_PER_S * self._settings.forget_after
+                    place = expect_known(person, person.stamps_ns[-1])
+                    self._lost.append(_Lost(person.id, person.stamps_ns[-1], place, gate))
+        return lost
+
+    def match(self, stamp_ns: int, people: Sequence[P], detections: Sequence[Detection]) -> Matches[P]:
+        """Match the detections of a frame, stamp in ns, with the people who are known."""
+        if self.are_ids_ignored:
+            detections = [replace(d, given_id='') for d in detections]
+        matches = match_detections(stamp_ns, people, detections)
+        if matches.are_ids_exchanged:
+            oldest_ns = stamp_ns - EXCHANGE_MEMORY_S * NS_PER_S
+            self._exchanges_ns = [s for s in self._exchanges_ns if s >= oldest_ns] + [stamp_ns]
+            self.are_ids_ignored = len(self._exchanges_ns) >= MAX_EXCHANGES
+        return matches
+
+    def restart(self) -> Identities[P]:
+        """Return identities that know of nobody, but for the stamp of the newest frame."""
+        new = Identities[P](self._settings)
+        new.newest_ns = self.newest_ns
+        return new
+
+    def is_first_tentative(self, stamp_ns: int) -> bool:
+        """Return whether new people are tentative; they are not in a stream too slow to know anybody again."""
+        before_ns = stamp_ns if self.newest_ns is None else self.newest_ns
+        return stamp_ns - before_ns <= self._settings.forget_after * NS_PER_S
+
+    def name(self, stamp_ns: int, detection: Detection, used: set[str]) -> str:
+        """Return a name for a person who is new in a frame, and add it to those in use."""
+        self._lost = [p for p in self._lost if stamp_ns - p.stamp_ns <= RETURN_S * NS_PER_S and p.name not in used]
+        name = detection.given_id
+        if self._lost and name not in self._names:
+            seen = [(detection.rays, detection.weight)]
+            distances = measure_distances([p.place for p in self._lost], seen, MIRROR)[0][0]
+            shares = distances / [p.gate for p in self._lost]
+            if shares.min() < 1:
+                name = self._lost[int(shares.argmin())].name
+        while not name or name in used:
+            self._name_count += 1
+            name = f'person_{self._name_count}'
+        used.add(name)
+        self._names.append(name)
+        return name
+
+    def end_frame(self, stamp_ns: int, *, has_people: bool) -> None:
+        """Remember the stamp of a frame, in ns, and whether a detection could be used."""
+        self.newest_ns = stamp_ns
+        self.newest_person_ns = stamp_ns if has_people else self.newest_person_ns
+
+
+@dataclass(eq=False)
+class FollowedPerson:
+    """What `Identities` needs of a person; the attributes are those of `tracking.track.Track`."""
+
+    id: str
+    first_ns: int
+    is_tentative: bool
+    stamps_ns: tuple[int, ...] = ()
+    rays: Array = field(default_factory=lambda: np.zeros((0, CORE_COUNT, 2)))
+    weight: Array = field(default_factory=lambda: np.zeros((0, CORE_COUNT)))
+    given_id: str = ''
+    has_newest_id: bool = False
+    frames_seen: int = 0
+
+    def add_frame(self, stamp_ns: int, detection: Detection) -> None:
+        """Add a frame, stamp in ns, and drop those that are older by more than `VELOCITY_SPAN_S`."""
+        kept = slice(bisect_left(self.stamps_ns, stamp_ns - VELOCITY_SPAN_S * NS_PER_S), None)
+        self.stamps_ns = (*self.stamps_ns[kept], stamp_ns)
+        self.rays = np.concatenate([self.rays[kept], detection.rays[None]])
+        self.weight = np.concatenate([self.weight[kept], detection.weight[None]])
+        self.given_id, self.has_newest_id = detection.given_id or self.given_id, bool(detection.given_id)
+        self.frames_seen += 1
+        self.is_tentative &= is_new(self.frames_seen, (stamp_ns - self.first_ns) / NS_PER_S)
