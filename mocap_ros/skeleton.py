@@ -195,7 +195,13 @@ EXTREMITY_COUNT = len(BODY26.joints) - CORE_COUNT  # joints; the others, of face
 _SIDES = {'l': 'l', 'left': 'l', 'r': 'r', 'right': 'r'}
 
 # Names that detectors use for a joint, and the canonical name of the joint.
-_SYNONYMS = {'midhip': 'pelvis'}
+_SYNONYMS = {'midhip': 'pelvis', 'tophead': 'headtop', 'headbottom': 'upperneck'}
+# Names that stand for a joint where no other name does: those of Human3.6M, Halpe, CMU Panoptic and their like.
+_WEAK_SYNONYMS = {
+    'root': 'pelvis', 'hip': 'pelvis', 'hips': 'pelvis', 'hipcenter': 'pelvis', 'centerhip': 'pelvis',
+    'bodycenter': 'pelvis', 'thorax': 'neck', 'necktop': 'upperneck',
+}  # fmt: skip
+MIN_LIKENESS = 0.8  # 1; share of the names in the order of a layout from which on a list of names is that layout
 
 
 def _split_joint_name(name: str) -> tuple[str, str]:
@@ -229,9 +235,31 @@ _CANONICAL_NAMES = _build_spelling_table()  # canonical joint names by side and 
 def canonical_joint_names(names: Sequence[str]) -> tuple[str, ...]:
     """Convert joint names to the canonical spelling: `left_shoulder`, `LShoulder` and `l-shoulder` to `lshoulder`.
 
-    Names of joints that no layout has are returned unchanged.
+    Names that stand for a joint only where no other does, such as `root` and `left_foot` of Human3.6M, are
+    converted then. Names of joints that no layout has are returned unchanged.
     """
-    return tuple(_CANONICAL_NAMES.get(_split_joint_name(name), name) for name in names)
+    split = [_split_joint_name(name) for name in names]
+    out = [_CANONICAL_NAMES.get(key, name) for key, name in zip(split, names, strict=True)]
+    for i, (side, rest) in enumerate(split):
+        joint = f'{side}ankle' if side and rest == 'foot' else '' if side else _WEAK_SYNONYMS.get(rest, '')
+        if joint and split[i] not in _CANONICAL_NAMES and joint not in out:
+            out[i] = joint
+    return tuple(out)
+
+
+def detector_joint_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the canonical names of a detector's joints.
+
+    If most of them are a known layout's, in its order, and the others are no joints of it, all are that layout's:
+    Human3.6M and Halpe call the top of the head `head`, which is another joint in motion capture.
+    """
+    out = canonical_joint_names(names)
+    for layout in KEYPOINT_LAYOUTS.values():
+        if len(layout.joints) == len(out):
+            others = [name for name, joint in zip(out, layout.joints, strict=True) if name != joint]
+            if len(others) <= (1 - MIN_LIKENESS) * len(out) and not set(others) & set(layout.joints):
+                return layout.joints
+    return out
 
 
 def keypoint_layout(name: str) -> Skeleton:

@@ -23,6 +23,7 @@ from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.rosbag2 import storage_mcap, storage_sqlite3
 from rosbags.rosbag2.metadata import parse_qos
+from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import get_msgdef
 
 from mocap_ros.bags.mcap_scan import MAGIC, PARSE_ERRORS, read_summary
@@ -30,7 +31,14 @@ from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.errors import MALFORMED, InputError, describe_parse_error, name_errors
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import typestore
-from mocap_ros.messages.versions import Convert, convert_or_keep, load_recorded_types, make_converter
+from mocap_ros.messages.foreign_types import INPUT_DEFINITIONS, find_current_type
+from mocap_ros.messages.versions import (
+    MAX_DEFINITION_CHARACTERS,
+    Convert,
+    convert_or_keep,
+    load_recorded_types,
+    make_converter,
+)
 from mocap_ros.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -81,6 +89,7 @@ class Bag:
             self._reader = Ros1Reader(self.path) if self._is_ros1 else Ros2Reader(self.path)
             self._reader.open()
             self._connections: list[Connection] = [*self._reader.connections]
+            self._types = {c.id: _find_known_type(c) for c in self._connections}
             self.duration_s = float(self._reader.duration / NS_PER_S)
             self.count(self.topics)  # what a damaged metadata.yaml states may be no number
         except InputError:
@@ -102,8 +111,8 @@ class Bag:
 
     @property
     def topics(self) -> dict[str, str]:
-        """Message types by topic."""
-        return {c.topic: c.msgtype for c in self._connections}
+        """Message types by topic; those of packages that have been renamed have their new names."""
+        return {c.topic: self._types[c.id] for c in self._connections}
 
     @property
     def qos(self) -> dict[str, list[Qos]]:
@@ -122,7 +131,7 @@ class Bag:
 
     def topics_of_type(self, types: Collection[str]) -> list[str]:
         """Return the topics that have one of the message types and hold messages."""
-        return list(dict.fromkeys(c.topic for c in self._connections if c.msgtype in types and c.msgcount))
+        return list(dict.fromkeys(c.topic for c in self._connections if self._types[c.id] in types and c.msgcount))
 
     def find_camera_info_topic(self, keypoints_topic: str, name: str | None = None) -> str | None:
         """Return the CameraInfo topic that belongs to a keypoint topic, or None where the bag has none.
@@ -172,7 +181,7 @@ class Bag:
             for connection, time_ns, raw in self._reader.messages(connections, start_ns, stop_ns):
                 message_count += 1
                 data = converters[connection.id](raw)
-                yield BagMessage(connection.topic, connection.msgtype, time_ns, data)
+                yield BagMessage(connection.topic, self._types[connection.id], time_ns, data)
         except InputError:
             raise
         except Exception as error:  # the reader of a damaged file may raise anything
@@ -188,7 +197,8 @@ class Bag:
         Raises:
             InputError: The bag does not define the type of the connection, or the definition cannot be parsed.
         """
-        msgtype, definition, is_ros1 = connection.msgtype, connection.msgdef, self._is_ros1
+        recorded_type, definition, is_ros1 = connection.msgtype, connection.msgdef, self._is_ros1
+        msgtype = self._types[connection.id]
         own_hash = typestore().hash_rihs01(msgtype) if msgtype in typestore().types else ''
         if not is_ros1 and (not own_hash or connection.digest == own_hash):
             return bytes
@@ -199,15 +209,15 @@ class Bag:
             raise InputError(f'{fault}, and the bag does not define it')
         is_idl = definition.format != MessageDefinitionFormat.MSG
         try:
-            store = load_recorded_types(definition.data, msgtype, is_idl=is_idl)
-            store.generate_msgdef(msgtype)
-            recorded_hash = store.hash_rihs01(msgtype)
+            store = load_recorded_types(definition.data, recorded_type, is_idl=is_idl)
+            store.generate_msgdef(recorded_type)
+            recorded_hash = store.hash_rihs01(recorded_type)
         except Exception as error:  # the parser may raise anything for damaged text
             reason = describe_parse_error(error)
             raise InputError(f'{fault}, and its definition cannot be parsed: {reason}') from None
         if not is_ros1 and recorded_hash == own_hash:
             return bytes
-        convert = make_converter(store, typestore(), msgtype, is_ros1=is_ros1)
+        convert = make_converter(store, typestore(), recorded_type, msgtype, is_ros1=is_ros1)
         if not is_ros1:
             return convert_or_keep(convert)
 
@@ -257,6 +267,27 @@ def find_number_and_name(name: str) -> tuple[int, str]:
     """Return the number at the end of the stem of a file's name, -1 where there is none, and the name."""
     number = re.search(r'(\d+)$', PurePosixPath(name).stem)
     return int(number[1]) if number else -1, name
+
+
+def _find_known_type(connection: Connection) -> str:
+    """Return the type of a topic, by its name of today where a package has been renamed.
+
+    A type of an unknown package that has the name and the definition of a type of keypoints is that type.
+    """
+    msgtype, text = find_current_type(connection.msgtype), connection.msgdef.data
+    package, _, name = msgtype.partition('/')
+    if msgtype in typestore().types or not text or len(text) > MAX_DEFINITION_CHARACTERS:
+        return msgtype
+    for known in INPUT_DEFINITIONS:
+        known_package, _, known_name = known.partition('/')
+        if name == known_name:
+            renamed = re.sub(rf'\b{re.escape(package)}\b', known_package, text)
+            is_idl = connection.msgdef.format != MessageDefinitionFormat.MSG
+            with suppress(Exception):  # the parser may raise anything for damaged text
+                recorded = load_recorded_types(renamed, known, is_idl=is_idl)
+                if recorded.hash_rihs01(known) == typestore().hash_rihs01(known):
+                    return known
+    return msgtype
 
 
 def _count_shared_namespaces(topic: str, reference: str) -> int:
@@ -323,13 +354,20 @@ class _Database(apsw.Connection):
         )
 
 
+def _open_storage(path: Any) -> Any:
+    """Return the reader of a file of a bag, by the file: the metadata may name no storage."""
+    is_database = path.suffix == '.db3' and not _is_mcap(path)
+    return storage_sqlite3.Sqlite3Reader(path) if is_database else storage_mcap.McapReader(path)
+
+
 def _adapt_rosbags() -> None:
     """Replace what rosbags does otherwise, as it is no parameter of its readers.
 
-    They refuse unknown definitions, and parse the QoS profiles of every topic anew, which takes 4 ms; most topics
-    have the same.
+    They refuse an empty name of the storage and unknown definitions, and parse the QoS profiles of every topic
+    anew, which takes 4 ms; most topics have the same.
     """
     mcap, sqlite3 = cast(Any, storage_mcap), cast(Any, storage_sqlite3)
+    DirectoryReader.STORAGE_PLUGINS = cast(Any, dict.fromkeys(('mcap', 'sqlite3', '', None), _open_storage))
     mcap.get_msgdef = _get_definition
     sqlite3.apsw = SimpleNamespace(**{**vars(apsw), 'Connection': _Database})
     mcap.parse_qos = sqlite3.parse_qos = lru_cache(MAX_QOS_TEXTS)(parse_qos)

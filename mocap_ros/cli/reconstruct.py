@@ -174,7 +174,7 @@ def _save(
                 save_results.save(unfinished, save_results.ReconstructedSequence(sequence, result))
     missing = int(np.isnan(result.joints).any(axis=(1, 2)).sum())
     if missing:
-        line = f'{missing} frames before the first and after the last sight of the person have no skeleton'
+        line = f'{missing} frames in which the person is out of sight have no skeleton'
         print_note(f'{args.input}: {line}')
     solution = result.solution
     warning = '' if solution.success else f'. {solution.message}'

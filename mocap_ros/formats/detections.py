@@ -15,12 +15,14 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import gcd
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import InputError
+from mocap_ros.formats.image_names import order_images
 from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, KeypointSequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.identities import EXCHANGED_IDS, FollowedPerson, Identities
@@ -28,7 +30,7 @@ from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_imag
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.matching import Detection
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import find_first_fault, looks_normalised, mark_unseen
+from mocap_ros.keypoints.validation import describe_other_unit, find_first_fault, mark_unseen
 from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.units import NS_PER_S
 
@@ -135,7 +137,9 @@ def create_person(
         SkeletonError: the layout is unknown, or too few of its joints are known.
     """
     if not layout_name and not joint_names and len(keypoints) not in LAYOUT_BY_KEYPOINT_COUNT:
-        raise InputError(f'{len(keypoints)} keypoints: no layout known; name it')
+        raise InputError(f'{len(keypoints)} keypoints: no layout known; give it by --layout')
+    if not layout_name and 0 < len(joint_names) != len(keypoints):
+        raise InputError(f'{len(keypoints)} keypoints, but names of {len(joint_names)}')
     joints = tuple(joint_names)
     if layout_name or not joints:
         joints = keypoint_layout(layout_name or LAYOUT_BY_KEYPOINT_COUNT[len(keypoints)]).joints
@@ -149,39 +153,50 @@ def create_person(
     return Person2D(person_id, joints, *mark_unseen(points, score))
 
 
-def arrange_frames(people_by_number: Mapping[int, Sequence[Person2D]], video: Video) -> Detections:
-    """Arrange numbered frames in time; frames whose number is missing show no people.
+def arrange_frames(people_by_image: Mapping[Any, Sequence[Person2D]], video: Video) -> Detections:
+    """Arrange images in time, by their `ImageName`; frames whose number is missing show no people.
 
     An id that two people of one frame have identifies neither, as the 0 that AlphaPose gives to all people if it
     does not track. It is left out wherever it occurs, and a line of `notes` says so.
 
     Raises:
-        InputError: there are no frames, the frame rate is missing or above `MAX_FRAME_RATE_HZ`, or the numbers are
-            too far apart for one video.
+        InputError: there are no frames, the frame rate is missing or above `MAX_FRAME_RATE_HZ`, the numbers are
+            too far apart for one video, or the images are of several.
     """
-    if not people_by_number:
+    if not people_by_image:
         raise InputError('no frames')
-    if video.fps is None:
-        raise InputError('the file has no timestamps; give the frame rate (--fps)')
-    if video.fps > MAX_FRAME_RATE_HZ:
-        raise InputError(f'--fps: {video.fps:.10g} Hz, at most {MAX_FRAME_RATE_HZ:g} Hz expected')
-    numbers = sorted(people_by_number)
-    step = gcd(*(b - a for a, b in pairwise(numbers))) or 1
-    all_numbers = range(numbers[0], numbers[-1] + 1, step)
-    duration_s = (numbers[-1] - numbers[0]) / video.fps
-    if (numbers[-1] - numbers[0]) // step >= MAX_FRAMES or duration_s >= MAX_TIMESTAMP_S:
-        raise InputError(f'frames are numbered {numbers[0]} to {numbers[-1]}: not one video of {video.fps:g} Hz')
-    stamps = [round((number - numbers[0]) / video.fps * NS_PER_S) for number in all_numbers]
-    counts = (Counter(person.id for person in people if person.id) for people in people_by_number.values())
+    order = order_images(people_by_image)
+    notes = [order.note] if order.note else []
+    if order.stamps_ns:
+        stamps, images = list(order.stamps_ns.values()), [people_by_image[name] for name in order.stamps_ns]
+        if video.fps is not None:
+            notes.append('the names of the images are times; --fps is not used')
+    else:
+        people_by_number = {number: people_by_image[name] for name, number in order.numbers.items()}
+        all_numbers, stamps = _number_frames(list(people_by_number), video.fps)
+        images = [people_by_number.get(number, ()) for number in all_numbers]
+    counts = (Counter(person.id for person in people if person.id) for people in images)
     repeated = {person_id for count_by_id in counts for person_id, n in count_by_id.items() if n > 1}
-    people = [
-        [replace(p, id='') if p.id in repeated else p for p in people_by_number.get(number, ())]
-        for number in all_numbers
-    ]
-    notes: tuple[str, ...] = ()
+    people = [[replace(p, id='') if p.id in repeated else p for p in image] for image in images]
     if repeated:
-        notes = (f'ids left out, because two people of one frame have the same: {_list_some(sorted(repeated))}',)
-    return Detections(people, stamps, resolve_image_size(configured=video.image_size), notes=notes)
+        ids = _list_some(sorted(repeated))
+        notes.append(f'ids left out, because two people of one frame have the same: {ids}')
+    size = resolve_image_size(configured=video.image_size)
+    return Detections(people, stamps, size, notes=tuple(notes))
+
+
+def _number_frames(numbers: Sequence[int], fps: float | None) -> tuple[range, list[int]]:
+    """Return the numbers of all frames, also of those that sorted numbers lack, and their times in ns."""
+    if fps is None:
+        raise InputError('the file has no timestamps; give the frame rate (--fps)')
+    if fps > MAX_FRAME_RATE_HZ:
+        raise InputError(f'--fps: {fps:.10g} Hz, at most {MAX_FRAME_RATE_HZ:g} Hz expected')
+    first, last = numbers[0], numbers[-1]
+    step = gcd(*(b - a for a, b in pairwise(numbers))) or 1
+    if (last - first) // step >= MAX_FRAMES or (last - first) / fps >= MAX_TIMESTAMP_S:
+        raise InputError(f'frames are numbered {first} to {last}: not one video of {fps:g} Hz')
+    every = range(first, last + 1, step)
+    return every, [round((number - first) / fps * NS_PER_S) for number in every]
 
 
 def associate_people(
@@ -250,8 +265,8 @@ def select_person(
     """
     tracks, ignored = associate_people(detections, settings)
     if not tracks:
-        _refuse_normalised(detections)
-        raise InputError(f'nobody is seen with {settings.min_joints} joints in any frame')
+        _refuse_other_unit(detections)
+        raise InputError(f'no person is seen with {settings.min_joints} joints in any frame')
     frame_counts = Counter({track.id: len(track.detection_by_frame) for track in tracks})
     everybody = _list_some([f'{name} ({n})' for name, n in frame_counts.most_common()])
     wanted = frame_counts.most_common(1)[0][0] if person_id is None else person_id
@@ -281,7 +296,7 @@ def arrange_people(
     Raises:
         InputError: the keypoints are not in px, or a person has more than `MAX_KEYPOINTS`.
     """
-    _refuse_normalised(detections)
+    _refuse_other_unit(detections)
     if not all(detections.image_size):
         size = resolve_image_size(keypoints=_stack_keypoints(detections))
         line = f'image size not known, {size[0]}x{size[1]} px assumed; give it by --image-size'
@@ -295,10 +310,10 @@ def _stack_keypoints(detections: Detections) -> Array:
     return np.concatenate([np.zeros((0, 3)), *people])
 
 
-def _refuse_normalised(detections: Detections) -> None:
+def _refuse_other_unit(detections: Detections) -> None:
     keypoints = _stack_keypoints(detections)
-    if looks_normalised(keypoints[:, :2], keypoints[:, 2], detections.image_size[0]):
-        raise InputError('keypoints look normalised; px expected')
+    if fault := describe_other_unit(keypoints[:, :2], keypoints[:, 2], detections.image_size[0]):
+        raise InputError(f'keypoints: {fault}')
 
 
 def _arrange_sequence(detections: Detections, track: PersonTrack) -> KeypointSequence:

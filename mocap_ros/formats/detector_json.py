@@ -1,28 +1,30 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Keypoints of people in the JSON of OpenPose, and in that of COCO, MMPose, AlphaPose, YOLO and Detectron2.
+"""Keypoints of people in the JSON of detectors: OpenPose, COCO, MMPose, AlphaPose, YOLO, Detectron2, ViTPose.
 
-OpenPose writes a folder with a file `*_keypoints.json` for each frame. Of the others, a file in one of these forms
-is read. The field `keypoints` holds x, y and the score (or the visibility 0, 1, 2) of the 17 joints of COCO, or of
-the joints of another known layout.
+A folder holds a file for each frame, as OpenPose, Pose2Sim, AlphaPose and MMPoseInferencer write them: a mapping
+with the list of `people`, or the list itself. Of single files, these forms are read:
 
-- A list of results {image_id, keypoints, score}: COCO results and YOLO's `save_json`. AlphaPose adds `idx` or
-  `track_id` where it tracks people.
+- A list of results {image_id, keypoints, score}: COCO results, Detectron2 and YOLO's `save_json`. AlphaPose adds
+  `idx` or `track_id` where it tracks people.
 - Annotations {images, annotations, categories}.
 - A list of frames {frame_id, instances: [{keypoints, keypoint_scores, bbox_score}]}, or a mapping with that list
-  as `instance_info`: MMPose.
+  as `instance_info` and the names of the joints as `meta_info`: MMPose.
 - A list that holds the list of people of each frame, with keypoints {x, y, visible}: YOLO's `to_json` of all
   frames.
+- A mapping of the name of each image to {people} or {bodies}: AlphaPose in the formats of OpenPose and CMU-Pose.
+- {keypoints: [{id: [[y, x, score], ...]} of each frame], skeleton: names}: easy_ViTPose.
+
+A person's `keypoints` are x, y and the score (or the visibility 0, 1, 2) of the joints of a known layout, or of
+those that the file names.
 """
 
 from __future__ import annotations
 
-import re
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from pathlib import Path, PurePath
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,68 +32,99 @@ from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.detections import Detections, Video, arrange_frames, create_person
+from mocap_ros.formats.image_names import MAX_FRAME_NUMBER, ImageName
 from mocap_ros.formats.text_files import read_json
 from mocap_ros.keypoints.image_size import ImageSize, resolve_image_size
-from mocap_ros.keypoints.person import Person2D
-from mocap_ros.skeleton import canonical_joint_names
+from mocap_ros.keypoints.person import Person2D, is_person_class
+from mocap_ros.skeleton import detector_joint_names
 
 Array = NDArray[np.float64]
-Frames = dict[int, list[Person2D]]  # the people in each frame, by the number of the frame
+Names = tuple[str, ...]  # of joints, in the order of the keypoints; empty where they are not known
 
 FILE_SUFFIX = '_keypoints.json'  # end of the names of OpenPose's files
-OPENPOSE_KEYS = ('pose_keypoints_2d', 'pose_keypoints')  # keys of the keypoints since version 1.0 and before
+# Keys of a person's keypoints: of most detectors, of OpenPose since version 1.0 and before, and of CMU-Pose.
+KEYPOINT_KEYS = ('keypoints', 'pose_keypoints_2d', 'pose_keypoints', 'joints')
 MIN_PERSON_SCORE = 0.1  # people with a lower score are left out: COCO results hold many improbable people
 VISIBLE = 2.0  # COCO's visibility of a joint that is seen; 1 is a joint that is labelled but hidden
-ID_KEYS = ('track_id', 'idx')  # keys of the id that a tracker gives to a person
+ID_KEYS = ('track_id', 'idx', 'person_id')  # keys of the id that a tracker gives to a person
 SCORE_KEYS = ('score', 'bbox_score', 'confidence')  # keys of the score of a person
 LIST_KEYS = ('annotations', 'instance_info', 'predictions')  # keys of the list of people or frames
-MAX_FRAME_NUMBER_DIGITS = 18  # keeps the number within 64 bits; longer names hold a time before it
+PEOPLE_KEYS = ('people', 'instances', 'bodies', 'instance_info', 'predictions')  # of the people of one frame
+NAME_KEYS = ('keypoint_names', 'joint_names', 'keypoint_id2name', 'skeleton')  # keys of the names of the joints
+PERSON_CLASS, PERSON_ID = 'person', 1  # name and id of people among the categories of COCO
+LANDMARK_KEYS = ('pose_landmarks', 'landmarks', 'pose_world_landmarks')  # of MediaPipe
+EXPECTED_KEYPOINTS = 'keypoints: expected x, y, score of every joint'
 
 
 class _Entry(NamedTuple):
-    """One person in one frame: the number of the frame, and the place in the file with the content there."""
+    """A person in an image: the image, and the place in the file with the content there."""
 
-    frame: int
+    image: ImageName
     place: str
-    content: Mapping[str, Any]
+    content: Any
 
 
-def load_openpose(folder: Path, video: Video) -> Detections:
-    """Load all people from a folder; the last number in a file's name is the number of the frame.
+class _Categories(NamedTuple):
+    """What a file says of joints and categories.
 
-    `video` gives the frame rate, which is required, the image size, and the layout if it does not follow from the
-    number of keypoints.
+    Attributes:
+        names: names of the joints by category.
+        general: those of all other people.
+        others: ids of the categories that are no people.
+    """
+
+    names: dict[Any, Names]
+    general: Names = ()
+    others: frozenset[Any] = frozenset()
+
+
+@dataclass
+class _Found:
+    """What a file or folder holds.
+
+    Attributes:
+        people: people by image.
+        entries: entry, (J, 3) keypoints and the names of the joints of each person.
+        without_keypoints: number of detections without keypoints.
+        others: number of detections that are no people.
+    """
+
+    people: dict[ImageName, list[Person2D]] = field(default_factory=dict)
+    entries: list[tuple[_Entry, Array, Names]] = field(default_factory=list)
+    without_keypoints: int = 0
+    others: int = 0
+
+
+def load_json_folder(folder: Path, video: Video) -> Detections:
+    """Load all people from a folder that holds a file for each frame; the names of the files order the frames.
+
+    `video` gives the frame rate, which is required unless the names are times, the image size, and the layout if
+    it follows neither from names in the files nor from the number of keypoints.
 
     Raises:
         InputError: the folder has no such files, or a file is not valid; the error names the file and the person.
     """
-    paths = sorted(folder.glob(f'*{FILE_SUFFIX}'))
+    paths = sorted(folder.glob(f'*{FILE_SUFFIX}')) or sorted(folder.glob('*.json'))
     if not paths:
-        raise InputError(f'{folder}: no *{FILE_SUFFIX} in it')
-    frames: Frames = {}
+        raise InputError(f'{folder}: no *.json in it')
+    if len(paths) == 1 and not paths[0].name.endswith(FILE_SUFFIX) and not _is_frame(read_json(paths[0])):
+        return load_json_file(paths[0], video)
+    found = _Found()
     for path in paths:
-        number = _find_last_number(path.name.removesuffix(FILE_SUFFIX))
-        if number is None:
-            raise InputError(f'{path}: no frame number in its name')
-        if number in frames:
-            raise InputError(f'{path}: a second frame {number}; a folder must hold one video')
         content = read_json(path)
-        entries = content.get('people') if isinstance(content, dict) else None
-        if not isinstance(entries, list):
-            raise InputError(f'{path}: no list of people; not a frame of OpenPose')
-        frames[number] = []
-        for index, entry in enumerate(entries):
-            with naming(f'{path}: people[{index}]', f'{OPENPOSE_KEYS[0]}: expected x, y, score, x, y, score, ...'):
-                _add_person(frames[number], _read_openpose_person(entry, video.layout))
+        with naming(path):
+            image = path.name.removesuffix(FILE_SUFFIX) if path.name.endswith(FILE_SUFFIX) else path.stem
+            found.people[image] = []
+            _add_people(found, _iterate_people(image, '', content), _read_categories(content))
     with naming(folder):
-        return arrange_frames(frames, video)
+        return _arrange(found, video, None)
 
 
-def load_coco(path: Path, video: Video) -> Detections:
+def load_json_file(path: Path, video: Video) -> Detections:
     """Load all people from a file, except people with a score below `MIN_PERSON_SCORE`.
 
-    The number of a frame is `frame_id` of its image, else the last number in the image's file name, else the
-    image's id. `video` is as for `load_openpose`; a size in the file overrides that of the images.
+    An image's `frame_id` is the number of its frame, else its file name or its id order it. `video` is as for
+    `load_json_folder`; a size in the file overrides that of the images.
 
     Raises:
         InputError: the file has none of these forms, or its content is not valid; the error names the file and the
@@ -99,154 +132,275 @@ def load_coco(path: Path, video: Video) -> Detections:
     """
     content = read_json(path)
     with naming(path):
-        number_by_image, size = _read_images(content)
-        frames: Frames = {number: [] for number in number_by_image.values()}
-        entries = [e for e in _iterate_entries(content, number_by_image, frames) if _is_probable_person(e)]
-        arrays = []
-        for entry in entries:
-            with naming(entry.place, 'keypoints: expected x, y, score of every joint'):
-                arrays.append(_read_keypoints(entry.content))
-        factor = 1 / VISIBLE if _are_visibilities(arrays) else 1.0
-        names = _read_joint_names(content)
-        for entry, keypoints in zip(entries, arrays, strict=True):
-            keypoints[:, 2] *= factor
-            with naming(entry.place):
-                person = create_person(keypoints, video.layout, _read_id(entry.content), names)
-            _add_person(frames[entry.frame], person)
-        size = resolve_image_size(stated=size, configured=video.image_size)
-        return arrange_frames(frames, replace(video, image_size=size))
+        name_by_image, size = _read_images(content)
+        found = _Found({name: [] for name in name_by_image.values()})
+        _add_people(found, _iterate_entries(content, name_by_image, found.people), _read_categories(content))
+        return _arrange(found, video, size)
 
 
-def _add_person(people: list[Person2D], person: Person2D) -> None:
-    """Add a person of whom a keypoint is seen."""
-    if (person.score > 0).any():
-        people.append(person)
+def _arrange(found: _Found, video: Video, size: ImageSize | None) -> Detections:
+    """Return the people whose keypoints were read; the size in px is what the file states, None for nothing."""
+    factor = 1 / VISIBLE if _are_visibilities([keypoints for _, keypoints, _ in found.entries]) else 1.0
+    has_points = False
+    for entry, keypoints, names in found.entries:
+        keypoints[:, 2] *= factor
+        has_points = has_points or bool((keypoints[:, :2] > 0).any())
+        with naming(entry.place):
+            person = create_person(keypoints, video.layout, _read_id(entry.content), names)
+        if (person.score > 0).any():
+            found.people[entry.image].append(person)
+    video = replace(video, image_size=resolve_image_size(stated=size, configured=video.image_size))
+    detections = arrange_frames(found.people, video)
+    if not any(found.people.values()):
+        raise InputError(_describe_absence(found, has_points=has_points))
+    if not found.others:
+        return detections
+    note = f'{found.others} detections that are no people are left out'
+    return replace(detections, notes=(*detections.notes, note))
 
 
-def _read_openpose_person(entry: Any, layout_name: str) -> Person2D:
-    key = next((key for key in OPENPOSE_KEYS if key in entry), None) if isinstance(entry, dict) else None
-    if key is None or entry[key] is None:
-        raise InputError(f'no {OPENPOSE_KEYS[0]}')
-    ids = entry.get('person_id')
-    has_id = isinstance(ids, list) and len(ids) == 1 and isinstance(ids[0], int) and ids[0] >= 0
-    keypoints = np.array(entry[key], np.float64).reshape(-1, 3)
-    return create_person(keypoints, layout_name, str(ids[0]) if has_id else '')
+def _describe_absence(found: _Found, *, has_points: bool) -> str:
+    if has_points:
+        return (
+            'the score of every keypoint is 0, which means not seen; '
+            'if the detector gives no scores, leave them out or write 1'
+        )
+    if found.without_keypoints and not found.entries:
+        return (
+            f'{found.without_keypoints} detections without keypoints, as of a model that finds boxes; '
+            'run a model for poses, such as yolo11n-pose.pt'
+        )
+    if found.others and not found.entries:
+        return 'all detections are of categories that are no people'
+    return 'no person is seen in any frame'
 
 
-def _find_last_number(name: str) -> int | None:
-    digits = re.findall(r'\d+', name)
-    return int(digits[-1][-MAX_FRAME_NUMBER_DIGITS:]) if digits else None
+def _is_frame(content: Any) -> bool:
+    """Return whether the content of a file is the people of one frame."""
+    if isinstance(content, dict):
+        return any(key in content for key in ('people', 'bodies', 'instances'))
+    return isinstance(content, list) and all(
+        isinstance(p, dict) and any(k in p for k in KEYPOINT_KEYS) and not {'image_id', 'frame_id'} & p.keys()
+        for p in content
+    )
 
 
-def _parse_frame_number(name: Any) -> int:
-    """Return the frame number in an image's name or id; TypeError or OverflowError where it can be none."""
-    if isinstance(name, int) and not isinstance(name, bool):
-        if abs(name) >= 10**MAX_FRAME_NUMBER_DIGITS:
-            raise OverflowError
-        return name
-    if not isinstance(name, str):
-        raise TypeError
-    number = _find_last_number(PurePath(name).stem)
-    if number is None:
-        raise InputError(f'image {name!r}: no frame number in its name')
-    return number
+def _iterate_people(image: ImageName, place: str, content: Any) -> Iterator[_Entry]:
+    """Yield all people of a frame: those of a mapping that lists them, or of the list itself."""
+    key = ''
+    if isinstance(content, dict):
+        _refuse_landmarks(content)
+        key = next((key for key in PEOPLE_KEYS if key in content), '')
+        content = content.get(key)
+    if not isinstance(content, list):
+        raise InputError(f'{place}{": " if place else ""}no list of people; not a frame of OpenPose or MMPose')
+    if len(content) == 1 and isinstance(content[0], list):  # `result['predictions']` of MMPoseInferencer
+        (content,) = content
+    place = '.'.join(filter(None, (place, key)))
+    for index, person in enumerate(content):
+        yield _Entry(image, f'{place}[{index}]', person)
 
 
-def _read_images(content: Any) -> tuple[dict[Any, int], ImageSize | None]:
-    """Return the frame number of each image by the image's id, and the size in px, None where no image has one."""
-    entries = content.get('images', []) if isinstance(content, dict) else []
-    number_by_image, sizes = {}, set()
-    with naming('images', 'expected a list'):
-        entries = list(entries)
-    for index, image in enumerate(entries):
-        with naming(f'images[{index}]', 'expected id, file_name, width, height'):
-            name = image.get('frame_id', image.get('file_name', image['id']))
-            if 'width' in image:
-                sizes.add((int(image['width']), int(image['height'])))
-                if min(min(size) for size in sizes) < 1:
-                    raise ValueError
-            number_by_image[image['id']] = _parse_frame_number(name)
-    (repeated, count) = next(iter(Counter(number_by_image.values()).most_common(1)), (0, 0))
-    if count > 1:
-        raise InputError(f'images: several have the frame number {repeated}; a file must hold one video')
-    if len(sizes) > 1:
-        raise InputError('images: of different sizes; a file must hold one video')
-    return number_by_image, next(iter(sizes), None)
-
-
-def _iterate_entries(content: Any, number_by_image: Mapping[Any, int], frames: Frames) -> Iterator[_Entry]:
-    """Yield all people in the file, and add all its frames to `frames`."""
+def _iterate_entries(
+    content: Any, name_by_image: Mapping[Any, ImageName], frames: dict[ImageName, list[Person2D]]
+) -> Iterator[_Entry]:
+    """Yield all people in a file, and add all its frames to `frames`."""
     key = ''
     if isinstance(content, dict):
         key = next((key for key in LIST_KEYS if key in content), '')
         if not key:
-            hint = '; one frame of OpenPose, give its folder' if 'people' in content else ''
-            raise InputError(f'no COCO keypoints: neither annotations nor instance_info in it{hint}')
+            yield from _iterate_mapping(content, frames)
+            return
         content = content[key]
     if not isinstance(content, list):
         raise InputError('no COCO keypoints: expected a list')
     for index, entry in enumerate(content):
         place = f'{key}[{index}]'
+        people: Any = None
         with naming(place, 'expected image_id and keypoints, or frame_id and instances'):
             if isinstance(entry, list):
-                frame, people = index, entry
+                image, people = _parse_image_name(index), entry
             elif 'instances' in entry:
-                frame, people = _parse_frame_number(int(entry['frame_id'])), list(entry['instances'])
+                image, people = _parse_image_name(int(entry['frame_id'])), list(entry['instances'])
             else:
+                _refuse_landmarks(entry)
                 image = entry['image_id']
-                frame = number_by_image[image] if image in number_by_image else _parse_frame_number(image)
-                people = None
-        frames.setdefault(frame, [])
+                image = name_by_image[image] if image in name_by_image else _parse_image_name(image)
+        frames.setdefault(image, [])
         if people is None:
-            yield _Entry(frame, place, entry)
+            yield _Entry(image, place, entry)
         else:
-            yield from (_Entry(frame, f'{place}.instances[{i}]', person) for i, person in enumerate(people))
+            yield from _iterate_people(image, f'{place}.instances', people)
 
 
-def _is_probable_person(entry: _Entry) -> bool:
-    """Return whether a person has keypoints, and no score below `MIN_PERSON_SCORE`."""
-    if not isinstance(entry.content, dict):
-        raise InputError(f'{entry.place}: expected a person with keypoints')
-    score = next((entry.content[key] for key in SCORE_KEYS if key in entry.content), 1.0)
-    is_improbable = isinstance(score, (int, float)) and score < MIN_PERSON_SCORE
-    return bool(entry.content.get('keypoints')) and not is_improbable
+def _iterate_mapping(content: dict[str, Any], frames: dict[ImageName, list[Person2D]]) -> Iterator[_Entry]:
+    """Yield the people in a mapping without a list of frames, as AlphaPose and easy_ViTPose write it."""
+    _refuse_landmarks(content)
+    if content and all(isinstance(frame, dict) and _is_frame(frame) for frame in content.values()):
+        for name, frame in content.items():
+            frames.setdefault(name, [])
+            yield from _iterate_people(name, repr(name), frame)
+    elif isinstance(content.get('keypoints'), list):
+        yield from _iterate_vitpose(content['keypoints'], frames)
+    else:
+        hint = '; one frame of OpenPose, give its folder' if 'people' in content else ''
+        raise InputError(f'no COCO keypoints: neither annotations nor instance_info in it{hint}')
 
 
-def _read_keypoints(content: Mapping[str, Any]) -> Array:
+def _iterate_vitpose(content: list[Any], frames: dict[ImageName, list[Person2D]]) -> Iterator[_Entry]:
+    """Yield the people in a file of easy_ViTPose, whose keypoints are y, x and the score."""
+    for index, people in enumerate(content):
+        frames.setdefault(index, [])
+        with naming(f'keypoints[{index}]', 'expected the keypoints y, x, score of people by their ids'):
+            entries = {
+                person_id: np.array(keypoints, np.float64).reshape(-1, 3)[:, [1, 0, 2]].tolist()
+                for person_id, keypoints in people.items()
+            }
+        for person_id, keypoints in entries.items():
+            yield _Entry(index, f'keypoints[{index}].{person_id}', {'keypoints': keypoints, 'track_id': person_id})
+
+
+def _add_people(found: _Found, entries: Iterable[_Entry], categories: _Categories) -> None:
+    """Add the keypoints of probable people in images; other detections are counted."""
+    entries = list(entries)
+    ids = {e.content['category_id'] for e in entries if isinstance(e.content, dict) and 'category_id' in e.content}
+    others = categories.others or (ids - {PERSON_ID} if PERSON_ID in ids and not categories.names else set())
+    for entry in entries:
+        person = entry.content
+        _refuse_landmarks(person[0] if isinstance(person, list) and person else person)
+        if not isinstance(person, dict):
+            raise InputError(f'{entry.place}: expected a person with keypoints')
+        key = next((key for key in KEYPOINT_KEYS if key in person), None)
+        category = person.get('category_id')
+        if not is_person_class(person.get('name')) or category in others:
+            found.others += 1
+        elif key is None and 'people[' in entry.place:
+            raise InputError(f'{entry.place}: no {KEYPOINT_KEYS[1]}')
+        elif key is None or person[key] == []:
+            found.without_keypoints += 1
+        else:
+            score = next((person[k] for k in SCORE_KEYS if k in person), 1.0)
+            if isinstance(score, (int, float)) and score < MIN_PERSON_SCORE:
+                continue
+            with naming(entry.place, EXPECTED_KEYPOINTS):
+                keypoints = _read_keypoints(person[key], person)
+            names = _read_own_names(person) or categories.names.get(category) or categories.general
+            found.entries.append((entry, keypoints, names))
+
+
+def _refuse_landmarks(entry: Any) -> None:
+    """Raise InputError if an entry is a landmark of MediaPipe or holds a list of them."""
+    if not isinstance(entry, dict):
+        return
+    is_landmark = {'x', 'y'} <= entry.keys() and not {'width', 'w', 'keypoints'} & entry.keys()
+    if is_landmark or any(key in entry for key in LANDMARK_KEYS):
+        raise InputError(
+            'landmarks of MediaPipe, whose x and y are shares of the width and height of the image; expected '
+            'keypoints in px: write each person as {"image_id": frame, "keypoints": [x * width, y * height, '
+            'visibility, ...]}'
+        )
+
+
+def _parse_image_name(name: Any) -> ImageName:
+    """Return the name or the number of an image; TypeError or OverflowError where it can be none."""
+    if isinstance(name, float):
+        name = int(name) if name.is_integer() else repr(name)
+    if isinstance(name, bool) or not isinstance(name, (int, str)):
+        raise TypeError
+    if isinstance(name, int) and abs(name) >= 10**19:
+        raise OverflowError
+    return str(name) if isinstance(name, int) and abs(name) >= MAX_FRAME_NUMBER else name
+
+
+def _read_images(content: Any) -> tuple[dict[Any, ImageName], ImageSize | None]:
+    """Return the name of each image by the image's id, and the size in px, None where no image has one."""
+    entries = content.get('images', []) if isinstance(content, dict) else []
+    name_by_image: dict[Any, ImageName] = {}
+    sizes, names = set(), set()
+    with naming('images', 'expected a list'):
+        entries = list(entries)
+    for index, image in enumerate(entries):
+        with naming(f'images[{index}]', 'expected id, file_name, width, height'):
+            name = _parse_image_name(image.get('frame_id', image.get('file_name', image['id'])))
+            if 'width' in image:
+                sizes.add((int(image['width']), int(image['height'])))
+                if min(min(size) for size in sizes) < 1:
+                    raise ValueError
+            name_by_image[image['id']] = name
+            if name in names:
+                raise InputError(f'a second image {name!r}; a file must hold one video')
+            names.add(name)
+    if len(sizes) > 1:
+        raise InputError('images: of different sizes; a file must hold one video')
+    return name_by_image, next(iter(sizes), None)
+
+
+def _read_keypoints(raw: Any, content: Mapping[str, Any]) -> Array:
     """Return (J, 3) x and y in px and the score; one of `MALFORMED` where the content has another shape."""
-    raw = content['keypoints']
+    if isinstance(raw, list) and raw and isinstance(raw[0], dict):
+        visible = [p.get('score', p.get('visibility', p.get('confidence', 1.0))) for p in raw]
+        raw = {'x': [p['x'] for p in raw], 'y': [p['y'] for p in raw], 'visible': visible}
     if isinstance(raw, dict):
         raw = np.array([raw['x'], raw['y'], raw.get('visible', [1.0] * len(raw['x']))], np.float64).T
     keypoints = np.array(raw, np.float64)
+    own_scores = content.get('keypoint_scores', content.get('keypoints_visible'))
     if keypoints.ndim == 1:
         return keypoints.reshape(-1, 3)
     if keypoints.ndim == 2 and keypoints.shape[1] == 2:
-        score = content.get('keypoint_scores', np.ones(len(keypoints)))
-        return np.column_stack([keypoints, np.array(score, np.float64)])
+        scores = np.ones(len(keypoints)) if own_scores is None else np.array(own_scores, np.float64)
+        return np.column_stack([keypoints, scores])
+    if keypoints.ndim == 2 and (keypoints.shape[1] == 4 or (keypoints.shape[1] == 3 and own_scores is not None)):
+        raise InputError(
+            'keypoints: x, y, z of 3D joints, as MMPose human3d writes them; expected 2D keypoints in px: '
+            'give the output of a 2D pose estimator'
+        )
     if keypoints.ndim != 2 or keypoints.shape[1] != 3:
         raise ValueError
     return keypoints
 
 
-def _are_visibilities(arrays: Sequence[Array]) -> bool:
+def _are_visibilities(arrays: list[Array]) -> bool:
     """Return whether the scores of all keypoints are COCO's visibility (0, 1 or 2)."""
     scores = np.concatenate([a[:, 2] for a in arrays]) if arrays else np.zeros(0)
     return bool(np.isin(scores, (0.0, 1.0, VISIBLE)).all() and (scores == VISIBLE).any())
 
 
-def _read_joint_names(content: Any) -> tuple[str, ...]:
-    """Return the names of the joints, or nothing where the file has none."""
-    categories = content.get('categories') if isinstance(content, dict) else None
-    for category in categories if isinstance(categories, list) else ():
-        names = category.get('keypoints') if isinstance(category, dict) else None
-        if names and all(isinstance(name, str) for name in names):
-            return canonical_joint_names(names)
-    return ()
+def _read_categories(content: Any) -> _Categories:
+    """Return what a file says of joints and categories."""
+    if not isinstance(content, dict):
+        return _Categories({})
+    entries = content.get('categories')
+    categories = [c for c in entries if isinstance(c, dict)] if isinstance(entries, list) else []
+    called = [c for c in categories if PERSON_CLASS in (c.get('name'), c.get('supercategory'))]
+    people = called or [c for c in categories if is_person_class(c.get('name'))]
+    others = frozenset(c.get('id') for c in categories if c not in people)
+    names = {c.get('id'): _read_names(c.get('keypoints')) for c in people}
+    general = _read_own_names(content) or _read_own_names(content.get('meta_info'))
+    return _Categories(names, general or next(filter(None, names.values()), ()), others)
+
+
+def _read_own_names(content: Any) -> Names:
+    """Return the names of the joints that a mapping holds; empty if it has none."""
+    if not isinstance(content, dict):
+        return ()
+    return next(filter(None, (_read_names(content.get(key)) for key in NAME_KEYS)), ())
+
+
+def _read_names(names: Any) -> Names:
+    """Return the names of joints that are listed, or mapped from their indices; empty if these are no names."""
+    if isinstance(names, dict):
+        with naming('names of the keypoints', 'expected a name for each index'):
+            names = [names[key] for key in sorted(names, key=int)]
+    is_list = isinstance(names, list) and all(isinstance(name, str) for name in names)
+    return detector_joint_names(names) if is_list else ()
 
 
 def _read_id(content: Mapping[str, Any]) -> str:
     """Return the id that a tracker gave to a person, or an empty text."""
     value = next((content[key] for key in ID_KEYS if key in content), None)
+    if 'person_id' in content and value is content['person_id']:  # of OpenPose, which writes [-1] without tracking
+        is_id = isinstance(value, list) and len(value) == 1 and isinstance(value[0], int) and value[0] >= 0
+        return str(value[0]) if is_id else ''
     while isinstance(value, list) and value:
         value = value[0]
     if isinstance(value, float) and value.is_integer():

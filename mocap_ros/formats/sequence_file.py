@@ -22,14 +22,14 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import (
+    describe_other_unit,
     describe_transposed_size,
     find_first_fault,
-    looks_normalised,
     mark_unseen,
 )
 from mocap_ros.messages.camera_info import check_coefficients
 from mocap_ros.npz_file import write_npz
-from mocap_ros.skeleton import Skeleton, skeleton_from_joints
+from mocap_ros.skeleton import Skeleton, detector_joint_names, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -42,7 +42,6 @@ OTHER_TIME_UNITS = {'milliseconds': 1e3, 'microseconds': 1e6, 'nanoseconds': 1e9
 MAX_IMAGE_SIDE_PX = 100_000  # px; guard against garbage, far above any real image
 MAX_COORDINATE_M = 1e6  # m; guard against garbage, far above any real distance
 FISHEYE = 'equidistant'  # the lens model of a CameraInfo whose coefficients a sequence file cannot hold
-MAX_PLUMB_BOB_COEFFICIENTS = 5  # OpenCV's k1, k2, p1, p2, k3; with more coefficients the model is rational
 
 # All keys of a sequence file; a file may have others, which are ignored.
 SEQUENCE_KEYS = (
@@ -223,7 +222,7 @@ def validate_sequence(array_by_key: Mapping[str, NDArray[np.generic]]) -> Keypoi
         raise InputError('timestamps: no frames')
     check_timestamps(timestamps)
 
-    joint_names = arrays.read_joint_names('joint_names')
+    joint_names = detector_joint_names(arrays.read_joint_names('joint_names'))
     with naming('joint_names'):
         build_joint_map(joint_names)
     raw = arrays.read_numbers('keypoints', (frames, len(joint_names), 3))
@@ -233,8 +232,10 @@ def validate_sequence(array_by_key: Mapping[str, NDArray[np.generic]]) -> Keypoi
         raise InputError(f'keypoints: frame {frame}: {fault.field} of {joint_names[joint]} is {fault.what}')
     points, score = mark_unseen(raw[..., :2], raw[..., 2])
     image_size, camera_matrix, distortion = validate_camera(array_by_key)
-    if looks_normalised(points, score, image_size[0]):
-        raise InputError('keypoints: looks normalised; px expected')
+    if not (score > 0).any() and (raw[..., :2] > 0).any():
+        raise InputError('keypoints: every score is 0, which means not seen; write 1 where there are no scores')
+    if other_unit := describe_other_unit(points, score, image_size[0]):
+        raise InputError(f'keypoints: {other_unit}')
     transposed = describe_transposed_size(points, score, image_size)
     if transposed:
         raise InputError(f'image_size: {transposed}')
@@ -305,6 +306,13 @@ def check_timestamps(timestamps: Array) -> None:
         raise InputError(f'timestamps: {np.median(np.diff(timestamps)):.9g} s from frame to frame{unit}')
 
 
+def find_longest_gap(times: Array) -> tuple[float, float]:
+    """Return the longest step between times (F,) in s, and the time before it; 0 s if there is no step."""
+    steps = np.diff(times)
+    longest = int(steps.argmax()) if len(steps) else -1
+    return (float(steps[longest]), float(times[longest])) if len(steps) else (0.0, 0.0)
+
+
 def _guess_time_unit(timestamps: Array) -> str:
     """Return a clause that names the unit in which timestamps (F,) seem to be, or nothing if it may be seconds."""
     finite = timestamps[np.isfinite(timestamps)]
@@ -318,8 +326,7 @@ def _guess_time_unit(timestamps: Array) -> str:
 def _create_distortion(distortion: Array | None) -> Distortion:
     """Create the distortion from coefficients in OpenCV's order; InputError where they are those of no lens."""
     coefficients = () if distortion is None else tuple(distortion.tolist())
-    model = 'plumb_bob' if len(coefficients) <= MAX_PLUMB_BOB_COEFFICIENTS else 'rational_polynomial'
-    lens = Distortion.from_coefficients(model, coefficients)
+    lens = Distortion.from_coefficients('plumb_bob', coefficients)
     check_coefficients(lens, 'distortion')
     return lens
 

@@ -31,9 +31,17 @@ from mocap_ros.errors import InputError
 
 Array = NDArray[np.float64]
 
+MAX_PLUMB_BOB_COEFFICIENTS = 5  # OpenCV's k1, k2, p1, p2, k3; with more coefficients the model is rational
 # Accepted numbers of coefficients of each distortion model.
 COEFFICIENT_COUNTS = {'plumb_bob': (4, 5), 'rational_polynomial': (8,), 'equidistant': (4,)}
 
+# Other names of the models, without regard to case and separators.
+MODEL_BY_SYNONYM = {
+    'plumbbob': 'plumb_bob', 'radtan': 'plumb_bob', 'radialtangential': 'plumb_bob', 'brownconrady': 'plumb_bob',
+    'opencv': 'plumb_bob', 'rational': 'rational_polynomial', 'rationalpolynomial': 'rational_polynomial',
+    'equidistant': 'equidistant', 'equidist': 'equidistant', 'fisheye': 'equidistant',
+    'opencvfisheye': 'equidistant', 'kannalabrandt': 'equidistant', 'kannalabrandt4': 'equidistant',
+}  # fmt: skip
 MAX_RAY_ANGLE = 1.5  # rad from the optical axis; a pinhole camera cannot show rays at pi / 2 and beyond
 
 MAX_NAME_CHARACTERS = 60  # of an unknown model in an error
@@ -55,15 +63,19 @@ class Distortion:
     def from_coefficients(model: str, coefficients: tuple[float, ...]) -> Distortion:
         """Check a model name and its coefficients and return the distortion.
 
-        No coefficients, or only zeros, mean no distortion, whatever the name is. OpenCV's rational model may have
-        four more, of a thin prism, and two more, of a tilted sensor. These, and all beyond those of the model, may
-        only be 0.
+        Models have other names as well, such as `fisheye` for `equidistant`, and a `plumb_bob` with more than five
+        coefficients is rational, as in OpenCV. No coefficients, or only zeros, mean no distortion, whatever the
+        name is. OpenCV's rational model may have four more, of a thin prism, and two more, of a tilted sensor.
+        These, and all beyond those of the model, may only be 0.
 
         Raises:
             InputError: The model is unknown, has another number of coefficients, or one of them is not finite.
         """
         if not any(coefficients):
             return Distortion()
+        model = MODEL_BY_SYNONYM.get(''.join(filter(str.isalnum, model.lower())), model)
+        if model == 'plumb_bob' and len(coefficients) > MAX_PLUMB_BOB_COEFFICIENTS:
+            model = 'rational_polynomial'  # as OpenCV takes the same coefficients
         if model not in COEFFICIENT_COUNTS:
             raise InputError(
                 f'distortion model {model[:MAX_NAME_CHARACTERS]!r}: expected {", ".join(COEFFICIENT_COUNTS)}'

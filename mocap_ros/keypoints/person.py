@@ -12,6 +12,12 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+# Classes of COCO and of pose models for animals, hands and faces, whose detections may have keypoints.
+OTHER_CLASSES = frozenset((
+    'animal', 'bear', 'bird', 'cat', 'chimpanzee', 'cow', 'deer', 'dog', 'elephant', 'face', 'fish', 'giraffe',
+    'hand', 'horse', 'monkey', 'mouse', 'panda', 'pig', 'rabbit', 'rat', 'sheep', 'tiger', 'zebra',
+))  # fmt: skip
+
 
 @dataclass(frozen=True, eq=False)
 class Person2D:
@@ -28,3 +34,8 @@ class Person2D:
     joints: tuple[str, ...]
     points: Array
     score: Array
+
+
+def is_person_class(name: object) -> bool:
+    """Return whether detections of a class of this name may be people; models name them variously."""
+    return not isinstance(name, str) or name.strip().lower() not in OTHER_CLASSES

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-MIN_SCORE = -1e-3  # no unit; tolerates a score of 0 that rounding made negative
-MAX_SCORE = 100.0  # no unit; heads that classify coordinates (SimCC, RTMPose) give up to 10, percentages 100
 UNSEEN_POINTS_PX = (0.0, -1.0)  # px; x = y = one of these is what detectors write for a point that they do not see
 NORMALISED_RANGE = -0.5, 1.5  # shares of the image; a normalised point may lie outside the image by half of it
+MAX_METRES = 10.0  # m; joints of a person in 3D are within it, of whom some coordinates are negative
 TINY_IMAGE_WIDTH = 16  # px; in an image up to this wide, real px look like normalised coordinates
 MAX_COORDINATE_PX = 1e6  # px; far outside any image
 MAX_SHARE_OUTSIDE = 0.5  # share of the points; with more of them outside the image, its size is probably wrong
@@ -40,19 +39,17 @@ class Fault:
 
 
 def find_first_fault(points: Array, score: Array) -> Fault | None:
-    """Find the first coordinate beyond `MAX_COORDINATE_PX` or score outside [`MIN_SCORE`, `MAX_SCORE`].
+    """Find the first coordinate beyond `MAX_COORDINATE_PX` or infinite score.
 
     NaN is no fault, neither in points (..., J, 2) in px nor in scores (..., J).
     """
-    is_score_outside = (score < MIN_SCORE) | (score > MAX_SCORE)
-    for field, is_faulty, values in (
-        ('x', np.abs(points[..., 0]) > MAX_COORDINATE_PX, points[..., 0]),
-        ('y', np.abs(points[..., 1]) > MAX_COORDINATE_PX, points[..., 1]),
-        ('score', is_score_outside, score),
+    for field, is_faulty, values, expected in (
+        ('x', np.abs(points[..., 0]) > MAX_COORDINATE_PX, points[..., 0], 'a finite number of px'),
+        ('y', np.abs(points[..., 1]) > MAX_COORDINATE_PX, points[..., 1], 'a finite number of px'),
+        ('score', np.isinf(score), score, 'a finite score'),
     ):
         if is_faulty.any():
             index = tuple(int(i) for i in np.argwhere(is_faulty)[0])
-            expected = f'a score in [0, {MAX_SCORE:g}]' if field == 'score' else 'a finite number of px'
             return Fault(field, index, f'{values[index]:g}, expected {expected}')
     return None
 
@@ -82,15 +79,20 @@ def find_seen(points: NDArray[np.floating[Any]], score: NDArray[np.floating[Any]
     return (score > 0) & np.isfinite(x) & np.isfinite(y) & ~is_placeholder
 
 
-def looks_normalised(points: Array, score: Array, image_width: int) -> bool:
-    """Return whether the coordinates are plainly shares of the image, although px are expected.
+def describe_other_unit(points: Array, score: Array, image_width: int) -> str:
+    """Describe in a clause that coordinates are plainly no px; return an empty string if they may be px.
 
     Points and scores are those of `mark_unseen`; a width of 0 px is unknown.
     """
     seen = points[score > 0]
+    if len(seen) < MIN_JUDGED_POINTS or 0 < image_width <= TINY_IMAGE_WIDTH:
+        return ''
     low, high = NORMALISED_RANGE
-    is_tiny = 0 < image_width <= TINY_IMAGE_WIDTH
-    return not is_tiny and len(seen) >= MIN_JUDGED_POINTS and bool(((seen >= low) & (seen <= high)).all())
+    if ((seen >= low) & (seen <= high)).all():
+        return 'looks normalised; px expected: multiply x by the width of the image and y by its height'
+    if (np.abs(seen) <= MAX_METRES).all() and (seen < low).any():
+        return 'looks like 3D joints in m; 2D keypoints in px expected'
+    return ''
 
 
 def describe_points_outside(points: Array, score: Array, image_size: tuple[int, int]) -> str:

@@ -40,13 +40,16 @@ class CameraInfo:
 
     Attributes:
         size: (width, height) in px of the image that the camera sends, with 0 where unknown.
-        intrinsics: focal length, principal point and distortion.
+        intrinsics: focal length, principal point and distortion. Where the camera is not calibrated, its focal
+            length is not known, and whoever uses it has to choose one.
         frame_id: name of the camera's optical frame; empty where unknown. It is not compared.
+        remark: why a field is not used, or empty.
     """
 
     size: ImageSize
     intrinsics: Intrinsics
     frame_id: str = field(default='', compare=False)
+    remark: str = ''
 
 
 def check_image_size(frame: KeypointsFrame, camera: CameraInfo) -> None:
@@ -83,25 +86,33 @@ def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
         rectified: whether the keypoints were detected in the rectified image. Then the projection matrix P is
             used (K where P is not set), and no distortion.
 
+    A matrix or a distortion that cannot be used is left out, and `CameraInfo.remark` says so.
+
     Raises:
-        InputError: the bytes are not a CameraInfo, its matrix is not set, its distortion model is unknown, or a
-            coefficient of the distortion is beyond that of any lens.
+        InputError: the bytes are not a CameraInfo, or neither its matrix nor its size can be used.
     """
     message = decode(raw, CAMERA_INFO)
     name, matrix = 'k', np.asarray(message.k, np.float64).reshape(3, 3)
     if rectified and message.p[0]:
         name, matrix = 'p', np.asarray(message.p, np.float64).reshape(3, 4)[:, :3]
-    distortion = Distortion()
+    distortion, remark = Distortion(), ''
     if not rectified:
-        coefficients = tuple(map(float, message.d))
-        distortion = Distortion.from_coefficients(message.distortion_model, coefficients)
-        check_coefficients(distortion, 'd')
+        try:
+            distortion = Distortion.from_coefficients(message.distortion_model, tuple(map(float, message.d)))
+            check_coefficients(distortion, 'd')
+        except InputError as error:
+            distortion, remark = Distortion(), f'{error}; the distortion is not used'
     size, matrix = _select_region(message, matrix)
     try:
         intrinsics = Intrinsics.from_matrix(matrix, distortion, size if all(size) else None)
     except InputError as error:
-        raise InputError(f'{name}: {error}; the camera is not calibrated') from None
-    return CameraInfo(size, intrinsics, message.header.frame_id)
+        reason = error if matrix.any() else 'is 0'
+        fault = f'{name}: {reason}; the camera is not calibrated'
+        if not all(size):
+            raise InputError(f'{fault}, and width and height are 0') from None
+        remark = f'{fault}: its image size of {size[0]} x {size[1]} px is used, with a nominal focal length'
+        intrinsics = Intrinsics.from_image_size(*size, focal_in_sides=1.0)
+    return CameraInfo(size, intrinsics, message.header.frame_id, remark)
 
 
 def check_coefficients(distortion: Distortion, name: str) -> None:

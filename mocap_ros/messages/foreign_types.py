@@ -120,3 +120,12 @@ INPUT_DEFINITIONS = {**YOLO_DEFINITIONS, **HRI_DEFINITIONS, **ZED_DEFINITIONS, *
 OUTPUT_DEFINITIONS = {**PEOPLE_DEFINITIONS, **VISION_DEFINITIONS, **OBSTACLE_DEFINITIONS, **MOVEIT_DEFINITIONS}
 # All definitions: the name of each message type and its fields as in a .msg file.
 DEFINITIONS = {**INPUT_DEFINITIONS, **OUTPUT_DEFINITIONS}
+
+# Packages by their earlier names, whose messages have the same fields or some of them.
+RENAMED_PACKAGES = {'yolov8_msgs': 'yolo_msgs', 'zed_interfaces': 'zed_msgs'}
+
+
+def find_current_type(msgtype: str) -> str:
+    """Return the name of a message type in the package as it is called now."""
+    package, _, name = msgtype.partition('/')
+    return f'{RENAMED_PACKAGES.get(package, package)}/{name}'

@@ -18,7 +18,7 @@ from mocap_ros.copying import copy_as_float64
 from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import find_first_fault, looks_normalised, mark_unseen
+from mocap_ros.keypoints.validation import describe_other_unit, find_first_fault, mark_unseen
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, decode_input, validate_header, validate_text
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.skeleton import LAYOUT_NAMES, keypoint_layout
@@ -117,8 +117,8 @@ def validate_person(
     if fault is not None:
         raise InputError(f'{prefix}{fault.field}[{fault.index[0]}]: {fault.what}')
     points, score = mark_unseen(points, score)
-    if looks_normalised(points, score, image_width):
-        raise InputError(f'{prefix}x, y: looks normalised; px expected')
+    if other_unit := describe_other_unit(points, score, image_width):
+        raise InputError(f'{prefix}x, y: {other_unit}')
     return Person2D(person_id, joints, points, score)
 
 

@@ -47,17 +47,21 @@ def load_recorded_types(text: str, msgtype: str, *, is_idl: bool) -> Typestore:
     return store
 
 
-def make_converter(source: Typestore, target: Typestore, msgtype: str, *, is_ros1: bool = False) -> Convert:
-    """Return a function that converts messages to CDR of another version of their type, which both stores define.
+def make_converter(
+    source: Typestore, target: Typestore, msgtype: str, new_type: str = '', *, is_ros1: bool = False
+) -> Convert:
+    """Return a function that converts messages of a type, which `source` defines, to CDR of another version of it.
 
     It raises InputError for bytes that are no such message; with `is_ros1` these are in the encoding of ROS 1.
+    `new_type` is the name of the type in `target`, if it is another.
     """
+    new_type = new_type or msgtype
 
     def convert(raw: bytes) -> bytes:
         try:
             message = (source.deserialize_ros1 if is_ros1 else source.deserialize_cdr)(raw, msgtype)
-            converted = _convert(message, (Nodetype.NAME, msgtype), target)
-            return pad(bytes(target.serialize_cdr(converted, msgtype)))
+            converted = _convert(message, (Nodetype.NAME, new_type), target)
+            return pad(bytes(target.serialize_cdr(converted, new_type)))
         except Exception as error:  # the decoder raises many types of errors for invalid bytes
             raise InputError(f'not a {msgtype} ({error})') from None
 

@@ -36,6 +36,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -75,7 +76,8 @@ class SequenceResult:
 
     Attributes:
         joints: (F, J, 3) m, real camera's optical frame, joints of `skeleton`; NaN before the first and after the
-            last frame in which a joint was seen, where it is not known whether the person is there.
+            last frame in which a joint was seen, and in gaps of more than `MAX_GAP_S`, where it is not known
+            whether the person is there.
         seen: (F, J) True where the joint was seen in the image, False where it was inferred or is NaN.
         skeleton: skeleton of the joints.
         category: name of the base poses used.
@@ -150,7 +152,7 @@ def reconstruct_sequence(
     skeleton = next(iter(models.values())).skeleton
     observed = observe_sequence(keypoints, joint_names, times, intrinsics, config.tracker, skeleton)
     result, lifted = _reconstruct(observed, models, config)
-    in_sight = find_frames_in_sight(result.seen)
+    in_sight = find_frames_in_sight(result.seen, times)
     return _blank_frames(_complete(result, lifted, config.tracker), ~in_sight)
 
 
@@ -232,11 +234,18 @@ def _blank_frames(result: SequenceResult, is_blank: NDArray[np.bool_]) -> Sequen
     )
 
 
-def find_frames_in_sight(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the frames (F,) from the first to the last in which a core joint was seen (F, J), gaps included."""
-    seen_frames = np.flatnonzero(seen[:, :CORE_COUNT].any(axis=1))
-    frames = np.arange(len(seen))
-    return np.asarray((frames >= seen_frames.min(initial=len(seen))) & (frames <= seen_frames.max(initial=-1)))
+def find_frames_in_sight(seen: NDArray[np.bool_], times: Array) -> NDArray[np.bool_]:
+    """Return the frames (F,), at times (F,) in s, in which a core joint was seen (F, J), and those in short gaps.
+
+    In gaps of more than `MAX_GAP_S`, before the first sight and after the last it is not known whether the person
+    is there.
+    """
+    in_sight = np.asarray(seen[:, :CORE_COUNT].any(axis=1))
+    frames = np.flatnonzero(in_sight)
+    for before, after in pairwise(frames):
+        if times[after] - times[before] <= MAX_GAP_S:
+            in_sight[before:after] = True
+    return in_sight
 
 
 class Verticals(NamedTuple):
@@ -319,6 +328,7 @@ def _solve(window: Window, models: Mapping[str, BasePoses], config: SolverConfig
     return name, led if explains_as_well(led.noise, solution.noise) else solution
 
 
+MAX_GAP_S = 3.0  # s; a person who is not seen for longer may be anywhere
 SEEN_SHARE = 0.3  # 1; with less, unusual poses are drawn to usual ones; with more, the noise of detectors stays
 MIN_DEPTH_M = 0.1  # m; guards divisions, no person is nearer to a camera
 UNEXPLAINED_MEDIANS = 4.0  # median errors; 4.7 standard deviations of a coordinate, if errors are Gaussian

@@ -11,7 +11,6 @@ from pathlib import Path
 
 from mocap_ros.bags.reader import is_bag
 from mocap_ros.errors import InputError
-from mocap_ros.formats.detector_json import FILE_SUFFIX
 from mocap_ros.formats.npz_arrays import list_keys
 from mocap_ros.formats.sequence_file import is_result_file
 from mocap_ros.input_file import NEITHER_FILE_NOR_FOLDER, is_special_file
@@ -21,7 +20,9 @@ IMAGE_SUFFIXES = ('.png', '.jpg', '.jpeg', '.bmp', '.tif', '.tiff', '.webp', '.h
 WRITTEN_SUFFIXES = ('.csv', '.bvh', '.trc')  # of files that are written, but not read
 
 # What the commands read, in the words of messages.
-KEYPOINT_FORMATS = 'a sequence file (.npz), a bag, a folder of OpenPose JSON, COCO keypoints (.json), or a video'
+KEYPOINT_FORMATS = (
+    'a sequence file (.npz), a bag, JSON of a detector (a file, or a folder as of OpenPose), or a video'
+)
 BAG_FORMATS = 'a bag (folder, .mcap, .db3 or .bag)'
 
 
@@ -32,13 +33,13 @@ class InputKind(Enum):
     RESULT = 'is a result of reconstruct'
     WRITTEN = 'is of a format that mocap-ros writes but does not read'
     BAG = 'is a bag'
-    OPENPOSE = 'is a folder of OpenPose JSON'
+    OPENPOSE = 'is a folder of JSON files'
     JSON = 'is a JSON file'
     VIDEO = 'is a video'
     IMAGE = 'is an image'
     IMAGES = 'is a folder of images'
     EMPTY_FILE = 'is an empty file'
-    FOLDER = f'is a folder without a bag and without OpenPose JSON (*{FILE_SUFFIX})'
+    FOLDER = 'is a folder without a bag and without JSON files of a detector'
     OTHER = 'is a file of an unknown type'
     SPECIAL = NEITHER_FILE_NOR_FOLDER
     MISSING = 'No such file or directory'
@@ -66,7 +67,7 @@ def find_input_kind(path: Path) -> InputKind:
         return InputKind.BAG
     if path.is_dir():
         names = [path.name.lower() for path in path.iterdir()]
-        if any(name.endswith(FILE_SUFFIX) for name in names):
+        if any(name.endswith('.json') for name in names):
             return InputKind.OPENPOSE
         return InputKind.IMAGES if any(name.endswith(IMAGE_SUFFIXES) for name in names) else InputKind.FOLDER
     if not path.stat().st_size:

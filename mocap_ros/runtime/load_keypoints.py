@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from math import inf
 from pathlib import Path
+from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,13 +19,20 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.topics import Source, find_people_topics, find_people_type
 from mocap_ros.config import NodeConfig, TrackerConfig
 from mocap_ros.errors import FrameDropped, InputError, naming
-from mocap_ros.formats.detections import Detections, Video, arrange_people, associate_people, select_person
-from mocap_ros.formats.detector_json import load_coco, load_openpose
-from mocap_ros.formats.sequence_file import KeypointSequence, load_sequence
+from mocap_ros.formats.detections import (
+    Detections,
+    Video,
+    arrange_people,
+    associate_people,
+    select_person,
+)
+from mocap_ros.formats.detector_json import load_json_file, load_json_folder
+from mocap_ros.formats.sequence_file import KeypointSequence, find_longest_gap, load_sequence
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.keypoints.validation import describe_points_outside, describe_transposed_size
 from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
 from mocap_ros.messages.keypoints import KeypointsFrame
+from mocap_ros.offline.whole_sequence import MAX_GAP_S
 from mocap_ros.runtime.detection import ShowProgress, detect_in_video
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.input_checks import describe_unusable_distortion
@@ -122,8 +130,24 @@ def _finish(
         sequences, lens_lines = give_focal_length(sequences, video)
     # Any focal length will do, because only cameras that are known have a distortion.
     lens = describe_unusable_distortion(sequences[0].intrinsics(1.0))
-    lines = (*lines, outside and f'image size: {outside}', *lens_lines, lens)
+    gaps = map(_describe_gap, sequences)
+    lines = (*lines, outside and f'image size: {outside}', *lens_lines, lens, *gaps)
     return sequences, [f'{path}: {line}' for line in lines if line]
+
+
+def _describe_gap(sequence: KeypointSequence) -> str:
+    """Describe the longest gap in which nothing is seen of a person; empty if all are short."""
+    times = sequence.timestamps[(sequence.keypoints[..., 2] > 0).any(axis=1)]
+    gap, start = find_longest_gap(times)
+    if gap <= MAX_GAP_S:
+        return ''
+    count, frame = int((np.diff(times) > MAX_GAP_S).sum()), int(np.searchsorted(sequence.timestamps, start))
+    name = f'person {sequence.person_id!r}: ' if sequence.person_id else ''
+    more = f'; {count - 1} shorter gaps of more than {MAX_GAP_S:g} s' if count > 1 else ''
+    return (
+        f'{name}a gap of {gap:.1f} s after frame {frame} (at {start - sequence.timestamps[0]:.2f} s): nothing was '
+        f'seen for so long, or the clock was set{more}'
+    )
 
 
 def _load_detections(path: Path, kind: InputKind, options: InputOptions) -> Detections:
@@ -132,7 +156,7 @@ def _load_detections(path: Path, kind: InputKind, options: InputOptions) -> Dete
         return load_bag(path, options.node, options.topic, options.camera_info)
     if kind is InputKind.VIDEO:
         return detect_in_video(path, video.detector, show_progress=options.show_detection)
-    detections = load_openpose(path, video) if kind is InputKind.OPENPOSE else load_coco(path, video)
+    detections = load_json_folder(path, video) if kind is InputKind.OPENPOSE else load_json_file(path, video)
     if not all(detections.image_size) and (video.hfov or video.focal):
         raise InputError(f'{path}: --hfov and --focal need --image-size, as the input does not state it')
     return detections
@@ -181,8 +205,8 @@ def load_bag(
 ) -> Detections:
     """Load all people from the keypoint messages of a bag, as `InputOptions` say; count those that cannot be used.
 
-    The accepted messages are those that `replay` accepts, with these differences: the stamps may come in any
-    order, the first CameraInfo applies to the whole bag, all images have the size that most of them state, only
+    The accepted messages are those that `replay` accepts, with these differences: messages may be late by
+    `RESTART_S`, of stamps that go back by more the longest run is used, the first CameraInfo applies to the whole bag, all images have the size that most of them state, only
     images of the camera (`frame_id`) of the first image count, and images that the recorded run skipped count too.
 
     Raises:
@@ -195,10 +219,12 @@ def load_bag(
         camera, camera_note = find_camera(bag, next(iter(topics)), node, camera_info)
         known = camera.size if camera else None
         size = resolve_image_size(camera=known, configured=(node.image_width, node.image_height))
-        frames, reasons = _assemble_frames(bag, topics, node, camera, size)
-    if not frames:
+        frames, reasons, clock_remark = _assemble_frames(bag, topics, node, camera, size)
+    if not frames or (set(frames) == {0} and reasons):
         raise InputError(f'{path}: {reasons[0] if reasons else "no keypoints"}')
     reasons += [f'{next(iter(topics))}: {reason}' for reason in _leave_out_others(frames)]
+    if not any(frame.people for frame in frames.values()) and any(f.without_keypoints for f in frames.values()):
+        raise InputError(f'{path}: {WITHOUT_KEYPOINTS}')
     stamps = sorted(frames)
     last = frames[stamps[-1]]
     skipped = f'{len(reasons)} messages left out; {reasons[0]}' if reasons else ''
@@ -206,18 +232,20 @@ def load_bag(
         people=[frames[s].people for s in stamps],
         stamps_ns=stamps,
         image_size=resolve_image_size(stated=(last.image_width, last.image_height), configured=size),
-        intrinsics=camera.intrinsics if camera else None,
+        intrinsics=camera.intrinsics if camera and camera.intrinsics.is_focal_known else None,
         frame_id=next((f.header.frame_id for f in frames.values() if f.header.frame_id), ''),
-        notes=tuple(filter(None, (skipped, camera_note))),
+        remarks=tuple(filter(None, (skipped, clock_remark, camera_remark))),
     )
 
 
 def _assemble_frames(
     bag: Bag, topics: dict[str, Source], node: NodeConfig, camera: CameraInfo | None, size: tuple[int, int]
-) -> tuple[dict[int, KeypointsFrame], list[str]]:
-    """Return the images of a bag by stamp in ns, and why each of the other messages is left out."""
+) -> tuple[dict[int, KeypointsFrame], list[str], str]:
+    """Return the images of a bag by stamp in ns, why each other message is left out, and what its clock did."""
     frames: dict[int, KeypointsFrame] = {}
-    assembler, reasons, name = FrameAssembler(), [], ''
+    offsets_ns: list[int] = []
+    runs, remark = [frames], ''
+    assembler, reasons, name, newest_ns = FrameAssembler(), [], '', 0
     for number, message in enumerate(bag.messages(topics), 1):
         source = topics[message.topic]
         try:
@@ -228,13 +256,26 @@ def _assemble_frames(
                     raise InputError(f'header.frame_id: {frame_id!r}, but the images before are of {name!r}')
                 if camera is not None:
                     check_image_size(frame, camera)
+                if newest_ns - stamp_ns > RESTART_S * NS_PER_S and not is_stamp_missing(stamp_ns, newest_ns):
+                    back_s = (newest_ns - stamp_ns) / NS_PER_S
+                    remark = f'{message.topic}: message {number}: the stamp goes back by {back_s:.1f} s'
+                    frames, newest_ns = {}, 0
+                    runs.append(frames)
+                newest_ns = max(newest_ns, stamp_ns)
+                offsets_ns.append(message.time_ns - stamp_ns)
                 if frames.setdefault(stamp_ns, frame) is not frame:
                     raise FrameDropped('its stamp is that of an earlier message' if stamp_ns else MISSING_STAMP)
         except (InputError, FrameDropped) as error:
             reasons.append(f'{message.topic}: message {number}: {error}')
     for frame in assembler.flush():
         frames.setdefault(frame.header.stamp_ns, frame)
-    return frames, reasons
+    if len(runs) > 1:
+        frames = max(runs, key=len)
+        remark += f'; of {len(runs)} runs of the clock, the longest of {len(frames)} images is used'
+    elif offsets_ns and abs(offset_s := median(offsets_ns) / NS_PER_S) > MAX_CLOCK_OFFSET_S:
+        order = 'before' if offset_s > 0 else 'after'
+        remark = f'the stamps are {abs(offset_s):.1f} s {order} the times of receipt, so they are of another clock'
+    return frames, reasons, remark
 
 
 def _leave_out_others(frames: dict[int, KeypointsFrame]) -> list[str]:
@@ -254,19 +295,26 @@ def _leave_out_others(frames: dict[int, KeypointsFrame]) -> list[str]:
 def find_camera(
     bag: Bag, keypoints_topic: str, node: NodeConfig, camera_info: str | None = None
 ) -> tuple[CameraInfo | None, str]:
-    """Find the first usable CameraInfo that belongs to a topic of keypoints, or that `camera_info` names.
+    """Find the first calibrated CameraInfo that belongs to a topic of keypoints, or that `camera_info` names.
 
     Returns:
-        The CameraInfo, or None if there is none, and why the first that cannot be used cannot, or an empty text.
+        The CameraInfo, else the first with the size of the image, or None if there is none; and why the first is
+        not used, or not all of it, or an empty text.
 
     Raises:
         InputError: There is no such topic, or several topics share equally much of the namespace.
     """
     topic = bag.find_camera_info_topic(keypoints_topic, camera_info)
+    found: CameraInfo | None = None
     reason = ''
     for number, message in enumerate(bag.messages([topic] if topic else []), 1):
         try:
-            return decode_camera_info(message.raw, rectified=node.rectified_input), reason
-        except InputError as error:  # noqa: PERF203
+            camera = decode_camera_info(message.raw, rectified=node.rectified_input)
+        except InputError as error:
             reason = reason or f'{topic}: message {number} cannot be used: {error}'
-    return None, reason
+            continue
+        reason = reason or (camera.remark and f'{topic}: {camera.remark}')
+        if camera.intrinsics.is_focal_known:
+            return camera, reason
+        found = found or camera
+    return found, reason

@@ -130,6 +130,7 @@ class Pipeline:
         self._outputs = OutputEncoder()
         self._assembler = FrameAssembler()
         self._camera = InputCamera()
+        self._camera_remark = ''
         self.checks = InputChecks()
         self._consecutive_errors = 0
         self.header = self.output_header = Header(0, '')
@@ -169,6 +170,8 @@ class Pipeline:
             has_image, result = source in PEOPLE_SOURCES, ProcessingResult.of_error(error, was_decoded=False)
         else:
             has_image, result = bool(frames), ProcessingResult.merge([*map(self._process_frame, frames)])
+            if source is Source.CAMERA_INFO:
+                result = ProcessingResult(Verdict.ACCEPTED, self._take_camera_remark())
         self._count(source, result)
         if has_image:
             self._consecutive_errors = self._consecutive_errors + 1 if result.error_traceback else 0
@@ -201,6 +204,12 @@ class Pipeline:
         """
         info = decode_camera_info(raw, rectified=self.config.node.rectified_input)
         self._camera.add_calibration(Calibration(info, raw))
+
+    def _take_camera_remark(self) -> str:
+        """Return what the CameraInfo in use is not used for, once until it changes."""
+        calibration, before = self._camera.calibration, self._camera_remark
+        self._camera_remark = calibration.info.remark if calibration else ''
+        return '' if self._camera_remark == before else self._camera_remark
 
     def reset(self) -> tuple[OutputMessage, ...]:
         """Discard all people and return the messages that delete them from viewers."""
@@ -275,19 +284,26 @@ class Pipeline:
             if isinstance(error, FrameDropped) and stamp_ns == self.header.stamp_ns == 0:
                 error = FrameDropped(MISSING_STAMP)
             return ProcessingResult.of_error(error, was_decoded=True)
+        before_ns = self.header.stamp_ns
         self.header, self.output_header, self.people = frame.header, header, people
         self._camera.accept(frame.header, calibration)
+        if before_ns and stamp_ns - before_ns > MAX_GAP_S * NS_PER_S:
+            gap_s = (stamp_ns - before_ns) / NS_PER_S
+            reason = f'a gap of {gap_s:.1f} s before this stamp: no images for so long, or the clock was set'
         if back_s := tracker.backward_jump_s:
             reason = f'the stamp went back by {back_s:.1f} s, so tracking was restarted'
         return ProcessingResult(Verdict.ACCEPTED, '; '.join(filter(None, (restart, reason, *found))), outputs)
 
     def _find_intrinsics(self, frame: KeypointsFrame, calibration: Calibration | None) -> Intrinsics:
-        """Return the intrinsics of a CameraInfo, or nominal ones from the size in the message or parameters."""
+        """Return the intrinsics of a CameraInfo, or nominal ones from the size in messages or parameters."""
         node, stated = self.config.node, (frame.image_width, frame.image_height)
-        if calibration is not None:
-            check_image_size(frame, calibration.info)
-            return calibration.info.intrinsics
-        size = resolve_image_size(stated=stated, configured=(node.image_width, node.image_height))
+        camera = calibration.info if calibration else None
+        if camera is not None:
+            check_image_size(frame, camera)
+            if camera.intrinsics.is_focal_known:
+                return camera.intrinsics
+        known, configured = camera.size if camera else None, (node.image_width, node.image_height)
+        size = resolve_image_size(stated=stated, camera=known, configured=configured)
         if not all(size):
             raise InputError(
                 'image_width, image_height: not set, and neither CameraInfo nor the parameters '

@@ -11,6 +11,7 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -27,7 +28,7 @@ from mocap_ros.formats.detections import MAX_FRAME_RATE_HZ, Detections
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS, compute_joint_angles
 from mocap_ros.formats.export.trc import save_trc
-from mocap_ros.formats.sequence_file import KeypointSequence
+from mocap_ros.formats.sequence_file import KeypointSequence, find_longest_gap
 from mocap_ros.geometry.interpolation import central_velocity
 from mocap_ros.geometry.level import average_vertical, rotation_to_level
 from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_rotation
@@ -36,7 +37,7 @@ from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.npz_file import write_npz
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
-from mocap_ros.offline.whole_sequence import SequenceResult
+from mocap_ros.offline.whole_sequence import MAX_GAP_S, SequenceResult
 from mocap_ros.people import CameraVertical, Motion, MotionKind, Person3D
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OutputEncoder, build_skeleton_definition
 from mocap_ros.runtime.playback import DEFAULT_FRAME_ID
@@ -48,6 +49,8 @@ Array = NDArray[np.float64]
 ONE_FILE = RecorderConfig(min_free_mb=0, split_seconds=0.0)  # of a bag that is written as a single file
 DEFAULT_PERSON_ID = 'person_1'  # id in the messages of a bag, if the sequence does not name its person
 MAX_RESAMPLED_FRAMES = 1_000_000  # frames; guards the memory against two frames that are years apart
+MAX_EMPTY_S = 60.0  # s without a skeleton that a file of a constant frame rate may hold as empty frames
+MAX_BVH_GAP_S = 10.0  # s without a skeleton over which BVH, which has no empty frames, is interpolated
 RATE_TOLERANCE = 0.01  # 1; seconds since 1970 as doubles are rounded to 0.2 us
 HALF_TURN = np.array([1.0, 0.0, 0.0, 0.0])  # quaternion x, y, z, w of `CAMERA_TO_Y_UP`, half a turn about x
 SMALLEST_NORM = 1e-9  # 1; guards the normalisation of mixed quaternions
@@ -246,7 +249,7 @@ def stand_upright(result: SequenceResult) -> Array:
 
 
 def _save_bvh(path: Path, reconstruction: ReconstructedSequence) -> None:
-    resampled = _resample_at_constant_rate(reconstruction)
+    resampled = _resample_at_constant_rate(reconstruction, MAX_BVH_GAP_S)
     orientation, vertical = resampled.orientation, average_vertical(reconstruction.result.vertical)
     if orientation is not None:
         orientation /= np.maximum(np.linalg.norm(orientation, axis=-1, keepdims=True), SMALLEST_NORM)
@@ -256,7 +259,7 @@ def _save_bvh(path: Path, reconstruction: ReconstructedSequence) -> None:
 
 
 def _save_trc(path: Path, reconstruction: ReconstructedSequence) -> None:
-    resampled = _resample_at_constant_rate(reconstruction)
+    resampled = _resample_at_constant_rate(reconstruction, MAX_EMPTY_S)
     resampled.joints[~resampled.in_sight] = np.nan
     save_trc(path, reconstruction.result.skeleton.joints, resampled.joints, resampled.fps)
 
@@ -267,11 +270,11 @@ class _Resampled(NamedTuple):
     fps: float  # frames per second
     joints: Array  # (F, J, 3) m, y up; before the first and after the last skeleton of the result the nearest pose
     orientation: Array | None  # (F, J, 4) quaternions in the optical frame, not of length 1; None if unknown
-    in_sight: NDArray[np.bool_]  # (F,) whether the frame is one from the first to the last skeleton
+    in_sight: NDArray[np.bool_]  # (F,) whether the frame is between skeletons at most `MAX_GAP_S` apart
 
 
-def _resample_at_constant_rate(reconstruction: ReconstructedSequence) -> _Resampled:
-    """Interpolate a result linearly, at about the median frame rate of the sequence."""
+def _resample_at_constant_rate(reconstruction: ReconstructedSequence, max_gap_s: float) -> _Resampled:
+    """Interpolate a result linearly, at about the median frame rate of the sequence; InputError at longer gaps."""
     result, joints = reconstruction.result, stand_upright(reconstruction.result)
     times = reconstruction.sequence.timestamps - reconstruction.sequence.timestamps[0]
     step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
@@ -280,6 +283,13 @@ def _resample_at_constant_rate(reconstruction: ReconstructedSequence) -> _Resamp
             f'timestamps: {step:.3g} s from frame to frame; at most {MAX_FRAME_RATE_HZ:g} Hz fit the format'
         )
     frame_count = round(float(times[-1]) / step) + 1
+    known_times = times[np.isfinite(joints).all(axis=(1, 2))]
+    gap, start = find_longest_gap(known_times)
+    if gap > max_gap_s:
+        raise InputError(
+            f'timestamps: a gap of {gap:.1f} s after {start:.1f} s, without images or by a clock that was set, '
+            'does not fit a format with a constant frame rate; write .npz or .csv, or cut the recording there'
+        )
     if frame_count > MAX_RESAMPLED_FRAMES:
         raise InputError(f'timestamps: {times[-1]:.0f} s would be {frame_count} frames at a constant rate')
     grid = np.linspace(0.0, times[-1], frame_count)
@@ -291,8 +301,10 @@ def _resample_at_constant_rate(reconstruction: ReconstructedSequence) -> _Resamp
         mixed = np.stack([np.interp(grid, times[known], column) for column in columns], axis=1)
         return mixed.reshape(frame_count, *values.shape[1:])
 
-    known_times = times[np.isfinite(joints).all(axis=(1, 2))]
     in_sight = (grid > known_times[0] - step / 2) & (grid < known_times[-1] + step / 2)
+    for before, after in pairwise(known_times):
+        if after - before > MAX_GAP_S:
+            in_sight &= (grid < before + step / 2) | (grid > after - step / 2)
     orientation = None if result.orientation is None else interpolate(result.orientation)
     return _Resampled(1 / step, interpolate(joints), orientation, in_sight)
 

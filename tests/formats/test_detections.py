@@ -22,7 +22,7 @@ from mocap_ros.formats.detections import (
     create_person,
     select_person,
 )
-from mocap_ros.formats.detector_json import load_coco
+from mocap_ros.formats.detector_json import load_json_file
 from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.skeleton import keypoint_layout
@@ -104,7 +104,9 @@ def test_detections_of_two_cameras_side_by_side_stay_two_people(tmp_path: Path) 
                 )
     images = [{'id': n} for n in range(len(keypoints[0]))]
     (tmp_path / 'people.json').write_text(json.dumps({'images': images, 'annotations': annotations}))
-    detections = load_coco(tmp_path / 'people.json', Video(fps=30.0, image_size=(1920, 1080), layout='coco17'))
+    detections = load_json_file(
+        tmp_path / 'people.json', Video(fps=30.0, image_size=(1920, 1080), layout='coco17')
+    )
     tracks, _ = associate_people(detections)
     assert sorted(list(track.detection_by_frame) for track in tracks) == sorted(seen_in)
     chosen, _ = select_person(detections)

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from mocap_ros.errors import InputError
-from mocap_ros.formats.detections import Video, associate_people, select_person
-from mocap_ros.formats.detector_json import FILE_SUFFIX, MIN_PERSON_SCORE, load_coco, load_openpose
+from mocap_ros.formats.detections import Detections, Video, associate_people, select_person
+from mocap_ros.formats.detector_json import MIN_PERSON_SCORE, load_json_file, load_json_folder
 from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.runtime.load_keypoints import InputOptions, load_input
 from mocap_ros.skeleton import keypoint_layout
@@ -23,116 +23,235 @@ from tests.support.keypoint_files import FPS, FRAMES, LIMITS, VIDEO, check_same_
 
 COCO17 = keypoint_layout('coco17').joints
 BODY = [100.0, 100.0, 0.9] * 25
+Frames = list[list[float]]  # x, y, score of each joint, in each frame
+
+DOG = {'image_id': 0, 'category_id': 18, 'keypoints': [50.0, 60.0, 0.9] * 17, 'score': 0.9}
+
+PERSON = {**DOG, 'category_id': 1}
 
 
-def write_openpose(folder: Path, contents: dict[str, Any]) -> Path:
-    """Write a file of OpenPose for each name before its suffix."""
+def write_folder(folder: Path, contents: dict[str, Any]) -> Path:
     for name, content in contents.items():
-        (folder / f'{name}{FILE_SUFFIX}').write_text(json.dumps(content))
+        (folder / name).write_text(json.dumps(content))
     return folder
 
 
-def make_mmpose_frames(frames: list[list[float]]) -> list[dict[str, Any]]:
-    people = [
-        {'keypoints': np.reshape(k, (-1, 3))[:, :2].tolist(), 'keypoint_scores': k[2::3], 'bbox_score': 0.9}
-        for k in frames
-    ]
-    return [{'frame_id': f, 'instances': [person]} for f, person in enumerate(people)]
+def load(path: Path, content: Any, video: Video = VIDEO) -> Detections:
+    (path / 'people.json').write_text(json.dumps(content))
+    return load_json_file(path / 'people.json', video)
 
 
-def make_yolo_person(keypoints: list[float]) -> dict[str, Any]:
+def split(keypoints: list[float]) -> dict[str, Any]:
+    """Return a person as MMPose writes it."""
+    points = np.reshape(keypoints, (-1, 3))
+    return {'keypoints': points[:, :2].tolist(), 'keypoint_scores': points[:, 2].tolist(), 'bbox_score': 0.9}
+
+
+def make_yolo_person(keypoints: list[float], **fields: Any) -> dict[str, Any]:
     """Return a person as YOLO's `to_json` writes it."""
     x, y, visible = keypoints[::3], keypoints[1::3], keypoints[2::3]
-    return {'name': 'person', 'confidence': 0.8, 'keypoints': {'x': x, 'y': y, 'visible': visible}}
+    return {'name': 'person', 'confidence': 0.8, 'keypoints': {'x': x, 'y': y, 'visible': visible}, **fields}
 
 
-def make_annotations(frames: list[list[float]]) -> dict[str, Any]:
-    """Return COCO annotations with image ids in reverse order."""
-    numbers = range(len(frames))
-    return {
-        'images': [
-            {'id': 900 - f, 'file_name': f'cam1/{f:05d}.png', 'width': 640, 'height': 480} for f in numbers
-        ],
-        'categories': [{'keypoints': [n.replace('l', 'left_', 1) if n[0] == 'l' else n for n in COCO17]}],
-        'annotations': [{'image_id': 900 - f, 'category_id': 1, 'keypoints': frames[f]} for f in numbers],
-    }
+def set_unseen(keypoints: list[float], point: tuple[float, float], score: float | None) -> list[float]:
+    """Return keypoints of which those that are not seen are at a point, with a score or as it is."""
+    points = np.reshape(keypoints, (-1, 3)).copy()
+    unseen = points[:, 2] == 0
+    points[unseen, :2] = point
+    points[unseen, 2] = 0 if score is None else score
+    return points.ravel().tolist()
 
 
-FORMS: dict[str, Callable[[list[list[float]]], Any]] = {
-    'COCO results': lambda k: [{'image_id': i + 100, 'keypoints': p, 'score': 0.9} for i, p in enumerate(k)],
+def make_annotations(frames: Frames) -> dict[str, Any]:
+    """Return COCO annotations of people and a dog, with image ids in reverse order."""
+    images = [
+        {'id': 900 - f, 'file_name': f'cam1/{f:05d}.png', 'width': 640, 'height': 480} for f in range(len(frames))
+    ]
+    names = [n.replace('l', 'left_', 1) if n[0] == 'l' else n for n in COCO17]
+    people = [{'image_id': 900 - f, 'category_id': 7, 'keypoints': k} for f, k in enumerate(frames)]
+    dog, person = {'id': 18, 'name': 'dog', 'keypoints': ['nose']}, {'id': 7, 'name': 'person', 'keypoints': names}
+    return {'images': images, 'categories': [dog, person], 'annotations': [{**DOG, 'image_id': 900}, *people]}
+
+
+FORMS: dict[str, Callable[[Frames], Any]] = {
+    'COCO results with a dog': lambda k: [
+        DOG, *({**PERSON, 'image_id': i, 'keypoints': p} for i, p in enumerate(k))
+    ],
+    'COCO annotations': make_annotations,
     'AlphaPose': lambda k: [
         {'image_id': f'{i}.jpg', 'category_id': 1, 'keypoints': p, 'score': 2.9, 'idx': [3.0]}
         for i, p in enumerate(k)
     ],
-    'MMPose': make_mmpose_frames,
-    'MMPose demo': lambda k: {'meta_info': {}, 'instance_info': make_mmpose_frames(k)},
+    'AlphaPose --format open': lambda k: {
+        f'{i}.jpg': {'people': [{'pose_keypoints_2d': p}]} for i, p in enumerate(k)
+    },
+    'AlphaPose --format cmu': lambda k: {f'{i}.jpg': {'bodies': [{'joints': p}]} for i, p in enumerate(k)},
+    'MMPose': lambda k: [{'frame_id': f, 'instances': [split(p)]} for f, p in enumerate(k)],
+    'MMPose, SimCC scores': lambda k: [
+        {'frame_id': f, 'instances': [split((np.array(p) * ([1, 1, 7.3 / max(p[2::3])] * 17)).tolist())]}
+        for f, p in enumerate(k)
+    ],
     'YOLO to_json': lambda k: [[make_yolo_person(p)] for p in k],
+    'YOLO with a dog': lambda k: [[make_yolo_person(BODY[:51], name='dog'), make_yolo_person(p)] for p in k],
+    'YOLO with zeroed points': lambda k: [[make_yolo_person(set_unseen(p, (0, 0), 0.4))] for p in k],
+    'points at (-1, -1)': lambda k: [[make_yolo_person(set_unseen(p, (-1, -1), 0.9))] for p in k],
+    'NaN points': lambda k: [[make_yolo_person(set_unseen(p, (np.nan, np.nan), 0.9))] for p in k],
+    'NaN scores': lambda k: [[make_yolo_person(set_unseen(p, (30, 40), np.nan))] for p in k],
+    'negative scores': lambda k: [[make_yolo_person(set_unseen(p, (30, 40), -0.7))] for p in k],
     'YOLO save_json with improbable people': lambda k: [
         *({'image_id': i, 'keypoints': p, 'score': 0.9} for i, p in enumerate(k)),
         *({'image_id': i, 'keypoints': p, 'score': 0.01} for i, p in enumerate(k)),
     ],
-}
+    'tfjs': lambda k: [
+        [{'keypoints': [{'x': x, 'y': y, 'score': s} for x, y, s in np.reshape(p, (-1, 3)).tolist()]}] for p in k
+    ],
+    'easy_ViTPose': lambda k: {
+        'keypoints': [{'0': np.reshape(p, (-1, 3))[:, [1, 0, 2]].tolist()} for p in k],
+        'skeleton': {str(i): name for i, name in enumerate(COCO17)},
+    },
+}  # fmt: skip
+FOLDERS: dict[str, Callable[[Frames], dict[str, Any]]] = {
+    'OpenPose': lambda k: {
+        f'clip2_{f:012d}_keypoints.json': {'people': [{'person_id': [-1], 'pose_keypoints_2d': p}]}
+        for f, p in enumerate(k)
+    },
+    'Pose2Sim': lambda k: {f'cam01_{f:06d}.json': {'people': [{'pose_keypoints_2d': p}]} for f, p in enumerate(k)},
+    'AlphaPose sep-json': lambda k: {f'{f}.json': {'bodies': [{'joints': p}]} for f, p in enumerate(k)},
+    'MMPoseInferencer': lambda k: {f'frame_{f}.json': [split(p)] for f, p in enumerate(k)},
+    'result of MMPoseInferencer': lambda k: {f'{f}.json': {'predictions': [[split(p)]]} for f, p in enumerate(k)},
+    'MMPoseInferencer of a video': lambda k: {'v.json': FORMS['MMPose'](k)},
+    'YOLO to_json': lambda k: {f'img{f}_640x480.json': [make_yolo_person(p)] for f, p in enumerate(k)},
+}  # fmt: skip
 
 
 @pytest.mark.parametrize('form', FORMS)
 def test_every_form_gives_the_same_keypoints(tmp_path: Path, walker: KeypointSequence, form: str) -> None:
-    path = tmp_path / 'people.json'
-    path.write_text(json.dumps(FORMS[form](flatten_keypoints(walker))))
-    check_same_keypoints(load_coco(path, VIDEO), walker)
+    detections = load(tmp_path, FORMS[form](flatten_keypoints(walker)))
+    if 'SimCC' in form:
+        sequence, _ = select_person(detections)
+        expected = walker.keypoints[..., 2] / walker.keypoints[..., 2].max(axis=1, keepdims=True)
+        assert sequence.keypoints[..., 2] == pytest.approx(expected)
+    else:
+        check_same_keypoints(detections, walker)
+    assert ('no people' in ''.join(detections.notes)) == ('dog' in form or 'annotations' in form)
 
 
-def test_a_folder_of_openpose_gives_the_keypoints_of_every_frame(tmp_path: Path, walker: KeypointSequence) -> None:
-    people = [
-        {'person_id': [-1], 'pose_keypoints_2d': k, 'face_keypoints_2d': []} for k in flatten_keypoints(walker)
-    ]
-    write_openpose(tmp_path, {f'clip2_{f:012d}': {'version': 1.3, 'people': [p]} for f, p in enumerate(people)})
-    check_same_keypoints(load_openpose(tmp_path, VIDEO), walker)
-    (tmp_path / f'clip2_{7:012d}{FILE_SUFFIX}').unlink()
-    sequence, _ = select_person(load_openpose(tmp_path, VIDEO))
+@pytest.mark.parametrize('tool', FOLDERS)
+def test_every_folder_gives_the_same_keypoints(tmp_path: Path, walker: KeypointSequence, tool: str) -> None:
+    write_folder(tmp_path, FOLDERS[tool](flatten_keypoints(walker)))
+    sequence, _ = load_input(tmp_path, InputOptions(VIDEO, LIMITS))
+    assert sequence.keypoints == pytest.approx(walker.keypoints, nan_ok=True, abs=1e-4)
+
+
+def test_a_frame_that_is_missing_in_a_folder_is_a_gap(tmp_path: Path, walker: KeypointSequence) -> None:
+    files = FOLDERS['OpenPose'](flatten_keypoints(walker))
+    del files[f'clip2_{7:012d}_keypoints.json']
+    sequence, _ = select_person(load_json_folder(write_folder(tmp_path, files), VIDEO))
     assert len(sequence) == FRAMES
     assert not sequence.keypoints[7, :, 2].any()
     with pytest.raises(InputError, match='--fps'):
-        load_openpose(tmp_path, Video())
+        load_json_folder(tmp_path, Video())
+
+
+def test_images_whose_names_are_times_need_no_frame_rate(tmp_path: Path, walker: KeypointSequence) -> None:
+    results = [
+        {'image_id': f'{1305031102 + f / FPS:.6f}.png', 'keypoints': k}
+        for f, k in enumerate(flatten_keypoints(walker))
+    ]
+    sequence, _ = select_person(load(tmp_path, results, Video(image_size=(640, 480))))
+    assert np.diff(sequence.timestamps) == pytest.approx(1 / FPS, abs=1e-5)
+    assert sequence.timestamps[0] == 1305031102
+
+
+H36M = [
+    'root', *(f'{s}_{j}' for s in ('right', 'left') for j in ('hip', 'knee', 'foot')), 'spine', 'thorax',
+    'neck_base', 'head', *(f'{s}_{j}' for s in ('left', 'right') for j in ('shoulder', 'elbow', 'wrist')),
+]  # fmt: skip
+MPII = [
+    *(f'right_{j}' for j in ('ankle', 'knee', 'hip')), *(f'left_{j}' for j in ('hip', 'knee', 'ankle')), 'pelvis',
+    'thorax', 'upper_neck', 'head_top', *(f'right_{j}' for j in ('wrist', 'elbow', 'shoulder')),
+    *(f'left_{j}' for j in ('shoulder', 'elbow', 'wrist')),
+]  # fmt: skip
+HALPE = [
+    'nose', *(f'{"left" if n[0] == "l" else "right"}_{n[1:]}' for n in COCO17[1:]), 'head', 'neck', 'hip',
+    *(f'{s}_{n}' for n in ('big_toe', 'small_toe', 'heel') for s in ('left', 'right')),
+]  # fmt: skip
+AIC = [*(f'{s}_{j}' for s in ('right', 'left') for j in ('shoulder', 'elbow', 'wrist')),
+       *(f'{s}_{j}' for s in ('right', 'left') for j in ('hip', 'knee', 'ankle')), 'head_top', 'neck']  # fmt: skip
+SWAPPED_COCO = [n.replace('left', '?').replace('right', 'left').replace('?', 'right') for n in HALPE[:17]]
+
+
+@pytest.mark.parametrize(
+    ('names', 'expected'),
+    [
+        (H36M, keypoint_layout('h36m17').joints),
+        (HALPE, keypoint_layout('halpe26').joints),
+        (MPII, ('rankle', 'rknee', 'rhip', 'lhip', 'lknee', 'lankle', 'pelvis', 'neck', 'upperneck', 'headtop')),
+        (AIC, ('rshoulder', 'relbow', 'rwrist', 'lshoulder', 'lelbow', 'lwrist', 'rhip', 'rknee', 'rankle')),
+        (SWAPPED_COCO, ('nose', 'reye', 'leye', 'rear', 'lear', 'rshoulder', 'lshoulder')),
+        ([f'left_hip {i}' if i == 1 else n for i, n in enumerate(H36M)], ('pelvis', 'lhip1', 'rknee', 'rankle')),
+    ],
+)
+@pytest.mark.parametrize('place', ['meta_info', 'categories', 'keypoint_names', 'person'])
+def test_joints_are_called_as_the_file_says(
+    tmp_path: Path, place: str, names: list[str], expected: tuple[str, ...]
+) -> None:
+    person: dict[str, Any] = {
+        'image_id': 0,
+        'category_id': 5,
+        'keypoints': BODY[: 3 * len(names)] + BODY[:3] * max(0, len(names) - 25),
+    }
+    content: Any = {'annotations': [person]}
+    if place == 'meta_info':
+        by_index = {str(i): n for i, n in enumerate(names)}
+        content = {
+            'meta_info': {'keypoint_id2name': by_index},
+            'instance_info': [{'frame_id': 1, 'instances': [person]}],
+        }
+    elif place == 'categories':
+        other = {'id': 1, 'name': 'person', 'keypoints': list(COCO17)}
+        content['categories'] = [other, {'id': 5, 'name': 'person', 'keypoints': names}]
+    elif place == 'keypoint_names':
+        content['keypoint_names'] = names
+    else:
+        person['keypoint_names'] = names
+    ((found,),) = load(tmp_path, content).people
+    assert found.joints[: len(expected)] == expected or names[1] == 'left_hip 1'
 
 
 def test_an_id_that_two_people_of_one_frame_have_is_none(tmp_path: Path) -> None:
     """AlphaPose gives all people the id 0 if it does not track; the ids of a tracker are kept."""
-    path = tmp_path / 'people.json'
     shape = np.stack([np.linspace(0, 30, 17), np.linspace(100, 200, 17), np.ones(17)], axis=1)
     people = [
         {'image_id': f'{f}.jpg', 'keypoints': (shape + [x, 0, 0]).ravel().tolist(), 'score': 2.9, 'idx': [idx]}
         for f in range(10)
         for x, idx in ((300, 0.0), (100 + f, 7.0), (500, 0.0))[: 3 if f < 9 else 1]
     ]
-    path.write_text(json.dumps(people))
-    detections = load_coco(path, VIDEO)
+    detections = load(tmp_path, people)
     tracks = {track.id: track for track in associate_people(detections)[0]}
     counts = {name: len(track.detection_by_frame) for name, track in tracks.items()}
     assert counts == {'person_1': 10, 'person_2': 9, '7': 9}
-    assert {p.points[0, 0] for p in tracks['person_1'].detection_by_frame.values()} == {300}
     assert detections.notes[0].endswith(': 0')
 
 
 def test_people_with_a_low_score_are_left_out(tmp_path: Path) -> None:
-    path = tmp_path / 'people.json'
     scores = [MIN_PERSON_SCORE, 0.99 * MIN_PERSON_SCORE, 0.3]
-    keypoints = [[100.0 * (i + 1), 50.0, 1.0] * 17 for i in range(len(scores))]
-    people = [{'image_id': 1, 'keypoints': k, 'score': s} for k, s in zip(keypoints, scores, strict=True)]
-    path.write_text(json.dumps(people))
-    ((first, second),) = load_coco(path, VIDEO).people
+    people = [
+        {'image_id': 1, 'keypoints': [100.0 * (i + 1), 50.0, 1.0] * 17, 'score': s} for i, s in enumerate(scores)
+    ]
+    ((first, second),) = load(tmp_path, people).people
     assert [first.points[0, 0], second.points[0, 0]] == [100, 300]
 
 
-def test_annotations_give_names_size_and_visibility(tmp_path: Path, walker: KeypointSequence) -> None:
-    path = tmp_path / 'people.json'
-    visibility = np.nan_to_num(walker.keypoints).reshape(FRAMES, -1, 3).copy()
+def test_annotations_give_size_and_visibility(tmp_path: Path, walker: KeypointSequence) -> None:
+    visibility = np.nan_to_num(walker.keypoints).copy()
     visibility[..., 2] = np.where(visibility[..., 2] > 0, 2, 0)
     visibility[3, 0, 2] = 1
-    path.write_text(json.dumps(make_annotations(visibility.reshape(FRAMES, -1).tolist())))
-    sequence, _ = select_person(load_coco(path, Video(fps=FPS)))
-    assert sequence.image_size == (640, 480)
-    assert sequence.joint_names == COCO17
-    assert sequence.keypoints[0, :, :2] == pytest.approx(walker.keypoints[0, :, :2], nan_ok=True)
+    frames = visibility.reshape(FRAMES, -1).tolist()
+    content = make_annotations(frames)
+    del content['annotations'][0]
+    sequence, _ = select_person(load(tmp_path, content, Video(fps=FPS)))
+    assert (sequence.image_size, sequence.joint_names) == ((640, 480), COCO17)
     assert set(np.unique(sequence.keypoints[..., 2])) == {0.0, 0.5, 1.0}
 
 
@@ -144,63 +263,71 @@ def test_annotations_give_names_size_and_visibility(tmp_path: Path, walker: Keyp
         ({'track_id': 'anna', 'idx': 3}, 'anna'),
         ({'idx': [[3.0]]}, '3'),
         ({'idx': 0}, '0'),
-        ({'idx': 3.5}, ''),
-        ({'idx': []}, ''),
-        ({'idx': None}, ''),
-        ({'id': 7}, ''),  # of an annotation, not of a person
-    ],
+    ]
+    + [({'idx': 3.5}, ''), ({'idx': []}, ''), ({'idx': None}, ''), ({'id': 7}, '')],
 )
 def test_people_have_the_ids_of_a_tracker(tmp_path: Path, given: dict[str, Any], person_id: str) -> None:
-    if 'person_id' in given:
-        write_openpose(tmp_path, {'a_1': {'people': [{'pose_keypoints_2d': BODY, **given}]}})
-        ((person,),) = load_openpose(tmp_path, VIDEO).people
-    else:
-        (tmp_path / 'a.json').write_text(json.dumps([{'image_id': 1, 'keypoints': BODY[:51], **given}]))
-        ((person,),) = load_coco(tmp_path / 'a.json', VIDEO).people
+    ((person,),) = load(tmp_path, [{'image_id': 1, 'keypoints': BODY[:51], **given}]).people
     assert person.id == person_id
 
 
-def make_images(*images: dict[str, Any]) -> str:
+def make_images(*images: dict[str, Any]) -> dict[str, Any]:
     """Return annotations without people."""
-    return json.dumps({'images': images, 'annotations': []})
+    return {'images': images, 'annotations': []}
 
 
-def make_results(*keypoints: Any) -> str:
-    return json.dumps([{'image_id': i, 'keypoints': k} for i, k in enumerate(keypoints)])
+def make_results(*keypoints: Any, **fields: Any) -> Any:
+    return [{'image_id': i, 'keypoints': k, **fields} for i, k in enumerate(keypoints)]
+
+
+LANDMARK = {'x': 0.5, 'y': 0.3, 'z': -0.1, 'visibility': 0.9}
+POINTS_3D = [[0.1 * i - 0.8, 0.2, 0.9] for i in range(17)]
 
 
 @pytest.mark.parametrize(
     ('content', 'place'),
     [
-        (make_images({'id': 1, 'file_name': 'cam1/7.png'}, {'id': 2, 'file_name': 'cam2/7.png'}), 'images: .* 7;'),
+        (make_images({'id': 1, 'file_name': '7'}, {'id': 2, 'file_name': '7'}), r"images\[1\]: .* '7'"),
+        (make_images({'id': 1, 'file_name': 'a/7.png'}, {'id': 2, 'file_name': 'b/7.png'}), 'cameras'),
         (make_images({'id': 1, 'width': 640, 'height': 480}, {'id': 2, 'width': 9, 'height': 9}), 'images: '),
         (make_images({'id': 1}, {'id': 2, 'width': 0, 'height': 480}), r'images\[1\]: expected id'),
         (make_images({'file_name': '1.png'}), r'images\[0\]: expected id'),
-        (make_images({'id': 1, 'file_name': 'walk.png'}), r"images\[0\]: image 'walk\.png': no frame number"),
-        ('[{"frame_id": 1, "instances": [3]}]', r'\[0\]\.instances\[0\]: expected a person'),
-        ('{', 'not JSON'),
-        ('[' * 100_000, 'nested too deep'),
-        (f'[{"9" * 5000}]', r'value has 5000 digits$'),
-        ('3', 'expected a list'),
-        ('{"a": 1}', 'neither annotations nor instance_info'),
-        ('{"people": []}', 'give its folder'),
-        ('[]', 'no frames'),
-        ('[{"keypoints": [1, 2, 3]}]', r'\[0\]: expected image_id'),
-        ('[{"image_id": true, "keypoints": [1, 2, 3]}]', r'\[0\]: expected image_id'),
+        ([{'frame_id': 1, 'instances': [3]}], r'\[0\]\.instances\[0\]: expected a person'),
+        (b'{', 'not JSON'),
+        (b'[' * 100_000, 'nested too deep'),
+        (b'[' + b'9' * 5000 + b']', r'value has 5000 digits$'),
+        (3, 'expected a list'),
+        ({'a': 1}, 'neither annotations nor instance_info'),
+        ({'people': []}, 'give its folder'),
+        ([], 'no frames'),
+        ([{'keypoints': [1, 2, 3]}], r'\[0\]: expected image_id'),
+        ([{'image_id': True, 'keypoints': [1, 2, 3]}], r'\[0\]: expected image_id'),
         (make_results('abc'), r'\[0\]: keypoints: expected x, y, score'),
         (make_results(BODY[:51], [1, 2, 3, 4]), r'\[1\]: keypoints: expected x, y, score'),
-        (make_results(7), r'\[0\]: keypoints: expected x, y, score'),
         (make_results({'x': [[1]], 'y': [[1]], 'visible': [[1]]}), r'\[0\]: keypoints: expected x, y, score'),
-        (make_results([1, 2, 1]), r'\[0\]: 1 keypoints: no layout known'),
+        (make_results([1, 2, 1]), r'\[0\]: 1 keypoints: no layout known; .* --layout'),
+        (make_results(BODY[:51], keypoint_names=HALPE), r'\[0\]: 17 keypoints, but names of 26'),
         (make_results([1e300] * 51), r'\[0\]: x of nose is 1e\+300'),
-        (json.dumps([{'image_id': i, 'keypoints': BODY[:51]} for i in (1, 2, 10**9)]), 'not one video of 25 Hz'),
-        (make_results([0.5, 0.5, 1.0] * 17), 'look normalised'),
-        (make_results([0] * 51), 'nobody is seen'),
+        (make_results([1.0, 2.0, 1e999] * 17), r'\[0\]: score of nose is inf'),
+        ([{'image_id': i, 'keypoints': BODY[:51]} for i in (1, 2, 10**9)], 'not one video of 25 Hz'),
+        (make_results([0.5, 0.5, 1.0] * 17), 'looks normalised; px expected: multiply'),
+        (make_results(np.ravel(POINTS_3D).tolist()), '3D joints in m; 2D'),
+        (make_results(POINTS_3D, keypoint_scores=[0.9] * 17), '3D joints, .*2D'),
+        (make_results([[1, 2, 3, 0.9]] * 17), '3D joints, .*2D'),
+        ([[LANDMARK] * 33], 'landmarks of MediaPipe'),
+        ([[[LANDMARK] * 33]], 'landmarks of MediaPipe'),
+        ([{'frame': 1, 'pose_landmarks': [LANDMARK] * 33}], 'landmarks of MediaPipe'),
+        ({'pose_landmarks': [[LANDMARK] * 33]}, 'landmarks of MediaPipe'),
+        ([{'image_id': 1, 'category_id': 1, 'bbox': [1, 2, 3, 4], 'score': 0.9}], 'without keypoints, .*-pose'),
+        ([[{'name': 'person', 'box': {'x1': 1}, 'confidence': 0.9}]], 'without keypoints, .*-pose'),
+        (make_results([50.0, 60.0, 0.0] * 17), 'score of every keypoint is 0'),
+        ({'categories': [{'id': 1, 'name': 'cat'}], 'annotations': [PERSON]}, 'no people'),
+        (make_results([0] * 51), 'no person is seen'),
     ],
-)
-def test_invalid_json_is_refused_in_one_line(tmp_path: Path, content: str, place: str) -> None:
+)  # fmt: skip
+def test_invalid_json_is_refused_in_one_line(tmp_path: Path, content: Any, place: str) -> None:
     path = tmp_path / 'people.json'
-    path.write_text(content)
+    path.write_bytes(content if isinstance(content, bytes) else json.dumps(content).encode())
     with pytest.raises(InputError, match=rf'people\.json: .*{place}') as caught:
         load_input(path, InputOptions(VIDEO, LIMITS))
     assert '\n' not in str(caught.value)
@@ -209,13 +336,12 @@ def test_invalid_json_is_refused_in_one_line(tmp_path: Path, content: str, place
 @pytest.mark.parametrize(
     ('contents', 'place'),
     [
-        ({}, 'no .*_keypoints'),
-        ({'walk': {'people': []}}, r'walk_keypoints\.json: no frame number'),
-        ({'cam1_07': {'people': []}, 'cam2_07': {'people': []}}, r'cam2_07_keypoints\.json: a second frame 7;'),
-        ({'1': [{'pose_keypoints_2d': BODY}]}, r'1_keypoints\.json: no list of people'),
+        ({}, r'no \*\.json'),
+        ({f'cam{c}_{n}': {'people': []} for c in (1, 2) for n in (7, 8)}, 'two cameras or videos'),
+        ({'1': {'no': []}}, r'1_keypoints\.json: no list of people'),
         ({'1': {'people': [{'pose_keypoints_2d': BODY}, {}]}}, r'people\[1\]: no pose_keypoints_2d'),
-        ({'1': {'people': [3]}}, r'people\[0\]: no pose_keypoints_2d'),
-        ({'1': {'people': [{'pose_keypoints_2d': [1.0, 2.0]}]}}, r'people\[0\]: pose_keypoints_2d: expected x, y'),
+        ({'1': {'people': [3]}}, r'people\[0\]: expected a person'),
+        ({'1': {'people': [{'pose_keypoints_2d': [1.0, 2.0]}]}}, r'people\[0\]: keypoints: expected x, y'),
         (
             {'1': {'people': [{'pose_keypoints_2d': [1.0, 2.0, 0.5]}]}},
             r'people\[0\]: 1 keypoints: no layout known',
@@ -224,6 +350,6 @@ def test_invalid_json_is_refused_in_one_line(tmp_path: Path, content: str, place
 )
 def test_an_invalid_folder_is_refused_in_one_line(tmp_path: Path, contents: dict[str, Any], place: str) -> None:
     with pytest.raises(InputError, match=place) as caught:
-        load_openpose(write_openpose(tmp_path, contents), VIDEO)
+        load_json_folder(write_folder(tmp_path, {f'{n}_keypoints.json': c for n, c in contents.items()}), VIDEO)
     assert str(caught.value).startswith(str(tmp_path))
     assert '\n' not in str(caught.value)

@@ -192,7 +192,7 @@ def reconstruct(
         smoothing=parameters.smoothing,
         iterations=parameters.iterations,
     )
-    in_sight = find_frames_in_sight(observed.weight > 0)
+    in_sight = find_frames_in_sight(observed.weight > 0, observed.times)
     result = _build_result(fit, inliers, seen_points, in_sight, category, model, config.tracker)
     return KeyframeResult(result, keyframes, motion, outliers)
 
