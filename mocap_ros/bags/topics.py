@@ -14,7 +14,7 @@ from mocap_ros.config import NodeConfig
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import decode
-from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON
+from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON, find_current_type
 from mocap_ros.messages.input_types import KEYPOINT_TYPES
 from mocap_ros.messages.transforms import TRANSFORMS
 
@@ -57,9 +57,10 @@ def list_input_types(keypoints_type: str, *, reads_transforms: bool = False) -> 
     others = {Source.CAMERA_INFO: CAMERA_INFO}
     if reads_transforms:
         others |= dict.fromkeys(TRANSFORM_SOURCES, TRANSFORMS)
-    if keypoints_type == HRI_SKELETON:
+    current_type = find_current_type(keypoints_type)
+    if current_type == HRI_SKELETON:
         return {Source.TRACKED_BODIES: HRI_IDS, Source.BODY: HRI_SKELETON, **others}
-    if keypoints_type not in KEYPOINT_TYPES:
+    if current_type not in KEYPOINT_TYPES:
         supported = ', '.join((*KEYPOINT_TYPES, HRI_SKELETON))
         raise ConfigError(f'node.input_type {keypoints_type!r} is not supported; choose one of {supported}')
     return {Source.KEYPOINTS: keypoints_type, **others}

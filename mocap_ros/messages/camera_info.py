@@ -101,7 +101,7 @@ def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
             distortion = Distortion.from_coefficients(message.distortion_model, tuple(map(float, message.d)))
             check_coefficients(distortion, 'd')
         except InputError as error:
-            distortion, remark = Distortion(), f'{error}; the distortion is not used'
+            distortion, remark = Distortion(), f'{error}; it is not used'
     size, matrix = _select_region(message, matrix)
     try:
         intrinsics = Intrinsics.from_matrix(matrix, distortion, size if all(size) else None)

@@ -18,7 +18,8 @@ from mocap_ros.config import NodeConfig
 from mocap_ros.copying import copy_as_float64
 from mocap_ros.errors import InputError
 from mocap_ros.keypoints.image_size import ImageSize
-from mocap_ros.keypoints.person import Person2D
+from mocap_ros.keypoints.person import Person2D, is_person_class
+from mocap_ros.keypoints.validation import find_seen
 from mocap_ros.messages.cdr import Header, decode_input, validate_header, validate_text
 from mocap_ros.messages.foreign_types import (
     HRI_IDS,
@@ -26,6 +27,7 @@ from mocap_ros.messages.foreign_types import (
     OPENPOSE_POSES,
     YOLO_DETECTIONS,
     ZED_OBJECTS,
+    find_current_type,
 )
 from mocap_ros.messages.keypoints import (
     KEYPOINTS,
@@ -65,7 +67,7 @@ def decode_frame(raw: bytes, msgtype: str, limits: NodeConfig, size: ImageSize) 
 
     Args:
         raw: CDR bytes.
-        msgtype: one of `KEYPOINT_TYPES`.
+        msgtype: one of `KEYPOINT_TYPES`, or its name in an older package.
         limits: parameters that limit the number of people and joints and the length of texts.
         size: (width, height) of the image in px, (0, 0) where unknown; a Keypoints2DArray gives its own.
 
@@ -74,17 +76,19 @@ def decode_frame(raw: bytes, msgtype: str, limits: NodeConfig, size: ImageSize) 
     """
     if msgtype == KEYPOINTS:
         return decode_keypoints(raw, limits)
+    msgtype = find_current_type(msgtype)
     field, read_person = _READERS[msgtype]
     message = decode_input(raw, msgtype)
     header = validate_header(message.header, limits)
-    people = read_people(field, getattr(message, field), lambda entry: read_person(entry, size[0], limits), limits)
-    return KeypointsFrame(header, *size, people)
+    entries = getattr(message, field)
+    people = read_people(field, entries, lambda entry: read_person(entry, size[0], limits), limits)
+    return KeypointsFrame(header, *size, people, len(entries) - len(people))
 
 
 def _read_yolo(detection: Any, image_width: int, limits: NodeConfig) -> Person2D | None:
     """Read a yolo_msgs/Detection, which holds only the keypoints above the detector's threshold."""
     keypoints = detection.keypoints.data
-    if not keypoints:
+    if not keypoints or not is_person_class(detection.class_name):
         return None
     points, score = np.full((len(COCO17), 2), np.nan), np.zeros(len(COCO17))
     for i, keypoint in enumerate(keypoints):
@@ -160,6 +164,7 @@ def decode_body(raw: bytes, body_id: str, size: ImageSize, limits: NodeConfig) -
             'the parameters node.image_width and node.image_height give it'
         )
     numbers = np.array([(p.x, p.y, p.c) for p in message.skeleton], np.float64)
+    numbers[~find_seen(numbers[:, :2], numbers[:, 2]), :2] = np.nan  # what marks them is no share of the image
     person_id = validate_text(body_id, 'id', limits)
     return header, validate_person(person_id, HRI18, numbers[:, :2] * size, numbers[:, 2], 0, 'skeleton')
 

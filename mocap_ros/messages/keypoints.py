@@ -30,12 +30,21 @@ KEYPOINTS = MOCAP_ROS_MSGS + 'Keypoints2DArray'
 
 @dataclass(frozen=True, eq=False)
 class KeypointsFrame:
-    """The people in one image, in the order of the message, and its width and height in px, 0 where unknown."""
+    """The people in one image.
+
+    Attributes:
+        header: header of the image.
+        image_width: px, 0 where unknown.
+        image_height: px, 0 where unknown.
+        people: people in the order of the message.
+        without_keypoints: number of detections without keypoints, of which models that find boxes have no others.
+    """
 
     header: Header
     image_width: int
     image_height: int
     people: tuple[Person2D, ...]
+    without_keypoints: int = 0
 
 
 def decode_keypoints(raw: bytes, limits: NodeConfig) -> KeypointsFrame:

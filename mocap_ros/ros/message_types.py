@@ -18,6 +18,7 @@ from mocap_ros.bags.rosbag2 import TypeDefinition
 from mocap_ros.config import format_value
 from mocap_ros.errors import ConfigError
 from mocap_ros.messages.cdr import OutputMessage, typestore
+from mocap_ros.messages.foreign_types import find_current_type
 from mocap_ros.messages.versions import Convert, compare_versions, convert_or_keep, make_converter
 
 TYPE_NAME = re.compile(r'[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*', re.ASCII)
@@ -60,7 +61,9 @@ class MessageVersions:
         """
         installed = self._load_if_different(kind)
         if installed is not None:
-            self._readers[kind] = convert_or_keep(make_converter(installed, typestore(), kind))
+            self._readers[kind] = convert_or_keep(
+                make_converter(installed, typestore(), kind, find_current_type(kind))
+            )
 
     def add_output(self, kind: str) -> list[str]:
         """Add a type of messages to publish; return the fields that they lose, which the installed type lacks.
@@ -98,7 +101,7 @@ class MessageVersions:
     def _load_if_different(self, kind: str) -> Typestore | None:
         installed = load_installed_types(kind)
         type_hash = installed.hash_rihs01(kind)
-        if type_hash == typestore().hash_rihs01(kind):
+        if kind in typestore().types and type_hash == typestore().hash_rihs01(kind):
             return None
         self.definitions[kind] = TypeDefinition(installed.generate_msgdef(kind, ros_version=2)[0], type_hash)
         return installed

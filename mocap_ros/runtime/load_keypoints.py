@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import islice
 from math import inf
 from pathlib import Path
 from statistics import median
@@ -38,6 +39,7 @@ from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_s
 from mocap_ros.runtime.input_checks import describe_unusable_distortion
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 
+MAX_CAMERA_INFOS = 1000  # messages in which a valid CameraInfo is searched
 MIN_FRAMES = 10  # frames; of all people, those who are seen in less are mostly errors of the detector
 # Options that apply to a kind of input; those of the focal length apply to all.
 OPTIONS_BY_KIND = {
@@ -295,11 +297,11 @@ def _leave_out_others(frames: dict[int, KeypointsFrame]) -> list[str]:
 def find_camera(
     bag: Bag, keypoints_topic: str, node: NodeConfig, camera_info: str | None = None
 ) -> tuple[CameraInfo | None, str]:
-    """Find the first calibrated CameraInfo that belongs to a topic of keypoints, or that `camera_info` names.
+    """Find the first valid CameraInfo that belongs to a topic of keypoints, or that `camera_info` names.
 
     Returns:
-        The CameraInfo, else the first with the size of the image, or None if there is none; and why the first is
-        not used, or not all of it, or an empty text.
+        The CameraInfo, else the first of which more than the others can be used, or None if there is none; and why
+        the first is not used, or not all of it, or an empty text.
 
     Raises:
         InputError: There is no such topic, or several topics share equally much of the namespace.
@@ -307,14 +309,15 @@ def find_camera(
     topic = bag.find_camera_info_topic(keypoints_topic, camera_info)
     found: CameraInfo | None = None
     reason = ''
-    for number, message in enumerate(bag.messages([topic] if topic else []), 1):
+    for number, message in enumerate(islice(bag.messages([topic] if topic else []), MAX_CAMERA_INFOS), 1):
         try:
             camera = decode_camera_info(message.raw, rectified=node.rectified_input)
         except InputError as error:
             reason = reason or f'{topic}: message {number} cannot be used: {error}'
             continue
-        reason = reason or (camera.remark and f'{topic}: {camera.remark}')
-        if camera.intrinsics.is_focal_known:
+        if not camera.remark:
             return camera, reason
-        found = found or camera
+        reason = reason or f'{topic}: message {number}: {camera.remark}'
+        if found is None or camera.intrinsics.is_focal_known > found.intrinsics.is_focal_known:
+            found = camera
     return found, reason

@@ -89,8 +89,8 @@ INVALID: list[tuple[Callable[[dict[str, Any]], object], str]] = [
     (lambda a: a.update(keypoints=a['keypoints'][:3]), r'keypoints: shape \(3,'),
     (lambda a: a.update(joint_names=np.array([f'j{i}' for i in range(17)])), 'joint_names: .* fewer than four'),
     (lambda a: set_element(a, 'keypoints', (3, 7, 1), np.inf), 'keypoints: frame 3: y of lelbow is inf'),
-    (lambda a: set_element(a, 'keypoints', (4, 0, 2), 150), 'keypoints: frame 4: score of nose is 150'),
-    (lambda a: set_element(a, 'keypoints', (4, 0, 2), -0.5), 'keypoints: frame 4: score of nose is -0.5'),
+    (lambda a: set_element(a, 'keypoints', (4, 0, 2), np.inf), 'keypoints: frame 4: score of nose is inf'),
+    (lambda a: set_element(a, 'keypoints', (..., 2), 0), 'keypoints: every score is 0'),
     (
         lambda a: a['keypoints'].__setitem__((..., slice(2)), a['keypoints'][..., :2] / 512),
         'keypoints: looks normalised; px expected',

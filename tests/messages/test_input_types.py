@@ -54,8 +54,8 @@ def set_keypoint_id(value: int) -> Callable[[Any], None]:
         (YOLO_DETECTIONS, lambda m: setattr(m.detections[1], 'id', 'b0'), "detections: id 'b0' twice"),
         (
             YOLO_DETECTIONS,
-            lambda m: setattr(m.detections[0].keypoints.data[0], 'score', 700.0),
-            r'detections\[0\].keypoints: score\[16\]: 700, expected',
+            lambda m: setattr(m.detections[0].keypoints.data[0], 'score', np.inf),
+            r'detections\[0\].keypoints: score\[16\]: inf, expected',
         ),
         (ZED_OBJECTS, lambda m: setattr(m.objects[0], 'body_format', 4), r'objects\[0\].body_format: 4, expected'),
         (ZED_OBJECTS, lambda m: setattr(m.header.stamp, 'sec', -1), 'header.stamp: -1 s'),

@@ -138,8 +138,8 @@ def test_a_nominal_focal_length_is_named_once_after_seconds_of_people(
 
 def test_a_camera_info_that_does_not_fit_is_rejected(stream: list[bytes]) -> None:
     pipeline = Pipeline(FAST_CONFIG)
-    with pytest.raises(InputError, match='not calibrated'):
-        pipeline.set_camera_info(camera_info(focal=0))
+    with pytest.raises(InputError, match='not calibrated, and width and height are 0'):
+        pipeline.set_camera_info(camera_info(0, 0, focal=0))
     assert pipeline.camera_info is None
     pipeline.set_camera_info(camera_info(width=1280))
     reason = reject(pipeline, stream[0], Verdict.INVALID)
