@@ -43,13 +43,13 @@ class CameraInfo:
         intrinsics: focal length, principal point and distortion. Where the camera is not calibrated, its focal
             length is not known, and whoever uses it has to choose one.
         frame_id: name of the camera's optical frame; empty where unknown. It is not compared.
-        remark: why a field is not used, or empty.
+        note: why a field is not used, or empty.
     """
 
     size: ImageSize
     intrinsics: Intrinsics
     frame_id: str = field(default='', compare=False)
-    remark: str = ''
+    note: str = ''
 
 
 def check_image_size(frame: KeypointsFrame, camera: CameraInfo) -> None:
@@ -86,7 +86,7 @@ def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
         rectified: whether the keypoints were detected in the rectified image. Then the projection matrix P is
             used (K where P is not set), and no distortion.
 
-    A matrix or a distortion that cannot be used is left out, and `CameraInfo.remark` says so.
+    A matrix or a distortion that cannot be used is left out, and `CameraInfo.note` says so.
 
     Raises:
         InputError: the bytes are not a CameraInfo, or neither its matrix nor its size can be used.
@@ -95,24 +95,24 @@ def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
     name, matrix = 'k', np.asarray(message.k, np.float64).reshape(3, 3)
     if rectified and message.p[0]:
         name, matrix = 'p', np.asarray(message.p, np.float64).reshape(3, 4)[:, :3]
-    distortion, remark = Distortion(), ''
+    distortion, note = Distortion(), ''
     if not rectified:
         try:
             distortion = Distortion.from_coefficients(message.distortion_model, tuple(map(float, message.d)))
             check_coefficients(distortion, 'd')
         except InputError as error:
-            distortion, remark = Distortion(), f'{error}; it is not used'
+            distortion, note = Distortion(), f'{error}; it is not used'
     size, matrix = _select_region(message, matrix)
     try:
         intrinsics = Intrinsics.from_matrix(matrix, distortion, size if all(size) else None)
     except InputError as error:
-        reason = error if matrix.any() else 'is 0'
+        reason = error if matrix[[0, 1], [0, 1]].any() else 'is 0'
         fault = f'{name}: {reason}; the camera is not calibrated'
         if not all(size):
             raise InputError(f'{fault}, and width and height are 0') from None
-        remark = f'{fault}: its image size of {size[0]} x {size[1]} px is used, with a nominal focal length'
+        note = f'{fault}: its image size of {size[0]} x {size[1]} px is used, with a nominal focal length'
         intrinsics = Intrinsics.from_image_size(*size, focal_in_sides=1.0)
-    return CameraInfo(size, intrinsics, message.header.frame_id, remark)
+    return CameraInfo(size, intrinsics, message.header.frame_id, note)
 
 
 def check_coefficients(distortion: Distortion, name: str) -> None:

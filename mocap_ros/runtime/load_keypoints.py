@@ -11,7 +11,6 @@ from dataclasses import replace
 from itertools import islice
 from math import inf
 from pathlib import Path
-from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,7 +37,14 @@ from mocap_ros.runtime.detection import ShowProgress, detect_in_video
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.input_checks import describe_unusable_distortion
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
+from mocap_ros.units import NS_PER_S
 
+RESTART_S = 1.0  # s; messages are at most so late, and an older one begins a new run of the clock
+MAX_DELAY_S = 60.0  # s between stamp and receipt; far above the delay of any detector
+WITHOUT_KEYPOINTS = (
+    'the detections have no keypoints, as those of a model that finds boxes; '
+    'run a model for poses, such as yolo11n-pose.pt'
+)
 MAX_CAMERA_INFOS = 1000  # messages in which a valid CameraInfo is searched
 MIN_FRAMES = 10  # frames; of all people, those who are seen in less are mostly errors of the detector
 # Options that apply to a kind of input; those of the focal length apply to all.
@@ -207,9 +213,10 @@ def load_bag(
 ) -> Detections:
     """Load all people from the keypoint messages of a bag, as `InputOptions` say; count those that cannot be used.
 
-    The accepted messages are those that `replay` accepts, with these differences: messages may be late by
-    `RESTART_S`, of stamps that go back by more the longest run is used, the first CameraInfo applies to the whole bag, all images have the size that most of them state, only
-    images of the camera (`frame_id`) of the first image count, and images that the recorded run skipped count too.
+    The accepted messages are those that `replay` accepts, with these differences: messages may be late, and where
+    the clock goes back, its longest run counts; the first CameraInfo applies to the whole bag; all images have the
+    size that most of them state; only images of the camera (`frame_id`) of the first image count; and images that
+    the recorded run skipped count too.
 
     Raises:
         InputError: The path is no bag, or the bag has no keypoints that can be used; the error names the first
@@ -221,7 +228,7 @@ def load_bag(
         camera, camera_note = find_camera(bag, next(iter(topics)), node, camera_info)
         known = camera.size if camera else None
         size = resolve_image_size(camera=known, configured=(node.image_width, node.image_height))
-        frames, reasons, clock_remark = _assemble_frames(bag, topics, node, camera, size)
+        frames, reasons, clock_note = _assemble_frames(bag, topics, node, camera, size)
     if not frames or (set(frames) == {0} and reasons):
         raise InputError(f'{path}: {reasons[0] if reasons else "no keypoints"}')
     reasons += [f'{next(iter(topics))}: {reason}' for reason in _leave_out_others(frames)]
@@ -236,48 +243,74 @@ def load_bag(
         image_size=resolve_image_size(stated=(last.image_width, last.image_height), configured=size),
         intrinsics=camera.intrinsics if camera and camera.intrinsics.is_focal_known else None,
         frame_id=next((f.header.frame_id for f in frames.values() if f.header.frame_id), ''),
-        remarks=tuple(filter(None, (skipped, clock_remark, camera_remark))),
+        notes=tuple(filter(None, (skipped, clock_note, camera_note))),
     )
 
 
 def _assemble_frames(
     bag: Bag, topics: dict[str, Source], node: NodeConfig, camera: CameraInfo | None, size: tuple[int, int]
 ) -> tuple[dict[int, KeypointsFrame], list[str], str]:
-    """Return the images of a bag by stamp in ns, why each other message is left out, and what its clock did."""
-    frames: dict[int, KeypointsFrame] = {}
-    offsets_ns: list[int] = []
-    runs, remark = [frames], ''
-    assembler, reasons, name, newest_ns = FrameAssembler(), [], '', 0
+    """Return the images of a bag by stamp in ns, why each other message is left out, and a note on the clock."""
+    assembler, reasons, name, runs = FrameAssembler(), [], '', _ClockRuns()
     for number, message in enumerate(bag.messages(topics), 1):
         source = topics[message.topic]
         try:
             for frame in assembler.assemble(source, message.raw, message.topic, node, size, inf):
-                stamp_ns, frame_id = frame.header.stamp_ns, frame.header.frame_id
+                frame_id = frame.header.frame_id
                 name = name or frame_id
                 if frame_id not in ('', name):
                     raise InputError(f'header.frame_id: {frame_id!r}, but the images before are of {name!r}')
                 if camera is not None:
                     check_image_size(frame, camera)
-                if newest_ns - stamp_ns > RESTART_S * NS_PER_S and not is_stamp_missing(stamp_ns, newest_ns):
-                    back_s = (newest_ns - stamp_ns) / NS_PER_S
-                    remark = f'{message.topic}: message {number}: the stamp goes back by {back_s:.1f} s'
-                    frames, newest_ns = {}, 0
-                    runs.append(frames)
-                newest_ns = max(newest_ns, stamp_ns)
-                offsets_ns.append(message.time_ns - stamp_ns)
-                if frames.setdefault(stamp_ns, frame) is not frame:
-                    raise FrameDropped('its stamp is that of an earlier message' if stamp_ns else MISSING_STAMP)
+                runs.add(frame, message.time_ns, f'{message.topic}: message {number}')
         except (InputError, FrameDropped) as error:
             reasons.append(f'{message.topic}: message {number}: {error}')
     for frame in assembler.flush():
-        frames.setdefault(frame.header.stamp_ns, frame)
-    if len(runs) > 1:
-        frames = max(runs, key=len)
-        remark += f'; of {len(runs)} runs of the clock, the longest of {len(frames)} images is used'
-    elif offsets_ns and abs(offset_s := median(offsets_ns) / NS_PER_S) > MAX_CLOCK_OFFSET_S:
-        order = 'before' if offset_s > 0 else 'after'
-        remark = f'the stamps are {abs(offset_s):.1f} s {order} the times of receipt, so they are of another clock'
-    return frames, reasons, remark
+        runs.newest.setdefault(frame.header.stamp_ns, frame)
+    return runs.choose(), reasons, runs.describe()
+
+
+class _ClockRuns:
+    """Images by stamp in ns, in runs of a clock: a stamp that goes back by more than `RESTART_S` begins one."""
+
+    def __init__(self) -> None:
+        self._runs: list[dict[int, KeypointsFrame]] = [{}]
+        self._newest_ns = 0
+        self._delays_ns: list[int] = []  # from the stamp to the receipt
+        self._first_jump = ''
+
+    @property
+    def newest(self) -> dict[int, KeypointsFrame]:
+        """The images of the newest run."""
+        return self._runs[-1]
+
+    def add(self, frame: KeypointsFrame, received_ns: int, place: str) -> None:
+        """Add an image; FrameDropped if its stamp repeats."""
+        stamp_ns = frame.header.stamp_ns
+        back_s = (self._newest_ns - stamp_ns) / NS_PER_S
+        if back_s > RESTART_S and not is_stamp_missing(stamp_ns, self._newest_ns):
+            self._first_jump = self._first_jump or f'{place}: the stamp goes back by {back_s:.1f} s'
+            self._runs.append({})
+            self._newest_ns = 0
+        self._newest_ns = max(self._newest_ns, stamp_ns)
+        self._delays_ns.append(received_ns - stamp_ns)
+        if self.newest.setdefault(stamp_ns, frame) is not frame:
+            raise FrameDropped('its stamp is that of an earlier message' if stamp_ns else MISSING_STAMP)
+
+    def choose(self) -> dict[int, KeypointsFrame]:
+        """Return the images of the longest run."""
+        return max(self._runs, key=len)
+
+    def describe(self) -> str:
+        """Return what is unusual about the clock, or an empty text."""
+        if self._first_jump:
+            count, runs = len(self.choose()), len(self._runs)
+            return f'{self._first_jump}; of {runs} runs of the clock the longest, of {count} images, is used'
+        delay_s = min(self._delays_ns, key=abs, default=0) / NS_PER_S
+        if abs(delay_s) <= MAX_DELAY_S:
+            return ''
+        order = 'before' if delay_s > 0 else 'after'
+        return f'the stamps are {abs(delay_s):.1f} s {order} the times of receipt, so they are of another clock'
 
 
 def _leave_out_others(frames: dict[int, KeypointsFrame]) -> list[str]:
@@ -315,9 +348,9 @@ def find_camera(
         except InputError as error:
             reason = reason or f'{topic}: message {number} cannot be used: {error}'
             continue
-        if not camera.remark:
+        if not camera.note:
             return camera, reason
-        reason = reason or f'{topic}: message {number}: {camera.remark}'
+        reason = reason or f'{topic}: message {number}: {camera.note}'
         if found is None or camera.intrinsics.is_focal_known > found.intrinsics.is_focal_known:
             found = camera
     return found, reason

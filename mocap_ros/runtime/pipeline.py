@@ -35,8 +35,10 @@ from mocap_ros.runtime.input_checks import InputChecks
 from mocap_ros.runtime.output_frame import OutputFrame
 from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.units import NS_PER_S
 
 TRACKER_GROUPS = 'solver', 'classifier', 'tracker'  # fields of `Config` that a tracker reads when it is made
+MAX_GAP_S = 10.0  # s between the stamps of successive images from which on a note says so
 MAX_CONSECUTIVE_ERRORS = 3  # messages; after as many internal errors in a row the tracker's state is discarded
 BACKLOG_REASON = (
     'the message was skipped because newer messages were waiting, as the node cannot keep up with its input; '
@@ -130,7 +132,7 @@ class Pipeline:
         self._outputs = OutputEncoder()
         self._assembler = FrameAssembler()
         self._camera = InputCamera()
-        self._camera_remark = ''
+        self._camera_note = ''
         self.checks = InputChecks()
         self._consecutive_errors = 0
         self.header = self.output_header = Header(0, '')
@@ -171,7 +173,7 @@ class Pipeline:
         else:
             has_image, result = bool(frames), ProcessingResult.merge([*map(self._process_frame, frames)])
             if source is Source.CAMERA_INFO:
-                result = ProcessingResult(Verdict.ACCEPTED, self._take_camera_remark())
+                result = ProcessingResult(Verdict.ACCEPTED, self._take_camera_note())
         self._count(source, result)
         if has_image:
             self._consecutive_errors = self._consecutive_errors + 1 if result.error_traceback else 0
@@ -205,11 +207,11 @@ class Pipeline:
         info = decode_camera_info(raw, rectified=self.config.node.rectified_input)
         self._camera.add_calibration(Calibration(info, raw))
 
-    def _take_camera_remark(self) -> str:
+    def _take_camera_note(self) -> str:
         """Return what the CameraInfo in use is not used for, once until it changes."""
-        calibration, before = self._camera.calibration, self._camera_remark
-        self._camera_remark = calibration.info.remark if calibration else ''
-        return '' if self._camera_remark == before else self._camera_remark
+        calibration, before = self._camera.calibration, self._camera_note
+        self._camera_note = calibration.info.note if calibration else ''
+        return '' if self._camera_note == before else self._camera_note
 
     def reset(self) -> tuple[OutputMessage, ...]:
         """Discard all people and return the messages that delete them from viewers."""

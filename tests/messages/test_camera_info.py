@@ -5,6 +5,10 @@
 
 from __future__ import annotations
 
+import math
+import re
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -36,18 +40,52 @@ def test_an_unknown_size_stays_unknown() -> None:
     assert (camera.size, camera.intrinsics.image_size) == ((0, 0), None)
 
 
-@pytest.mark.parametrize('model', ['plumb_bob', 'equidistant'])
-def test_coefficients_that_no_lens_has_are_refused(model: str) -> None:
-    assert decode_camera_info(camera_info(model=model, d=(1e5, 0, 0, 0))).intrinsics.distortion.coefficients
-    with pytest.raises(InputError, match=r'^d: -1e\+300, more than a lens has \(1e\+06\)$'):
-        decode_camera_info(camera_info(model=model, d=(1.0, -1e300, 0, 0)))
+OPENCV = (0.1, -0.2, 0.001, 0.002, 0.03, 0.04, 0.05, 0.06)
 
 
-@pytest.mark.parametrize('count', [12, 14])
-def test_opencv_s_further_coefficients_are_left_out_where_they_are_0(count: int) -> None:
-    """Drivers such as DepthAI's send all 14 of OpenCV's."""
-    coefficients = (0.1, -0.2, 0.001, 0.002, 0.03, 0.04, 0.05, 0.06, *[0.0] * (count - 8))
-    camera = decode_camera_info(camera_info(model='rational_polynomial', d=coefficients))
-    assert camera.intrinsics.distortion.coefficients == coefficients[:8]
-    with pytest.raises(InputError, match=f'takes 8 coefficients, not {count}'):
-        decode_camera_info(camera_info(model='rational_polynomial', d=(*coefficients[:-1], 0.01)))
+@pytest.mark.parametrize(
+    ('model', 'd', 'used'),
+    [
+        ('plumb_bob', OPENCV[:5], ('plumb_bob', 5)),
+        ('Plumb Bob', OPENCV[:4], ('plumb_bob', 4)),
+        ('radtan', OPENCV[:4], ('plumb_bob', 4)),
+        ('plumb_bob', OPENCV, ('rational_polynomial', 8)),
+        ('rational_polynomial', (*OPENCV, *[0.0] * 6), ('rational_polynomial', 8)),  # as DepthAI sends them
+        ('fisheye', OPENCV[:4], ('equidistant', 4)),
+        ('kannala_brandt4', OPENCV[:4], ('equidistant', 4)),
+        ('', (0.0,) * 5, ('plumb_bob', 0)),
+        ('none', (), ('plumb_bob', 0)),
+    ],
+)
+def test_models_of_lenses_have_several_names(model: str, d: tuple[float, ...], used: tuple[str, int]) -> None:
+    camera = decode_camera_info(camera_info(model=model, d=d))
+    distortion = camera.intrinsics.distortion
+    assert (distortion.model, distortion.coefficients, camera.note) == (used[0], d[: used[1]], '')
+
+
+@pytest.mark.parametrize(
+    ('fields', 'used', 'note'),
+    [
+        ({'model': 'double_sphere', 'd': OPENCV[:5]}, (640, 480, 600.0), "distortion model 'double_sphere'"),
+        ({'model': 'equidistant', 'd': OPENCV[:3]}, (640, 480, 600.0), 'takes 4 coefficients, not 3'),
+        ({'model': 'rational_polynomial', 'd': (*OPENCV, 0, 0, 0, 0.1)}, (640, 480, 600.0), 'not 12'),
+        ({'d': (math.nan, 0, 0, 0, 0)}, (640, 480, 600.0), 'not finite'),
+        ({'d': (1.0, -1e300, 0, 0)}, (640, 480, 600.0), r'^d: -1e\+300, more than a lens has'),
+        ({'focal': 0.0}, (640, 480, None), 'k: .*not calibrated: its image size of 640 x 480 px'),
+        ({'focal': math.nan}, (640, 480, None), 'k: .*not calibrated'),
+        ({'focal': 0.0, 'binning': (2, 2), 'd': OPENCV[:5]}, (320, 240, None), '320 x 240 px'),
+    ],
+)
+def test_a_field_that_cannot_be_used_leaves_the_others(
+    fields: dict[str, Any], used: tuple[int, int, float | None], note: str
+) -> None:
+    camera = decode_camera_info(camera_info(**{'focal': 600.0, **fields}))
+    intrinsics = camera.intrinsics
+    assert (*camera.size, intrinsics.focal if intrinsics.is_focal_known else None) == used
+    assert not intrinsics.distortion.coefficients
+    assert re.search(note, camera.note)
+
+
+def test_a_camera_info_without_anything_is_refused() -> None:
+    with pytest.raises(InputError, match='k: is 0; the camera is not calibrated, and width and height are 0'):
+        decode_camera_info(camera_info(0, 0, focal=0.0))
