@@ -28,7 +28,7 @@ cdef extern from *:
     #define MIN_SEEN_JOINTS 3      /* core joints of the newest frame; fewer say hardly anything of a pose */
 
     /* y += a C, z += b C for rows C of codes, four rows at a time to fetch and store y and z less often. Processors
-       with AVX2 convert and multiply eight codes at once, which no compiler does by itself as well. */
+       with AVX2 or AVX-512 convert and multiply 8 or 16 codes at once, which no compiler does by itself as well. */
     #define SUM(name, code) \\
     static void name(const code *codes, Py_ssize_t width, const long long *rows, Py_ssize_t count, const float *a, \\
                      const float *b, float *__restrict y, float *__restrict z) { \\
@@ -42,35 +42,44 @@ cdef extern from *:
     SUM(add_codes_16, short)
     #if defined(__x86_64__) && defined(__GNUC__)
     #include <immintrin.h>
-    #define SUM_AVX2(name, code, load) \\
-    __attribute__((target("avx2,fma"))) \\
-    static void name##_avx2(const code *codes, Py_ssize_t width, const long long *rows, Py_ssize_t count, \\
-                            const float *a, const float *b, float *y, float *z) { \\
+    #define SUM_WIDE(name, features, code, lanes, vector, set, convert, from, load, multiply_add, store) \\
+    __attribute__((target(features))) \\
+    static void name(const code *codes, Py_ssize_t width, const long long *rows, Py_ssize_t count, const float *a, \\
+                     const float *b, float *y, float *z) { \\
         for (Py_ssize_t n = 0; n < count; n += 4) { \\
             const code *row[4]; \\
-            __m256 p[4], q[4]; \\
+            vector p[4], q[4]; \\
             for (int k = 0; k < 4; k++) { \\
                 row[k] = codes + rows[n + k] * width; \\
-                p[k] = _mm256_set1_ps(a[n + k]); \\
-                q[k] = _mm256_set1_ps(b[n + k]); \\
+                p[k] = set(a[n + k]); \\
+                q[k] = set(b[n + k]); \\
             } \\
-            for (Py_ssize_t o = 0; o < width; o += 8) { \\
-                __m256 s = _mm256_loadu_ps(y + o), t = _mm256_loadu_ps(z + o); \\
+            for (Py_ssize_t o = 0; o < width; o += lanes) { \\
+                vector s = load(y + o), t = load(z + o); \\
                 for (int k = 0; k < 4; k++) { \\
-                    const __m256 w = _mm256_cvtepi32_ps(load((const void *) (row[k] + o))); \\
-                    s = _mm256_fmadd_ps(p[k], w, s); \\
-                    t = _mm256_fmadd_ps(q[k], w, t); \\
+                    const vector w = convert(from((const void *) (row[k] + o))); \\
+                    s = multiply_add(p[k], w, s); \\
+                    t = multiply_add(q[k], w, t); \\
                 } \\
-                _mm256_storeu_ps(y + o, s); \\
-                _mm256_storeu_ps(z + o, t); \\
+                store(y + o, s); \\
+                store(z + o, t); \\
             } \\
         } \\
     }
+    #define SUM_AVX2(name, code, from) SUM_WIDE(name##_avx2, "avx2,fma", code, 8, __m256, _mm256_set1_ps, \\
+        _mm256_cvtepi32_ps, from, _mm256_loadu_ps, _mm256_fmadd_ps, _mm256_storeu_ps)
+    #define SUM_AVX512(name, code, from) SUM_WIDE(name##_avx512, "avx512f", code, 16, __m512, _mm512_set1_ps, \\
+        _mm512_cvtepi32_ps, from, _mm512_loadu_ps, _mm512_fmadd_ps, _mm512_storeu_ps)
     #define LOAD_8(from) _mm256_cvtepi8_epi32(_mm_loadl_epi64(from))
     #define LOAD_16(from) _mm256_cvtepi16_epi32(_mm_loadu_si128(from))
+    #define LOAD_8_WIDE(from) _mm512_cvtepi8_epi32(_mm_loadu_si128(from))
+    #define LOAD_16_WIDE(from) _mm512_cvtepi16_epi32(_mm256_loadu_si256(from))
     SUM_AVX2(add_codes_8, signed char, LOAD_8)
     SUM_AVX2(add_codes_16, short, LOAD_16)
-    #define CHOOSE(name) (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") ? name##_avx2 : name)
+    SUM_AVX512(add_codes_8, signed char, LOAD_8_WIDE)
+    SUM_AVX512(add_codes_16, short, LOAD_16_WIDE)
+    #define CHOOSE(name) (__builtin_cpu_supports("avx512f") ? name##_avx512 : \\
+                          __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") ? name##_avx2 : name)
     #else
     #define CHOOSE(name) name
     #endif
@@ -83,6 +92,9 @@ cdef extern from *:
                      float*) noexcept nogil
     void ADD_CODES_16(const short*, Py_ssize_t, const long long*, Py_ssize_t, const float*, const float*, float*,
                       float*) noexcept nogil
+
+cdef enum:
+    TILE = 64  # rows of weights, a multiple of 4; few enough to stay in the cache
 
 ctypedef fused Code:
     signed char
@@ -244,30 +256,41 @@ def encode(
 
 
 cdef void apply_layer(
-    const float[:, ::1] inputs, const Code[:, ::1] codes, Floats scales, Floats bias, float[:, ::1] out,
-    long long[::1] used, float[:, ::1] factors, bint rectifies,
+    const float[:, :, ::1] inputs, const Code[:, ::1] codes, Floats scales, Floats bias, float[:, :, ::1] out,
+    long long* used, float* factors, bint rectifies,
 ) noexcept nogil:
-    """X W + b of two rows of inputs (2, I or more), without negative results if it rectifies."""
-    cdef Py_ssize_t i, o, row, count = 0
-    for i in range(codes.shape[0]):  # those that are not 0 in at least one of the rows
-        used[count] = i
-        factors[0, count], factors[1, count] = inputs[0, i] * scales[i], inputs[1, i] * scales[i]
-        count += (inputs[0, i] != 0) | (inputs[1, i] != 0)  # without a branch, which no processor could predict
-    while count % 4 > 0:
-        used[count] = 0
-        factors[0, count] = factors[1, count] = 0
-        count += 1
-    for row in range(2):
-        for o in range(bias.shape[0]):
-            out[row, o] = bias[o]
-    if Code is short:
-        ADD_CODES_16(&codes[0, 0], codes.shape[1], &used[0], count, &factors[0, 0], &factors[1, 0], &out[0, 0], &out[1, 0])
-    else:
-        ADD_CODES_8(&codes[0, 0], codes.shape[1], &used[0], count, &factors[0, 0], &factors[1, 0], &out[0, 0], &out[1, 0])
-    if rectifies:
+    """X W + b of pairs of rows of inputs (N, 2, I or more), without negative results if it rectifies.
+
+    All pairs go through some rows of W before any does through the next, so that these are fetched once.
+    """
+    cdef Py_ssize_t n, i, o, row, first, count
+    cdef float x, y
+    for n in range(inputs.shape[0]):
         for row in range(2):
             for o in range(bias.shape[0]):
-                out[row, o] = max(out[row, o], <float> 0)
+                out[n, row, o] = bias[o]
+    for first from 0 <= first < codes.shape[0] by TILE:
+        for n in range(inputs.shape[0]):
+            count = 0
+            for i in range(first, min(first + TILE, codes.shape[0])):  # those that are not 0 in at least one row
+                x, y = inputs[n, 0, i], inputs[n, 1, i]
+                used[count], factors[count], factors[TILE + count] = i, x * scales[i], y * scales[i]
+                count += (x != 0) | (y != 0)  # without a branch, which no processor could predict
+            while count % 4 > 0:
+                used[count] = 0
+                factors[count] = factors[TILE + count] = 0
+                count += 1
+            if Code is short:
+                ADD_CODES_16(&codes[0, 0], codes.shape[1], used, count, factors, factors + TILE, &out[n, 0, 0],
+                             &out[n, 1, 0])
+            else:
+                ADD_CODES_8(&codes[0, 0], codes.shape[1], used, count, factors, factors + TILE, &out[n, 0, 0],
+                            &out[n, 1, 0])
+    if rectifies:
+        for n in range(inputs.shape[0]):
+            for row in range(2):
+                for o in range(bias.shape[0]):
+                    out[n, row, o] = max(out[n, row, o], <float> 0)
 
 
 def evaluate(
@@ -276,27 +299,21 @@ def evaluate(
     Floats last_scales, const float[:, ::1] biases, Floats last_bias,
 ):
     """Return the outputs (N, 2, O) of features (N, 2, I); the others are the attributes of `RoundedNetwork`."""
-    cdef Py_ssize_t n, layer, row, i, width = biases.shape[1], outputs = last_bias.shape[0]
-    cdef Py_ssize_t most = max(first.shape[0] + 3, max(first.shape[1], last.shape[1]))
-    result = np.empty((features.shape[0], 2, outputs), np.float32)
-    cdef float[:, :, ::1] out = result
-    cdef float[:, :, ::1] units = np.zeros((4, 2, most), np.float32)
-    cdef float[:, ::1] h = units[0], inner = units[1], added = units[2], factors = units[3]
-    cdef long long[::1] used = np.empty(most, np.int64)
-    for n in range(features.shape[0]):
-        apply_layer(features[n], first, first_scales, biases[0], h, used, factors, True)
-        for layer in range(0, hidden.shape[0], 2):
-            apply_layer(h, hidden[layer], hidden_scales[layer], biases[1 + layer], inner, used, factors, True)
-            apply_layer(inner, hidden[layer + 1], hidden_scales[layer + 1], biases[2 + layer], added, used,
-                        factors, True)
+    cdef Py_ssize_t n, layer, row, i, outputs = last_bias.shape[0]
+    units = np.zeros((3, features.shape[0], 2, max(first.shape[1], last.shape[1])), np.float32)
+    cdef float[:, :, ::1] h = units[0], inner = units[1], added = units[2]
+    cdef long long[TILE] used
+    cdef float[2 * TILE] factors
+    apply_layer(features, first, first_scales, biases[0], h, used, factors, True)
+    for layer in range(0, hidden.shape[0], 2):
+        apply_layer(h, hidden[layer], hidden_scales[layer], biases[1 + layer], inner, used, factors, True)
+        apply_layer(inner, hidden[layer + 1], hidden_scales[layer + 1], biases[2 + layer], added, used, factors, True)
+        for n in range(features.shape[0]):
             for row in range(2):
-                for i in range(width):
-                    h[row, i] += added[row, i]
-        apply_layer(h, last, last_scales, last_bias, inner, used, factors, False)
-        for row in range(2):
-            for i in range(outputs):
-                out[n, row, i] = inner[row, i]
-    return result
+                for i in range(biases.shape[1]):
+                    h[n, row, i] += added[n, row, i]
+    apply_layer(h, last, last_scales, last_bias, inner, used, factors, False)
+    return units[1, :, :, :outputs].copy()
 
 
 def decode(

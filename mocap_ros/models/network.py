@@ -38,7 +38,7 @@ Codes = NDArray[Any]  # of 8 or 16 bits
 class RoundedNetwork(NamedTuple):
     """A network whose weights are rounded to integers, the codes c, times the scales s of its inputs.
 
-    Rows of codes are filled up with zeros to a multiple of eight.
+    Rows of codes are filled up with zeros to a multiple of sixteen.
 
     Attributes:
         first: (I, W or more) codes of the first layer.
@@ -86,4 +86,4 @@ def _round_weights(weights: Array32, kind: type[np.int8 | np.int16]) -> tuple[Co
     """Return the codes (in, out or more) of weights (in, out) as integers of a kind, and the scales (in,)."""
     scales = np.abs(weights).max(axis=1) / np.float32(np.iinfo(kind).max)
     codes = np.rint(weights / np.where(scales > 0, scales, 1)[:, None])
-    return np.asarray(np.pad(codes, [(0, 0), (0, -codes.shape[1] % 8)]), kind), scales
+    return np.asarray(np.pad(codes, [(0, 0), (0, -codes.shape[1] % 16)]), kind), scales
