@@ -38,6 +38,7 @@ Sizes: P sequences, N frames of all and F of one, J joints, B bones, K base pose
 """
 
 from libc.math cimport INFINITY, NAN, exp, fabs, isfinite, log1p, sqrt
+from libc.stdlib cimport free, malloc
 from libc.string cimport memcpy, memset
 
 import numpy as np
@@ -947,45 +948,56 @@ cdef void write_best_rotation(const double* products, double* out) noexcept nogi
     out[6], out[7], out[8] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
 
 
+cdef void fit_lifted_pose(
+    const double* joints, const double* std, double factor, const double[:, ::1] basis, const double[:, ::1] mean,
+    const double[::1] sigma, int alternations, double* theta, double* scale, double* rotation,
+) noexcept nogil:
+    """Fit weights (K,) and a camera to a lifted pose (J, 3), whose standard deviations are `factor` times `std`."""
+    cdef int J = mean.shape[0], K = basis.shape[1], i, j, a, b, turn
+    cdef double variance = 0, squares, along
+    cdef double products[9]
+    cdef double* pose = <double*> malloc(3 * J * sizeof(double))
+    for i in range(3 * J):
+        variance += factor * std[i] * factor * std[i] / (3 * J)
+    memset(theta, 0, K * sizeof(double))
+    for turn in range(alternations):
+        memcpy(pose, &mean[0, 0], 3 * J * sizeof(double))
+        multiply_vector(3 * J, K, 1, &basis[0, 0], theta, 1, pose)
+        memset(products, 0, sizeof(products))
+        squares, along = 0, 0
+        for j in range(J):
+            for a in range(3):
+                squares += pose[3 * j + a] * pose[3 * j + a]
+                for b in range(3):
+                    products[3 * a + b] += joints[3 * j + a] * pose[3 * j + b]
+        write_best_rotation(products, rotation)
+        for i in range(9):
+            along += rotation[i] * products[i]
+        scale[0] = max(along / squares, MIN_SCALE)
+        for j in range(J):
+            for i in range(3):
+                pose[3 * j + i] = (
+                    rotation[i] * joints[3 * j] + rotation[3 + i] * joints[3 * j + 1] + rotation[6 + i] * joints[3 * j + 2]
+                ) / scale[0] - mean[j, i]
+        multiply_vector_transposed(3 * J, K, 1, &basis[0, 0], pose, 0, theta)
+        for i in range(K):
+            theta[i] /= 1 + variance / ((scale[0] * sigma[i]) * (scale[0] * sigma[i]))
+    free(pose)
+
+
 def fit_lifted_poses(
     const double[:, :, ::1] joints, const double[:, :, ::1] std, const double[:, ::1] basis,
     const double[:, ::1] mean, const double[::1] sigma, int alternations,
 ):
     """Fit weights and cameras to lifted poses; the formulas are in `solvers.joint.lifted_start`."""
-    cdef int frames = joints.shape[0], J = joints.shape[1], K = basis.shape[1], t, i, j, a, b, turn
-    cdef double variance, squares, along
-    cdef double products[9]
-    cdef double* r
-    theta, scale, rotation = np.zeros((frames, K)), np.empty(frames), np.empty((frames, 3, 3))
+    cdef Py_ssize_t t, frames = joints.shape[0]
+    theta, scale, rotation = np.zeros((frames, basis.shape[1])), np.empty(frames), np.empty((frames, 3, 3))
     cdef double[:, ::1] weights = theta
-    cdef double[::1] scales = scale, pose = np.empty(3 * J), fitted = np.empty(K)
+    cdef double[::1] scales = scale
     cdef double[:, :, ::1] rotations = rotation
     for t in range(frames):
-        variance = 0
-        for j in range(J):
-            for i in range(3):
-                variance += std[t, j, i] * std[t, j, i] / (3 * J)
-        r = &rotations[t, 0, 0]
-        for turn in range(alternations):
-            memcpy(&pose[0], &mean[0, 0], 3 * J * sizeof(double))
-            multiply_vector(3 * J, K, 1, &basis[0, 0], &weights[t, 0], 1, &pose[0])
-            memset(products, 0, sizeof(products))
-            squares, along = 0, 0
-            for j in range(J):
-                for a in range(3):
-                    squares += pose[3 * j + a] * pose[3 * j + a]
-                    for b in range(3):
-                        products[3 * a + b] += joints[t, j, a] * pose[3 * j + b]
-            write_best_rotation(products, r)
-            for i in range(9):
-                along += r[i] * products[i]
-            scales[t] = max(along / squares, MIN_SCALE)
-            for j in range(J):
-                for i in range(3):
-                    pose[3 * j + i] = (
-                        r[i] * joints[t, j, 0] + r[3 + i] * joints[t, j, 1] + r[6 + i] * joints[t, j, 2]
-                    ) / scales[t] - mean[j, i]
-            multiply_vector_transposed(3 * J, K, 1, &basis[0, 0], &pose[0], 0, &fitted[0])
-            for i in range(K):
-                weights[t, i] = fitted[i] / (1 + variance / ((scales[t] * sigma[i]) * (scales[t] * sigma[i])))
+        fit_lifted_pose(
+            &joints[t, 0, 0], &std[t, 0, 0], 1, basis, mean, sigma, alternations, &weights[t, 0], &scales[t],
+            &rotations[t, 0, 0],
+        )
     return theta, scale, rotation

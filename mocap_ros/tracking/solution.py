@@ -1,18 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What was solved of a tracked person, and the input that the solvers get of it.
-
-A new frame at time t_n starts from a prediction by the last two solved frames:
-
-    a       = EXTRAPOLATION_SHARE min((t_n - t_(n-1)) / (t_(n-1) - t_(n-2)), MAX_EXTRAPOLATION_STEPS)
-    theta_n = theta_(n-1) + a (theta_(n-1) - theta_(n-2))                 weights of the base poses
-    root_n  = root_(n-1) + a (root_(n-1) - root_(n-2))                    position of the body's origin
-    R_n     = exp(a log(R_(n-1) R_(n-2)^T)) R_(n-1)                       rotation from body to camera
-
-With a lifter, theta_n and R_n instead are those that fit the lifted pose of the new frame best (`lifted_start`).
-Such a start owes nothing to earlier frames, so a wrong solution ends where the image speaks against it. With
-points as detectors give them it lowers the errors of joints by 1 to 3 mm.
+"""What was solved of a tracked person.
 
 A solution that a check has found of the person as it was some frames ago goes on in a newer frame i from its last
 frame o as the person has moved since then:
@@ -40,14 +29,10 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.joint import JointReconstruction
-from mocap_ros.solvers.joint.lifted_start import fit_lifted_poses
 from mocap_ros.solvers.observed_window import ObservedWindow
-from mocap_ros.solvers.window import EarlierFrames, InitialValues, Window
+from mocap_ros.solvers.window import InitialValues
 
 Array = NDArray[np.float64]
-
-EXTRAPOLATION_SHARE = 0.7  # no unit; share of the last step that is repeated; less than 1 to amplify less noise
-MAX_EXTRAPOLATION_STEPS = 2.0  # steps; limits the extrapolation after missing frames
 
 _STATES = 'theta', 'rotation', 'roots', 'bone_lengths', 'frame_residuals'  # attributes with a row a frame
 
@@ -130,39 +115,6 @@ class TrackSolution:
                 np.concatenate([getattr(earlier, n)[:first], s]) for n, s in zip(_STATES, states, strict=True)
             ]
         return _finish(states, reconstruction, reconstruction.noise, model_name, model, base_poses_lead)
-
-    def refine(
-        self,
-        reconstruction: JointReconstruction,
-        observed: ObservedWindow,
-        first: int,
-        fixed_frames: int,
-    ) -> TrackSolution:
-        """Return the solution of all frames of the window, with new states of the newest ones.
-
-        After a reconstruction of the newest frames alone, the image noise is averaged over the length of the
-        window.
-
-        Args:
-            reconstruction: of the frames from `first` to the newest, in the window's virtual camera.
-            observed: the whole window.
-            first: index of the first frame of the reconstruction, at most S.
-            fixed_frames: number of frames at the beginning of the reconstruction that keep their state.
-        """
-        camera, count, kept = observed.virtual_camera, len(observed.times), first + fixed_frames
-        rotation = camera.body_rotations(reconstruction.cameras)
-        roots = camera.root_positions(reconstruction.cameras, reconstruction.translation)
-        lengths = self.model.skeleton.bone_lengths(reconstruction.joints)
-        old_share = math.exp((first - count) / count) if fixed_frames else 0.0
-        states = (
-            np.concatenate([self.theta[:kept], reconstruction.theta[fixed_frames:]]),
-            np.concatenate([self.rotation[:kept], rotation[fixed_frames:]]),
-            np.concatenate([self.roots[:kept], roots[fixed_frames:]]),
-            np.concatenate([self.bone_lengths[:kept], lengths[fixed_frames:]]),
-            np.concatenate([self.frame_residuals[:first], reconstruction.residual]),
-        )
-        noise = math.sqrt(old_share * self.noise**2 + (1 - old_share) * reconstruction.noise**2)
-        return _finish(states, reconstruction, noise, self.model_name, self.model, self.base_poses_lead)
 
     def drop_oldest(self, frames: int) -> TrackSolution | None:
         """Return the solution without so many of the oldest frames; None if no solved frame is left."""
@@ -275,53 +227,3 @@ def select_start(
     chosen = observed.select_frames(frames)
     states = solution.theta[frames], solution.rotation[frames], solution.roots[frames]
     return chosen, chosen.convert_to_initial_values(*states)
-
-
-def build_refinement_window(
-    stamps_ns: Sequence[int],
-    observed: ObservedWindow,
-    solution: TrackSolution,
-    first: int,
-    fixed_frames: int,
-) -> Window:
-    """Return the newest frames of a track, the last of which is not solved yet, as the input of a solver.
-
-    Args:
-        stamps_ns: ns, stamps of the F frames.
-        observed: these frames.
-        solution: solution of the first F - 1 frames.
-        first: index of the first frame of the solver's window.
-        fixed_frames: number of frames at its beginning that the solver must not change.
-    """
-    chosen = observed.select_frames(slice(first, None))
-    start = chosen.convert_to_initial_values(*append_prediction(stamps_ns, solution, first))
-    earlier_frames = None
-    if fixed_frames and first > 0:
-        earlier_frames = EarlierFrames(first, np.add.reduce(solution.bone_lengths[:first]) / first)
-    window = chosen.build_solver_window(start, solution.noise, fixed_frames, earlier_frames)
-    if window.lifted is not None:
-        newest = window.lifted.select_frames(slice(-1, None))
-        if np.isfinite(newest.joints).all():
-            fitted = fit_lifted_poses(newest, solution.model)
-            start.theta[-1], start.cameras.rotation[-1] = fitted.theta[0], fitted.rotation[0]
-    return window
-
-
-def append_prediction(stamps_ns: Sequence[int], solution: TrackSolution, first: int) -> tuple[Array, Array, Array]:
-    """Return the states of the newest n frames, that of the last one predicted from the last solved ones.
-
-    Args:
-        stamps_ns: ns, stamps of the F frames.
-        solution: solution of the first F - 1 frames.
-        first: index of the first of the n frames, at most F - 1.
-
-    Returns:
-        theta (n, K) m, rotations (n, 3, 3) from the body to the real camera, and roots (n, 3) m in its frame.
-    """
-    states, share = (solution.theta, solution.rotation, solution.roots), 0.0
-    if len(solution.theta) > 1:
-        step_ns, last_step_ns = stamps_ns[-1] - stamps_ns[-2], max(stamps_ns[-2] - stamps_ns[-3], 1)
-        share = EXTRAPOLATION_SHARE * min(step_ns / last_step_ns, MAX_EXTRAPOLATION_STEPS)
-    predicted = engine.extrapolate_state(share, *(s[-2:] for s in states))
-    theta, rotation, roots = (np.concatenate([s[first:], p[None]]) for s, p in zip(states, predicted, strict=True))
-    return theta, rotation, roots

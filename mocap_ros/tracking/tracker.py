@@ -38,7 +38,6 @@ from mocap_ros.models.upward_direction import find_standing, find_upward
 from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
 from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.solvers.extremities import ExtremityState
-from mocap_ros.solvers.joint.solver import solve
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, let_base_poses_lead
 from mocap_ros.solvers.observed_window import RAY_FOCAL
 from mocap_ros.solvers.vertical import AUTO as AUTO_VERTICAL
@@ -57,8 +56,8 @@ from mocap_ros.tracking.motion_filter import CoreMotion
 from mocap_ros.tracking.output import Cores, filter_motion, find_published_motion, follow_extremities, make_people
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.prediction import predict_ahead, predict_people
+from mocap_ros.tracking.refinement import refine
 from mocap_ros.tracking.schedule import MIN_CHECK_INTERVAL_S
-from mocap_ros.tracking.solution import build_refinement_window
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
@@ -430,13 +429,9 @@ class Tracker:
             batches.setdefault((track.solved.model_name, track.solved.base_poses_lead), []).append(track)
         for (name, base_poses_lead), batch in batches.items():
             parts = [self._select_refined_frames(t) for t in batch]
-            windows = [
-                build_refinement_window(t.stamps_ns, t.observed, t.solved, *part)
-                for t, part in zip(batch, parts, strict=True)
-            ]
-            results = solve(windows, self.models[name], self._refinement_configs[base_poses_lead])
-            for track, part, result in zip(batch, parts, results, strict=True):
-                track.solution = track.solved.refine(result, track.observed, *part)
+            solutions = refine(batch, parts, self.models[name], self._refinement_configs[base_poses_lead])
+            for track, solution in zip(batch, solutions, strict=True):
+                track.solution = solution
 
     def _select_refined_frames(self, track: Track) -> tuple[int, int]:
         """Return the index of the first frame that the solver gets, and how many frames it must not change."""

@@ -21,7 +21,7 @@ from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint as engine
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.joint.batch import Batch
+from mocap_ros.solvers.joint.batch import Batch, State
 from mocap_ros.solvers.joint.lifted_start import fit_initial_values
 from mocap_ros.solvers.joint.noise_annealing import (
     COARSE_FRAME_STEP_S,
@@ -108,18 +108,24 @@ def _solve(
             batch, read_state(settled), model, windows, config, at_once=at_once
         )
     else:
-        noise, activity = None, None
-        if config.adapt_noise:
-            noise = get_given_noise(windows, config)
-            if config.pose_acceleration_weight > 0:
-                frames = batch.find_best_seen(COARSE_FRAME_STEP_S)
-                activity = measure_activities(state.select(frames), batch.select(frames), batch)
-        objective = JointObjective.build(batch, model, config, noise, None, activity)
-        problem = objective.compile(state, settle_steps, at_reference=True)
+        noise = get_given_noise(windows, config) if config.adapt_noise else None
+        problem = continue_from(batch, state, noise, model, config, settle_steps)
         yield
     history = yield from minimise(problem, config.max_iterations, config.tolerance, damping, at_once=at_once)
     yield
     return make_reconstructions(problem, batch, windows, units, history, earlier_iterations)
+
+
+def continue_from(
+    batch: Batch, state: State, noise: Array | None, model: BasePoses, config: SolverConfig, settle_steps: int = 1
+) -> engine.JointProblem:
+    """Return the problem of a batch that starts from a state under image noise (P,) m; None for the reference."""
+    activity = None
+    if noise is not None and config.pose_acceleration_weight > 0:
+        frames = batch.find_best_seen(COARSE_FRAME_STEP_S)
+        activity = measure_activities(state.select(frames), batch.select(frames), batch)
+    objective = JointObjective.build(batch, model, config, noise, None, activity)
+    return objective.compile(state, settle_steps, at_reference=True)
 
 
 def solve_hypotheses(

@@ -1,0 +1,104 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The newest frames of tracked people, solved in one batch from the solution of the frames before.
+
+A new frame at time t_n starts from a prediction by the last two solved frames:
+
+    a       = EXTRAPOLATION_SHARE min((t_n - t_(n-1)) / (t_(n-1) - t_(n-2)), MAX_EXTRAPOLATION_STEPS)
+    theta_n = theta_(n-1) + a (theta_(n-1) - theta_(n-2))                 weights of the base poses
+    root_n  = root_(n-1) + a (root_(n-1) - root_(n-2))                    position of the body's origin
+    R_n     = exp(a log(R_(n-1) R_(n-2)^T)) R_(n-1)                       rotation from body to camera
+
+With a lifter, theta_n and R_n instead are those that fit the lifted pose of the new frame best (`lifted_start`).
+Such a start owes nothing to earlier frames, so a wrong solution ends where the image speaks against it. With
+points as detectors give them it lowers the errors of joints by 1 to 3 mm.
+
+The first frames of a batch may be fixed: they keep their state, and the mean bone lengths of those before them
+count. The image noise of a solution is averaged over the length of the window.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.config import SolverConfig
+from mocap_ros.engine.refinement import NewestFrames
+from mocap_ros.models.base_poses import BasePoses, arrange_model
+from mocap_ros.solvers.joint.batch import Batch, State
+from mocap_ros.solvers.joint.lifted_start import ALTERNATIONS
+from mocap_ros.solvers.joint.solver import WARM_DAMPING, continue_from
+from mocap_ros.tracking.solution import TrackSolution
+from mocap_ros.tracking.track import Track
+
+Array = NDArray[np.float64]
+
+EXTRAPOLATION_SHARE = 0.7  # no unit; share of the last step that is repeated; less than 1 to amplify less noise
+MAX_EXTRAPOLATION_STEPS = 2.0  # steps; limits the extrapolation after missing frames
+
+
+def refine(
+    tracks: Sequence[Track], parts: Sequence[tuple[int, int]], model: BasePoses, config: SolverConfig
+) -> list[TrackSolution]:
+    """Return the solutions of P tracks whose newest frame is not solved yet.
+
+    Args:
+        tracks: the tracks, with solutions under the same model.
+        parts: index of the first frame of each that is solved, and how many frames from there keep their state.
+        model: the model.
+        config: weights of the terms, and when the solver stops.
+    """
+    newest = collect_newest_frames(tracks, parts, model)
+    batch = Batch(
+        *(newest.times, newest.starts, newest.counts, newest.image, newest.score, newest.focal, newest.is_free),
+        *(newest.lifted, newest.precision, newest.earlier_lengths, newest.earlier_frames),
+    )
+    state = State(newest.theta, newest.rotation, newest.log_scale, newest.translation)
+    noise = None
+    if config.adapt_noise:
+        noise = np.array([max(track.solved.noise, config.noise_floor) for track in tracks])
+    problem = continue_from(batch, state, noise, model, config)
+    problem.minimise(config.max_iterations, config.tolerance, WARM_DAMPING)
+    joints, scale, translation, residual = problem.describe(newest.units)
+    found = problem.read('theta'), problem.read('rotation'), joints, scale, translation, residual
+    stature_per_bone, solutions = model.skeleton.stature_per_bone, []
+    noises, joint_std = problem.estimate_noise().tolist(), problem.measure_joint_std()
+    for p, (track, (first, fixed_frames)) in enumerate(zip(tracks, parts, strict=True)):
+        old, camera, count = track.solved, track.observed.virtual_camera, len(track.stamps_ns)
+        *states, stature, fit = newest.finish(
+            *(p, fixed_frames, camera.intrinsics.focal, camera.rotation),
+            *(old.theta, old.rotation, old.roots, old.bone_lengths, old.frame_residuals),
+            *found,
+            stature_per_bone,
+        )
+        old_share = math.exp((first - count) / count) if fixed_frames else 0.0
+        own_noise = math.sqrt(old_share * old.noise**2 + (1 - old_share) * noises[p] ** 2)
+        fits = own_noise, stature / model.stature, joint_std[p], fit, old.base_poses_lead
+        solutions.append(TrackSolution(old.model_name, model, *states, *fits))
+    return solutions
+
+
+def collect_newest_frames(
+    tracks: Sequence[Track], parts: Sequence[tuple[int, int]], model: BasePoses
+) -> NewestFrames:
+    """Return what `refine` gives to the solver; the arguments are the same."""
+    counts = [len(track.stamps_ns) - first for track, (first, _) in zip(tracks, parts, strict=True)]
+    has_lifted = tracks[0].observed.lifted is not None
+    newest = NewestFrames(counts, model.mean, arrange_model(model), model.std, has_lifted)
+    for p, (track, (_, fixed_frames)) in enumerate(zip(tracks, parts, strict=True)):
+        observed, solution, stamps_ns, share = track.observed, track.solved, track.stamps_ns, 0.0
+        if len(solution.theta) > 1:
+            steps = (stamps_ns[-1] - stamps_ns[-2]) / max(stamps_ns[-2] - stamps_ns[-3], 1)
+            share = EXTRAPOLATION_SHARE * min(steps, MAX_EXTRAPOLATION_STEPS)
+        lifted, camera = observed.lifted, observed.virtual_camera
+        newest.add(
+            *(p, fixed_frames, share, ALTERNATIONS, camera.intrinsics.focal, observed.focal),
+            *(observed.times, observed.rays, observed.weight, camera.rotation),
+            *((None, None) if lifted is None else (lifted.joints, lifted.std)),
+            *(solution.theta, solution.rotation, solution.roots, solution.bone_lengths),
+        )
+    return newest
