@@ -69,7 +69,7 @@ def refine(
     noises, joint_std = problem.estimate_noise().tolist(), problem.measure_joint_std()
     for p, (track, (first, fixed_frames)) in enumerate(zip(tracks, parts, strict=True)):
         old, camera, count = track.solved, track.observed.virtual_camera, len(track.stamps_ns)
-        *states, stature, fit = newest.finish(
+        theta, rotation, roots, bone_lengths, residuals, stature, fit = newest.finish(
             *(p, fixed_frames, camera.intrinsics.focal, camera.rotation),
             *(old.theta, old.rotation, old.roots, old.bone_lengths, old.frame_residuals),
             *found,
@@ -77,8 +77,9 @@ def refine(
         )
         old_share = math.exp((first - count) / count) if fixed_frames else 0.0
         own_noise = math.sqrt(old_share * old.noise**2 + (1 - old_share) * noises[p] ** 2)
-        fits = own_noise, stature / model.stature, joint_std[p], fit, old.base_poses_lead
-        solutions.append(TrackSolution(old.model_name, model, *states, *fits))
+        states = theta, rotation, roots, bone_lengths, residuals, own_noise, stature / model.stature
+        found_of_newest = joint_std[p], fit, old.base_poses_lead
+        solutions.append(TrackSolution(old.model_name, model, *states, *found_of_newest))
     return solutions
 
 
@@ -95,10 +96,9 @@ def collect_newest_frames(
             steps = (stamps_ns[-1] - stamps_ns[-2]) / max(stamps_ns[-2] - stamps_ns[-3], 1)
             share = EXTRAPOLATION_SHARE * min(steps, MAX_EXTRAPOLATION_STEPS)
         lifted, camera = observed.lifted, observed.virtual_camera
-        newest.add(
-            *(p, fixed_frames, share, ALTERNATIONS, camera.intrinsics.focal, observed.focal),
-            *(observed.times, observed.rays, observed.weight, camera.rotation),
-            *((None, None) if lifted is None else (lifted.joints, lifted.std)),
-            *(solution.theta, solution.rotation, solution.roots, solution.bone_lengths),
-        )
+        seen = observed.times, observed.rays, observed.weight, camera.rotation
+        joints, std = (None, None) if lifted is None else (lifted.joints, lifted.std)
+        states = solution.theta, solution.rotation, solution.roots, solution.bone_lengths
+        focal_lengths = camera.intrinsics.focal, observed.focal
+        newest.add(p, fixed_frames, share, ALTERNATIONS, *focal_lengths, *seen, joints, std, *states)
     return newest

@@ -307,7 +307,7 @@ def test_a_walk_is_classified_as_periodic_and_a_jump_is_not() -> None:
 
 @pytest.mark.parametrize(
     ('stage', 'begun_anew'),
-    [('solve', {'ann', 'bob'}), ('make_people', {'ann', 'bob'}), ('follow_extremities', {'ann'})],
+    [('refine', {'ann', 'bob'}), ('make_people', {'ann', 'bob'}), ('follow_extremities', {'ann'})],
 )
 def test_a_fault_forgets_the_people_whom_it_concerns_and_the_stream_goes_on(
     walk_model: BasePoses, walk: Walk, monkeypatch: pytest.MonkeyPatch, stage: str, begun_anew: set[str]
