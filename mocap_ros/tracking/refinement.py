@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
-from mocap_ros.engine.refinement import NewestFrames
+from mocap_ros.engine import refinement as engine
 from mocap_ros.models.base_poses import BasePoses, arrange_model
 from mocap_ros.solvers.joint.batch import Batch, State
 from mocap_ros.solvers.joint.lifted_start import ALTERNATIONS
@@ -85,11 +85,11 @@ def refine(
 
 def collect_newest_frames(
     tracks: Sequence[Track], parts: Sequence[tuple[int, int]], model: BasePoses
-) -> NewestFrames:
+) -> engine.NewestFrames:
     """Return what `refine` gives to the solver; the arguments are the same."""
     counts = [len(track.stamps_ns) - first for track, (first, _) in zip(tracks, parts, strict=True)]
     has_lifted = tracks[0].observed.lifted is not None
-    newest = NewestFrames(counts, model.mean, arrange_model(model), model.std, has_lifted)
+    newest = engine.NewestFrames(counts, model.mean, arrange_model(model), model.std, has_lifted)
     for p, (track, (_, fixed_frames)) in enumerate(zip(tracks, parts, strict=True)):
         observed, solution, stamps_ns, share = track.observed, track.solved, track.stamps_ns, 0.0
         if len(solution.theta) > 1:
