@@ -75,7 +75,7 @@ class Person3D:
         residual: px, RMS reprojection error over the seen joints; NaN if no joint was seen.
         scale_known: True if the focal length is known and not nominal.
         predicted: True if the person was not detected in this frame.
-        tentative: True if the person has been seen too shortly to be sure that there is somebody.
+        tentative: True if the person has been seen too shortly to be certain.
         velocity: (J, 3) m/s, velocity of each joint in the same frame as `joints`; NaN if unknown.
         velocity_std: (J,) m/s, standard deviation of each joint's velocity; NaN if unknown.
         root_covariance: (3, 3) m^2, covariance of `root`; NaN if unknown.
@@ -85,7 +85,7 @@ class Person3D:
         skeleton: names and order of the joints; the first are always those of `skeleton.CMU15`, the core.
         orientation: (J, 4) quaternions x, y, z, w of the body segment that turns about each joint, to the frame of
             `joints` (`solvers.body_segments` has the axes); NaN if unknown.
-        turn_inferred: (J,) True where nothing in the image tells how that segment is turned about its own axis.
+        turn_inferred: (J,) True where nothing in the image shows how that segment is turned about its own axis.
     """
 
     id: str
@@ -125,7 +125,7 @@ class Person3D:
 
     @property
     def root(self) -> Array:
-        """(3,) m, the place between the hips."""
+        """(3,) m, midway between the hips."""
         return np.asarray((self.joints[HIPS[0]] + self.joints[HIPS[1]]) / 2)
 
     @property
@@ -141,21 +141,14 @@ class Person3D:
 
 @dataclass(frozen=True, eq=False)
 class PredictedPerson:
-    """A person at a time ahead of an image.
-
-    Attributes:
-        id: name of the person, as in `Person3D`.
-        joints: (J, 3) m, joint positions in the same frame and order as those of `Person3D`.
-        std: (J,) m, standard deviation of each joint position about the root; NaN if unknown.
-        root_covariance: (3, 3) m^2, covariance of `root`; NaN if unknown.
-    """
+    """A person at a time ahead of an image."""
 
     id: str
-    joints: Array
-    std: Array
-    root_covariance: Array
+    joints: Array  # (J, 3) m, in the same frame and order as those of `Person3D`
+    std: Array  # (J,) m, standard deviation of each joint position about the root; NaN if unknown
+    root_covariance: Array  # (3, 3) m^2, covariance of `root`; NaN if unknown
 
     @property
     def root(self) -> Array:
-        """(3,) m, the place between the hips."""
+        """(3,) m, midway between the hips."""
         return np.asarray((self.joints[HIPS[0]] + self.joints[HIPS[1]]) / 2)

@@ -45,14 +45,14 @@ cdef Extent measure_one(Points points, Weights weight, double min_size) noexcept
 
 cdef double find_median(double* values, Py_ssize_t n) noexcept nogil:
     """Median of a few values, which are sorted by insertion."""
-    cdef Py_ssize_t i, place
+    cdef Py_ssize_t i, position
     cdef double value
     for i in range(1, n):
-        value, place = values[i], i
-        while place > 0 and values[place - 1] > value:
-            values[place] = values[place - 1]
-            place -= 1
-        values[place] = value
+        value, position = values[i], i
+        while position > 0 and values[position - 1] > value:
+            values[position] = values[position - 1]
+            position -= 1
+        values[position] = value
     return (values[(n - 1) // 2] + values[n // 2]) / 2
 
 

@@ -244,7 +244,7 @@ cdef void add_seen(
 ) noexcept nogil:
     """Add what the image says of a displaced point, if it was seen and is in front of the camera.
 
-    The offset `point` from its anchor `origin` and the derivatives are overwritten by those of its place.
+    The offset `point` from its anchor `origin` and the derivatives are overwritten by those of its position.
     """
     cdef int i
     for i in range(3):

@@ -181,7 +181,7 @@ def split_centre(Rows joints):
 def read_motion(Stack state, Py_ssize_t left_hip, Py_ssize_t right_hip):
     """Return joints, velocities (J, 3), deviations (J,) and the covariance (3, 3) of the velocity between the hips.
 
-    The errors of both hips are mostly the same, so the variance of the place between them is their mean.
+    The errors of both hips are mostly the same, so the variance of the point between them is their mean.
 
     Args:
         state: (5, J + 1, 3) of the filter.

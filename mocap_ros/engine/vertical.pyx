@@ -22,7 +22,7 @@ cdef extern from *:
     #define DEGREE (3.14159265358979323846 / 180)
     #define MEMORY_S 20.0       /* T: long for people who turn about, short enough for a camera that is moved */
     #define OUTLIER_DEG 10.0    /* A: who lies or tumbles does not show the vertical */
-    #define MIN_STANDING 0.02   /* P: where nobody stands at all, a vertical is better than none */
+    #define MIN_STANDING 0.02   /* P: where no person stands, a vertical is better than none */
     #define LEAN_PER_DEPTH 0.36 /* KAPPA: share of the depths' errors that is a lean of the whole body */
     #define BALANCE_STD_DEG 6.0 /* s_u */
     #define MAX_TURN_DEG 20.0   /* B: a larger angle is rather a person who does not stand */

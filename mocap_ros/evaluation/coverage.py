@@ -3,12 +3,8 @@
 
 """Whether standard deviations and covariances are what true errors are: the shares of errors within ellipsoids.
 
-An error e with the covariance C is within the ellipsoid that holds the share p of normal errors where
-
-    e^T C^-1 e <= q(p),    q = quantile of the chi-squared distribution with 3 degrees of freedom
-
-The covariance of a joint is the sum of that of the root and that of the joint in the body (`models/joint_std.py`).
-Shares below p say that the covariances are too small, shares above that they are too large.
+An error e of covariance C is within that of the share p where e^T C^-1 e <= q(p), the chi-squared quantile of 3
+degrees of freedom. The covariance of a joint is that of the root plus that in the body (`models/joint_std.py`).
 """
 
 from __future__ import annotations
@@ -38,27 +34,18 @@ def compute_coverage(
     truth: Array,
     truth_names: Sequence[str],
 ) -> dict[str, float]:
-    """Return the shares of the true errors within the ellipsoids of `SHARES` (formula of the module).
+    """Return the shares of true errors within the ellipsoids of `SHARES`, as `joints68`, `roots95` and so on.
 
-    Args:
-        joints: (F, J, 3) m, camera optical frame; NaN in frames without a prediction.
-        std: (F, J) m, standard deviation of each joint in the body; NaN where unknown.
-        root_covariance: (F, 3, 3) m^2; NaN where unknown.
-        skeleton: skeleton of the joints.
-        truth: (F, J3, 3) m, camera optical frame; NaN where unknown.
-        truth_names: (J3,) joint names of the truth.
-
-    Returns:
-        `joints68`, `joints95`, `roots68` and `roots95`; those of roots only if the truth has both hips, and none
-        if no covariance is known.
+    Those of roots need both hips in the truth, and all need a known covariance. Joints (F, J, 3) and truth (F, J3,
+    3) are in m in the camera's optical frame, `std` (F, J) m, `root_covariance` (F, 3, 3) m^2; NaN where unknown.
     """
     try:
         own, others = metrics.match_joints(skeleton.joints, truth_names, limbs_only=False)
     except InputError:
         return {}
     error = joints[:, own] - truth[:, others]
-    place = np.broadcast_to(joints.mean(axis=1, keepdims=True), joints.shape)[:, own]
-    covariance = root_covariance[:, None] + compute_joint_covariance(std[:, own], place)
+    position = np.broadcast_to(joints.mean(axis=1, keepdims=True), joints.shape)[:, own]
+    covariance = root_covariance[:, None] + compute_joint_covariance(std[:, own], position)
     out = _compute_shares('joints', error, covariance)
     names = [skeleton.joints[i] for i in own]
     if set(HIPS) <= set(names):
@@ -68,7 +55,6 @@ def compute_coverage(
 
 
 def _compute_shares(name: str, error: Array, covariance: Array) -> dict[str, float]:
-    """Return the shares of errors (..., 3) within the ellipsoids of covariances (..., 3, 3), under their names."""
     known = np.isfinite(error).all(axis=-1) & np.isfinite(covariance).all(axis=(-1, -2))
     if not known.any():
         return {}

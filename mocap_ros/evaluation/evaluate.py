@@ -86,21 +86,12 @@ def evaluate(
     keypoint_scores: Array | None = None,
     times: Array | None = None,
 ) -> Evaluation:
-    """Compare a reconstructed sequence with its truth.
+    """Compare a sequence (F, J, 3) with its truth (F, J3, 3), both in m in the camera's optical frame.
 
-    Joints of the truth that are known in no frame are left out, then frames in which another joint is unknown.
-
-    Args:
-        joints: (F, J, 3) m, camera optical frame; NaN in frames without a prediction.
-        skeleton: skeleton of the joints.
-        residual: (F,) px, reprojection residual of each frame; NaN where there is none.
-        truth: (F, J3, 3) m, camera optical frame; NaN where unknown.
-        truth_names: (J3,) joint names of the truth.
-        fps: frames a second.
-        keypoint_names: (Jk,) names of the keypoints, if `keypoint_scores` is given.
-        keypoint_scores: (F, Jk) confidence scores. If given, only the twelve limb joints are compared, in the
-            frames in which most of them are seen; None compares all joints that both skeletons have.
-        times: (F,) s, which tell between which frames others are missing; None if none are.
+    Joints of the truth that are known in no frame are left out, then frames in which another is unknown.
+    `residual` (F,) is in px; NaN is no prediction, or unknown. With scores (F, Jk) of keypoints, only the twelve
+    limb joints are compared, in the frames in which most of them are seen. `times` (F,) s show where frames are
+    missing; None if none are.
 
     Raises:
         InputError: A shape does not fit, or nothing is left to compare; the message names the field.

@@ -6,9 +6,8 @@
     MPJPE = mean_{t,j} || s P_tj - Q_tj ||                                                    (mpjpe_mm)
     e = sqrt( sum_{t,j} || S(P_tj) - Q_tj ||^2 ) / F                        (e_paper_cm, eq. 25 of TPAMI 2016)
 
-P are the predicted and Q the true poses of F frames, both centred on the mean of the compared joints in each
-frame. s is one scale and S one similarity for the whole sequence. Poses are compared over the joints common to
-both.
+P and Q are the predicted and the true poses over their common joints, both centred in each frame; s is one scale
+and S one similarity for the whole sequence.
 """
 
 from __future__ import annotations
@@ -32,17 +31,13 @@ LIMB_JOINTS = (
 SEEN_SCORE = 0.2  # confidence score above which a limb joint counts as seen in the measuring protocol
 SEEN_LIMB_JOINTS = 8  # joints; a frame with more seen limb joints than these is compared in the measuring protocol
 MAX_STEP_FRAMES = 1.5  # frames; between two frames further apart, others are missing
-MIN_COMMON_JOINTS = 4  # joints; fewer hardly tell one pose from another once they are aligned
+MIN_COMMON_JOINTS = 4  # joints; with fewer, aligned poses hardly differ
 
 
 def match_joints(
     predicted: Sequence[str], truth: Sequence[str], limbs_only: bool = False
 ) -> tuple[list[int], list[int]]:
-    """Match the joints of two skeletons by name, with `limbs_only` only the twelve of the limbs.
-
-    Returns:
-        Indices of the common joints in the prediction and in the truth, in the order of the truth's joints, or of
-        `LIMB_JOINTS` with `limbs_only`.
+    """Return the indices of the common joints in both, in the order of the truth or of `LIMB_JOINTS`.
 
     Raises:
         InputError: Fewer than four joints are common.
@@ -71,18 +66,11 @@ def compute_errors(
     frames: NDArray[np.bool_] | None = None,
     times: Array | None = None,
 ) -> dict[str, float]:
-    """Compute all errors of a sequence.
+    """Return all errors of a sequence, named as in `Evaluation`; only the counts if every compared frame failed.
 
-    Args:
-        predicted: (F, J, 3) m, camera optical frame; a frame with a NaN counts as failed.
-        truth: (F, J, 3) m, same joints, same frame of reference.
-        fps: frames a second, for accelerations.
-        frames: (F,) True for the frames to compare; None for all.
-        times: (F,) s; None if no frame is missing between those that are given.
-
-    Returns:
-        The errors by the names of the attributes of `Evaluation`; only the counts if every compared frame failed.
-        Accelerations are second differences of three successive frames, scaled as for `mpjpe_mm`.
+    Poses (F, J, 3) are in m in one frame of reference; a frame with a NaN counts as failed. `frames` (F,) are
+    compared, `times` (F,) s are None where no frame is missing. Accelerations are second differences, scaled as
+    `mpjpe_mm`.
     """
     compared = np.flatnonzero(np.ones(len(truth), bool) if frames is None else frames)
     predicted, truth = predicted[compared], truth[compared]

@@ -3,18 +3,14 @@
 
 """Derivatives of projected points by the rotation and the scale of a camera.
 
-A point p of the body is q = s R p = (x, y, z) in the camera's frame, before the translation. A step changes the
-rotation by a rotation vector w on the camera's side, R <- exp([w]x) R, and the logarithm l of the scale s. At
-w = 0,
+A point of the body is q = s R p = (x, y, z) in the camera's frame. A step changes R <- exp([w]x) R and the log
+scale l. At w = 0,
 
                           (  0   z  -y )
     d q / d w = -[q]x  =  ( -z   0   x ),      d q / d l = q
                           (  y  -x   0 )
 
-The first two rows are the derivatives of the image point under weak perspective; perspective needs the third one
-as well. The columns of s R are the projected unit vectors of the body, so that the same formula gives the
-derivatives of the camera matrix. A point that the scale does not move, such as the image of a direction, depends
-on the rotation vector alone.
+The first two rows are the derivatives of the image point under weak perspective; perspective needs the third.
 """
 
 from __future__ import annotations

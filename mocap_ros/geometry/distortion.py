@@ -3,19 +3,15 @@
 
 """Lens distortion: converts between the image points of a pinhole camera and those of a real lens.
 
-Points are normalised: x = (u - cx) / fx, y = (v - cy) / fy. With r^2 = x^2 + y^2 and theta = atan(r), a lens shows
-the pinhole point (x, y) at (x_d, y_d). For `plumb_bob` and `rational_polynomial`:
+With x = (u - cx) / fx, y = (v - cy) / fy, r^2 = x^2 + y^2 and theta = atan(r), a lens shows (x, y) at (x_d, y_d):
 
-    c = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)
-    x_d = x c + 2 p1 x y + p2 (r^2 + 2 x^2)
+    c = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)    plumb_bob (k1 k2 p1 p2 [k3]) and
+    x_d = x c + 2 p1 x y + p2 (r^2 + 2 x^2)                                rational_polynomial (and k4 k5 k6)
     y_d = y c + p1 (r^2 + 2 y^2) + 2 p2 x y
 
-For `equidistant`:
+    (x_d, y_d) = (x, y) theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) / r        equidistant
 
-    (x_d, y_d) = (x, y) theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) / r
-
-The models and the order of the coefficients are those of `sensor_msgs/CameraInfo` and OpenCV: `plumb_bob` has
-(k1 k2 p1 p2 [k3]), `rational_polynomial` the same and (k4 k5 k6), `equidistant` (k1 k2 k3 k4, for fisheye lenses).
+Models and order of the coefficients are those of `sensor_msgs/CameraInfo` and OpenCV.
 """
 
 from __future__ import annotations
@@ -49,24 +45,17 @@ MAX_NAME_CHARACTERS = 60  # of an unknown model in an error
 
 @dataclass(frozen=True)
 class Distortion:
-    """Distortion of a lens; a `Distortion` without coefficients leaves points as they are.
+    """Distortion of a lens; a `Distortion` without coefficients leaves points as they are."""
 
-    Attributes:
-        model: name of the distortion model, a key of `COEFFICIENT_COUNTS`.
-        coefficients: coefficients in the order of CameraInfo's `d`; empty for no distortion.
-    """
-
-    model: str = 'plumb_bob'
-    coefficients: tuple[float, ...] = ()
+    model: str = 'plumb_bob'  # name of the distortion model, a key of `COEFFICIENT_COUNTS`
+    coefficients: tuple[float, ...] = ()  # coefficients in the order of CameraInfo's `d`; empty for no distortion
 
     @staticmethod
     def from_coefficients(model: str, coefficients: tuple[float, ...]) -> Distortion:
-        """Check a model name and its coefficients and return the distortion.
+        """Return the distortion; no coefficients, or only zeros, mean none, whatever the name is.
 
         Models have other names as well, such as `fisheye` for `equidistant`, and a `plumb_bob` with more than five
-        coefficients is rational, as in OpenCV. No coefficients, or only zeros, mean no distortion, whatever the
-        name is. OpenCV's rational model may have four more, of a thin prism, and two more, of a tilted sensor.
-        These, and all beyond those of the model, may only be 0.
+        coefficients is rational, as in OpenCV. Coefficients beyond those of the model may only be 0.
 
         Raises:
             InputError: The model is unknown, has another number of coefficients, or one of them is not finite.
@@ -106,8 +95,7 @@ class Distortion:
     def undistort(self, points: Array) -> Array:
         """Convert normalised points (..., 2) shown by the lens to points (..., 2) of a pinhole camera.
 
-        The equidistant model is inverted by Newton's method, the others by fixed-point iteration. Where the lens
-        model is not invertible, the result is the last iterate that was finite and within `MAX_RAY_ANGLE`.
+        Where the model is not invertible, the last iterate that was finite and within `MAX_RAY_ANGLE` is returned.
         """
         if not self.coefficients:
             return points

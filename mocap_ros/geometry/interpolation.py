@@ -36,8 +36,7 @@ def interpolate_linearly(times: Array, sample_times: Array, samples: Array) -> A
 def central_velocity(times: Array, points: Array) -> Array:
     """v(t_i) = (x(t_{i+1}) - x(t_{i-1})) / (t_{i+1} - t_{i-1}), (F, ..., 3) in m/s of points (F, ..., 3).
 
-    They are NaN in the first and the last frame, beside frames without points, and beside gaps of more than
-    `MAX_STEP_S`.
+    NaN at both ends, beside frames without points, and beside gaps of more than `MAX_STEP_S`.
     """
     velocity = np.full(points.shape, np.nan)
     if len(times) > 2:
@@ -49,13 +48,7 @@ def central_velocity(times: Array, points: Array) -> Array:
 
 
 def interpolate_rotations(times: Array, known_times: Array, rotations: Array) -> Array:
-    """R(t) = exp(s log(R_(k+1) R_k^T)) R_k, s = (t - t_k) / (t_(k+1) - t_k), between known rotations R_k.
-
-    Args:
-        times: (T,) s, between the first and the last of the known times.
-        known_times: (n,) s, increasing, n >= 2.
-        rotations: (n, 3, 3) at the known times.
-    """
+    """R(t) = exp(s log(R_(k+1) R_k^T)) R_k, s = (t - t_k) / (t_(k+1) - t_k), between known rotations R_k."""
     before = np.clip(np.searchsorted(known_times, times, side='right') - 1, 0, len(known_times) - 2)
     share = (times - known_times[before]) / np.diff(known_times)[before]
     turns = vector_from_rotation(rotations[1:] @ np.swapaxes(rotations[:-1], -1, -2))[before]

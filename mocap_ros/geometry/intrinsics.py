@@ -1,12 +1,10 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Camera intrinsics: converts between pixels and rays.
+"""Camera intrinsics: pixels u = fx x_d + cx, v = fy y_d + cy, and rays.
 
-    u = fx x_d + cx,   v = fy y_d + cy
-
-(x_d, y_d) is the distorted image of the ray (x, y) = (X / Z, Y / Z); X, Y, Z are metres in the camera's optical
-frame (x right, y down, z forward).
+(x_d, y_d) is the distorted image of the ray (x, y) = (X / Z, Y / Z), with X, Y, Z in the camera's optical frame (x
+right, y down, z forward).
 """
 
 from __future__ import annotations
@@ -28,23 +26,15 @@ MAX_INTRINSIC_PX = 1e6
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Intrinsic parameters of a camera.
+    """Intrinsic parameters of a camera."""
 
-    Attributes:
-        focal: focal length in px, the geometric mean of fx and fy.
-        center: (cx, cy) principal point in px.
-        is_focal_known: False if the focal length is only nominal.
-        aspect: fy / fx.
-        distortion: distortion of the lens.
-        image_size: width and height in px of the images; None if they are unknown. Cameras that differ in nothing
-            else are the same.
-    """
-
-    focal: float
-    center: tuple[float, float]
-    is_focal_known: bool
+    focal: float  # focal length in px, the geometric mean of fx and fy
+    center: tuple[float, float]  # (cx, cy) principal point in px
+    is_focal_known: bool  # False if the focal length is only nominal
     aspect: float = 1.0
     distortion: Distortion = NO_DISTORTION
+    # width and height in px of the images; None if they are unknown. Cameras that differ in nothing else are the
+    # same
     image_size: tuple[int, int] | None = field(default=None, compare=False)
 
     @cached_property
@@ -69,8 +59,7 @@ class Intrinsics:
     def resize_like(self, other: Intrinsics) -> Intrinsics:
         """Return these intrinsics for images that are resized to those of another camera.
 
-        The ratio of the widths enlarges the image, which is cropped or extended alike above and below. Images of
-        unknown size count as equally large.
+        The ratio of the widths enlarges the image, which is cropped or extended alike above and below.
         """
         if self.image_size is None or other.image_size in (None, self.image_size):
             return self
@@ -81,11 +70,7 @@ class Intrinsics:
 
     @staticmethod
     def from_image_size(width: int, height: int, focal_in_sides: float) -> Intrinsics:
-        """Return nominal intrinsics: the principal point is the centre of the image.
-
-        The focal length is `focal_in_sides` times the longer side, the same for a telephone held upright or
-        across.
-        """
+        """Return nominal intrinsics, of a focal length of `focal_in_sides` times the longer side of the image."""
         focal, size = focal_in_sides * max(width, height), (width, height)
         return Intrinsics(focal, (width / 2, height / 2), is_focal_known=False, image_size=size)
 
@@ -96,8 +81,7 @@ class Intrinsics:
         """Return the intrinsics of a (3, 3) camera matrix in px, the distortion of the lens and the image size.
 
         Raises:
-            InputError: A focal length is not between 1 px and `MAX_INTRINSIC_PX`, or a coordinate of the principal
-                point is larger than `MAX_INTRINSIC_PX`.
+            InputError: A focal length or a coordinate of the principal point is beyond `MAX_INTRINSIC_PX`.
         """
         focal_lengths, centre = matrix[[0, 1], [0, 1]], matrix[:2, 2]
         if not ((focal_lengths >= 1) & (focal_lengths <= MAX_INTRINSIC_PX)).all():

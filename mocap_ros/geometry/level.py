@@ -3,13 +3,10 @@
 
 """What is level: the floor that a camera sees, and people whom a tilted camera sees, turned to stand upright.
 
-The smallest rotation R that takes the vertical u, in a camera's optical frame, to e = (0, -1, 0), which is upwards
-in the optical frame of a level camera:
+The smallest rotation that takes the vertical u, in a camera's optical frame, to e = (0, -1, 0), that of a level
+camera, and so keeps the heading of the camera:
 
     R = exp([a v / |v|]x),    v = u x e,    a = atan2(|v|, u . e)
-
-It keeps the heading of the camera. Where u = -e, the axis is not determined, and R is half a turn about the
-optical axis.
 """
 
 from __future__ import annotations
@@ -41,10 +38,7 @@ def average_vertical(vertical: Array) -> Array:
 
 
 def rotation_to_level(vertical: Array) -> Array:
-    """Return the rotation (3, 3) from a camera's optical frame to that of a level camera at its place.
-
-    A vertical (3,) that is NaN is not known, and the camera counts as level.
-    """
+    """Return the rotation (3, 3) from a camera's optical frame to that of a level one; none where NaN."""
     if not np.isfinite(vertical).all():
         return np.eye(3)
     axis, cosine = np.cross(vertical, LEVEL_UP), float(vertical @ LEVEL_UP)
@@ -55,19 +49,15 @@ def rotation_to_level(vertical: Array) -> Array:
 
 
 class Floor(NamedTuple):
-    """A level floor below a camera.
+    """A level floor below a camera."""
 
-    Attributes:
-        upward: (3,) unit vector upwards in the camera's optical frame.
-        camera_height: m, of the camera over the floor, positive; None where only the direction is known.
-    """
-
-    upward: Array
+    upward: Array  # (3,) unit vector upwards in the camera's optical frame
+    # m, of the camera over the floor, positive; None where only the direction is known
     camera_height: float | None
 
     @staticmethod
     def find(camera_pose: RigidTransform, height: float | None) -> Floor:
-        """Return the floor at a height in m in the frame with z up to which the pose of the camera leads."""
+        """Return the floor at a height in m in the frame with z up in which the pose of the camera is given."""
         camera_height = None if height is None else float(camera_pose.translation[2]) - height
         is_below = camera_height is not None and camera_height > 0
         return Floor(camera_pose.rotation[2], camera_height if is_below else None)

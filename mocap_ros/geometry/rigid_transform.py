@@ -3,14 +3,11 @@
 
 """Rigid transforms between coordinate frames, their composition and their interpolation.
 
-A transform T = (R, t) takes coordinates in its child frame to coordinates in its parent frame:
-
     x_parent = R x_child + t,    T_1 T_2 = (R_1 R_2, R_1 t_2 + t_1),    T^-1 = (R^T, -R^T t)
-
-Between two transforms at the share a of the time from the first to the second, the translation is interpolated
-linearly, and the rotation along the shortest arc of unit quaternions q_0 and q_1 at the angle w to each other:
-
     q(a) = (sin((1 - a) w) q_0 + sin(a w) q_1) / sin w,    cos w = q_0 . q_1
+
+At the share a of the time between two transforms, the translation is interpolated linearly, and the rotation along
+the shortest arc of unit quaternions q_0 and q_1.
 """
 
 from __future__ import annotations
@@ -43,15 +40,10 @@ POSE_NUMBERS = 6  # numbers of a pose in a parameter: x, y, z in m and roll, pit
 
 @dataclass(frozen=True, eq=False)
 class RigidTransform:
-    """A transform from a child frame to its parent frame.
+    """A transform from a child frame to its parent frame."""
 
-    Attributes:
-        translation: (3,) m, origin of the child frame in the parent frame.
-        quaternion: rotation from the child frame to the parent frame.
-    """
-
-    translation: Array
-    quaternion: Quaternion
+    translation: Array  # (3,) m, origin of the child frame in the parent frame
+    quaternion: Quaternion  # rotation from the child frame to the parent frame
 
     @staticmethod
     def identity() -> RigidTransform:
@@ -63,8 +55,7 @@ class RigidTransform:
         """Return the transform of the translation x, y, z in m and of the quaternion x, y, z, w, normalised.
 
         Raises:
-            InputError: a number is not finite or beyond `MAX_DISTANCE_M`, or the length of the quaternion differs
-                from 1 by `QUATERNION_TOLERANCE` or more.
+            InputError: a number is not finite or beyond `MAX_DISTANCE_M`, or the quaternion is not of unit length.
         """
         length = math.sqrt(sum(q * q for q in numbers[3:7]))
         if not all(abs(n) <= MAX_DISTANCE_M for n in numbers) or not abs(length - 1) < QUATERNION_TOLERANCE:
@@ -138,15 +129,13 @@ def interpolate(first: RigidTransform, second: RigidTransform, share: float) -> 
 
 
 def parse_camera_pose(text: str, name: str) -> RigidTransform:
-    """Return the transform from a camera's optical frame to the frame in which its pose is given.
+    """Return the transform from a camera's optical frame to the frame in which its pose is given, as a text.
 
-    Args:
-        text: x, y, z in m and roll, pitch, yaw in rad, separated by blanks: of a camera that looks along x, with
-            z up, where the angles are 0. The rotations are about the fixed axes x, y and z in this order.
-        name: name of the parameter that holds the text, for the error message.
+    The text is x, y, z in m and roll, pitch, yaw in rad, about the fixed axes in this order, of a camera that
+    looks along x with z up where the angles are 0; `name` is that of the parameter.
 
     Raises:
-        ConfigError: the text is not six finite numbers, an angle is beyond a turn, or the place is absurdly far.
+        ConfigError: the text is not six finite numbers, an angle is beyond a turn, or a position too far.
     """
     try:
         numbers = [float(word) for word in text.split()]

@@ -17,10 +17,7 @@ MIN_SINE = 1e-12  # 1; guards the division by the sine of the rotation angle nea
 
 
 def nearest_rotation(affine: Array) -> Array:
-    """A = U S V^T -> R[:2] = U V^T (TPAMI 2016, section 3.2: singular values set to one).
-
-    Return the rotations (..., 3, 3) whose first two rows are closest to the affine matrices (..., 2, 3).
-    """
+    """A = U S V^T -> R[:2] = U V^T (TPAMI 2016, section 3.2), R (..., 3, 3) nearest to A (..., 2, 3)."""
     u, _, vt = np.linalg.svd(affine, full_matrices=False)
     rows = u @ vt
     third = np.cross(rows[..., 0, :], rows[..., 1, :])
@@ -38,10 +35,7 @@ def rotation_from_vector(vector: Array) -> Array:
 
 
 def quaternion_from_rotation(rotation: Array) -> tuple[float, float, float, float]:
-    """Return the unit quaternion (x, y, z, w), w >= 0, of a rotation matrix (3, 3).
-
-    The division is by the largest of the four components (Shepperd's method), so no rotation loses precision.
-    """
+    """Return the unit quaternion (x, y, z, w), w >= 0, of a rotation matrix (3, 3), by Shepperd's method."""
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
     trace = a + e + i
     if trace >= max(a, e, i):
@@ -74,10 +68,7 @@ def cross_matrix(v: Array) -> Array:
 
 
 def vector_from_rotation(rotation: Array) -> Array:
-    """Return the rotation vectors (..., 3) in rad of rotation matrices (..., 3, 3).
-
-    This is the inverse of `rotation_from_vector` for angles below pi. The result is wrong for an angle of pi.
-    """
+    """Return the rotation vectors (..., 3) in rad of rotation matrices (..., 3, 3), for angles below pi."""
     twice = np.swapaxes(rotation, -1, -2) - rotation
     axis = -0.5 * np.stack([twice[..., 2, 1], twice[..., 0, 2], twice[..., 1, 0]], axis=-1)
     sine = np.linalg.norm(axis, axis=-1)
@@ -104,8 +95,7 @@ def fit_rotation(poses: Array, target: Array) -> Array:
 def fit_heading_rotation(poses: Array, target: Array) -> Array:
     """Minimise sum_j |R_z(a) p_j - q_j|^2 over headings a: tan(a) = sum_j (p_j x q_j)_z / sum_j (p_j . q_j)_xy.
 
-    Return the rotations (..., 3, 3) about the vertical (z) that bring `poses` closest to `target`, both of shape
-    (..., J, 3).
+    Return the rotations (..., 3, 3) about z that bring `poses` closest to `target`, both (..., J, 3).
     """
     cross = poses[..., 0] * target[..., 1] - poses[..., 1] * target[..., 0]
     dot = poses[..., 0] * target[..., 0] + poses[..., 1] * target[..., 1]

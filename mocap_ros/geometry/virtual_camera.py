@@ -1,16 +1,13 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Virtual cameras that face a person.
+"""Virtual cameras that face a person: weak perspective is near to a real camera only along the optical axis.
 
     R = I + [v]x + [v]x^2 / (1 + c),    v = u x e,    c = u . e        rotation from the real to the virtual camera
     X = R^T (t_x, t_y, f) / s                                          the body's origin in the real camera, m
 
 u is the unit vector to the person, e = (0, 0, 1), f the focal length (px), s the scale (px/m) and t the image
-point of the origin (px). A virtual camera has the centre of the real camera and is rotated so that its optical
-axis points at the person. Weak perspective approximates a real camera well only near the optical axis. The solvers
-start from weak perspective, so they work in the image of a virtual camera, and their solution is rotated back into
-the real camera's frame.
+point of the origin (px). Solvers work in the image of a virtual camera.
 """
 
 from __future__ import annotations
@@ -37,30 +34,20 @@ FRAMES_PER_BLOCK = 1024  # frames averaged at once; bounds the memory, which gro
 
 @dataclass(frozen=True, eq=False)
 class VirtualCamera:
-    """Virtual cameras that face one person: one for each frame, or one for all frames.
+    """Virtual cameras that face one person: one for each frame, or one for all frames."""
 
-    Attributes:
-        rotation: (F, 3, 3) or (3, 3) rotation from the real camera's optical frame to the virtual camera's.
-        intrinsics: intrinsics of the real camera. The virtual cameras have the same focal length, no distortion,
-            and image points relative to their optical axes.
-    """
-
-    rotation: Array
+    rotation: Array  # (F, 3, 3) or (3, 3) rotation from the real camera's optical frame to the virtual camera's
+    # intrinsics of the real camera. The virtual cameras have the same focal length, no distortion, and image
+    # points relative to their optical axes
     intrinsics: Intrinsics
 
     @staticmethod
     def look_at_person(
         rays: Array, weight: Array, times: Array, smoothing_s: float, intrinsics: Intrinsics
     ) -> VirtualCamera:
-        """Return virtual cameras that look at the weighted centroid of the seen joints.
+        """Return virtual cameras that look at the weighted centroid of the seen joints, averaged over time.
 
-        Args:
-            rays: (F, J, 2) rays; finite where the weight (F, J) is 0.
-            weight: (F, J) confidence scores.
-            times: (F,) s, increasing.
-            smoothing_s: s over which the direction is averaged, so that it does not jump when joints appear or
-                vanish; two standard deviations of the Gaussian weights.
-            intrinsics: intrinsics of the real camera.
+        The weights are a Gaussian, `smoothing_s` s two standard deviations. Rays (F, J, 2) are always finite.
         """
         total = weight.sum(axis=1)
         centroid = (weight[..., None] * rays).sum(axis=1) / np.maximum(total, MIN_TOTAL_WEIGHT)[:, None]
@@ -94,17 +81,14 @@ class VirtualCamera:
         return engine.view_rays(np.ascontiguousarray(rays), np.ascontiguousarray(weight), rotations, focal)
 
     def root_positions(self, cameras: WeakPerspectiveCameras, translation: Array) -> Array:
-        """Z = f / s, X = t_x Z / f, Y = t_y Z / f, rotated into the real camera's frame.
-
-        Return the positions (F, 3) m of the body's origin, whose image points in px are `translation` (F, 2).
-        """
+        """Return the positions (F, 3) m of the body's origin, whose image is at `translation` (F, 2) px."""
         focal = np.full(len(translation), self.intrinsics.focal)
         towards = np.column_stack([translation, focal]) / cameras.scale[:, None]
         return _multiply(towards[:, None], self.rotation)[:, 0]
 
-    def measure_depth(self, places: Array) -> Array:
-        """Return the depths (F,) in m of places (F, 3) m of the real camera's frame, along the virtual axes."""
-        return np.asarray((self.rotation[..., 2, :] * places).sum(axis=-1))
+    def measure_depth(self, positions: Array) -> Array:
+        """Return the depths (F,) in m of positions (F, 3) m in the real camera's frame, along the virtual axes."""
+        return np.asarray((self.rotation[..., 2, :] * positions).sum(axis=-1))
 
     def to_real_camera(self, vectors: Array) -> Array:
         """Rotate vectors (F, J, 3) from the virtual cameras' frames into the real camera's frame."""
@@ -130,18 +114,12 @@ def _multiply(a: Array, b: Array) -> Array:
 
 
 def solver_focal(intrinsics: Intrinsics, use_perspective: bool) -> float:
-    """Return the focal length in px for the solvers; infinite selects the weak-perspective projection.
-
-    It is finite only if perspective is wanted and the focal length is known, not nominal.
-    """
+    """Return the focal length in px for the solvers; infinite, for weak perspective, if it is not known."""
     return intrinsics.focal if intrinsics.is_focal_known and use_perspective else math.inf
 
 
 def rotate_rays(rays: Array, rotation: Array) -> Array:
-    """Convert rays (..., J, 2) of a camera by rotations (..., 3, 3) from its frame to those of rotated cameras.
-
-    Rays that point backwards after the rotation are mapped to finite rays far from the optical axis.
-    """
+    """Turn rays (..., J, 2) by rotations (..., 3, 3); those that point backwards are far off the axis."""
     if rotation.ndim == 2:
         groups, rotations = rays.reshape(1, -1, 2), rotation[None]
     else:

@@ -6,10 +6,8 @@
     x_tj = s_t R_t[:2] P_tj + t_t,   M_t = s_t R_t[:2]
     minimise over all M_t:  sum_tj w_tj |M_t P_tj - x_tj|^2 + sum_t gamma_t |M_t - M_(t-1)|^2      (eq. 12, 13)
 
-The norms of the paper's eq. 13 are not squared; here they are. s_t is the scale of frame t in image units per
-metre, R_t its rotation, P_tj joint j of the pose in m, x_tj its image point and w_tj its weight. The translation
-t_t is not a free unknown: the best one brings the weighted centroids of image and projection together, so both are
-centred first (`subtract_weighted_centroid`).
+P_tj is joint j in m, x_tj its image point, s_t the scale in image units per metre. The norms of the paper's eq. 13
+are not squared. The best t_t brings the weighted centroids of image and projection together, so both are centred.
 """
 
 from __future__ import annotations
@@ -40,15 +38,11 @@ DAMPING_INCREASE = 10  # 1; damping is multiplied by it after a rejected step
 
 @dataclass(frozen=True, eq=False)
 class WeakPerspectiveCameras:
-    """Weak-perspective cameras of F frames, without their translation.
+    """Weak-perspective cameras of F frames, without their translation."""
 
-    Attributes:
-        scale: (F,) units of the image points per metre.
-        rotation: (F, 3, 3) rotation from the body frame, in which the poses are given, to the camera's optical
-            frame (x right, y down, z forward).
-    """
-
-    scale: Array
+    scale: Array  # (F,) units of the image points per metre
+    # (F, 3, 3) rotation from the body frame, in which the poses are given, to the camera's optical frame (x right,
+    # y down, z forward)
     rotation: Array
 
     @property
@@ -80,16 +74,9 @@ def fit_cameras_closed_form(
 ) -> WeakPerspectiveCameras:
     """M = argmin sum_j w_j |M P_j - x_j|^2, s = sqrt((|m1|^2 + |m2|^2) / 2), R from the SVD of M (eq. 10 and 11).
 
-    The paper solves each frame alone (`window` 0). If all frames of a short window share the least-squares
-    problem, the result stays stable for bodies seen from the front, which are nearly planar, and for missing
-    points. Eq. 11 as printed gives 0.707 of this scale, which does not reproduce the image.
-
-    Args:
-        poses: (F, J, 3) m.
-        image: (F, J, 2) image points; finite, but otherwise ignored where the weight is 0.
-        weight: (F, J) weights of the squared reprojection errors.
-        times: (F,) s, increasing.
-        window: s; the camera of a frame is fitted to the frames at most half of it away.
+    Frames at most half of `window` s away share the problem, which is stable for bodies seen from the front and
+    for missing points; the paper solves each frame alone (0). Eq. 11 as printed gives 0.707 of this scale. Poses
+    (F, J, 3) in m, image (F, J, 2) finite and ignored where the weight is 0.
     """
     body, _ = subtract_weighted_centroid(poses, weight)
     seen, _ = subtract_weighted_centroid(image, weight)
@@ -111,19 +98,12 @@ def _sum_over_window(values: Array, times: Array, window: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class CameraStepObjective:
-    """Objective of the camera step of Algorithm 1: the cameras of all frames with the poses held (eq. 12 and 13).
+    """Objective of the camera step of Algorithm 1: the cameras of all frames with the poses held (eq. 12, 13)."""
 
-    Attributes:
-        body: (F, J, 3) poses in m, relative to the weighted centroid of the seen joints.
-        image: (F, J, 2) image points, relative to their weighted centroid.
-        weight: (F, J) weights of the squared reprojection errors.
-        flip_weight: (F - 1,) weights gamma of the squared changes of M between neighbouring frames.
-    """
-
-    body: Array
-    image: Array
-    weight: Array
-    flip_weight: Array
+    body: Array  # (F, J, 3) poses in m, relative to the weighted centroid of the seen joints
+    image: Array  # (F, J, 2) image points, relative to their weighted centroid
+    weight: Array  # (F, J) weights of the squared reprojection errors
+    flip_weight: Array  # (F - 1,) weights gamma of the squared changes of M between neighbouring frames
 
     def data_cost(self, cameras: WeakPerspectiveCameras) -> Array:
         """Return the weighted sums (F,) of squared reprojection errors."""
@@ -146,8 +126,7 @@ class CameraStepObjective:
     def gauss_newton_step(self, cameras: WeakPerspectiveCameras, damping: Array) -> WeakPerspectiveCameras:
         """Move every frame's camera towards the minimum of its local cost, with its neighbours held.
 
-        The unknowns of a frame are a rotation vector and the logarithm of the scale. `damping` (F,) is the share
-        by which the diagonal of the normal equations grows (Levenberg-Marquardt).
+        The diagonal of the equations in rotation vector and log scale grows by the share `damping` (F,).
         """
         turned = cameras.scale[:, None, None] * (self.body @ np.swapaxes(cameras.rotation, -1, -2))
         jacobian = camera_jacobian(turned, rows=2)
@@ -182,9 +161,8 @@ class CameraStepObjective:
 def run_camera_step(objective: CameraStepObjective, cameras: WeakPerspectiveCameras) -> WeakPerspectiveCameras:
     """Improve the cameras of all frames with the poses held (eq. 13).
 
-    The paper goes through the frames one after the other. A camera is coupled only with those of the neighbouring
-    frames, so here all even frames move at once and then all odd frames: the same block-coordinate descent without
-    a loop over frames. A frame's step is accepted only if it does not raise the objective.
+    All even frames move at once, then all odd ones: block-coordinate descent as in the paper, without its loop
+    over frames. A frame's step is accepted only if it does not raise the objective.
     """
     frames = len(cameras.scale)
     damping = np.full(frames, INITIAL_DAMPING)

@@ -3,22 +3,17 @@
 
 """Association of detections with known people, by where the people are in the image.
 
-The distance of a person p and a detection d has a gate, the largest distance at which the two may be the same
-person. The Hungarian method chooses the pairs with the least sum of costs; pairs beyond their gate are no pairs.
-
-The tracker predicts where it expects each joint of a person (`expect_person`). With the points p_j and d_j of the
-joints j that are expected and detected, their RMS radii r_p and r_d about their centres, the sizes s_p of the
-person and s_d of the detection, and s the larger of the two, `measure_distances` returns
+The Hungarian method chooses the pairs of the least sum of costs; pairs beyond their gate are no pairs. With the
+points p_j and d_j of the joints that are expected and detected, their RMS radii r_p and r_d about their centres,
+and s the larger of the sizes s_p and s_d of person and detection, `measure_distances` returns
 
     distance(p, d) = median over j of |d_j - p_j| / s + |growth|
     growth = log((r_d + 0.1 s) / (r_p + 0.1 s))
 
-or the same of the detection with left and right exchanged, if its distance is less. So part of a person is as near
-to the person as the whole, and crossing people, whose centres and sizes are alike, differ by their joints.
-Where fewer than four joints are both expected and detected, centres m and sizes are compared instead:
+or the same with left and right exchanged, if that is less; where fewer than four joints are both expected and
+detected, centres m and sizes are compared:
 
-    distance(p, d) = |m_d - m_p| / s + |growth|
-    growth = log(s_d / s_p)
+    distance(p, d) = |m_d - m_p| / s + |growth|,    growth = log(s_d / s_p)
 """
 
 from __future__ import annotations
@@ -57,10 +52,7 @@ class Extent(NamedTuple):
 
 
 class ExpectedPerson(NamedTuple):
-    """Where the joints of a tracked person are expected: points (J, 2) in any unit.
-
-    The weight (J,) of a joint is 1 if it was seen lately, else 0, as is its point.
-    """
+    """Where a tracked person's joints are expected: points (J, 2), weight 1 if seen lately, else 0."""
 
     points: Array
     weight: Array
@@ -73,15 +65,10 @@ def measure_extent(points: Array, weight: Array) -> Extent:
 
 
 def expect_person(points: Array, weight: Array, age_s: Array) -> ExpectedPerson:
-    """Return where the joints of a person are expected, from the F frames in which the person was seen lately.
+    """Return where the joints of a person are expected, from F frames `age_s` (F,) s ago.
 
     Each joint is where it was last seen, moved on with the mean velocity of the joints that the first and the last
-    of the frames show, for at most `VELOCITY_SPAN_S`.
-
-    Args:
-        points: (F, J, 2) image points, in the order of time.
-        weight: (F, J) confidence scores; 0 for a joint that was not seen.
-        age_s: (F,) s, time from each frame to the time at which the person is expected.
+    frame show, for at most `VELOCITY_SPAN_S`.
     """
     is_seen: Mask = np.asarray(weight > 0)
     span_s = age_s[0] - age_s[-1]
@@ -104,12 +91,7 @@ def measure_distances(
 ) -> tuple[Array, Array]:
     """Measure the distances (D, P) of D detections from P people in sizes of the larger, and their growths (D, P).
 
-    Args:
-        expected: where the people are expected.
-        detected: points (J, 2) and weight (J,) of the detections, in the same units, each with at least one seen
-            joint.
-        mirror: (J,) for each joint its counterpart on the other side of the body.
-        min_shared: number of joints that must be both expected and detected; with fewer the distance is infinite.
+    With fewer than `min_shared` joints both expected and detected the distance is infinite.
     """
     if not expected or not detected:
         return np.zeros((len(detected), len(expected))), np.zeros((len(detected), len(expected)))
@@ -121,9 +103,6 @@ def measure_distances(
 
 
 def choose_pairs(cost: Array, is_permitted: Mask) -> list[int | None]:
-    """Return the person of each detection so that the sum of costs (D, P) is least (Hungarian method).
-
-    It is None where the best pair is not permitted (D, P).
-    """
+    """Return the person of each detection at the least sum of costs (D, P); None where not permitted."""
     chosen = engine.choose_pairs(np.ascontiguousarray(cost, float)).tolist()
     return [p if p >= 0 and is_permitted[d, p] else None for d, p in enumerate(chosen)]

@@ -1,11 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Image points of face, feet and hands, which go beside those of the core.
-
-A body has the joints of `skeleton.BODY26`: its core, the J_c joints of `skeleton.CMU15`, which the solvers
-reconstruct, and then its J_e extremities. The lifter sees both.
-"""
+"""Image points of face, feet and hands: `skeleton.BODY26` has the J_c joints of `CMU15`, then these J_e."""
 
 from __future__ import annotations
 
@@ -31,7 +27,6 @@ _LIMB_ENDS = {'toe': 'ankle', 'heel': 'ankle', 'hand': 'wrist'}  # joints on whi
 
 
 def _find_anchors() -> tuple[NDArray[np.intp], Array]:
-    """Return the two core joints (J_e, 2) between which each extremity hangs, and its largest reach (J_e,)."""
     anchors, reach = [], []
     for name in BODY26.joints[CORE_COUNT:]:
         end = _LIMB_ENDS.get(name[1:])
@@ -44,10 +39,7 @@ _ANCHORS, _REACH = _find_anchors()
 
 
 class Extremities(NamedTuple):
-    """Face, feet and hands in one frame or in F frames: rays (..., J_e, 2) and confidence scores (..., J_e).
-
-    Both are 0 for a joint that was not seen.
-    """
+    """Face, feet and hands: rays (..., J_e, 2) and confidence scores (..., J_e), both 0 where not seen."""
 
     rays: Array
     weight: Array
@@ -67,10 +59,7 @@ class Extremities(NamedTuple):
 def convert_body_to_rays(
     points: Array, score: Array, names: tuple[str, ...], intrinsics: Intrinsics, min_score: float
 ) -> tuple[Array, Array, Extremities]:
-    """Convert keypoints to rays (..., J_c, 2) and scores (..., J_c) of the core, and to the extremities.
-
-    Arguments and errors are those of `rays.convert_to_rays`.
-    """
+    """Convert keypoints to rays and scores of the core, and to the extremities, as `rays.convert_to_rays` does."""
     rays, weight = convert_to_rays(points, score, names, intrinsics, min_score, BODY26)
     # One that is somewhere else would spoil the whole lifted pose.
     engine.drop_far_points(

@@ -26,13 +26,8 @@ def resolve_image_size(
 ) -> ImageSize:
     """Return the (width, height) of the image in px: the first in this order that is known, or `UNKNOWN_SIZE`.
 
-    Args:
-        stated: the size that the message or the file with the keypoints states; None or a side of 0 is unknown.
-        camera: the size in the CameraInfo of the camera.
-        configured: the size that the user gives by parameters or `--image-size`.
-        keypoints: (..., 3) x and y in px and the score, for the smallest of `COMMON_IMAGE_SIZES` that holds 99 %
-            of the seen ones. Only readers of whole files pass them: in a live stream, later ones could change the
-            size.
+    A side of 0 is unknown. Readers of whole files pass keypoints (..., 3), for the smallest of
+    `COMMON_IMAGE_SIZES` that holds 99 % of the seen ones; in a live stream, later ones could change the size.
     """
     for size in (stated, camera, configured):
         if size is not None and all(size):

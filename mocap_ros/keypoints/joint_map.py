@@ -3,11 +3,9 @@
 
 """Linear maps from a detector's keypoints to the joints of the reconstruction's skeleton.
 
-y_t = sum_s W_ts x_s, with sum_s W_ts = 1: target joint t as a weighted sum of source keypoints s, in 2D or 3D.
-
-A target joint that the detector has is taken as it is; MediaPipe's are moved to where motion capture has them. A
-joint that the detector lacks is derived from keypoints around it. Each joint has a list of such derivations, the
-most precise first, and the first one that has all of its keypoints is used.
+y_t = sum_s W_ts x_s, with sum_s W_ts = 1: target joint t as a weighted sum of source keypoints s, in 2D or 3D. A
+joint that the detector lacks has a list of derivations, the most precise first; the first one that has all of its
+keypoints is used. MediaPipe's joints are moved to where motion capture has them.
 """
 
 from __future__ import annotations
@@ -46,7 +44,6 @@ _HIPS = {'lhip': 0.5, 'rhip': 0.5}  # weights of the point midway between the hi
 
 
 def _extrapolate_from_shoulders(end: dict[str, float], fraction: float) -> dict[str, float]:
-    """Return the weights of the point at `fraction` of the way from between the shoulders to the point `end`."""
     towards = {j: fraction * w for j, w in end.items()}
     return towards | {j: (1 - fraction) * w for j, w in _SHOULDERS.items()}
 
@@ -105,42 +102,30 @@ _MEDIAPIPE_CORRECTIONS = _correct_mediapipe()
 
 @dataclass(frozen=True)
 class JointMap:
-    """Linear maps from source keypoints to target joints: alternatives, tried in order until one can be used.
+    """Linear maps from source keypoints to target joints: alternatives, tried in order until one can be used."""
 
-    Attributes:
-        source: (Js,) canonical names of the source keypoints.
-        target: skeleton that is mapped to, with Jt joints.
-        weights: (A, Jt, Js) weights of the A alternatives. A row sums to one, or is zero if the joint has fewer
-            alternatives.
-        score_factor: (A, Jt) factor on the confidence score, 0 if the joint has fewer alternatives.
-    """
-
-    source: tuple[str, ...]
-    target: Skeleton
+    source: tuple[str, ...]  # (Js,) canonical names of the source keypoints
+    target: Skeleton  # skeleton that is mapped to, with Jt joints
+    # (A, Jt, Js) weights of the A alternatives. A row sums to one, or is zero if the joint has fewer alternatives
     weights: Array
-    score_factor: Array
+    score_factor: Array  # (A, Jt) factor on the confidence score, 0 if the joint has fewer alternatives
 
     def apply(self, points: Array, score: Array) -> tuple[Array, Array]:
-        """Map keypoints (..., Js, D) in any unit, with scores (..., Js), to the target skeleton.
+        """Map keypoints (..., Js, D) with scores (..., Js) to the target skeleton; NaN or score 0: not seen.
 
-        A keypoint with NaN or score 0 was not seen.
-
-        Returns:
-            (..., Jt, D) points, NaN for joints without an alternative whose keypoints were all seen, and (..., Jt)
-            scores: the least score of the keypoints that weigh in the sum, times the score factor.
+        Returns points (..., Jt, D), NaN where no alternative can be used, and the least scores of their keypoints
+        times the factor.
         """
-        lead, (sources, dimensions) = points.shape[:-2], points.shape[-2:]
+        leading, (sources, dimensions) = points.shape[:-2], points.shape[-2:]
         flat_points = np.ascontiguousarray(points, float).reshape(-1, sources, dimensions)
         flat_score = np.ascontiguousarray(score, float).reshape(-1, sources)
         out, out_score = engine.map_joints(flat_points, flat_score, self.weights, self.score_factor)
-        return out.reshape(*lead, -1, dimensions), out_score.reshape(*lead, -1)
+        return out.reshape(*leading, -1, dimensions), out_score.reshape(*leading, -1)
 
 
 @lru_cache(maxsize=MAX_CACHED_MAPS)
 def build_joint_map(source: tuple[str, ...], target: Skeleton = CMU15) -> JointMap:
     """Build the map from keypoints, in any spelling, to a skeleton: the joint itself, then its derivations.
-
-    MediaPipe's joints are moved to where motion capture has them, in images in which the trunk is seen.
 
     Raises:
         SkeletonError: A name repeats, or fewer than `MIN_TARGET_JOINTS` joints of `target` can be mapped, those of
@@ -185,7 +170,6 @@ def build_joint_map(source: tuple[str, ...], target: Skeleton = CMU15) -> JointM
 
 
 def _list_usable_names(target: Skeleton) -> list[str]:
-    """Return the names of joints of the body, and of keypoints that give them."""
     core = [joint for joint in target.joints if joint not in _EXTREMITIES]
     derived = [j for joint in core for d in _DERIVATIONS.get(joint, ()) for j in d.weights]
     return list(dict.fromkeys([*core, *derived]))

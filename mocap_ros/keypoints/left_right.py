@@ -3,47 +3,35 @@
 
 """Detection of left and right exchanged by the detector: a hidden Markov model, decoded by Viterbi's algorithm.
 
-Detectors exchange left and right of the whole body, of the legs alone or of the arms alone. The hidden state z_t
-of frame t has a bit for each of these, and each bit is a Markov chain of its own. Over n frames of 1/30 s
+Detectors exchange left and right of the whole body, of the legs or of the arms. The hidden state z_t of frame t
+has a bit for each, and each bit is a Markov chain of its own. Over n frames of 1/30 s
 
     P(bit is set | it was not) = a m(n),   P(bit is not set | it was) = b m(n)
     m(n) = (1 - (1 - a - b)^n) / (a + b)
 
-with the probabilities a and b that a swap begins and ends (the constants are in `engine/left_right.pyx`). The
-labels of the shoulders are wrong if the bit of the whole body is set, those of legs and arms if either that bit or
-their own is set, and not both. The likelihood of the image points x_j, relabelled as the state says, compares them
-with predicted points x'_j. The prediction starts from the last relabelled points y_j of a path with velocities
-v_j, seen d_j seconds before; c_j is the confidence score:
+The labels of the shoulders are wrong if the bit of the whole body is set, those of legs and arms if either that
+bit or their own is. The likelihood of the points x_j, relabelled as the state says, compares them with those
+predicted from the last relabelled points y_j of a path, with velocities v_j, seen d_j seconds before at the score
+c_j:
 
     -log p(x_j | z, path) = -log[(1 - eps) exp(-e_j^2 / 2) / sigma_j^2 + eps / (sigma_j^2 + s^2)]
-    e_j     = |x_j - x'_j| / (sigma_j * body size)
-    x'_j    = y_j + v_j tau (1 - exp(-d_j / tau))
+    e_j     = |x_j - y_j - v_j tau (1 - exp(-d_j / tau))| / (sigma_j * body size)
     sigma_j = (2 - c_j) (PREDICTION_STD + PREDICTION_STD_PER_S d_j + PREDICTION_STD_PER_S2 d_j^2)
 
-with eps = `OUTLIER_PROBABILITY`, s = `OUTLIER_STD` and tau = `VELOCITY_TIME_S`, over the joints that have a
-counterpart on the other side. Where left and right are close together, as in a person seen from the side, the
-likelihood is the same for both labels, and the state stays as it is.
+with eps = `OUTLIER_PROBABILITY`, s = `OUTLIER_STD`, tau = `VELOCITY_TIME_S` (constants in
+`engine/left_right.pyx`). Where left and right nearly coincide, the likelihoods of both labels are the same, and
+the state stays.
 
-A path may have confused left and right of a part before, where they crossed. With C_g(l) the sum of these costs
-over the joints of part g with labels l (as they are or exchanged), the path may exchange them in its own past:
+A path may have confused left and right of a part before. With C_g(l) the sum of these costs over part g with
+labels l, it may exchange them in its own past, which bounds what one frame can say; and hips are below their own
+shoulder, elbows on their own upper arm, so with D_g the growth in body sizes of the lines to these if exchanged,
 
     C'_g(l) = min[C_g(l), C_g(other l) + CONFUSION_COST]
+    cost of a set bit: ATTACHMENT_COST max(0, tanh(D_g / ATTACHMENT_SCALE)) min(elapsed / ATTACHMENT_TIME_S, 1)
 
-This bounds what one frame can say, so that a wrong verdict is left again: to stay in a state with a bit set costs
--log(1 - b) in each frame.
-
-Hips are below their own shoulder and elbows on their own upper arm. Let D_g be, in body sizes, by how much the
-lines from the shoulders to the hips or elbows of part g get longer if left and right of these are exchanged. A
-state whose bit for the legs or the arms is set costs in addition
-
-    ATTACHMENT_COST max(0, tanh(D_g / ATTACHMENT_SCALE)) min(elapsed time / ATTACHMENT_TIME_S, 1)
-
-Viterbi's algorithm keeps the likeliest path to each of the eight states:
+Viterbi's algorithm keeps the likeliest path to each of the eight states, with its own relabelled points:
 
     cost_t(k) = min_i [cost_(t-1)(i) - log p(x_t | z_t = k, path i) - log P(z_t = k | z_(t-1) = i)]
-
-Each path carries its own relabelled points. A later frame may make another path the likeliest one, which changes
-the decisions about earlier frames of the window.
 """
 
 from __future__ import annotations
@@ -83,19 +71,14 @@ _NEWEST_STATES = np.arange(STATES, dtype=np.int8)[:, None]
 
 @dataclass(frozen=True, eq=False)
 class BodySides:
-    """Which joints of a skeleton are left and right ones, and to which part they belong.
+    """Which joints of a skeleton are left and right ones, and to which part they belong."""
 
-    Attributes:
-        mirror: (J,) index of each joint's counterpart on the other side; its own index for a joint without one.
-        part: (J,) index of each joint's part in `PARTS`; -1 for a joint without a counterpart.
-        upper: (3,) left joint from which the line to a part starts that shows left from right; -1 for none.
-        lower: (3,) left joint of the part at which the line ends; -1 for none.
-    """
-
+    # (J,) index of each joint's counterpart on the other side; its own index for a joint without one
     mirror: NDArray[np.intp]
-    part: NDArray[np.intp]
+    part: NDArray[np.intp]  # (J,) index of each joint's part in `PARTS`; -1 for a joint without a counterpart
+    # (3,) left joint from which the line to a part starts that shows left from right; -1 for none
     upper: NDArray[np.intp]
-    lower: NDArray[np.intp]
+    lower: NDArray[np.intp]  # (3,) left joint of the part at which the line ends; -1 for none
 
     @staticmethod
     @lru_cache(maxsize=16)
@@ -120,50 +103,32 @@ def _find_part(joint: str) -> int:
 
 @dataclass(frozen=True, eq=False)
 class ViterbiPaths:
-    """The likeliest path to each of the eight states of the newest frame, in the order of `SWAPPED_PARTS`.
+    """The likeliest path to each of the eight states of the newest frame, in the order of `SWAPPED_PARTS`."""
 
-    Attributes:
-        cost: (8,) negative log likelihoods in nats, up to a common constant.
-        states: (8, F) states in the frames of the window.
-        points: (8, J, 2) last seen image point of each joint as the path relabels it.
-        velocity: (8, J, 2) velocities of these points, per second.
-        last_seen_s: (8, J) s, time at which each joint was last seen; -inf if never.
-    """
-
-    cost: Array
-    states: NDArray[np.int8]
-    points: Array
-    velocity: Array
-    last_seen_s: Array
+    cost: Array  # (8,) negative log likelihoods in nats, up to a common constant
+    states: NDArray[np.int8]  # (8, F) states in the frames of the window
+    points: Array  # (8, J, 2) last seen image point of each joint as the path relabels it
+    velocity: Array  # (8, J, 2) velocities of these points, per second
+    last_seen_s: Array  # (8, J) s, time at which each joint was last seen; -inf if never
 
 
 @dataclass(frozen=True, eq=False)
 class SwapFilter:
-    """Filter that finds the parts of one person's body whose left and right are swapped; it is immutable.
-
-    Attributes:
-        sides: left and right joints.
-        enabled: False if the detector's labels are to be believed.
-        is_swapped: (F, 3) decisions about the parts in the frames of the window, along the likeliest path.
-        paths: the Viterbi paths; None before the first frame, or if the filter is not enabled.
-    """
+    """Filter that finds the parts of one person's body whose left and right are swapped; it is immutable."""
 
     sides: BodySides
-    enabled: bool = True
+    enabled: bool = True  # False if the detector's labels are to be believed
+    # (F, 3) decisions about the parts in the frames of the window, along the likeliest path
     is_swapped: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, len(PARTS)), bool))
+    # the Viterbi paths; None before the first frame, or if the filter is not enabled
     paths: ViterbiPaths | None = None
 
     def update(
         self, time_s: float, points: Array, weight: Array, body_size: float, dropped: int = 0
     ) -> SwapFilter:
-        """Return the filter after one more frame, without its decisions about the oldest ones.
+        """Return the filter after one more frame, without its decisions about the `dropped` oldest ones.
 
-        Args:
-            time_s: s, time of the frame.
-            points: (J, 2) points as the detector labelled them.
-            weight: (J,) confidence scores; 0 for a joint that was not seen.
-            body_size: size of the body in the units of the points, above 0.
-            dropped: number of the oldest frames, which leave the window.
+        Points (J, 2) and scores (J,) are as the detector labelled them; `body_size` is in their units, above 0.
         """
         if not self.enabled:
             frames = len(self.is_swapped) - dropped + 1
@@ -198,11 +163,7 @@ def _describe(time_s: float, points: Array, weight: Array, body_size: float, sid
 def find_swapped_parts(times: Array, points: Array, weight: Array, sides: BodySides) -> NDArray[np.bool_]:
     """Return the parts (F, 3) of the body whose left and right are swapped in the frames of a sequence.
 
-    Args:
-        times: (F,) s, increasing.
-        points: (F, J, 2) image points in rays or px; a frame with all of them in one place does not count.
-        weight: (F, J) confidence scores; 0 for a joint that was not seen.
-        sides: left and right joints.
+    A frame with all its points (J, 2), in rays or px, in one place does not count.
     """
     is_swapped = np.zeros((len(times), len(PARTS)), bool)
     extents = [measure_extent(*frame) for frame in zip(points, weight, strict=True)]

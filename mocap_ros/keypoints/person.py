@@ -21,19 +21,12 @@ OTHER_CLASSES = frozenset((
 
 @dataclass(frozen=True, eq=False)
 class Person2D:
-    """Keypoints of one person in one image.
+    """Keypoints of one person in one image."""
 
-    Attributes:
-        id: name that the detector gives the person; empty if it gives none.
-        joints: (J,) joint names that `keypoints.joint_map` knows.
-        points: (J, 2) px, x to the right and y down; NaN for a joint that was not seen.
-        score: (J,) confidence scores in [0, 1]; 0 for a joint that was not seen.
-    """
-
-    id: str
-    joints: tuple[str, ...]
-    points: Array
-    score: Array
+    id: str  # name that the detector gives the person; empty if it gives none
+    joints: tuple[str, ...]  # (J,) joint names that `keypoints.joint_map` knows
+    points: Array  # (J, 2) px, x to the right and y down; NaN for a joint that was not seen
+    score: Array  # (J,) confidence scores in [0, 1]; 0 for a joint that was not seen
 
 
 def is_person_class(name: object) -> bool:

@@ -26,17 +26,9 @@ def convert_to_rays(
 ) -> tuple[Array, Array]:
     """Map keypoints to the joints of the model and undo the distortion of the lens.
 
-    Args:
-        points: (..., Js, 2) px; NaN for keypoints that were not seen.
-        score: (..., Js) confidence scores; 0 or NaN for keypoints that were not seen.
-        names: (Js,) joint names, in any spelling.
-        intrinsics: intrinsics of the camera.
-        min_score: least confidence score of a keypoint that counts as seen.
-        target: skeleton with the joints of the model.
-
-    Returns:
-        (..., Jt, 2) rays, each as x / z and y / z, and (..., Jt) scores in [0, 1] of the joints of `target`; both
-        are 0 for joints not seen, and for those farther from the optical axis than any camera shows.
+    Points (..., Js, 2) px and scores (..., Js) are NaN or 0 where not seen, and scores below `min_score` count as
+    0. Returns rays (..., Jt, 2), x / z and y / z, and scores (..., Jt) in [0, 1] of the joints of `target`, both 0
+    where not seen and for those farther from the optical axis than any camera shows.
 
     Raises:
         SkeletonError: A name repeats, or the names cover too few of the model's joints.
@@ -52,5 +44,5 @@ def convert_to_rays(
         intrinsics.center_array,
         intrinsics.distortion.parameters,
     )
-    lead = score.shape[:-1]
-    return rays.reshape(*lead, -1, 2), weight.reshape(*lead, -1)
+    leading = score.shape[:-1]
+    return rays.reshape(*leading, -1, 2), weight.reshape(*leading, -1)

@@ -25,24 +25,15 @@ MIN_JUDGED_POINTS = 4  # points; fewer may lie in the corner of the image by cha
 
 @dataclass(frozen=True)
 class Fault:
-    """The first keypoint value that cannot be used.
+    """The first keypoint value that cannot be used."""
 
-    Attributes:
-        field: `x`, `y` or `score`.
-        index: index of the keypoint in the array of scores.
-        what: the value, and what was expected instead.
-    """
-
-    field: str
-    index: tuple[int, ...]
-    what: str
+    field: str  # `x`, `y` or `score`
+    index: tuple[int, ...]  # index of the keypoint in the array of scores
+    what: str  # the value, and what was expected instead
 
 
 def find_first_fault(points: Array, score: Array) -> Fault | None:
-    """Find the first coordinate beyond `MAX_COORDINATE_PX` or infinite score.
-
-    NaN is no fault, neither in points (..., J, 2) in px nor in scores (..., J).
-    """
+    """Find the first coordinate beyond `MAX_COORDINATE_PX` or infinite score; NaN is no fault."""
     for field, is_faulty, values, expected in (
         ('x', np.abs(points[..., 0]) > MAX_COORDINATE_PX, points[..., 0], 'a finite number of px'),
         ('y', np.abs(points[..., 1]) > MAX_COORDINATE_PX, points[..., 1], 'a finite number of px'),
@@ -55,16 +46,10 @@ def find_first_fault(points: Array, score: Array) -> Fault | None:
 
 
 def mark_unseen(points: Array, score: Array) -> tuple[Array, Array]:
-    """Mark a joint as not seen in both arrays if either of them says so, and bring scores to [0, 1].
+    """Mark joints that were not seen, by NaN in points (..., J, 2) px and 0 in scores (..., J).
 
-    The scores of a person in an image are divided by the largest of them where that exceeds 1.
-
-    Args:
-        points: (..., J, 2) px; NaN, (0, 0) or (-1, -1) for a joint that was not seen.
-        score: (..., J) confidence scores; 0, less than 0 or NaN for a joint that was not seen.
-
-    Returns:
-        Points, NaN for a joint that was not seen, and scores, 0 for it.
+    So are points of NaN, (0, 0) or (-1, -1) and scores of 0, less or NaN. The scores of a person are divided by
+    the largest where that exceeds 1.
     """
     seen = find_seen(points, score)
     score = np.where(seen, score, 0.0)
@@ -96,10 +81,7 @@ def describe_other_unit(points: Array, score: Array, image_width: int) -> str:
 
 
 def describe_points_outside(points: Array, score: Array, image_size: tuple[int, int]) -> str:
-    """Describe in a clause that most keypoints lie outside the image (width, height), or return an empty string.
-
-    Points and scores are those of `mark_unseen`.
-    """
+    """Describe in a clause that most keypoints lie outside the image, or return an empty string."""
     seen = points[score > 0]
     outside = 1 - _measure_share_inside(seen, *image_size)
     if len(seen) < MIN_JUDGED_POINTS or outside <= MAX_SHARE_OUTSIDE:
@@ -108,10 +90,7 @@ def describe_points_outside(points: Array, score: Array, image_size: tuple[int, 
 
 
 def describe_transposed_size(points: Array, score: Array, image_size: tuple[int, int]) -> str:
-    """Describe in a clause that width and height of the image seem to be exchanged, or return an empty string.
-
-    They seem so if most keypoints lie outside the image, but inside an image of the exchanged width and height.
-    """
+    """Describe in a clause that width and height seem exchanged, or return an empty string."""
     fault = describe_points_outside(points, score, image_size)
     height, width = image_size
     if not fault or _measure_share_inside(points[score > 0], width, height) < MIN_SHARE_HELD:

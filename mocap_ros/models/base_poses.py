@@ -1,13 +1,10 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Base poses: the mean human pose and the directions in which poses vary (TPAMI 2016, section 3.1).
-
-    P = Q_0 + sum_l theta_l Q_l                                                                        (eq. 1)
+"""Base poses: P = Q_0 + sum_l theta_l Q_l, the mean pose and the directions of variation (TPAMI 2016, eq. 1).
 
 The body frame is in metres, x forward, y left, z up, with the mean of the joints as origin. Training poses are
-centred and aligned before the principal component analysis, because the camera already accounts for translation
-and rotation; a basis that had to explain them as well would spend components on them.
+centred and aligned, because the camera already accounts for translation and rotation.
 """
 
 from __future__ import annotations
@@ -30,28 +27,18 @@ MAX_MODELS = 16  # models whose arrays are kept: the shipped ones, some of them 
 
 @dataclass(frozen=True, eq=False)
 class BasePoses:
-    """A trained linear pose model with J joints and K base poses.
+    """A trained linear pose model with J joints and K base poses."""
 
-    Attributes:
-        name: motion category that the model was trained for (`walk`, `run`, `jump`, ... or `all`).
-        skeleton: names and bones of the joints, in the order of the arrays.
-        mean: (J, 3) m, mean pose Q_0.
-        components: (K, J, 3) base poses Q_l, orthonormal, in order of decreasing variance; the entry of largest
-            magnitude of each is positive.
-        std: (K,) m, standard deviation of each weight theta_l over the training poses.
-        explained: (K,) cumulative share of the variance.
-        stature: m, mean stature of the people in the training data.
-        provenance: origin of the training data and settings of the training.
-    """
-
-    name: str
-    skeleton: Skeleton
-    mean: Array
+    name: str  # motion category that the model was trained for (`walk`, `run`, `jump`, ... or `all`)
+    skeleton: Skeleton  # names and bones of the joints, in the order of the arrays
+    mean: Array  # (J, 3) m, mean pose Q_0
+    # (K, J, 3) base poses Q_l, orthonormal, in order of decreasing variance; the entry of largest magnitude of
+    # each is positive
     components: Array
-    std: Array
-    explained: Array
-    stature: float
-    provenance: Mapping[str, object]
+    std: Array  # (K,) m, standard deviation of each weight theta_l over the training poses
+    explained: Array  # (K,) cumulative share of the variance
+    stature: float  # m, mean stature of the people in the training data
+    provenance: Mapping[str, object]  # origin of the training data and settings of the training
 
     @property
     def aligned_by_heading(self) -> bool:
@@ -59,10 +46,7 @@ class BasePoses:
         return self.provenance.get('alignment') == 'heading'
 
     def poses(self, theta: Array) -> Array:
-        """Return the poses (..., J, 3) in m, body frame, of weights theta (..., K) in m (eq. 1).
-
-        Fewer than K weights belong to the first base poses.
-        """
+        """Return the poses (..., J, 3) m, body frame, of weights theta (..., k) m of the first base poses."""
         k = theta.shape[-1]
         flat = theta @ self.components[:k].reshape(k, -1)
         return flat.reshape(*theta.shape[:-1], *self.mean.shape) + self.mean
@@ -89,21 +73,14 @@ def mirror_poses(poses: Array, skeleton: Skeleton) -> Array:
 
 
 class ModelArrays(NamedTuple):
-    """Arrays of a model with J joints, B bones and K base poses, as the engine takes them.
+    """Arrays of a model with J joints, B bones and K base poses, as the engine takes them."""
 
-    Attributes:
-        components: (3 J, K) base poses, a coordinate of a joint in each row.
-        bones: (3 B, K) change of the vectors along the bones with the weights, a coordinate of a bone in each row.
-        parents: (B,) index of each bone's inner joint.
-        children: (B,) index of each bone's outer joint.
-        mean_bone_lengths: (B,) m, bone lengths of the mean pose.
-    """
-
-    components: Array
+    components: Array  # (3 J, K) base poses, a coordinate of a joint in each row
+    # (3 B, K) change of the vectors along the bones with the weights, a coordinate of a bone in each row
     bones: Array
-    parents: NDArray[np.int64]
-    children: NDArray[np.int64]
-    mean_bone_lengths: Array
+    parents: NDArray[np.int64]  # (B,) index of each bone's inner joint
+    children: NDArray[np.int64]  # (B,) index of each bone's outer joint
+    mean_bone_lengths: Array  # (B,) m, bone lengths of the mean pose
 
 
 @lru_cache(maxsize=MAX_MODELS)

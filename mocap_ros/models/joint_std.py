@@ -8,15 +8,9 @@
     without a lifter:         std_j = sqrt((h_j posterior_std_j)^2 + floor^2)
     covariance about the body's origin:  C_j = std_j^2 (I / 6 + u u^T / 2)       u: direction of the line of sight
 
-The lifter's standard deviations say which poses an image leaves uncertain. The image noise, which the solver
-estimates, says how well this detector sees this person. The factors were chosen so that two thirds of the true
-errors are within the standard deviation and 95 % within two: those with a
-lifter on trials of training persons, with clean points and under three models of detectors, all limbs seen or an
-arm or a leg hidden; the factors h_j, which are larger for inferred joints than for seen ones, on CMU trials of
-subject 35 (walk), UJ, UB and 05, with the subject left out of training.
-
-One camera sees depth worst: of the squared errors in 65 trials of training persons, 0.70 lie along the line of
-sight. C_j has 2/3 there, that is, a standard deviation twice as large as in a direction across.
+The factors were chosen so that two thirds of the true errors are within the standard deviation and 95 % within
+two: with a lifter on trials of training persons seen by models of detectors; h_j on CMU trials of subject 35
+(walk), UJ, UB and 05, left out of training. In 65 trials, 0.70 of the squared errors lie along the line of sight.
 """
 
 from __future__ import annotations
@@ -47,14 +41,9 @@ def estimate_joint_std(
 ) -> Array:
     """Estimate the standard deviation in m of each joint position (..., J), relative to the body's origin.
 
-    Args:
-        posterior_std: (..., J) m, of the solver, for the joints that the lifter did not estimate.
-        inferred: (..., J) True for joints that were not seen.
-        lifter_std: (..., J, 3) or more joints, standard deviations of the joints' coordinates, NaN for frames that
-            the lifter did not lift; None without a lifter.
-        noise: m, image noise at the body, as the solver estimated it.
-        size: size of the person over that of `posterior_std` and `noise`.
-        depth: m, of the unit of `lifter_std`.
+    `posterior_std` (..., J) in m is that of the solver; `lifter_std` (..., J or more, 3) in units of `depth` m,
+    NaN for frames that were not lifted; `noise` in m that of the image at the body; `size` the person's over that
+    of these.
     """
     factor = np.where(inferred, POSTERIOR_FACTOR_INFERRED, POSTERIOR_FACTOR_SEEN)
     posterior = np.sqrt((factor * size * posterior_std) ** 2 + POSTERIOR_FLOOR_M**2)
@@ -66,11 +55,8 @@ def estimate_joint_std(
     return np.where(np.isfinite(length), lifted, posterior)
 
 
-def compute_joint_covariance(std: Array, place: Array) -> Array:
-    """Return the covariances (..., 3, 3) m^2 of points with standard deviations (...) m about the body's origin.
-
-    The direction of its place (..., 3), in the camera's optical frame, is the line of sight.
-    """
-    direction = place / np.linalg.norm(place, axis=-1, keepdims=True)
+def compute_joint_covariance(std: Array, position: Array) -> Array:
+    """Return the covariances (..., 3, 3) m^2 of standard deviations (...) m along lines of sight (..., 3)."""
+    direction = position / np.linalg.norm(position, axis=-1, keepdims=True)
     along = (VARIANCE_ALONG - VARIANCE_ACROSS) * direction[..., None] * direction[..., None, :]
     return np.asarray(std[..., None, None] ** 2 * (VARIANCE_ACROSS * np.eye(3) + along))

@@ -6,17 +6,11 @@
     (p, l) = network(features),   (p', l') = network(features of the mirror image)
     pose = u V^T centre((p + M p') / 2 + x),   std = u exp((l + M l') / 2)
 
-M mirrors a pose: it negates x and exchanges left and right joints. `centre` puts the mean of the core, the joints
-of `skeleton.CMU15`, into the origin; the other joints are those of face, feet and hands. The newest image points
-x, the unit u and the rotation V to the virtual camera come from `lifter_input.py`, as do the features.
-
-This is the network of Martinez et al. ("A simple yet effective baseline for 3D human pose estimation", ICCV 2017;
-`network.py`), extended by a history and by its own standard deviations. Its features hold the image points of a
-person's last 0.8 s at fixed times before the newest frame, to which frames of any rate are interpolated
-(`lifter_input.py`). Its output holds the newest pose in the camera's axes, as a difference from the newest image
-points, and the logarithms of the standard deviations. Image points are given relative to the centroid of each
-frame and in units of the window's mean distance from it; poses are returned in the same unit, so they do not
-depend on the person's position and size in the image.
+M negates x and exchanges left and right joints; `centre` puts the mean of the core, the joints of
+`skeleton.CMU15`, into the origin. The newest image points x, the unit u, the rotation V to the virtual camera and
+the features come from `lifter_input.py`. The network is that of Martinez et al. ("A simple yet effective baseline
+for 3D human pose estimation", ICCV 2017), extended by a history of 0.8 s and by standard deviations; it gives the
+difference of the pose from the newest image points. Poses are in the unit of the image points.
 
 Shapes: N histories, T slots, J joints of `skeleton.BODY26`, J_c of its core `skeleton.CMU15`, F frames.
 """
@@ -48,16 +42,13 @@ OUTPUT_COUNT = 5 * JOINT_COUNT  # x, y and z of each joint; log standard deviati
 
 @dataclass(frozen=True, eq=False)
 class LiftedPoses:
-    """3D poses of N frames along the axes of the camera's optical frame (x right, y down, z forward).
+    """3D poses of N frames along the axes of the camera's optical frame (x right, y down, z forward)."""
 
-    Attributes:
-        joints: (N, J, 3) joint positions relative to the mean of each pose's core, in the unit of the image
-            points; NaN for frames with too few seen joints.
-        std: (N, J, 3) standard deviations in the same unit, across the axis of the virtual camera that faces the
-            person (x and y, one value) and along it (z); they are not turned into the camera's axes.
-    """
-
+    # (N, J, 3) joint positions relative to the mean of each pose's core, in the unit of the image points; NaN for
+    # frames with too few seen joints
     joints: Array
+    # (N, J, 3) standard deviations in the same unit, across the axis of the virtual camera that faces the person
+    # (x and y, one value) and along it (z); they are not turned into the camera's axes
     std: Array
 
     def select_frames(self, frames: NDArray[np.intp] | slice) -> LiftedPoses:
@@ -80,18 +71,13 @@ def concatenate_lifted(parts: Sequence[LiftedPoses]) -> LiftedPoses:
 
 @dataclass(frozen=True, eq=False)
 class Lifter:
-    """The trained network, with its batch normalisation folded into the layers.
+    """The trained network, with its batch normalisation folded into the layers."""
 
-    Attributes:
-        layers: (in, out) weights and (out,) biases of each layer: the first layer, then the two layers of each
-            residual block, then the last layer.
-        provenance: training data and settings.
-        network: the layers, with the weights rounded to integers.
-    """
-
+    # (in, out) weights and (out,) biases of each layer: the first layer, then the two layers of each residual
+    # block, then the last layer
     layers: tuple[tuple[Array32, Array32], ...]
     provenance: Mapping[str, object]
-    network: RoundedNetwork = field(init=False, repr=False)
+    network: RoundedNetwork = field(init=False, repr=False)  # the layers, with the weights rounded to integers
 
     def __post_init__(self) -> None:
         object.__setattr__(self, 'network', RoundedNetwork.from_layers(self.layers))
@@ -104,39 +90,25 @@ class Lifter:
         vertical: Array | None = None,
         vertical_std: Array | None = None,
     ) -> LiftedPoses:
-        """Estimate the pose of the newest frame of each history.
+        """Estimate the pose of the newest frame of each of N independent histories.
 
-        A history's pose does not depend on the other histories.
-
-        Args:
-            points: (N, T, J, 2) image points at `HISTORY_SLOTS_S` before the newest frame, in any unit; ignored
-                where the weight is 0. If `focal` is finite they are relative to the optical axis.
-            weight: (N, T, J) confidence scores in [0, 1], 0 for joints that were not seen.
-            focal: focal length of the camera in the unit of the points; infinite if unknown.
-            vertical: (N, 3) unit vectors upwards in the axes of the camera; NaN or None where unknown.
-            vertical_std: (N,) rad, their standard deviations.
+        Points (N, T, J, 2) at `HISTORY_SLOTS_S` before the newest frame are in any unit, relative to the optical
+        axis if `focal`, in their unit, is finite; weights (N, T, J) are 0 where not seen. `vertical` (N, 3) are
+        unit vectors upwards in the camera's axes, NaN or None where unknown, with standard deviations (N,) in rad.
         """
         encoded = encode_histories(points, weight, focal, vertical, vertical_std)
         outputs = self.network.evaluate(encoded.features)
         return LiftedPoses(*engine.decode(outputs, *encoded, MIRROR_PERMUTATION, CORE_COUNT, *LOG_STD_RANGE))
 
     def lift_sequence(self, points: Array, weight: Array, times: Array, focal: float = math.inf) -> LiftedPoses:
-        """Estimate the pose of each of F frames from the frame itself and the frames before it.
-
-        Args:
-            points: (F, J, 2) image points; ignored where the weight is 0.
-            weight: (F, J) confidence scores, 0 for joints that were not seen.
-            times: (F,) s, increasing.
-            focal: focal length in the unit of the points; infinite if unknown.
-        """
+        """Estimate the pose of each of F frames from points (F, J, 2), weights and times (F,) s up to it."""
         return self.lift(*sample_histories(points, weight, times, np.arange(len(times))), focal)
 
 
 def scale_to_metres(lifted: LiftedPoses, times: Array, height: float) -> LiftedPoses:
     """Scale the poses of one person, in px, to metres, given the person's height in m.
 
-    The image of a person who comes nearer grows, but the person's bones do not. Each frame at `times` in s is
-    scaled by the sum of its bone lengths, averaged over neighbouring frames with a Gaussian of `SIZE_SMOOTHING_S`.
+    Each frame is scaled by the sum of its bone lengths, averaged over time with a Gaussian of `SIZE_SMOOTHING_S`.
     """
     bone_sum = CMU15.bone_lengths(lifted.joints[:, :CORE_COUNT]).sum(axis=1)
     is_lifted = np.isfinite(bone_sum)

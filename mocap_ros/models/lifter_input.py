@@ -9,10 +9,8 @@
     k = S^2 / (S^2 + s_v^2)                    certainty of the vertical v, of standard deviation s_v
     features: (x_tj - c_t) / u and w_tj of each slot and joint, k v, and the angular size u / f
 
-The core are the joints of `skeleton.CMU15`, the first of `skeleton.BODY26`: every detector gives them, so that the
-centroid and the unit do not depend on which of the others it gives.
-
-Shapes: N histories, T slots, J joints of `skeleton.BODY26`, F frames.
+The core are the joints of `skeleton.CMU15`, which every detector gives. Shapes: N histories, T slots, J joints of
+`skeleton.BODY26`, F frames.
 """
 
 from __future__ import annotations
@@ -45,21 +43,11 @@ FEATURE_COUNT = POINT_FEATURES + 4  # these, the vertical and the angular size
 
 
 def sample_histories(points: Array, weight: Array, times: Array, frames: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Sample a sequence at T slots for each of N frames: at the frame's time minus `HISTORY_SLOTS_S`.
+    """Sample points (F, J, 2) and weights (F, J) for each of N frames, at their times minus `HISTORY_SLOTS_S`.
 
-    The frame nearest to a slot is taken as it is if it is within `TIME_TOLERANCE_S`. At other slots, the point and
-    the score of a joint are interpolated between the frames before and after the slot if the joint was seen in
-    both and they are at most `MAX_INTERPOLATION_GAP_S` apart. Otherwise the joint counts as not seen.
-
-    Args:
-        points: (F, J, 2) image points in any unit; ignored where the weight is 0.
-        weight: (F, J) confidence scores, 0 for joints that were not seen.
-        times: (F,) s, increasing.
-        frames: (N,) indices of the newest frame of each history.
-
-    Returns:
-        (N, T, J, 2) image points and (N, T, J) confidence scores, newest slot first; both are 0 for joints that
-        were not seen.
+    The frame nearest to a slot is taken as it is within `TIME_TOLERANCE_S`. Otherwise a joint is interpolated
+    between the frames before and after, if both show it and are at most `MAX_INTERPOLATION_GAP_S` apart; else it
+    is not seen, 0 in both results (N, T, J, 2) and (N, T, J), newest slot first.
     """
     return engine.sample_histories(
         np.ascontiguousarray(points, float),
@@ -73,19 +61,12 @@ def sample_histories(points: Array, weight: Array, times: Array, frames: NDArray
 
 
 class NetworkInput(NamedTuple):
-    """Histories of N people or frames as the network gets them.
+    """Histories of N people or frames as the network gets them."""
 
-    Attributes:
-        features: (N, 2, FEATURE_COUNT) features of each history and of its mirror image.
-        newest: (N, J, 2) newest points as in the features, 0 for joints not seen.
-        size: (N,) unit of these points, the mean distance from the centroid, in the unit of the image points.
-        rotation: (N, 3, 3) rotations from the camera's frame to those of the virtual cameras.
-    """
-
-    features: Array32
-    newest: Array
-    size: Array
-    rotation: Array
+    features: Array32  # (N, 2, FEATURE_COUNT) features of each history and of its mirror image
+    newest: Array  # (N, J, 2) newest points as in the features, 0 for joints not seen
+    size: Array  # (N,) unit of these points, the mean distance from the centroid, in the unit of the image points
+    rotation: Array  # (N, 3, 3) rotations from the camera's frame to those of the virtual cameras
 
 
 def encode_histories(
@@ -93,15 +74,8 @@ def encode_histories(
 ) -> NetworkInput:
     """Convert histories to the input of the network, seen by virtual cameras that face the newest points.
 
-    Args:
-        points: (N, T, J, 2) image points in any unit, or (N, T, J_c, 2) without face, feet and hands; ignored
-            where the weight is 0. If `focal` is finite they are relative to the optical axis.
-        weight: (N, T, J) or (N, T, J_c) confidence scores, 0 for joints that were not seen.
-        focal: focal length of the camera in the unit of the points; infinite if unknown, which leaves out the
-            virtual cameras.
-        vertical: (N, 3) unit vectors upwards in the axes of the camera that took the points; NaN or None where
-            unknown.
-        vertical_std: (N,) rad, their standard deviations.
+    Arguments are those of `Lifter.lift`, also of the core alone, (N, T, J_c). An infinite `focal` leaves out the
+    virtual cameras.
     """
     upward = np.zeros((len(weight), 3))
     if vertical is not None and vertical_std is not None:
@@ -133,16 +107,10 @@ def weigh_vertical(vertical: Array, std: Array) -> Array:
 
 
 def encode_features(points: Array32, weight: Array32, focal: Array, upward: Array) -> tuple[Array32, Array, Array]:
-    """Convert histories that virtual cameras see already to features, as for training.
+    """Convert histories that virtual cameras see already to features (N, FEATURE_COUNT), as for training.
 
-    Args:
-        points: (N, T, J, 2) image points in any unit; ignored where the weight is 0.
-        weight: (N, T, J) confidence scores, 0 for joints that were not seen.
-        focal: (N,) focal lengths in the unit of the points; infinite if unknown.
-        upward: (N, 3) what `weigh_vertical` returns, in the axes of the virtual cameras.
-
-    Returns:
-        (N, FEATURE_COUNT) features; `newest` and `size` as in `NetworkInput`.
+    Focal lengths (N,) are in the unit of the points, `upward` (N, 3) is what `weigh_vertical` returns; `newest`
+    and `size` are those of `NetworkInput`.
     """
     given = np.asarray(points, float), np.asarray(weight, float), focal, upward
     features, newest, size, _ = _encode(*given, turns_cameras=False, images=1)

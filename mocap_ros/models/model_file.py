@@ -1,11 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Files of base poses and lifters: those shipped with the package and those that users train.
-
-A model file is an .npz without pickles. Files from users are untrusted, so every array and number is checked on
-reading, and sizes are bounded before anything is unpacked.
-"""
+"""Files of base poses and lifters: .npz without pickles, untrusted, so every array and size is checked."""
 
 from __future__ import annotations
 
@@ -101,17 +97,12 @@ def load_base_poses(name_or_path: str | Path) -> BasePoses:
 
 
 def load_base_pose_models(name: str) -> dict[str, BasePoses]:
-    """Load the base-pose model of a name or path, or all shipped models for `auto`; returns them by name.
-
-    Raises:
-        ModelError: As in `load_base_poses`.
-    """
+    """Load the base-pose model of a name or path, or all shipped models for `auto`; returns them by name."""
     return {n: load_base_poses(n) for n in (list_shipped_base_poses() if name == AUTO else (name,))}
 
 
 @contextmanager
 def _open_model(data: bytes, max_bytes: int, source: str, kind: str) -> Iterator[tuple[Any, dict[str, Array]]]:
-    """Yield the description and the finite real numbers of a model file; errors in the `with` block name it."""
     try:
         with open_npz(io.BytesIO(data), max_bytes) as archive:
             meta = json.loads(str(archive['meta']))
@@ -129,11 +120,7 @@ def _open_model(data: bytes, max_bytes: int, source: str, kind: str) -> Iterator
 
 
 def decode_base_poses(data: bytes, source: str) -> BasePoses:
-    """Decode a base-pose model from the bytes of its file; `source` names it in error messages.
-
-    Raises:
-        ModelError: The bytes are not a base-pose model, or the model has values that no training produces.
-    """
+    """Decode a base-pose model from the bytes of its file; `source` names it in a `ModelError`."""
     with _open_model(data, MAX_BASE_POSES_BYTES, source, 'base-pose model') as (meta, arrays):
         if meta['format'] != BASE_POSES_FORMAT:
             raise ValueError(f'format {meta["format"]!r}, expected {BASE_POSES_FORMAT!r}')
@@ -208,10 +195,7 @@ def _read_shipped(name: str, kind: type[Any], dtype: type[np.floating[Any]]) -> 
 
 @cache
 def load_prior_lifter(name: str, skeleton: Skeleton) -> Lifter | None:
-    """Load the lifter that `solver.prior` names; its file is read once in the life of a process.
-
-    The core of a lifter's poses are the joints of `skeleton.CMU15`, so there is none for base poses of any other
-    skeleton, nor for `pca`.
+    """Load the lifter that `solver.prior` names, once a process; none for `pca` or another skeleton.
 
     Raises:
         ModelError: The file cannot be read, or it is not a lifter.
@@ -222,11 +206,7 @@ def load_prior_lifter(name: str, skeleton: Skeleton) -> Lifter | None:
 
 
 def load_lifter(path: str | Path) -> Lifter:
-    """Load a lifter from a file.
-
-    Raises:
-        ModelError: The file cannot be read, or it is not a lifter.
-    """
+    """Load a lifter from a file; a `ModelError` says why it cannot be."""
     try:
         with open_input_file(path) as file:
             return decode_lifter(file.read(MAX_LIFTER_BYTES + 1), f'solver.prior: {path}')
@@ -235,11 +215,7 @@ def load_lifter(path: str | Path) -> Lifter:
 
 
 def decode_lifter(data: bytes, source: str) -> Lifter:
-    """Decode a lifter from the bytes of its file; `source` names it in error messages.
-
-    Raises:
-        ModelError: The bytes are not a lifter, or the lifter has values that no training produces.
-    """
+    """Decode a lifter from the bytes of its file; `source` names it in a `ModelError`."""
     with _open_model(data, MAX_LIFTER_BYTES, source, 'lifter') as (meta, arrays):
         if meta['format'] != LIFTER_FORMAT or not np.allclose(meta['slots'], HISTORY_SLOTS_S):
             raise ValueError(f'format {meta["format"]!r}, expected {LIFTER_FORMAT!r}')

@@ -9,27 +9,22 @@ joints about the root in the axes B of the body, come from a network of two hidd
     x = (V^T (q - m), f / 2, ln std, g, S^T B),    x' = (x - x_0) / x_s, within +-4
     (d_1, ..., d_J, d_0)(h_k) = W_2 a(W_1 a(W_0 x' + b_0) + b_1) + b_2,    a(t) = t / (1 + e^-t)
 
-    q     joints about the root in the axes of the body (forward, left, up), their velocities times
-          `VELOCITY_WEIGHT`, and where they were at each of the `PAST_S` less where they are; V and m are principal
-          directions and mean
-    f     along each axis of the line of sight: velocity of the root, where it was at each of the `PAST_S` less
-          where it is, the velocity and the ways of `HEADING_PAST` along the heading, mean velocity of the joints
-          about the root, and the direction of the heading; the axis upwards has a constant in place of that
-          direction, and the mean height of the joints over the root besides
-    g     what separates signal from jitter: accuracy of the pose, speed of the limbs, speed of the root
+    q     joints about the root in B, their velocities times `VELOCITY_WEIGHT`, and where they were at each of the
+          `PAST_S` less where they are; V and m are principal directions and mean
+    f     along each axis of S: velocity of the root, where it was at each of the `PAST_S` less where it is,
+          velocity and ways of `HEADING_PAST` along the heading, mean velocity of the joints about the root, and
+          direction of the heading; upwards a constant instead, and the mean height of the joints over the root
+    g     accuracy of the pose, speed of the limbs, speed of the root
 
-The axes of the line of sight are horizontally away from the camera, to the left and up: depth has most jitter, so
-a velocity along it counts less. The prediction is the mean of what the network says of the person and of the
-mirror image. Between the h_k, and from 0 on, displacements and variances are interpolated; beyond the last, they
-stay and deviations grow with time. The errors of the prediction have variances
+S is horizontally away from the camera, to the left and up. The prediction is the mean of those of the person and
+of the mirror image. Between the h_k displacements and variances are interpolated; beyond the last, they stay and
+deviations grow with time. The errors have variances
 
     s_a(h_k)^2 = c_0 + c_1 |v|^2 + c_2 l^2 + c_3 p^2
     s_j(h_k)^2 = std_j^2 + e_0 + e_1 |v_j|^2 + e_2 l^2 + e_3 p^2
 
-with |v| the speed of the root, |v_j| that of the joint about the root, l that of the limbs (all in m/s) and p the
-mean standard deviation of the joints. The c and e are fitted to squared errors on persons who were left out, and
-multiplied so that 95 of 100 errors are within the ellipsoids of that probability
-(`benchmarks/motion_predictor.py`, which trains all).
+with |v|, |v_j| and l the speeds of the root, of the joint about it and of the limbs (m/s) and p the mean standard
+deviation of the joints; c and e hold 95 of 100 errors of left-out persons (`benchmarks/motion_predictor.py`).
 """
 
 from __future__ import annotations
@@ -49,7 +44,7 @@ Array = NDArray[np.float64]
 
 PAST_S = (0.1, 0.2, 0.3, 0.4, 0.6, 0.8)  # s; times ago at which the motion is sampled
 HEADING_PAST = [1, 3, 5]  # indices of `PAST_S`; ways along the heading, which change slowly
-VELOCITY_WEIGHT = 0.2  # s; of the joints' velocities among the features, so that they vary about as much as places
+VELOCITY_WEIGHT = 0.2  # s; of the joints' velocities among the features, which then vary as much as positions
 ACCURACY_M = 0.04  # m; the first of the g is 0 for such a mean deviation of the joints; training has hardly better
 MAX_SPEED_M_S = 3.0  # m/s; speeds of the g are limited to that of a slow run, of which there is enough in training
 MEAN_SPEED_M_S = 0.5  # m/s; speed for which the second and third of the g are 0
@@ -61,92 +56,55 @@ LEAST_LENGTH = 1e-6  # 1 or m; guards the division by the length of a direction 
 
 
 class Past(NamedTuple):
-    """What is known of a person's motion, in m, m/s and the camera's optical frame.
+    """What is known of a person's motion, in m, m/s and the camera's optical frame."""
 
-    Attributes:
-        joints: (J, 3) at the newest frame, in the order of `skeleton.CMU15`.
-        velocity: (J, 3) there.
-        std: (J,) m, standard deviations there.
-        earlier: (6, J, 3) at each of the `PAST_S` before.
-        heading: (3,) direction in which the body faces.
-        upward: (3,) unit vector upwards.
-    """
-
-    joints: Array
-    velocity: Array
-    std: Array
-    earlier: Array
-    heading: Array
-    upward: Array
+    joints: Array  # (J, 3) at the newest frame, in the order of `skeleton.CMU15`
+    velocity: Array  # (J, 3) there
+    std: Array  # (J,) m, standard deviations there
+    earlier: Array  # (6, J, 3) at each of the `PAST_S` before
+    heading: Array  # (3,) direction in which the body faces
+    upward: Array  # (3,) unit vector upwards
 
 
 class Displacements(NamedTuple):
-    """Prediction of a person, or of each of N people, at T times ahead.
+    """Prediction of a person, or of each of N people, at T times ahead."""
 
-    Attributes:
-        joints: (..., T, J, 3) m, by which each joint moves.
-        std: (..., T, J) m, standard deviation of each joint about the root then, with that at the newest frame.
-        root_covariance: (..., T, 3, 3) m^2, what the prediction adds to the covariance of the root.
-    """
-
-    joints: Array
+    joints: Array  # (..., T, J, 3) m, by which each joint moves
+    # (..., T, J) m, standard deviation of each joint about the root then, with that at the newest frame
     std: Array
-    root_covariance: Array
+    root_covariance: Array  # (..., T, 3, 3) m^2, what the prediction adds to the covariance of the root
 
 
 class Features(NamedTuple):
-    """What the predictions of N people depend on.
+    """What the predictions of N people depend on."""
 
-    Attributes:
-        line_of_sight: (N, 3, 3) its axes, in columns.
-        body: (N, 3, 3) the axes of the body, in columns.
-        root: (N, 3, F) of the root, along each axis of the line of sight.
-        limbs: (N, D) of the joints about the root.
-        gates: (N, 3) the g of the module.
-        std: (N, J) m, standard deviations of the joints, limited to `STD_RANGE_M`; `ACCURACY_M` where unknown.
-        root_squares: (N, 4) 1 and the squares on which the variances of the root depend.
-        limb_squares: (N, J, 4) the same of each joint.
-    """
-
-    line_of_sight: Array
-    body: Array
-    root: Array
-    limbs: Array
-    gates: Array
-    std: Array
-    root_squares: Array
-    limb_squares: Array
+    line_of_sight: Array  # (N, 3, 3) its axes, in columns
+    body: Array  # (N, 3, 3) the axes of the body, in columns
+    root: Array  # (N, 3, F) of the root, along each axis of the line of sight
+    limbs: Array  # (N, D) of the joints about the root
+    gates: Array  # (N, 3) the g of the module
+    std: Array  # (N, J) m, standard deviations of the joints, limited to `STD_RANGE_M`; `ACCURACY_M` where unknown
+    root_squares: Array  # (N, 4) 1 and the squares on which the variances of the root depend
+    limb_squares: Array  # (N, J, 4) the same of each joint
 
 
 @dataclass(frozen=True, eq=False)
 class MotionPredictor:
-    """A predictor that was trained for K times ahead (formulas of the module); I inputs, H hidden units.
+    """A predictor that was trained for K times ahead (formulas of the module); I inputs, H hidden units."""
 
-    Attributes:
-        times: (K,) s, the h_k, increasing.
-        mean: (D,) m, the m.
-        directions: (D, Z) the V.
-        centre: (I,) the x_0.
-        scale: (I,) the x_s.
-        weight_0: (I, H); bias_0 (H,), weight_1 (H, H) and bias_1 (H,) follow.
-        weight_2: (H, 3 K (J + 1)), with bias_2 in m; for each time the joints, then the root.
-        root_variance: (K, 3, 4) the c.
-        limb_variance: (K, J, 4) the e.
-    """
-
-    times: Array
-    mean: Array
-    directions: Array
-    centre: Array
-    scale: Array
-    weight_0: Array
+    times: Array  # (K,) s, the h_k, increasing
+    mean: Array  # (D,) m, the m
+    directions: Array  # (D, Z) the V
+    centre: Array  # (I,) the x_0
+    scale: Array  # (I,) the x_s
+    weight_0: Array  # (I, H); bias_0 (H,), weight_1 (H, H) and bias_1 (H,) follow
     bias_0: Array
     weight_1: Array
     bias_1: Array
-    weight_2: Array
+    weight_2: Array  # (H, 3 K (J + 1)), with bias_2 in m; for each time the joints, then the root
     bias_2: Array
-    root_variance: Array
-    limb_variance: Array
+    root_variance: Array  # (K, 3, 4) the c
+    limb_variance: Array  # (K, J, 4) the e
 
     def predict(self, past: Past, times: Array) -> Displacements:
         """Return the prediction at times (T,) in s after the newest frame, not negative."""
@@ -209,7 +167,6 @@ def _activate(values: Array) -> Array:
 
 @lru_cache(maxsize=100)  # a node asks for the same times again and again, except in gaps
 def _interpolate(knots: tuple[float, ...], times: tuple[float, ...]) -> tuple[Array, Array]:
-    """Return the weights (N, K) of displacements, and of variances, at the later knots for N times in s."""
     within = np.minimum(times, knots[-1])
     linear = np.stack([np.interp(within, knots, row) for row in np.eye(len(knots))], axis=1)
     longer = (np.maximum(times, knots[-1]) / knots[-1]) ** 2
@@ -268,9 +225,8 @@ def compute_features(pasts: Sequence[Past]) -> Features:
     )
 
 
-def _centre(places: Array) -> Array:
-    """Return the middles (..., 3) between the hips of places or velocities (..., J, 3)."""
-    return np.asarray((places[..., HIPS[0], :] + places[..., HIPS[1], :]) / 2)
+def _centre(positions: Array) -> Array:
+    return np.asarray((positions[..., HIPS[0], :] + positions[..., HIPS[1], :]) / 2)
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -4,19 +4,11 @@
 """The lifter's network, evaluated with weights that are rounded to integers.
 
     h_0 = relu(W_0 x + b_0),   h_(i+1) = h_i + relu(W'_i relu(W_i h_i + b_i) + b'_i),   y = W h + b
+    W_oi ~ s_i c_oi,   s_i = max_o |W_oi| / c_max,   c_max = 127 (hidden) or 32767 (first and last layer)
 
-Most of the time goes into fetching and converting the 3.2 million weights. Those of the hidden layers are
-therefore rounded to 8 bits, those of the first and of the last layer, to whose errors the outputs are more
-sensitive, to 16:
-
-    W_oi ~ s_i c_oi,   s_i = max_o |W_oi| / c_max,   c_max = 127 or 32767
-
-Such a pose differs by 1.3 mm from that of the exact network, and its error by less than 0.01 mm. Weights are
-fetched only where the input that they belong to is not 0, which does not change the result; relu makes half of the
-inputs 0.
-
-Two rows of inputs at a time are evaluated, a pose and its mirror image, which use nearly the same weights.
-The outputs of a row depend on that row alone, to the last bit: each is a sum over the inputs in their order.
+Most of the time goes into fetching the 3.2 million weights, so only those of inputs other than 0 are fetched. Such
+a pose differs by 1.3 mm from that of the exact network, and its error by less than 0.01 mm. Two inputs at a time
+are evaluated, a pose and its mirror image; the outputs of each depend on it alone, to the last bit.
 
 Shapes: P pairs, I features, W hidden units, H hidden layers, O outputs.
 """
@@ -39,26 +31,16 @@ class RoundedNetwork(NamedTuple):
     """A network whose weights are rounded to integers, the codes c, times the scales s of its inputs.
 
     Rows of codes are filled up with zeros to a multiple of sixteen.
-
-    Attributes:
-        first: (I, W or more) codes of the first layer.
-        first_scales: (I,) its scales.
-        hidden: (H, W, W or more) codes of the layers of the residual blocks, two for each block.
-        hidden_scales: (H, W) their scales.
-        last: (W, O or more) codes of the last layer.
-        last_scales: (W,) its scales.
-        biases: (1 + H, W) biases of all layers but the last.
-        last_bias: (O,) biases of the last layer.
     """
 
-    first: Codes
-    first_scales: Array32
-    hidden: Codes
-    hidden_scales: Array32
-    last: Codes
-    last_scales: Array32
-    biases: Array32
-    last_bias: Array32
+    first: Codes  # (I, W or more) codes of the first layer
+    first_scales: Array32  # (I,) its scales
+    hidden: Codes  # (H, W, W or more) codes of the layers of the residual blocks, two for each block
+    hidden_scales: Array32  # (H, W) their scales
+    last: Codes  # (W, O or more) codes of the last layer
+    last_scales: Array32  # (W,) its scales
+    biases: Array32  # (1 + H, W) biases of all layers but the last
+    last_bias: Array32  # (O,) biases of the last layer
 
     @staticmethod
     def from_layers(layers: Sequence[tuple[Array32, Array32]]) -> RoundedNetwork:

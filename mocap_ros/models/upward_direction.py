@@ -6,20 +6,14 @@
     u = normalise(c - f - b l n),    c = sum_j m_j P_j,    f = (ankle_l + ankle_r) / 2
     n = normalise(h x (c - f)),      h = hip_l - hip_r + shoulder_l - shoulder_r
 
-with m_j the share of the body's mass that joint j carries, l the length of a leg and the trunk, and n the
-direction ahead: feet carry the body a little in front of the ankles. The masses are those of segments between
-joints, with their centres of mass, by Winter ("Biomechanics and Motor Control of Human Movement", 4th edition,
-table 4.1).
-
-Who sits shows no direction upwards, for the feet do not carry the body. Whether a person stands shows in the
-flexion phi of the straighter hip, the smaller angle between the trunk and a thigh; who bows or squats deeply does
-not count as standing either:
+with m_j the share of the body's mass that joint j carries (Winter, "Biomechanics and Motor Control of Human
+Movement", 4th edition, table 4.1), l the length of a leg and the trunk, and n the direction ahead. Who sits shows
+no direction upwards; whether a person stands shows in the flexion phi of the straighter hip:
 
     share = (PHI_1 - phi) / (PHI_1 - PHI_0), between 0 and 1
 
-Over the motion capture of training persons (stands, walks, jumps, exercises, games) half of the angles between u
-and the vertical are below 3.2 degrees, two thirds below 5, and 3 % above 27 (lying, sitting, tumbling). A linear
-regression on all coordinates of the joints is no better.
+Over the motion capture of training persons half of the angles between u and the vertical are below 3.2 degrees,
+two thirds below 5, and 3 % above 27 (lying, sitting, tumbling).
 """
 
 from __future__ import annotations
@@ -35,7 +29,7 @@ Array = NDArray[np.float64]
 # 1; b: how far ahead of the ankles the feet carry the body, over the length of a leg and the trunk: 7 cm at a
 # stature of 1.7 m. 5 and 9 cm are worse on the training persons.
 SUPPORT_AHEAD = 0.053
-# Segments: upper and lower end, share of the body's mass, and place of the centre of mass between the ends.
+# Segments: upper and lower end, share of the body's mass, and position of the centre of mass between the ends.
 _TRUNK_SEGMENTS = (('neck', 'pelvis', 0.497, 0.5), ('neck', 'head', 0.081, 1.0))
 _LIMB_SEGMENTS = (
     ('shoulder', 'elbow', 0.028, 0.436),
@@ -50,12 +44,11 @@ MIN_LENGTH = 1e-9  # guards divisions by lengths, far below those of bodies in a
 
 
 def _share_masses() -> Array:
-    """Return the share of the body's mass that each joint carries, (J,)."""
-    limbs = [(s + a, s + b, mass, place) for s in 'lr' for a, b, mass, place in _LIMB_SEGMENTS]
+    limbs = [(s + a, s + b, mass, share) for s in 'lr' for a, b, mass, share in _LIMB_SEGMENTS]
     masses = np.zeros(len(CMU15.joints))
-    for upper, lower, mass, place in (*_TRUNK_SEGMENTS, *limbs):
-        masses[CMU15.joints.index(upper)] += (1 - place) * mass
-        masses[CMU15.joints.index(lower)] += place * mass
+    for upper, lower, mass, share in (*_TRUNK_SEGMENTS, *limbs):
+        masses[CMU15.joints.index(upper)] += (1 - share) * mass
+        masses[CMU15.joints.index(lower)] += share * mass
     return masses / masses.sum()
 
 
@@ -66,10 +59,7 @@ _SIDES = np.array([[CMU15.joints.index(s + n) for n in ('shoulder', 'hip', 'knee
 
 
 def find_upward(joints: Array) -> Array:
-    """Return the directions upwards (N, 3) that poses (N, J, 3) show, as unit vectors in the axes of the poses.
-
-    The joints, in any unit, are those of `CMU15` or of `BODY26`; NaN gives NaN.
-    """
+    """Return the unit vectors upwards (N, 3) that poses (N, J, 3) of `CMU15` or `BODY26` show."""
     poses = np.ascontiguousarray(joints)
     return engine.find_upward(poses, MASSES, _SIDES, _NECK, _PELVIS, SUPPORT_AHEAD, MIN_LENGTH)
 

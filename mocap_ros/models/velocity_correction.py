@@ -3,27 +3,22 @@
 
 """Learned correction of the velocities that the motion filter gives, from the last 0.8 s.
 
-With v_j and v_0 the filter's velocities of joint j and of the root, the place between the hips, and B the axes of
-the body (forward, left, up), the corrected velocities are
+With v_j and v_0 the filter's velocities of joint j and of the root, between the hips, and B the axes of the body
+(forward, left, up), the corrected velocities are
 
     v_j + l_j limit(B (c_0 + c_j)),        l_j = min(1, L s_j / |limit(B (c_0 + c_j))|)
     (c_1, ..., c_J, c_0) = W_1 a(W_0 x' + b_0) + b_1,        a(t) = t / (1 + e^-t)
     x = (u_j, m_kj - u_j, q_j, u_0, m_k0 - u_0, B^T e),      x' = (x - x_0) / x_s, within +-4
 
     u_0, u_j     B^T v_0, and B^T (v_j - v_0)
-    m_k0, m_kj   mean velocities over each of the `SPANS_S` up to now, by the solution, of the root and of the
-                 joint about it, in these axes
-    q_j          joint about the root, in these axes
-    e            direction in which the root is seen, along which errors are largest
-    s_j          the filter's standard deviation of v_j
-    L            `MAX_CORRECTION`
-    limit        shortens the parts of a vector along and across the line of sight to those of the differences
-                 from v_j of the mean velocities over 0.1 to 0.4 s, the largest of each
+    m_k0, m_kj   mean velocities over each of the `SPANS_S` up to now, of the root and of the joint about it, in B
+    q_j, e       joint about the root, in B; direction in which the root is seen, along which errors are largest
+    s_j, L       the filter's standard deviation of v_j; `MAX_CORRECTION`
+    limit        shortens the parts along and across the line of sight to those of the largest differences of the
+                 mean velocities over 0.1 to 0.4 s from v_j
 
-The correction is the mean of what the network says of the person and of the mirror image. Where the mean
-velocities agree with the filter's, nothing is corrected, as with exact points of a person who stands still or is
-carried without stepping; with noise, little is. The network was also shown people whose whole body moves otherwise
-than their limbs do, as on wheels or a treadmill (`benchmarks/velocity_correction.py`, which trains it).
+It is the mean of what the network says of the person and of the mirror image
+(`benchmarks/velocity_correction.py`).
 """
 
 from __future__ import annotations
@@ -52,39 +47,24 @@ _HIPS = np.array(HIPS)
 
 
 class VelocityPast(NamedTuple):
-    """What the correction rests on, in m, m/s and the camera's optical frame.
+    """What the correction rests on, in m, m/s and the camera's optical frame."""
 
-    Attributes:
-        velocity: (J, 3) of the motion filter, in the order of `skeleton.CMU15`.
-        std: (J,) m/s, standard deviations of it.
-        joints: (J, 3) of the solution at the newest frame.
-        earlier: (5, J, 3) of the solution at each of the `SPANS_S` before; NaN where not known.
-        axes: (3, 3) axes of the body, in columns.
-    """
-
-    velocity: Array
-    std: Array
-    joints: Array
-    earlier: Array
-    axes: Array
+    velocity: Array  # (J, 3) of the motion filter, in the order of `skeleton.CMU15`
+    std: Array  # (J,) m/s, standard deviations of it
+    joints: Array  # (J, 3) of the solution at the newest frame
+    earlier: Array  # (5, J, 3) of the solution at each of the `SPANS_S` before; NaN where not known
+    axes: Array  # (3, 3) axes of the body, in columns
 
 
 @dataclass(frozen=True, eq=False)
 class VelocityCorrection:
-    """A network that was trained for this (formulas of the module); I inputs, H hidden units, J joints.
+    """A network that was trained for this (formulas of the module); I inputs, H hidden units, J joints."""
 
-    Attributes:
-        centre: (I,) the x_0.
-        scale: (I,) the x_s.
-        weight_0: (I, H), with bias_0 (H,).
-        weight_1: (H, 3 (J + 1)), with bias_1 in m/s; the joints, then the root.
-    """
-
-    centre: Array32
-    scale: Array32
-    weight_0: Array32
+    centre: Array32  # (I,) the x_0
+    scale: Array32  # (I,) the x_s
+    weight_0: Array32  # (I, H), with bias_0 (H,)
     bias_0: Array32
-    weight_1: Array32
+    weight_1: Array32  # (H, 3 (J + 1)), with bias_1 in m/s; the joints, then the root
     bias_1: Array32
 
     def correct(self, past: VelocityPast) -> Array:

@@ -29,10 +29,10 @@ Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 PALE_COLOUR = '#a8a8a8'  # grey; people who are predicted or tentative
-# Colours of several people, which people with defective colour vision can tell apart as well (Okabe and Ito 2008),
+# Colours of several people, which people with defective colour vision distinguish as well (Okabe and Ito 2008),
 # without the orange of inferred joints
 PERSON_COLOURS = ('#0072b2', '#009e73', '#cc79a7', '#a6761d', '#56b4e9', '#7a5195', '#66a61e', '#b2182b')
-RIGHT_SHADE = 0.62  # factor of a person's colour on the right side of the body, dark enough to be told apart
+RIGHT_SHADE = 0.62  # factor of a person's colour on the right side of the body, dark enough to differ
 TRAIL_JOINT = 'pelvis'  # the joint whose way is drawn, because it is nearest to the centre of the body
 FLOOR_PERCENTILE = 95  # %; of the heights of the lowest joint, so that a few outliers do not lower the floor
 EXTENT_PERCENTILES = (2, 98)  # %; of the joints' coordinates, for the first view of the scene
@@ -44,7 +44,7 @@ MIN_SWAP_ERROR = 0.03  # 1
 # The parts of the body whose sides detectors exchange, by their joints without the side.
 SIDED_PARTS = (('shoulder', 'elbow', 'wrist'), ('hip', 'knee', 'ankle'))
 SIDED_JOINTS = tuple(side + joint for side in 'lr' for part in SIDED_PARTS for joint in part)
-MAX_CENTRE_DISTANCE = 1.0  # extents of a person's image; a detection whose centre is farther is of somebody else
+MAX_CENTRE_DISTANCE = 1.0  # extents of a person's image; a detection whose centre is farther is another person's
 MIN_DEPTH_M = 0.1  # m; nearer joints have no image point that could be drawn
 MIN_PART_JOINTS = 2  # pairs of joints of a part that must be seen on both sides; one alone may be an outlier
 
@@ -88,7 +88,7 @@ class ScenePerson:
         cadence: (N,) Hz; NaN where the motion is not periodic.
         motion: (N,) kind of motion, as in `people.MotionKind`.
         predicted: (N,) True where the person was not detected.
-        tentative: (N,) True where the person was seen too shortly to be sure that there is somebody.
+        tentative: (N,) True where the person was seen too shortly to be certain.
     """
 
     id: str
@@ -168,7 +168,7 @@ class Scene:
 
     @cached_property
     def _coordinates(self) -> Array:
-        """(K, 3) m, joints of all people in all frames, or one point before the camera where there is nobody."""
+        """(K, 3) m, joints of all people in all frames, or one point before the camera where there are none."""
         joints = [person.joints.reshape(-1, 3) for person in self.people]
         known = [own[np.isfinite(own).all(axis=1)] for own in joints]
         return np.concatenate([*known, np.empty((0, 3))]) if any(map(len, known)) else np.array([[0.0, 0.0, 4.0]])
@@ -185,7 +185,7 @@ class Scene:
 
     @cached_property
     def to_level(self) -> Array:
-        """(3, 3) rotation from the camera's optical frame to that of a level camera at its place."""
+        """(3, 3) rotation from the camera's optical frame to that of a level camera at its position."""
         return rotation_to_level(self.vertical)
 
     @cached_property
@@ -282,9 +282,9 @@ class SidedPoints(NamedTuple):
         """Return these keypoints of all detections of a layout."""
         names = canonical_joint_names(keypoints.skeleton.joints)
         points = np.full((len(keypoints.points), len(SIDED_JOINTS), 2), np.nan, np.float32)
-        for place, joint in enumerate(SIDED_JOINTS):
+        for column, joint in enumerate(SIDED_JOINTS):
             if joint in names:
-                points[:, place] = keypoints.points[:, names.index(joint)]
+                points[:, column] = keypoints.points[:, names.index(joint)]
         count = np.isfinite(points).sum(axis=1)
         centre = np.nansum(points, axis=1) / np.where(count > 0, count, np.nan)
         return SidedPoints(keypoints.frames, points, centre.astype(np.float32))
@@ -344,9 +344,9 @@ def _compare_sides(points: Array32, image: Array32, extent: Array32) -> tuple[Ar
     )
     cost, verdict = np.zeros(len(points), np.float32), np.zeros(len(points), bool)
     for part in SIDED_PARTS:
-        places = [place for place, joint in enumerate(SIDED_JOINTS) if joint[1:] in part]
-        count = both[:, places].sum(axis=1)
-        as_is, other = (e[:, places].sum(axis=1) / np.maximum(count, 1) for e in (error, exchanged))
+        columns = [column for column, joint in enumerate(SIDED_JOINTS) if joint[1:] in part]
+        count = both[:, columns].sum(axis=1)
+        as_is, other = (e[:, columns].sum(axis=1) / np.maximum(count, 1) for e in (error, exchanged))
         is_exchanged = (other < MAX_EXCHANGED_ERROR * as_is) & (as_is > MIN_SWAP_ERROR * extent)
         verdict |= is_exchanged & (count >= 2 * MIN_PART_JOINTS)
         cost += np.minimum(as_is, other) / extent
