@@ -149,6 +149,8 @@ def test_a_hand_and_a_foot_have_capsules_where_they_are_known() -> None:
     assert len(set(names['cmu15'])) == len(names['cmu15']) == 12
     assert set(names['body26']) - set(names['cmu15']) == {'l_hand', 'r_hand', 'l_foot', 'r_foot'}
     assert len(names['body26']) == MAX_PARTS
+    *_, radius = compute_capsules(STANDING, np.full(15, np.nan), CMU15)  # as thick as the body
+    assert radius == pytest.approx([p.half_thickness_m for p in list_body_parts(CMU15)])
 
 
 def test_collision_objects_hold_the_capsules_and_leave_the_scene_with_the_person() -> None:

@@ -26,7 +26,7 @@ from mocap_ros.messages.plain import encode_plain
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.ros.qos import choose_playback_profile
-from mocap_ros.ros.subscriptions import InputSubscriptions, LostMessages
+from mocap_ros.ros.subscriptions import MAX_PUBLISHERS, InputSubscriptions, LostMessages
 from mocap_ros.ros.topics import SilenceMonitor
 from tests.support.ros_node import Peer
 
@@ -153,3 +153,10 @@ def test_what_is_missing_between_messages_of_a_publisher_is_lost(arrivals: list[
         counted += counter.count(describe(publisher, numbers[publisher]))
         lost, missing[publisher], has_arrived[publisher] = lost + missing[publisher], 0, True
         assert counted == lost
+
+
+def test_publishers_that_come_and_go_take_no_memory() -> None:
+    counter = LostMessages()
+    for publisher in range(5 * MAX_PUBLISHERS):
+        assert counter.count(describe(publisher, 7)) == 0
+    assert len(counter._last_numbers) <= MAX_PUBLISHERS
