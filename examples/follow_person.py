@@ -21,7 +21,7 @@ LOST_S = 0.3  # s; a person who was not seen for longer is not followed
 
 
 def choose_person(skeletons, followed=''):
-    """Return the person with this id, or else the one who was first seen longest ago; None where nobody is.
+    """Return the person with this id, or else the one who was first seen longest ago; None where there is none.
 
     People in the camera's frame, which the node publishes where it knows no transform, are not followed.
     """

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Stop a robot while somebody will be nearer than DISTANCE_M within HORIZON_S, by the joints' velocities.
+"""Stop a robot while a person will be nearer than DISTANCE_M within HORIZON_S, by the joints' velocities.
 
 Run mocap_node with -p node.output_frame:=base_link, so that distances are from the robot. It reads `skeletons` and
 publishes std_msgs/Bool on `stop`; it also says stop where nothing has been heard for SILENCE_S, and when it ends.
@@ -19,7 +19,7 @@ SILENCE_S = 0.5
 
 
 def nearest_distance(skeletons, horizon_s=HORIZON_S):
-    """Return the smallest distance in m of any joint of anybody from now to the horizon; infinity for nobody."""
+    """Return the smallest distance in m of any joint of a person from now to the horizon; infinity for none."""
     nearest = math.inf
     for person in skeletons.people:
         if person.tentative:
@@ -40,7 +40,7 @@ def nearest_distance(skeletons, horizon_s=HORIZON_S):
 
 
 def must_stop(skeletons):
-    """Return whether somebody is or will be too near, or nobody knows, as people are in the camera's frame."""
+    """Return whether a person is or will be too near, or this is unknown, as people are in the camera's frame."""
     is_placed = skeletons.header.frame_id != skeletons.camera_frame_id
     return not is_placed or nearest_distance(skeletons) < DISTANCE_M
 

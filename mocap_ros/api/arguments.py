@@ -115,11 +115,7 @@ def read_camera(
 def check_camera(
     image_size: ArrayLike, camera_matrix: ArrayLike | None, distortion: ArrayLike | None
 ) -> tuple[tuple[int, int], Array | None, Array | None]:
-    """Check a camera more strictly than that of a file, which was calibrated once.
-
-    Returns:
-        The size of the image (width, height) in px, the camera matrix (3, 3) in px and the distortion.
-    """
+    """Check a camera more strictly than that of a file, which was calibrated once; return it as it is used."""
     if camera_matrix is None and distortion is not None:
         raise InputError('distortion: needs a camera_matrix')
     arrays = read_camera(image_size, camera_matrix, distortion)
@@ -139,12 +135,7 @@ def check_camera(
 
 
 def check_sequence(sequence: KeypointSequence, times: str = 'timestamps') -> KeypointSequence:
-    """Return the sequence with all checks that a sequence file gets, since anybody can create one.
-
-    Args:
-        sequence: the sequence.
-        times: name of its timestamps in errors.
-    """
+    """Return the sequence after the checks that a sequence file gets; `times` names its timestamps in errors."""
     for field, kind, default in (
         ('person_id', str, ''),
         ('frame_id', str, ''),

@@ -87,11 +87,6 @@ class BackgroundRecorder:
         since_s = self._busy_since_s
         return 0.0 if since_s is None else time.monotonic() - since_s
 
-    @property
-    def is_closed(self) -> bool:
-        """Whether the thread has ended: the bag is finished, or the recording has failed."""
-        return not self._thread.is_alive()
-
     def put(
         self, records: Iterable[RecordedMessage | Topic], *, even_if_full: bool = False, share: float = 1.0
     ) -> bool:
@@ -132,11 +127,8 @@ class BackgroundRecorder:
         if error is not None:
             raise error
 
-    def close(self, timeout_s: float | None = None) -> bool:
-        """Write the waiting batches and finish the bag; return False where that takes longer and goes on.
-
-        Args:
-            timeout_s: How long to wait for the disk; by default until the bag is finished.
+    def close(self) -> None:
+        """Write the waiting batches and finish the bag.
 
         Raises:
             RecordingError: The disk is full or fails.
@@ -144,9 +136,8 @@ class BackgroundRecorder:
         with self._wake:
             self._closing = True
             self._wake.notify()
-        self._thread.join(timeout_s)
+        self._thread.join()
         self.check()
-        return self.is_closed
 
     def _run(self) -> None:
         """Run the writing thread until the recorder is closed or fails."""

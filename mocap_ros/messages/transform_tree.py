@@ -162,11 +162,6 @@ class TransformTree:
             messages += [write_transforms(transforms[start : start + PART_TRANSFORMS]) for start in starts]
         return parts
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether no transform is known."""
-        return not self._links
-
     def _is_parent(self, name: str) -> bool:
         return any(link.parent == name for link in self._links.values())
 

@@ -122,7 +122,7 @@ def test_a_message_with_an_invalid_transform_adds_nothing(transform: Any, messag
     tree = TransformTree()
     with pytest.raises(InputError, match=message):
         tree.add(make_transforms(('map', 'good', 0, (0, 0, 0)), transform), is_static=False)
-    assert tree.is_empty
+    assert not tree._links
 
 
 def test_names_that_never_end_fill_no_memory() -> None:
