@@ -29,7 +29,7 @@ from mocap_ros.skeleton import LAYOUT_NAMES
 
 # Options of all commands that name files to read; a name that is no file does no harm.
 FILE_OPTIONS = (
-    *('input', 'config', 'model', 'detector', 'choices', 'truth'),
+    *('input', 'config', 'model', 'detector', 'choices', 'truth', 'video'),
     *('manifest', 'markers', 'start_from'),
 )
 MAX_IMAGE_SIZE_CHARACTERS = 20  # characters of --image-size; guards int() against thousands of digits

@@ -1,11 +1,13 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""`mocap-ros view`: show any recording or result in 3D over time, or draw a picture of it."""
+"""`mocap-ros view`: show any recording or result in 3D over time, or draw a picture or a film of it."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,19 +18,17 @@ from mocap_ros.cli.options import add_config_options, derive_output_stem, load_c
 from mocap_ros.cli.terminal import print_note, print_result, show_progress
 from mocap_ros.errors import InputError
 from mocap_ros.formats.text_files import check_output, replace_output
+from mocap_ros.formats.video import write_video
 from mocap_ros.runtime.input_kind import require_kind
 from mocap_ros.runtime.load_results import holds_result
-from mocap_ros.runtime.load_scene import (
-    VIEWED_FORMATS,
-    VIEWED_KINDS,
-    SceneOptions,
-    load_scene,
-)
+from mocap_ros.runtime.load_scene import VIEWED_FORMATS, VIEWED_KINDS, SceneOptions, load_scene
+from mocap_ros.runtime.scene_images import read_images
 from mocap_ros.viewing import plots
+from mocap_ros.viewing.overlay import Overlay, StampedImage, pick_images, reduce_images
 from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.scene import Scene
 
-PAGE_SUFFIX = '.html'  # of the page; any other suffix is that of a picture
+PAGE_SUFFIX, FILM_SUFFIX = '.html', '.mp4'  # any other suffix is that of a picture
 POSES = 8  # frames in a picture; many more would be too small to see
 
 
@@ -37,9 +37,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         'Shows skeletons in 3D beside the 2D input, and over time residual, cadence, kind of motion, undone swaps '
         'of left and right, predicted frames and dropped inputs, on a page: one file that opens in any browser, '
-        'offline. If the output is a picture, such as OUT.png, it shows some frames of one person: the keypoints '
-        'and the 3D result as seen from the camera and from the side, and the error over time where a sequence '
-        'file holds the true joints. Skeletons in a result of `reconstruct` or in a bag are shown as '
+        'offline. The images of a video, or those in a bag, are behind the points. A film (.mp4) shows keypoints '
+        'and skeletons in these images. A picture, such as OUT.png, shows some frames of one person: the '
+        'keypoints and the 3D result as seen from the camera and from the side, and the error over time where a '
+        'sequence file holds the true joints. Skeletons in a result of `reconstruct` or in a bag are shown as '
         'they are; the people in any other input that `reconstruct` accepts are reconstructed.'
     )
     add_input_options(parser)
@@ -48,7 +49,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--output',
         type=Path,
         metavar='OUT',
-        help='page (.html) or picture (.png, .svg, .pdf, ...) to write (default: IN.html in the current folder)',
+        help='page (.html), film (.mp4) or picture (.png, .svg, .pdf, ...) to write (default: IN.html in the '
+        'current folder)',
+    )
+    parser.add_argument(
+        '--video',
+        type=Path,
+        metavar='FILE',
+        help='video, or bag with images, that the keypoints of IN come from (default: IN)',
     )
     add_model_option(parser)
     add_config_options(parser)
@@ -58,23 +66,34 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Load the scene of the input, and write its page or its picture."""
     output: Path = args.output or Path(f'{derive_output_stem(args.input)}{PAGE_SUFFIX}')
-    is_page = output.suffix == PAGE_SUFFIX
-    if not is_page:
-        plots.check_picture_format(output, PAGE_SUFFIX)
+    is_picture = output.suffix not in (PAGE_SUFFIX, FILM_SUFFIX)
+    if is_picture:
+        plots.check_picture_format(output, PAGE_SUFFIX, FILM_SUFFIX)
     require_kind(args.input, VIEWED_KINDS, VIEWED_FORMATS)
     _refuse_unused_options(args)
     config = load_config(args)
     sources = list_sources(args, config)
     check_output(output, *sources)
-    options = SceneOptions(config, load_models(args, config), read_input_options(args, config), not is_page)
+    options = SceneOptions(config, load_models(args, config), read_input_options(args, config), is_picture)
     scene, lines = load_scene(args.input, options, lambda items, total: show_progress(items, 'view', total))
     for line in lines:
         print_note(line)
+    notes: list[str] = []
+    images = read_images(args.video or args.input, config.node, args.topic, notes)
     with replace_output(output, *sources) as unfinished:
-        if is_page:
+        if output.suffix == PAGE_SUFFIX:
+            scene = replace(scene, images=reduce_images(scene, images))
             unfinished.write_text(build_page(scene), encoding='utf-8')
+            if scene.images and scene.images.jpegs:
+                size_mb, step = sum(map(len, scene.images.jpegs)) / 1e6, scene.images.step
+                every = 'every image' if step == 1 else f'one image of {step}'
+                notes.append(f'{output}: holds {every}, {size_mb:.1f} MB')
+        elif output.suffix == FILM_SUFFIX:
+            write_video(unfinished, Overlay(scene).draw_film(images))
         else:
-            save_picture(scene, unfinished)
+            save_picture(scene, unfinished, images)
+    for line in notes:
+        print_note(line)
     print_result(output)
     return 0
 
@@ -91,9 +110,10 @@ def _refuse_unused_options(args: argparse.Namespace) -> None:
             raise InputError(f'{args.input}: holds a result, which is shown as it is; --{option} does not apply')
 
 
-def save_picture(scene: Scene, path: Path) -> None:
+def save_picture(scene: Scene, path: Path, images: Iterable[StampedImage] = ()) -> None:
     """Draw `POSES` frames of a scene, evenly distributed over its time."""
     count = len(scene.stamps_ns)
     frames = np.linspace(0, count - 1, min(POSES, count)).round().astype(int).tolist()
     labels = [f'{scene.times[frame]:.2f} s' for frame in frames]
-    plots.save_figure(plots.draw_poses_figure(scene.to_plot_data(), frames, scene.title, labels), path)
+    data = replace(scene.to_plot_data(), images=pick_images(scene, images, frames))
+    plots.save_figure(plots.draw_poses_figure(data, frames, scene.title, labels), path)

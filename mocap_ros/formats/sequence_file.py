@@ -332,6 +332,11 @@ def _create_distortion(distortion: Array | None) -> Distortion:
 
 
 READ_KEYS = ('joints3d', 'joint_names', 'timestamps', 'seen', 'residual_px')  # the keys that are read again
+# The keys of the 2D points from which a result was made, each with its key in a sequence file.
+INPUT_KEYS = {
+    'keypoints': 'keypoints', 'keypoint_names': 'joint_names', 'timestamps': 'timestamps',
+    'image_size': 'image_size', 'camera_matrix': 'camera_matrix', 'distortion': 'distortion',
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -347,6 +352,7 @@ class StoredResult:
         recorded_ns: (F,) times in ns, where they are known more exactly than in s, or empty.
         std: (F, J) m, standard deviation of each joint in the body, or None where they are not stored.
         root_covariance: (F, 3, 3) m^2, covariance of the place between the hips, likewise.
+        sequence: the keypoints with the camera, which may be a nominal one, or None where they are not stored.
     """
 
     times: Array
@@ -357,6 +363,7 @@ class StoredResult:
     recorded_ns: tuple[int, ...] = ()
     std: Array | None = None
     root_covariance: Array | None = None
+    sequence: KeypointSequence | None = None
 
     @property
     def stamps_ns(self) -> list[int]:
@@ -376,7 +383,8 @@ def load_result_file(path: Path) -> StoredResult:
         InputError: the file is not a result, or its content is not valid; the error names the file and the key.
     """
     with naming(path):
-        arrays = ArrayReader(read_arrays(path, READ_KEYS, 'a result of reconstruct'))
+        array_by_key = read_arrays(path, {*READ_KEYS, *INPUT_KEYS}, 'a result of reconstruct')
+        arrays = ArrayReader(array_by_key)
         times = arrays.read_numbers('timestamps', (None,))
         if not len(times) or not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
             raise InputError('timestamps: expected increasing times in s')
@@ -389,4 +397,8 @@ def load_result_file(path: Path) -> StoredResult:
         if np.isinf(joints).any():
             raise InputError('joints3d: not finite')
         seen, residual = arrays.read_flags('seen', shape), arrays.read_numbers('residual_px', shape[:1])
-        return StoredResult(times, joints, seen, residual, skeleton)
+        sequence = None
+        if 'keypoint_names' in arrays:
+            named = {INPUT_KEYS[key]: array_by_key[key] for key in INPUT_KEYS if key in array_by_key}
+            sequence = validate_sequence(named)
+        return StoredResult(times, joints, seen, residual, skeleton, sequence=sequence)

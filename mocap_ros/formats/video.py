@@ -6,8 +6,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import suppress
+from fractions import Fraction
 from pathlib import Path
 from queue import Empty, Full, Queue
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -26,6 +27,8 @@ T = TypeVar('T')
 CAMERA_FORMAT = 'v4l2'  # of cameras in Linux
 CAMERA_DEVICE = '/dev/video{}'  # of a camera that is named by its number
 FALLBACK_STEP_S = 1 / 30  # s from image to image, where a video gives neither times nor a rate
+FILM_CODECS = ('libx264', 'mpeg4')  # the first that PyAV has encodes a film
+FILM_TICK = Fraction(1, 90000)  # s; the times of a film are multiples of it
 READ_AHEAD = 4  # images that are decoded while the detector works; more would only take memory
 QUARTER_TURN_DEG = 90  # degrees; videos are stored turned by multiples of it
 MICROSECONDS = 1e6  # in a second; the unit of the times of a container
@@ -221,3 +224,35 @@ def _take(queue: Queue[tuple[bool, Any]], is_ended: Callable[[], bool] | None) -
 def _describe(error: Exception) -> str:
     """Return what an error of FFmpeg says, without its number and the path."""
     return str(getattr(error, 'strerror', None) or error).rstrip('.')
+
+
+def write_video(path: Path, images: Iterable[tuple[float, NDArray[np.uint8]]]) -> None:
+    """Write an .mp4 of times in s and images (H, W, 3), red, green and blue, all of the size of the first.
+
+    Raises:
+        MocapError: PyAV is not installed, or cannot write it.
+    """
+    try:
+        import av
+    except ImportError:
+        raise MocapError(f'{path}: a film needs PyAV: {tell_installation("video")}') from None
+    codec = next(name for name in FILM_CODECS if name in av.codecs_available)
+    start_s, newest = 0.0, -1
+    stream: Any = None
+    try:
+        with av.open(str(path), 'w', format='mp4') as container:
+            for time_s, image in images:
+                if stream is None:
+                    stream = container.add_stream(codec, rate=30)
+                    stream.height, stream.width = (side // 2 * 2 for side in image.shape[:2])
+                    stream.pix_fmt, start_s = 'yuv420p', time_s
+                    stream.time_base = stream.codec_context.time_base = FILM_TICK
+                even = np.ascontiguousarray(image[: stream.height, : stream.width])
+                frame = av.VideoFrame.from_ndarray(even, format='rgb24')
+                newest = max(round((time_s - start_s) / FILM_TICK), newest + 1)
+                frame.pts, frame.time_base = newest, FILM_TICK
+                container.mux(stream.encode(frame))
+            if stream is not None:
+                container.mux(stream.encode(None))
+    except (av.FFmpegError, ValueError) as error:
+        raise MocapError(f'{path}: the film cannot be written ({_describe(error)})') from None

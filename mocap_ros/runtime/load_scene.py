@@ -139,10 +139,8 @@ def _reconstruct_people(
         skeleton = result.skeleton
         verticals.append(result.vertical)
         people.append(_make_person(person_id, frames, result, result.solution.residual, intrinsics))
-        seen, layout = sequence.keypoints[..., 2] > 0, skeleton_from_joints(sequence.joint_names)
-        points = np.where(seen[..., None], sequence.keypoints[..., :2], np.nan).astype(np.float32)
-        rows = seen.any(axis=1)
-        keypoints.setdefault(layout, []).append(SceneKeypoints(layout, frames[rows], points[rows]))
+        part = _make_keypoints(sequence, frames)
+        keypoints.setdefault(part.skeleton, []).append(part)
     if not people:
         raise InputError(failures[-1])
     truth = sequences[0].truth if len(sequences) == 1 else None
@@ -171,6 +169,14 @@ def select_true_joints(joints: Array, names: Sequence[str], skeleton: Skeleton =
     return np.stack(found, axis=1).astype(np.float32)
 
 
+def _make_keypoints(sequence: KeypointSequence, frames: NDArray[np.intp]) -> SceneKeypoints:
+    """Return the keypoints of a sequence in the frames in which some are seen."""
+    seen, layout = sequence.keypoints[..., 2] > 0, skeleton_from_joints(sequence.joint_names)
+    points = np.where(seen[..., None], sequence.keypoints[..., :2], np.nan).astype(np.float32)
+    rows = seen.any(axis=1)
+    return SceneKeypoints(layout, frames[rows], points[rows])
+
+
 def _make_person(person_id: str, frames: Any, result: Any, residual: Array, intrinsics: Intrinsics) -> ScenePerson:
     """Return the person of a `SequenceResult` or `StoredResult`, in those of its frames that have a skeleton."""
     rows = np.isfinite(result.joints).all(axis=(1, 2))
@@ -191,7 +197,7 @@ def _make_person(person_id: str, frames: Any, result: Any, residual: Array, intr
 
 
 def _load_result_scene(path: Path, person: str | None) -> Scene:
-    """Load the scene of a result file, whose cameras give focal length and principal point."""
+    """Load the scene of a result file; in one without camera, the cameras of the frames give its intrinsics."""
     if person is not None:
         raise InputError('--person does not apply to a result of reconstruct')
     result = load_result_file(path)
@@ -200,13 +206,16 @@ def _load_result_scene(path: Path, person: str | None) -> Scene:
     arrays, count = ArrayReader(read_arrays(path, CAMERA_KEYS, 'a result of reconstruct')), len(result.times)
     scale, translation = arrays.read_numbers('scale', (count,)), arrays.read_numbers('translation', (count, 2))
     vertical, is_focal_known = arrays.read_numbers('vertical', (count, 3)), arrays.read_flags('scale_known', ())
-    intrinsics, size = recover_intrinsics(_average_core(result.joints, result.skeleton), scale, translation)
-    intrinsics = replace(intrinsics, is_focal_known=bool(is_focal_known))
+    if result.sequence is not None and result.sequence.is_camera_known:
+        intrinsics, size = result.sequence.intrinsics(1.0), result.sequence.image_size
+    else:
+        intrinsics, size = recover_intrinsics(_average_core(result.joints, result.skeleton), scale, translation)
+    intrinsics, frames = replace(intrinsics, is_focal_known=bool(is_focal_known)), np.arange(count)
     return Scene(
         title=path.name,
         stamps_ns=result.stamps_ns,
-        people=(_make_person('person_1', np.arange(count), result, result.residual, intrinsics),),
-        keypoints=(),
+        people=(_make_person('person_1', frames, result, result.residual, intrinsics),),
+        keypoints=() if result.sequence is None else (_make_keypoints(result.sequence, frames),),
         image_size=size,
         intrinsics=intrinsics,
         skeleton=result.skeleton,

@@ -28,7 +28,7 @@ from mocap_ros.formats.detections import MAX_FRAME_RATE_HZ, Detections
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS, compute_joint_angles
 from mocap_ros.formats.export.trc import save_trc
-from mocap_ros.formats.sequence_file import KeypointSequence, find_longest_gap
+from mocap_ros.formats.sequence_file import KeypointSequence, find_longest_gap, make_camera_arrays
 from mocap_ros.geometry.interpolation import central_velocity
 from mocap_ros.geometry.level import average_vertical, rotation_to_level
 from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_rotation
@@ -93,23 +93,29 @@ def find_suffix(path: Path) -> str:
 
 
 def _save_npz(path: Path, reconstruction: ReconstructedSequence) -> None:
-    result = reconstruction.result
+    result, sequence = reconstruction.result, reconstruction.sequence
     cameras, translation = result.cameras_in_real_image()
+    intrinsics = result.virtual_camera.intrinsics
+    camera = make_camera_arrays(replace(sequence, calibration=replace(intrinsics, is_focal_known=True)))
     arrays: dict[str, NDArray[np.generic]] = {
         'joints3d': result.joints.astype('f4'),
         'joint_names': np.array(result.skeleton.joints),
         'parents': np.array(result.skeleton.parents),
-        'timestamps': reconstruction.sequence.timestamps,
+        'timestamps': sequence.timestamps,
+        'keypoints': sequence.keypoints.astype('f4'),
+        'keypoint_names': np.array(sequence.joint_names),
+        'image_size': np.array(sequence.image_size),
         'seen': result.seen,
         'scale': cameras.scale,
         'rotation': cameras.rotation,
         'translation': translation,
-        'scale_known': np.array(result.virtual_camera.intrinsics.is_focal_known),
+        'scale_known': np.array(intrinsics.is_focal_known),
         'residual_px': result.solution.residual,
         'theta': result.solution.theta,
         'vertical': result.vertical,
         'vertical_std': result.vertical_std,
     }
+    arrays |= {key: a for key, a in zip(('camera_matrix', 'distortion'), camera, strict=True) if a is not None}
     if result.orientation is not None and result.turn_inferred is not None:
         arrays |= {'orientation': result.orientation.astype('f4'), 'turn_inferred': result.turn_inferred}
     write_npz(path, arrays)

@@ -92,6 +92,7 @@ def build_page(scene: Scene) -> str:
     parts = {
         'TITLE': html.escape(make_printable(scene.title)),
         'STYLE': _read('page.css'),
+        'IMAGES': base64.b64encode(b''.join(scene.images.jpegs if scene.images else ())).decode('ascii'),
         'SCENE': described.replace('<', '\\u003c'),  # so that no text can end the script element
         'DATA': packer.finish(),
         'THREE': _read('three.js'),
@@ -132,6 +133,8 @@ def _describe_scene(scene: Scene, packer: _Packer) -> dict[str, Any]:
         ],
         'keypoints': [_describe_keypoints(k, packer, pixel_step) for k in scene.keypoints],
         'truth': truth,
+        'images': scene.images
+        and {'frames': scene.images.frames.tolist(), 'sizes': [len(jpeg) for jpeg in scene.images.jpegs]},
         'camera': {
             'imageSize': list(scene.image_size),
             'corners': (image_corners(scene.image_size, scene.intrinsics) * CAMERA_DEPTH_M).tolist(),

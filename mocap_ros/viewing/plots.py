@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,8 @@ class PlotData:
         truth: (F, J, 3) m, same joints; or None.
         keypoints: (F, Jk, 3) x and y in px, and confidence score; None to draw no 2D input.
         keypoint_skeleton: layout of the keypoints.
+        projected: (F, J, 2) px, the joints in the image; drawn where there is an image behind them.
+        images: images (H, W, 3) of some frames, by frame.
     """
 
     times: Array
@@ -58,6 +60,8 @@ class PlotData:
     truth: Array | None = None
     keypoints: Array | None = None
     keypoint_skeleton: Skeleton = CMU15
+    projected: Array | None = None
+    images: Mapping[int, NDArray[np.uint8]] = field(default_factory=dict)
 
 
 def make_printable(name: str) -> str:
@@ -104,7 +108,7 @@ def draw_poses_figure(data: PlotData, frames: Sequence[int], title: str, labels:
         panels = [figure.add_subplot(grid[row, column]) for row in range(2 + has_input)]
         panels[0].set_title(labels[column], fontsize=9)
         if data.keypoints is not None:
-            _draw_input(panels[0], data.keypoints[frame], data.keypoint_skeleton)
+            _draw_input(panels[0], data, data.keypoints[frame], frame)
         for axes, (projection, _) in zip(panels[has_input:], projections, strict=True):
             _draw_pose(axes, data, frame, projection, radius)
         if column == 0:
@@ -135,10 +139,14 @@ def _make_legend_handles(data: PlotData) -> list[Line2D]:
     return handles
 
 
-def _draw_input(axes: Any, keypoints: Array, skeleton: Skeleton) -> None:
-    """Draw the keypoints (J, 3) of one frame."""
+def _draw_input(axes: Any, data: PlotData, keypoints: Array, frame: int) -> None:
+    """Draw the keypoints (J, 3) of one frame, or where there is an image this, the joints and the keypoints."""
     points = np.where(keypoints[:, 2:] > 0, keypoints[:, :2], np.nan)
-    draw_bones(axes, points, skeleton, linewidth=1.6)
+    if frame in data.images and data.projected is not None:
+        axes.imshow(data.images[frame])
+        draw_bones(axes, data.projected[frame], data.skeleton, linewidth=2)
+    else:
+        draw_bones(axes, points, data.keypoint_skeleton, linewidth=1.6)
     axes.scatter(points[:, 0], points[:, 1], s=5, color='black', zorder=3)
     seen = points[np.isfinite(points).all(axis=1)]
     if len(seen):

@@ -133,6 +133,20 @@ class SceneKeypoints:
         return SceneKeypoints(parts[0].skeleton, frames[order], points[order])
 
 
+class SceneImages(NamedTuple):
+    """Reduced images of the camera.
+
+    Attributes:
+        frames: (N,) frames of the scene to which they belong, increasing.
+        jpegs: (N,) their bytes as JPEG.
+        step: how many images of the recording there are for each of them.
+    """
+
+    frames: Indices
+    jpegs: tuple[bytes, ...]
+    step: int
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """All that is drawn of a recording.
@@ -148,6 +162,7 @@ class Scene:
         truth: (F, J, 3) m, true joints of one person, NaN where unknown; or None.
         skeleton: skeleton of the joints.
         vertical: (3,) unit vector upwards in the camera's optical frame; NaN where it is not known.
+        images: images behind the points, or None.
     """
 
     title: str
@@ -160,6 +175,7 @@ class Scene:
     truth: Array32 | None = None
     skeleton: Skeleton = CMU15
     vertical: Array = field(default_factory=lambda: np.full(3, np.nan))
+    images: SceneImages | None = None
 
     @cached_property
     def times(self) -> Array:
@@ -211,6 +227,8 @@ class Scene:
         shape = len(self.stamps_ns), len(self.skeleton.joints)
         joints, seen, keypoints = np.full((*shape, 3), np.nan), np.zeros(shape, bool), None
         joints[person.frames], seen[person.frames] = person.joints, ~person.inferred
+        projected = np.full((*shape, 2), np.nan)
+        projected[person.frames] = person.image
         detected = max(self.keypoints, key=lambda k: len(k.frames), default=None)
         if detected is not None:
             centre = np.full((len(self.stamps_ns), 2), np.nan)
@@ -228,6 +246,7 @@ class Scene:
             truth=None if self.truth is None else self.truth.astype(np.float64),
             keypoints=keypoints,
             keypoint_skeleton=CMU15 if detected is None else detected.skeleton,
+            projected=projected,
         )
 
 

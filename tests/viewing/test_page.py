@@ -92,7 +92,7 @@ def test_no_text_of_an_input_becomes_html(scene: Scene) -> None:
     assert '<title>walk\\udcff.npz</title>' in page
     assert page.encode('utf-8')
     page = build_page(scene)
-    assert page.count('</script>') == 4
+    assert page.count('</script>') == 5
     assert '<b>en' not in page
     assert '<title>two &lt;/script&gt; people</title>' in page
     assert json.loads(read_element(page, 'scene'))['people'][1]['id'] == '<b>en'

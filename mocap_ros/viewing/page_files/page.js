@@ -18,6 +18,9 @@
   const FOLLOW_S = 0.15; // s; time constant with which the view follows people who move
   const JUMP_S = 0.5; // s; after a larger step in time the view is at once where the people are
   const SETTLED_M = 1e-3; // m; a view that is nearer to the people than this stands still
+  const IMAGE_S = 1; // s; without an image for longer, none is shown
+  const READ_AHEAD = 4; // images that are decoded before they are shown
+  const KEPT_IMAGES = 24; // decoded images; more would only take memory
   const NAME_STEPS = 8; // heights of a line by which a name moves up at most, out of the way of others
   const SLOW_FRAME_MS = 30; // ms; a slower picture lowers the resolution, so that 30 pictures a second remain
   const MOTION_NAMES = ['unknown', 'periodic', 'not periodic'];
@@ -398,9 +401,44 @@
     return context;
   }
 
+  // The images behind the points, decoded when they are needed.
+  class Images {
+    constructor({ frames, sizes }, text, onChange) {
+      const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+      let at = 0;
+      this.jpegs = sizes.map((size) => new Blob([bytes.subarray(at, at += size)], { type: 'image/jpeg' }));
+      this.frames = frames;
+      this.onChange = onChange;
+      this.decoded = new Map(); // by index, the oldest first; null while it is being decoded
+    }
+
+    load(index) {
+      if (!(index in this.jpegs) || this.decoded.has(index)) return;
+      this.decoded.set(index, null);
+      createImageBitmap(this.jpegs[index]).then((bitmap) => {
+        if (this.decoded.has(index)) this.decoded.set(index, bitmap);
+        this.onChange();
+      }, () => {});
+      if (this.decoded.size > KEPT_IMAGES) {
+        const [oldest, bitmap] = this.decoded.entries().next().value;
+        this.decoded.delete(oldest);
+        bitmap?.close();
+      }
+    }
+
+    // The newest image at a frame: its own frame and, when it has been decoded, its bitmap.
+    find(frame) {
+      const index = findLast(this.frames, frame);
+      for (let i = index; i <= index + READ_AHEAD; i++) this.load(i);
+      return index < 0 ? null : { frame: this.frames[index], bitmap: this.decoded.get(index) };
+    }
+  }
+
   class ImageView {
-    constructor(scene) {
+    constructor(scene, onChange) {
       this.scene = scene;
+      this.images = scene.images && new Images(scene.images, $('images').textContent.trim(), onChange);
+      this.shown = -1; // the frame that is drawn
       this.canvas = $('image-view');
       $('image-caption').textContent = scene.keypoints.length
         ? '2D input (black) and the 3D result in the image (colours)' : 'the 3D result in the image; the input is not known';
@@ -413,6 +451,11 @@
 
     update(frame) {
       const { context, scene } = this;
+      const image = this.images?.find(frame);
+      const hasImage = image && scene.seconds[frame] - scene.seconds[image.frame] < IMAGE_S;
+      if (hasImage && !image.bitmap) return; // what is shown stays until the image is there: they are in step
+      if (hasImage) frame = image.frame;
+      this.shown = frame;
       const { clientWidth: width, clientHeight: height } = this.canvas;
       const [imageWidth, imageHeight] = scene.camera.imageSize;
       const scale = Math.min(width / imageWidth, height / imageHeight);
@@ -422,6 +465,7 @@
       const y0 = (height - imageHeight * scale) / 2;
       context.fillStyle = '#ffffff';
       context.fillRect(x0, y0, imageWidth * scale, imageHeight * scale);
+      if (hasImage) context.drawImage(image.bitmap, x0, y0, imageWidth * scale, imageHeight * scale);
       const step = scene.pixelPerStep * scale;
       const line = (points, at, a, b) => {
         const [i, j] = [at + 2 * a, at + 2 * b];
@@ -449,20 +493,21 @@
           context.fill();
         }
       }
-      context.lineWidth = dot / 3;
-      context.strokeStyle = '#000000';
-      context.fillStyle = '#000000';
       for (const input of scene.keypoints) {
         const joints = input.names.length;
         for (let row = findLast(input.frames, frame - 1) + 1; input.frames[row] === frame; row++) {
           const at = row * joints * 2;
-          context.beginPath();
-          for (const [a, b] of input.bones) line(input.points, at, a, b);
-          context.stroke();
-          for (let joint = 0; joint < joints; joint++) {
-            const i = at + 2 * joint;
-            if (input.points[i] === NOT_A_NUMBER) continue;
-            context.fillRect(x0 + input.points[i] * step - dot / 2, y0 + input.points[i + 1] * step - dot / 2, dot, dot);
+          for (const [colour, extra] of hasImage ? [['#ffffff', 1], ['#000000', 0]] : [['#000000', 0]]) {
+            context.strokeStyle = context.fillStyle = colour;
+            context.lineWidth = dot / 3 + extra;
+            context.beginPath();
+            for (const [a, b] of input.bones) line(input.points, at, a, b);
+            context.stroke();
+            const side = dot + 2 * extra;
+            for (let i = at; i < at + 2 * joints; i += 2) {
+              if (input.points[i] === NOT_A_NUMBER) continue;
+              context.fillRect(x0 + input.points[i] * step - side / 2, y0 + input.points[i + 1] * step - side / 2, side, side);
+            }
           }
         }
       }
@@ -660,7 +705,7 @@
     } catch (error) {
       return fail(`This page needs WebGL, which the browser does not offer (${error.message}).`);
     }
-    const image = new ImageView(scene);
+    const image = new ImageView(scene, refresh);
     const goTo = (time) => {
       if (Math.abs(time - seconds) > JUMP_S) hasJumped = true;
       seconds = Math.min(Math.max(time, 0), scene.seconds[scene.frameCount - 1]);
@@ -740,6 +785,7 @@
       view: (name) => { space.choose(name); refresh(); },
       pictures: () => pictures,
       pixelRatio: () => space.ratio,
+      imageFrame: () => image.shown,
       target: () => space.controls.target.toArray(),
       // Draw the frame at this time at once; return what was drawn.
       showTime: (time) => {
