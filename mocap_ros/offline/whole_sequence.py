@@ -72,34 +72,27 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SequenceResult:
-    """A reconstructed sequence.
+    """A reconstructed sequence."""
 
-    Attributes:
-        joints: (F, J, 3) m, real camera's optical frame, joints of `skeleton`; NaN before the first and after the
-            last frame in which a joint was seen, and in gaps of more than `MAX_GAP_S`, where it is not known
-            whether the person is there.
-        seen: (F, J) True where the joint was seen in the image, False where it was inferred or is NaN.
-        skeleton: skeleton of the joints.
-        category: name of the base poses used.
-        solution: weights, cameras and residuals in the images of the virtual cameras, before the body was scaled
-            to `tracker.body_height`.
-        virtual_camera: the virtual cameras of `solution`, one a frame, with the real camera's intrinsics.
-        vertical: (F, 3) unit vectors upwards in the real camera's optical frame; NaN where it is not known.
-        vertical_std: (F,) rad, standard deviations of these directions; NaN likewise.
-        orientation: (F, J, 4) quaternions x, y, z, w, as in `people.Person3D`; NaN where the joints are; None if
-            they were not computed.
-        turn_inferred: (F, J) True where nothing shows how a segment is turned about its own axis; None likewise.
-    """
-
+    # (F, J, 3) m, real camera's optical frame, joints of `skeleton`; NaN before the first and after the last frame
+    # in which a joint was seen, and in gaps of more than `MAX_GAP_S`, where it is not known whether the person is
+    # there
     joints: Array
+    # (F, J) True where the joint was seen in the image, False where it was inferred or is NaN
     seen: NDArray[np.bool_]
     skeleton: Skeleton
     category: str
+    # weights, cameras and residuals in the images of the virtual cameras, before the body was scaled to
+    # `tracker.body_height`
     solution: Reconstruction
+    # the virtual cameras of `solution`, one a frame, with the real camera's intrinsics
     virtual_camera: VirtualCamera
-    vertical: Array
-    vertical_std: Array
+    vertical: Array  # (F, 3) unit vectors upwards in the real camera's optical frame; NaN where it is not known
+    vertical_std: Array  # (F,) rad, standard deviations of these directions; NaN likewise
+    # (F, J, 4) quaternions x, y, z, w, as in `people.Person3D`; NaN where the joints are; None if they were not
+    # computed
     orientation: Array | None = None
+    # (F, J) True where nothing shows how a segment is turned about its own axis; None likewise
     turn_inferred: NDArray[np.bool_] | None = None
 
     @property
@@ -110,9 +103,8 @@ class SequenceResult:
     def cameras_in_real_image(self) -> tuple[WeakPerspectiveCameras, Array]:
         """Return the weak-perspective cameras that show the body as the real camera does; NaN as the joints.
 
-        Returns:
-            Scale (F,) in px/m and rotation (F, 3, 3) from the body frame to the real camera's optical frame; and
-            (F, 2) px, image of the body's origin in the real camera.
+        Returns scale (F,) in px/m and rotation (F, 3, 3) from the body frame to the real camera's optical frame;
+        and (F, 2) px, image of the body's origin in the real camera.
         """
         intrinsics, roots = self.virtual_camera.intrinsics, self.core.mean(axis=1)
         rotation = self.virtual_camera.body_rotations(self.solution.cameras)
@@ -131,15 +123,11 @@ def reconstruct_sequence(
 ) -> SequenceResult:
     """Reconstruct a sequence of one person's keypoints.
 
-    Args:
-        keypoints: (F, J, 3) x and y in px, and confidence score; NaN or score 0 where not seen.
-        joint_names: (J,) any names that `keypoints.joint_map` knows.
-        times: (F,) s, increasing.
-        intrinsics: intrinsics of the camera.
-        model: base poses, or several by name. Of several, the most probable are chosen (`solvers.classification`);
-            with a learned prior, those of all motions are used if present.
-        config: parameters of the solver; `min_score`, `undo_swaps`, `perspective`, `vertical`, `body_height` and
-            `skeleton` of `tracker` apply.
+    `keypoints` (F, J, 3) x and y in px, and confidence score, NaN or score 0 where not seen; `joint_names` (J,)
+    any names that `keypoints.joint_map` knows; `times` (F,) s, increasing; `model` base poses, or several by name.
+    Of several, the most probable are chosen (`solvers.classification`), with a learned prior, those of all motions
+    are used if present; `config` parameters of the solver, `min_score`, `undo_swaps`, `perspective`, `vertical`,
+    `body_height` and `skeleton` of `tracker` apply.
 
     Raises:
         SkeletonError: These names give too few of the model's joints.
@@ -161,10 +149,8 @@ def reconstruct_window(
 ) -> SequenceResult:
     """Reconstruct the core of one person from all F frames of a window together, whether or not a joint was seen.
 
-    Args:
-        observed: the person's joints, not lifted yet.
-        models: base poses by name, as in `reconstruct_sequence`.
-        config: parameters of the solver; `body_height` and `vertical` of `tracker` apply.
+    `observed` the person's joints, not lifted yet; `models` base poses by name, as in `reconstruct_sequence`;
+    `config` parameters of the solver, `body_height` and `vertical` of `tracker` apply.
 
     Raises:
         InputError: No frame has four seen joints.
@@ -269,7 +255,6 @@ def choose_vertical(times: Array, joints: Array, config: TrackerConfig) -> Verti
 
 
 def _repeat_vertical(given: Vertical, frames: int) -> Verticals:
-    """Return a vertical that is given for each of some frames."""
     return Verticals(np.tile(given.direction, (frames, 1)), np.full(frames, given.std))
 
 
@@ -312,7 +297,6 @@ def _solve_with_lifter(
 
 
 def _solve(window: Window, models: Mapping[str, BasePoses], config: SolverConfig) -> tuple[str, Reconstruction]:
-    """Reconstruct by `solver.method` with the most probable of several base poses, whose name is returned."""
     if len(models) > 1:
         choice = choose_category(window, models, config)
         if config.method == 'alternation':  # the choice compares joint solutions
@@ -349,8 +333,8 @@ def draw_points(observed: ObservedWindow, solution: Reconstruction) -> ObservedW
     """Return a person's joints in F frames, not lifted yet, drawn to where a solution has them."""
     camera = observed.virtual_camera
     roots = camera.root_positions(solution.cameras, solution.translation)
-    places = camera.to_real_camera(solution.joints) + roots[:, None]
-    rays = places[..., :2] / np.maximum(places[..., 2:], MIN_DEPTH_M)
+    positions = camera.to_real_camera(solution.joints) + roots[:, None]
+    rays = positions[..., :2] / np.maximum(positions[..., 2:], MIN_DEPTH_M)
     drawn = SEEN_SHARE * observed.rays + (1 - SEEN_SHARE) * rays
     return replace(observed, rays=np.where(observed.weight[..., None] > 0, drawn, observed.rays), lifted=None)
 

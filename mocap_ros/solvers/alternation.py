@@ -3,16 +3,14 @@
 
 """Algorithm 1 of TPAMI 2016: optimise cameras and base-pose weights in turn, for a whole sequence.
 
-This module is the readable reference with which the tests compare the faster joint solver. It minimises
+The readable reference with which the tests compare the joint solver. With P_tj = Q_0j + sum_l theta_tl Q_lj (eq.
+1), M_t = s_t R_t[:2], s0 the median initial scale, and translations t_t eliminated by weighted centroids, it
+minimises
 
     sum_tj w_tj |M_t P_tj + t_t - x_tj|^2 / s0^2        reprojection error (eq. 9), m^2 at the body
   + beta   sum_tb (length_tb - mean_b)^2                bone lengths are constant over time (eq. 19 and 20)
   + lambda sum_tl (theta_tl / sigma_l)^2                Gaussian prior of the base poses (not in the paper)
   + gamma  sum_t  |M_t - M_(t-1)|_F^2 / (s0^2 dt_t)     flip regulariser (eq. 12)
-
-over the cameras M_t = s_t R_t[:2] and the weights theta_t, where P_tj = Q_0j + sum_l theta_tl Q_lj (eq. 1), s0 is
-the median initial scale, and the translations t_t are eliminated: image and projection are both relative to their
-weighted centroids. The paper's box, and where each of its lines is found here:
 
     Algorithm 1: recover camera and shape
     Q <- base shapes                                              `BasePoses.truncate`
@@ -61,16 +59,7 @@ MAX_DAMPING_TRIALS = 8  # steps tried in an iteration; the last has a damping of
 
 
 def reconstruct(window: Window, model: BasePoses, config: SolverConfig) -> Reconstruction:
-    """Reconstruct the sequence of one person (TPAMI 2016, Algorithm 1).
-
-    Args:
-        window: image points, weights and times of F frames, and optionally initial values.
-        model: base poses, m.
-        config: weights of the terms; smoothness and robust loss are not part of this model.
-
-    Returns:
-        The reconstruction. Its objective is recorded after both halves of every iteration.
-    """
+    """Reconstruct the sequence of one person (TPAMI 2016, Algorithm 1), without smoothness and robust loss."""
     model = model.truncate(config.components)  # Q <- base shapes
     start, s0 = choose_initial_values(window, model, config.start_window)  # theta = 0; M_t from eq. 10 and 11
     problem = AlternationProblem.build(model, window, s0, config)
@@ -91,31 +80,18 @@ def reconstruct(window: Window, model: BasePoses, config: SolverConfig) -> Recon
 
 @dataclass(frozen=True, eq=False)
 class AlternationProblem:
-    """The objective of one sequence, and the steps that lower it.
-
-    Attributes:
-        model: K base poses.
-        image: (F, J, 2) m, image points divided by s0, relative to their weighted centroid.
-        centroid: (F, 2) m, this centroid.
-        weight: (F, J) confidence scores.
-        flip: (F - 1,) gamma / dt.
-        beta: weight of the bone-length term.
-        prior: (K,) lambda / sigma_l^2.
-        parents: (B,) index of each bone's inner joint.
-        children: (B,) index of each bone's outer joint.
-        bone_components: (K, B, 3) change of each bone's vector by each base pose.
-    """
+    """The objective of one sequence, and the steps that lower it."""
 
     model: BasePoses
-    image: Array
-    centroid: Array
-    weight: Array
-    flip: Array
+    image: Array  # (F, J, 2) m, image points divided by s0, relative to their weighted centroid
+    centroid: Array  # (F, 2) m, this centroid
+    weight: Array  # (F, J) confidence scores
+    flip: Array  # (F - 1,) gamma / dt
     beta: float
-    prior: Array
-    parents: NDArray[np.intp]
-    children: NDArray[np.intp]
-    bone_components: Array
+    prior: Array  # (K,) lambda / sigma_l^2
+    parents: NDArray[np.intp]  # (B,) index of each bone's inner joint
+    children: NDArray[np.intp]  # (B,) index of each bone's outer joint
+    bone_components: Array  # (K, B, 3) change of each bone's vector by each base pose
 
     @staticmethod
     def build(model: BasePoses, window: Window, s0: float, config: SolverConfig) -> AlternationProblem:
@@ -161,10 +137,7 @@ class AlternationProblem:
         return run_camera_step(self.camera_objective(theta), cameras)
 
     def optimise_weights(self, cameras: WeakPerspectiveCameras, theta: Array) -> Array:
-        """Return weights (F, K) that lower eq. 21 (eq. 9 of all frames + eq. 20), the cameras fixed.
-
-        This is one Gauss-Newton step, damped as far as is necessary for the objective not to rise.
-        """
+        """Return weights (F, K) after a Gauss-Newton step, damped until it does not raise eq. 21."""
         equations = self.weight_equations(cameras, theta)
         before = self.objective(cameras, theta)
         damping = INITIAL_DAMPING
@@ -178,13 +151,11 @@ class AlternationProblem:
     def weight_equations(self, cameras: WeakPerspectiveCameras, theta: Array) -> tuple[Array, Array, float, Array]:
         """Return the Gauss-Newton equations of eq. 21, for `solve_coupled_blocks`.
 
-        With the reprojection Jacobian A_t, the reprojection error e_t, the bone-length Jacobian B_t and the bone
-        lengths b_t of a frame,
-
             block_t    = A_t^T A_t + beta B_t^T B_t + diag(lambda / sigma^2)
             gradient_t = A_t^T e_t + beta B_t^T (b_t - mean b) + lambda theta_t / sigma^2
 
-        The mean bone lengths couple all frames: they subtract (beta / F) G G^T, where G stacks the B_t^T.
+        with the Jacobians A_t and B_t of reprojection errors e_t and bone lengths b_t. The means subtract (beta /
+        F) G G^T.
         """
         frames, k = theta.shape
         root = np.sqrt(self.weight)[..., None]
@@ -210,20 +181,11 @@ class AlternationProblem:
 def solve_coupled_blocks(
     blocks: Array, coupling: Array, coupling_weight: float, right: Array, damping: float
 ) -> Array:
-    """Solve (D - c G G^T) x = r, where D is block diagonal, by Woodbury's identity.
+    """Solve (D - c G G^T) x = r, D block diagonal: x = D^-1 r + D^-1 G (I / c - G^T D^-1 G)^-1 G^T D^-1 r.
 
-        x = D^-1 r + D^-1 G (I / c - G^T D^-1 G)^-1 G^T D^-1 r
-
-    Args:
-        blocks: (F, K, K) blocks of D before damping, positive semidefinite.
-        coupling: (F, K, B) the rows of G that belong to each block.
-        coupling_weight: c; below `MIN_COUPLING` the second term is left out.
-        right: (F, K) right-hand side r.
-        damping: relative increase of the diagonal of D (Levenberg-Marquardt). Zeros on the diagonal, as of a frame
-            of which nothing is seen, without a prior, become this number, so that its unknowns stay as they are.
-
-    Returns:
-        The solution x, (F, K).
+    Woodbury's identity. Blocks (F, K, K) are positive semidefinite, coupling G (F, K, B), r (F, K). Below
+    `MIN_COUPLING` c counts as 0. Zeros on the diagonal become `damping`, so that unknowns of which nothing is
+    known stay.
     """
     diagonal = np.einsum('fii->fi', blocks)
     damped = blocks + damping * np.where(diagonal > 0, diagonal, 1.0)[..., None] * np.eye(blocks.shape[-1])

@@ -3,13 +3,9 @@
 
 """Orientations of the fifteen segments of a body, from the positions of the core joints.
 
-A segment begins at a core joint and turns about it: the pelvis at `pelvis`, the torso at `neck`, the head at
-`head`, upper arm, forearm and hand at `lshoulder`, `lelbow` and `lwrist`, thigh, shank and foot at `lhip`, `lknee`
-and `lankle`, and likewise on the right. Its rotation takes the segment's axes to the camera's optical frame. Of
-somebody who stands upright with hanging arms, the axes of all segments are x forward, y to the left and z up
-(REP-103, REP-155).
-
-Up and left determine a segment's axes:
+A segment turns about its core joint: pelvis, torso (`neck`), head, arm, forearm and hand (shoulder, elbow, wrist),
+thigh, shank and foot (hip, knee, ankle). In upright people with hanging arms all axes are x forward, y left, z up
+(REP-103, REP-155). Up and left determine them:
 
     z = unit(up),    x = unit(left x z),    y = z x x
 
@@ -21,19 +17,12 @@ Up and left determine a segment's axes:
     forearm, shank          from the lower to the upper joint          y of the arm, y of the thigh
     hand, foot              the forearm and the shank turned by `REST`
 
-The turn of arm and thigh about themselves follows from the plane in which elbow or knee is bent. With u and l the
-unit vectors along the limb's upper and lower bone, |u x l| is the sine of that angle. Where they are straight, y
-falls back to that of the parent segment, swung with the limb by the smallest rotation from the direction of rest
-(y_s; f = 1 there and 0 at the opposite direction). Over the frames, h seconds apart, v follows
-
     n = +-(u x l) + D f y_s,    v <- v' + (1 - e^(-h (1 + |n|^2 / W^2) / T)) (n - v')
 
-where v' is the old v, turned with the parent segment. So a limb that is straight for a short time keeps its
-direction.
-
-Head, hands and feet have rotations of their own where face, hands and feet are followed (`extremities/`). The
-turn of a leg then follows from the foot as well: y of thigh and shank is v + D_f y_foot. How forearm and hand are
-turned about themselves is not known. The constants and the code are in `engine/extremities.pyx`.
+u and l are unit vectors along upper and lower bone, y_s is y of the parent segment swung with the limb from rest
+(f = 1 there, 0 opposite), v' the old v turned with the parent, h seconds ago: a limb that is straight for a short
+time keeps its direction. Where feet are followed, y of thigh and shank is v + D_f y_foot
+(`engine/extremities.pyx`).
 """
 
 from __future__ import annotations

@@ -3,29 +3,21 @@
 
 """Classification of a motion: its category by evidence, and whether it is periodic (TPAMI 2016, section 4.9).
 
-The category is that of the base poses with the highest evidence p(x | model), integrated over the weights theta by
-Laplace's method and up to a constant that all models share:
+The category is that of the base poses with the highest evidence, by Laplace's method and up to a constant,
 
     -2 log p(x | model) = min E / n0^2 + F sum_l log(1 + 2/3 sigma_l^2 / noise^2)
 
-E is the objective of the joint solver (m^2) under the common image noise, n0 = 10 mm the noise for which its
-weights are given, F the number of frames, and sigma_l the standard deviation of the weight of base pose l. The
-second term is Occam's factor: twice the log ratio of prior to posterior volume of the weights, that is how many
-different images the model could have explained. (A base pose has unit length over all 3 J coordinates, and the
-image shows two thirds of them.) The residual alone would nearly always select the model of all motions.
+with E the objective of the joint solver (m^2) under the common image noise, n0 = 10 mm, F frames, and sigma_l the
+standard deviation of the weight of base pose l, two thirds of which the image shows. The second term is Occam's.
 
 A window is periodic if, for the periodic model of a walk or a run (section 3.3), the RMS 2D residual is below a
-threshold, as in the paper, and the amplitude and the cadence of the motion are above theirs; residuals and
-amplitudes are fractions of the stature. With points of a real detector, most of the residual is the detector's
-error, whatever the motion. So where poses found without periodicity are at hand, their image y takes the place of
-the points, and the periodic motion, with the image x, must explain how y moves, but not how it trembles (w):
+threshold, and amplitude and cadence are above theirs. Most of the residual of real detectors is their error,
+whatever the motion. So where poses were found without periodicity, the periodic motion x must explain how their
+image y moves, but not its jitter w, most of which lasts for some frames (hence the 3):
 
     excess residual = (mean_tj |d_tj - median_t d_tj|^2 - 3 w^2)^(1/2)
     d_tj = x_tj - y_tj, each about its mean over j
     w^2 = median_t mean_j |third difference of y_tj|^2 / 20
-
-The third differences of exact points are small, and those of points with white noise of variance w^2 have the mean
-square 20 w^2. Most of the tremble lasts for some frames, and the differences see little of that: hence the 3.
 """
 
 from __future__ import annotations
@@ -54,37 +46,26 @@ PERIODIC_CATEGORIES = ('walk', 'run')
 OBSERVED_FRACTION = 2 / 3  # the image shows two of three coordinates
 # m; smallest noise under which models are compared: base poses represent an unseen person no better than that.
 MIN_COMPARISON_NOISE = 0.01
-TREMBLE_SHARE = 3.0  # 1; of w^2, chosen on walks with MoveNet's points, of which 0.62 in place of 0.44 are found
-TREMBLE_STEP_S = 1 / 30  # s; time between the frames of which the differences are taken
-MIN_TREMBLE_FRAMES = 15  # frames; of fewer the median says too little
+JITTER_SHARE = 3.0  # 1; of w^2, chosen on walks with MoveNet's points, of which 0.62 instead of 0.44 are found
+JITTER_STEP_S = 1 / 30  # s; time between the frames of which the differences are taken
+MIN_JITTER_FRAMES = 15  # frames; of fewer the median says too little
 THIRD_DIFFERENCE_SQUARES = 20.0  # sum of the squared coefficients of a third difference: 1, -3, 3, -1
-MAX_TREMBLE_STEP_S = 0.05  # s; in slower streams the third differences are those of the motion
+MAX_JITTER_STEP_S = 0.05  # s; in slower streams the third differences are those of the motion
 PERIODIC_FIT_TOLERANCE = 1e-3  # relative decrease of the objective; a residual needs no closer minimum
 
 
 @dataclass(frozen=True, eq=False)
 class CategoryChoice:
-    """The category chosen for a window.
+    """The category chosen for a window."""
 
-    Attributes:
-        category: name of the model with the highest evidence.
-        reconstruction: result under this model.
-        minus_twice_log_evidence: value of every model by name, up to a constant; the smallest is chosen.
-    """
-
-    category: str
+    category: str  # name of the model with the highest evidence
     reconstruction: JointReconstruction
+    # value of every model by name, up to a constant; the smallest is chosen
     minus_twice_log_evidence: Mapping[str, float]
 
 
 def choose_category(window: Window, models: Mapping[str, BasePoses], config: SolverConfig) -> CategoryChoice:
-    """Fit every model and choose the one with the highest evidence, all under the same image noise.
-
-    Args:
-        window: image points of F frames.
-        models: base poses by name of category; at least one.
-        config: weights of the solver.
-    """
+    """Fit every model and choose the one with the highest evidence, all under the same image noise."""
     fits = {}
     for name, model in models.items():
         (fits[name],) = joint.solve_hypotheses([window], model, config)
@@ -100,15 +81,7 @@ def choose_category(window: Window, models: Mapping[str, BasePoses], config: Sol
 def minus_twice_log_evidence_stepwise(
     window: Window, model: BasePoses, noise: float, config: SolverConfig
 ) -> Stepwise[tuple[float, JointReconstruction]]:
-    """Return -2 log p(x | model) up to a constant (formula at the head of this module), and the reconstruction.
-
-    Args:
-        window: image points of F frames and, as a rule, initial values near the minimum.
-        model: base poses.
-        noise: m, standard deviation of a coordinate of an image point, the same for all models that are compared;
-            smaller values are raised to `MIN_COMPARISON_NOISE`.
-        config: weights of the solver.
-    """
+    """Return -2 log p(x | model) (formula of the module) and the reconstruction, at a noise in m."""
     noise = max(noise, MIN_COMPARISON_NOISE)
     model = model.truncate(config.components)
     adaptive = replace(config, adapt_noise=True)
@@ -124,22 +97,15 @@ def measure_evidence(fit: JointReconstruction, model: BasePoses, noise: float) -
 
 @dataclass(frozen=True, eq=False)
 class PeriodicFit:
-    """Measures of how well a periodic motion explains a window.
+    """Measures of how well a periodic motion explains a window."""
 
-    Attributes:
-        category: `walk` or `run`, the one with the smaller residual.
-        residual: RMS 2D residual as a fraction of the stature.
-        excess_residual: what the periodic motion leaves unexplained of the movement found without periodicity, as
-            a fraction of the stature (formula of the module); equals `residual` if no such movement is known.
-        amplitude: RMS movement of a joint about its mean as a fraction of the stature.
-        reconstruction: result under the periodic model, with the cadence.
-    """
-
-    category: str
-    residual: float
+    category: str  # `walk` or `run`, the one with the smaller residual
+    residual: float  # RMS 2D residual as a fraction of the stature
+    # what the periodic motion leaves unexplained of the movement found without periodicity, as a fraction of the
+    # stature (formula of the module); equals `residual` if no such movement is known
     excess_residual: float
-    amplitude: float
-    reconstruction: PeriodicReconstruction
+    amplitude: float  # RMS movement of a joint about its mean as a fraction of the stature
+    reconstruction: PeriodicReconstruction  # result under the periodic model, with the cadence
 
 
 def fit_periodic_stepwise(
@@ -150,12 +116,7 @@ def fit_periodic_stepwise(
 ) -> Stepwise[PeriodicFit]:
     """Fit the periodic model of every periodic category and return the fit with the smallest residual.
 
-    Args:
-        window: image points of a cycle or more.
-        models: base poses by name of category; those of `PERIODIC_CATEGORIES` are used.
-        config: weights of the solver.
-        initial: poses of the window, from which to start; they also give the image noise. None computes poses for
-            each model.
+    `initial` are poses to start from, which also give the image noise; without, they are computed for each model.
 
     Raises:
         InputError: none of `models` is of a periodic category, or the periodic solver rejects the window.
@@ -176,7 +137,6 @@ def fit_periodic_stepwise(
 def _measure_periodic_fit(
     name: str, model: BasePoses, result: PeriodicReconstruction, initial: EstimatedPoses | None
 ) -> PeriodicFit:
-    """Return the measures of a periodic reconstruction."""
     movement = result.theta - result.theta.mean(axis=0)
     amplitude = np.sqrt((movement**2).sum(axis=1).mean() / len(model.mean))
     residual = np.sqrt(np.nanmean((result.residual / result.cameras.scale) ** 2))
@@ -196,21 +156,19 @@ def _compare_movements(result: PeriodicReconstruction, estimated: EstimatedPoses
     periodic, free = (image - image.mean(axis=1, keepdims=True) for image in images)
     difference = periodic - free
     difference -= np.median(difference, axis=0)
-    excess = (difference**2).sum(axis=-1).mean() - TREMBLE_SHARE * estimated.tremble**2
+    excess = (difference**2).sum(axis=-1).mean() - JITTER_SHARE * estimated.jitter**2
     return float(np.sqrt(max(excess, 0.0)))
 
 
-def measure_tremble(times: Array, images: Array) -> float:
-    """Return how much joints tremble in the image (w of the module), in m; 0 if frames are too few or too sparse.
+def measure_jitter(times: Array, images: Array) -> float:
+    """Return how much joints jitter in the image (w of the module), in m; 0 if frames are too few or too sparse.
 
-    Args:
-        times: (F,) s, increasing.
-        images: (F, J, 2) m, images of the joints.
+    `times` (F,) s, increasing; `images` (F, J, 2) m, images of the joints.
     """
     step_s = float(np.median(np.diff(times))) if len(times) > 1 else math.inf
-    stride = max(round(TREMBLE_STEP_S / step_s), 1)
+    stride = max(round(JITTER_STEP_S / step_s), 1)
     centred = (images - images.mean(axis=1, keepdims=True))[::-stride]
-    if step_s > MAX_TREMBLE_STEP_S or len(centred) < MIN_TREMBLE_FRAMES:
+    if step_s > MAX_JITTER_STEP_S or len(centred) < MIN_JITTER_FRAMES:
         return 0.0
     squares = (np.diff(centred, n=3, axis=0) ** 2).sum(axis=-1).mean(axis=1)
     return math.sqrt(float(np.median(squares)) / THIRD_DIFFERENCE_SQUARES)
@@ -230,14 +188,9 @@ def is_periodic(fit: PeriodicFit, config: ClassifierConfig, threshold_factor: fl
 
 @dataclass
 class PeriodicSwitch:
-    """Decision whether a motion is periodic, over time and with hysteresis.
+    """Decision whether a motion is periodic, over time and with hysteresis."""
 
-    Attributes:
-        config: thresholds, and the factor by which a fit must pass them to change the decision.
-        currently_periodic: the latest decision.
-    """
-
-    config: ClassifierConfig
+    config: ClassifierConfig  # thresholds, and the factor by which a fit must pass them to change the decision
     currently_periodic: bool = False
 
     def update(self, fit: PeriodicFit) -> bool:

@@ -3,43 +3,32 @@
 
 """Face, feet and hands of a person: rigid parts that hang on the core joints, followed over time.
 
-The head, the feet and the hands are rigid parts k. Each hangs on a core joint c_k (`head`, ankles, wrists) and
-turns by R_k, from its own axes (x forward, y left, z up; `body_segments.py`) to the camera's optical frame. Its
-points are
+Part k hangs on a core joint c_k (`head`, ankles, wrists) and turns by R_k from its axes (`body_segments.py`) to
+the camera's optical frame; T_i is the template of an average person (1 of the stature H), b_k the logarithmic
+size:
 
     p_i = c_k + e^(b_k) H R_k T_i
 
-with the template T_i of an average person (1 of the stature), the stature H (m) and the person's logarithmic
-size b_k of face, feet or hands. Without evidence a part is as the core has it, A_k (the segments of
-`body_segments.py`). From frame to frame, h seconds apart, it returns there with the time constant tau and the
-spread S_k of training data:
+Without evidence a part returns to A_k, where the core has it, with the time constant tau and the spread S_k:
 
     R_k <- A_k exp(a log(A_k'^T R_k')),    P_k <- a^2 P_k + (1 - a^2) S_k,    a = e^(-h / tau)
 
-where the prime marks the frame before and P_k (rad^2) is the covariance of the rotation. The frame then corrects
-it by the rotation d and the displacement t (m) of the whole part that minimise, in two steps of Gauss and
-Newton,
+with h s since the frame of the primes, P_k (rad^2) the covariance of the rotation. The frame corrects it by the
+rotation d and the displacement t (m) that minimise, in two steps of Gauss and Newton,
 
     d^T P_k^-1 d + |t|^2 / s^2 + g_l sum_i |C_i^(-1/2) (p_i - c_k - o_i)|^2 / N
                                + g_r sum_i rho(|z (pi(p_i + t) - r_i)| / n_i)
 
-with p_i at the turned R_k = exp(d) R_k. o_i is the offset of point i from c_k in the lifted pose, C_i its
-covariance, and N the number of points of the part, whose errors in the lifted pose are one and the same. r_i is
-the ray of a point that was seen, that of c_k included, pi the projection, z the depth, n_i the image noise (m at
-the body) by its score, and rho Cauchy's loss. The errors of the lifter and of the detector last for some time T,
-so a frame counts g = min(1, h / T). The displacement is forgotten, so that bones keep their lengths: it is the
-error of c_k and of the detector's idea of the joints. The information i and the gradient j of b_k, d and t
-eliminated, are added over the parts of one size:
+o_i is the lifted offset from c_k with the covariance C_i, of N points with one error; r_i the ray of a seen point,
+n_i the image noise (m) by its score, rho Cauchy's loss. Errors last for some T, so g = min(1, h / T). The size
+moves by the information i and gradient j, d and t eliminated, with I the fading sum of earlier i, and stays within
+5 s_b:
 
     b_k <- b_k - j / (I + i + 1 / s_b^2)
 
-where I is the sum of earlier i, which fades, and s_b the spread of people. A step beyond the range in which it
-is linear could give a part any size: b_k stays within five s_b of 0.
+A whole sequence is followed forwards (f) and backwards (b, before its correction), with the sizes of all frames:
 
-A whole sequence is followed forwards (f) and backwards (b, before its correction), with the sizes that were
-learnt from all frames, and smoothed: with the rotation vectors d_b = log(R_b R_f^T) and d_A = log(A R_f^T),
-
-    P^-1 = P_f^-1 + P_b^-1 - S^-1,    R = exp(P (P_b^-1 d_b - S^-1 d_A)) R_f
+    P^-1 = P_f^-1 + P_b^-1 - S^-1,    R = exp(P (P_b^-1 log(R_b R_f^T) - S^-1 log(A R_f^T))) R_f
 
 The constants and the code are in `engine/extremities.pyx`.
 """
@@ -151,23 +140,14 @@ def attach(core: Array, offsets: Array) -> Array:
 
 
 class ExtremityEvidence(NamedTuple):
-    """What is known of the extremities in one frame, or in F with arrays (F, ...), in the camera's optical frame.
+    """What is known of the extremities in one frame, or in F with arrays (F, ...), in the optical frame."""
 
-    Attributes:
-        core: (15, 3) m, solved core joints.
-        lifted: (26, 3) m, lifted joints about any origin; NaN without a lifter.
-        lifted_std: (26, 3) m, their standard deviations across (twice) and along the line of sight.
-        rays: (26, 2) rays of all joints.
-        weight: (26,) confidence scores of all joints; 0 where not seen.
-        noise: m, image noise at the body.
-    """
-
-    core: Array
-    lifted: Array
-    lifted_std: Array
-    rays: Array
-    weight: Array
-    noise: float
+    core: Array  # (15, 3) m, solved core joints
+    lifted: Array  # (26, 3) m, lifted joints about any origin; NaN without a lifter
+    lifted_std: Array  # (26, 3) m, their standard deviations across (twice) and along the line of sight
+    rays: Array  # (26, 2) rays of all joints
+    weight: Array  # (26,) confidence scores of all joints; 0 where not seen
+    noise: float  # m, image noise at the body
 
     def select_frame(self, frame: int) -> ExtremityEvidence:
         """Return that of one frame of a sequence."""
@@ -190,14 +170,7 @@ class ExtremityEvidence(NamedTuple):
 def collect_evidence(
     core: Array, observed: ObservedWindow, noise: float, frames: slice = slice(None)
 ) -> ExtremityEvidence:
-    """Return what F frames of a window say of the extremities, each array with a first dimension F.
-
-    Args:
-        core: (F, 15, 3) m, solved core joints of these frames in the real camera's frame.
-        observed: the window, lifted if there is a lifter.
-        noise: m, image noise at the body.
-        frames: the frames.
-    """
+    """Return what F frames of a window say of the extremities, of core joints (F, 15, 3) m and noise in m."""
     depth = observed.virtual_camera.select_frames(frames).measure_depth(core.mean(axis=1))[:, None, None]
     lifted = std = np.full((len(core), len(BODY26.joints), 3), np.nan)
     if observed.lifted is not None:
@@ -226,13 +199,7 @@ class ExtremityState:
         return ExtremityState(_START.view(float)).advance(math.inf, evidence, stature)
 
     def advance(self, step_s: float, evidence: ExtremityEvidence, stature: float) -> ExtremityState:
-        """Return the extremities in the next frame.
-
-        Args:
-            step_s: s, time since this frame, positive.
-            evidence: what is known of them.
-            stature: m, stature of the person.
-        """
+        """Return the extremities `step_s` s later, by what is known of them and the stature in m."""
         values = self.values.copy()
         _BODY.follow(values, *evidence.arrays(), stature, step_s)
         return ExtremityState(values)
@@ -268,29 +235,16 @@ class ExtremityState:
 
 
 class ExtremitySequence(NamedTuple):
-    """The extremities of a person over F frames, smoothed.
+    """The extremities of a person over F frames, smoothed."""
 
-    Attributes:
-        offsets: (F, 11, 3) m, points less the core joints on which they hang.
-        offset_std: (F, 11) m, standard deviation of each of them.
-        quaternions: (F, 15, 4) x, y, z, w, orientations of the segments, continuous.
-        is_turn_told: (F, 15) whether the image says how a segment is turned about its own axis.
-    """
-
-    offsets: Array
-    offset_std: Array
-    quaternions: Array
-    is_turn_told: Bools
+    offsets: Array  # (F, 11, 3) m, points less the core joints on which they hang
+    offset_std: Array  # (F, 11) m, standard deviation of each of them
+    quaternions: Array  # (F, 15, 4) x, y, z, w, orientations of the segments, continuous
+    is_turn_told: Bools  # (F, 15) whether the image says how a segment is turned about its own axis
 
 
 def smooth_extremities(times: Array, evidence: ExtremityEvidence, stature: float) -> ExtremitySequence:
-    """Estimate the extremities of a person over a whole sequence (formulas at the head of this module).
-
-    Args:
-        times: (F,) s, increasing.
-        evidence: that of F frames, each array with a first dimension F; the image noise is one for all.
-        stature: m, stature of the person.
-    """
+    """Estimate the extremities of a person over times (F,) s (formulas of the module)."""
     steps = np.append(np.inf, np.diff(times))
     states = _BODY.smooth(_START.view(float), *evidence.arrays(), stature, steps).view(STATE)[:, 0]
     offsets, std, quaternions = (np.ascontiguousarray(states[n]) for n in ('offsets', 'offset_std', 'quaternions'))

@@ -1,20 +1,15 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which prior leads in the joint objective: the lifted poses or the base poses.
+"""Which prior has its full weight in the joint objective: the lifted poses or the base poses, which then lead.
 
-The lifter knows people in general, and base poses may be those of this very person. Then the lifted poses, whose
-errors last for seconds and are alike in many joints, draw the solution away from better poses. So base poses that
-are not those of all motions may lead: they have the weights that they have without a lifter, and the lifted poses
-`LIFTER_SHARE` of theirs, which still tells front from back. They lead where they explain the image as well as
-under the lead of the lifted poses:
+Base poses may be those of this very person, and the errors of lifted poses last for seconds. So base poses other
+than those of all motions may lead, with the weights that they have alone and `LIFTER_SHARE` of that of the lifted
+poses, which still separates front from back. They do where they explain the image as well,
 
     (n_b^2 + n_0^2)^(1/2) <= MAX_NOISE_RATIO (n_l^2 + n_0^2)^(1/2)    and    n_b <= MAX_NOISE
 
-n_b and n_l are the image noise of the two solutions, estimated from their residuals (`joint.noise_estimate`), and
-n_0 is `NEGLIGIBLE_NOISE`. Base poses that do not suit the person or the motion keep, at full weight, the solution
-away from the image, and then n_b is larger. The base poses of all motions can explain nearly every image, so for
-them the comparison says little, and the lifted poses lead.
+with n_b and n_l the image noise where base poses or lifted poses lead, and n_0 = `NEGLIGIBLE_NOISE`.
 """
 
 from __future__ import annotations
@@ -50,12 +45,6 @@ def let_base_poses_lead(config: SolverConfig) -> SolverConfig:
 
 
 def explains_as_well(noise: float, lifter_noise: float, slack: float = 1.0) -> bool:
-    """Return whether base poses in the lead explain the image as well as lifted poses in the lead.
-
-    Args:
-        noise: m, estimated image noise where the base poses lead.
-        lifter_noise: m, the same where the lifted poses lead.
-        slack: factor on the limits.
-    """
+    """Return whether base poses explain the image as well, by noises in m; `slack` widens the limits."""
     ratio = math.hypot(noise, NEGLIGIBLE_NOISE) / math.hypot(lifter_noise, NEGLIGIBLE_NOISE)
     return noise <= slack * MAX_NOISE and ratio <= slack * MAX_NOISE_RATIO

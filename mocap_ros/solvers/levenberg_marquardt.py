@@ -3,9 +3,8 @@
 
 """Levenberg-Marquardt over a batch: every sequence has its own damping and its own end, and all step together.
 
-A step x solves (A + mu diag(A)) x = -g with A the Gauss-Newton matrix, g half the gradient and mu the damping. It
-is taken where it lowers the objective of its sequence, whose damping is then divided by five; elsewhere the
-damping is multiplied by ten and the step is tried again. So the objective never rises.
+A step x solves (A + mu diag(A)) x = -g. It is taken where it lowers the objective of its sequence, whose damping
+mu is then divided by five; elsewhere it is multiplied by ten and the step is tried again.
 """
 
 from __future__ import annotations
@@ -39,15 +38,14 @@ class Problem(Protocol):
     def try_steps(self, tolerance: float) -> tuple[int, int]:
         """Try a step of each sequence; return how many were taken, and how many sequences are not done.
 
-        A step that lowers an objective by no more than a share `tolerance` of it is the last of its sequence.
+        A step that lowers an objective by a share of `tolerance` or less is the last of its sequence.
         """
 
 
 def minimise_stepwise(problem: Problem, max_iterations: int, tolerance: float, damping: float) -> Stepwise[Array]:
     """Minimise the objectives from the current point, in pieces: a step is one, its normal equations the next.
 
-    Returns:
-        Objectives (I + 1, P) at the start and after each step that was tried.
+    Returns objectives (I + 1, P) at the start and after each step that was tried.
     """
     problem.begin(damping)
     history, is_outdated = [problem.cost.copy()], False

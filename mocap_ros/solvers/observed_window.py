@@ -7,12 +7,8 @@
     q_tj = pi(V_t (r_tj, 1))          ray in the virtual camera, pi(x, y, z) = (x / z, y / z)
     x_tj = f q_tj                     image point of the solvers' `Window`, px
 
-V_t is the rotation of the virtual camera and f its focal length. Image points and lifted poses are in the units of
-rays, that is, in an image plane at distance 1. They become px in one place, `ObservedWindow.build_solver_window`
-(by `points`).
-
-The tracker keeps a window of this form for each person, and extends it frame by frame; `observe_sequence` makes
-one of a whole sequence.
+V_t is the rotation of the virtual camera and f its focal length. Points and lifted poses are in the units of rays;
+only `ObservedWindow.build_solver_window` makes them px.
 """
 
 from __future__ import annotations
@@ -71,27 +67,21 @@ ShotFinder = Callable[[Array, Array, Array], list[slice]]
 
 @dataclass(frozen=True, eq=False)
 class ObservedWindow:
-    """One person's joints in some frames, and the virtual cameras that face the person.
+    """One person's joints in some frames, and the virtual cameras that face the person."""
 
-    Attributes:
-        times: (F,) s, increasing.
-        rays: (F, J, 2) x / z and y / z of the joints in the real camera, lens distortion undone, left and right
-            put right; finite, and ignored where the weight is 0.
-        weight: (F, J) confidence scores; 0 for a joint that was not seen.
-        virtual_camera: virtual cameras, one for each frame or one for all, with the real camera's intrinsics.
-        focal: px, focal length that the solvers assume; infinite for weak perspective (`solver_focal`).
-        lifted: poses of the frames as the lifter estimated them, in the units of rays: the joints along the axes
-            of the real camera, the standard deviations along those of the virtual cameras; None without a lifter.
-        extremities: face, feet and hands, for the lifter, as rays in the real camera, left and right put right;
-            None if none were seen.
-    """
-
-    times: Array
+    times: Array  # (F,) s, increasing
+    # (F, J, 2) x / z and y / z of the joints in the real camera, lens distortion undone, left and right put right;
+    # finite, and ignored where the weight is 0
     rays: Array
-    weight: Array
+    weight: Array  # (F, J) confidence scores; 0 for a joint that was not seen
+    # virtual cameras, one for each frame or one for all, with the real camera's intrinsics
     virtual_camera: VirtualCamera
-    focal: float
+    focal: float  # px, focal length that the solvers assume; infinite for weak perspective (`solver_focal`)
+    # poses of the frames as the lifter estimated them, in the units of rays: the joints along the axes of the real
+    # camera, the standard deviations along those of the virtual cameras; None without a lifter
     lifted: LiftedPoses | None = None
+    # face, feet and hands, for the lifter, as rays in the real camera, left and right put right; None if none were
+    # seen
     extremities: Extremities | None = None
 
     @staticmethod
@@ -103,16 +93,7 @@ class ObservedWindow:
         focal: float,
         extremities: Extremities | None = None,
     ) -> ObservedWindow:
-        """Return a window whose virtual cameras, one for each frame, follow the person.
-
-        Args:
-            times: (F,) s, increasing.
-            rays: (F, J, 2) rays, as in the attributes.
-            weight: (F, J) confidence scores.
-            intrinsics: intrinsics of the real camera.
-            focal: px, focal length that the solvers assume.
-            extremities: face, feet and hands, as in the attributes.
-        """
+        """Return a window whose virtual cameras, one for each frame, follow the person."""
         camera = VirtualCamera.look_at_person(rays, weight, times, VIEW_SMOOTHING_S, intrinsics)
         return ObservedWindow(times, rays, weight, camera, focal, None, extremities)
 
@@ -122,11 +103,7 @@ class ObservedWindow:
         return self.virtual_camera.view_rays(self.rays, self.weight, self.virtual_camera.intrinsics.focal)
 
     def select_frames(self, frames: NDArray[np.intp] | slice) -> ObservedWindow:
-        """Return the window of some of the frames, seen by the same virtual cameras.
-
-        Args:
-            frames: (n,) indices of the frames, increasing; or a slice.
-        """
+        """Return the window of some frames, increasing indices or a slice, seen by the same virtual cameras."""
         camera = self.virtual_camera.select_frames(frames)
         lifted = None if self.lifted is None else self.lifted.select_frames(frames)
         extremities = None if self.extremities is None else self.extremities.select_frames(frames)
@@ -138,11 +115,7 @@ class ObservedWindow:
         return replace(self, weight=np.where(excluded, 0.0, self.weight))
 
     def sample_unlifted_histories(self) -> tuple[Array, Array]:
-        """Return the histories of the frames that are not lifted yet, for `Lifter.lift` with `RAY_FOCAL`.
-
-        Returns:
-            (N, T, J, 2) rays in the virtual cameras, and (N, T, J) confidence scores.
-        """
+        """Return rays (N, T, J, 2) and scores (N, T, J) of the frames not lifted yet, for `Lifter.lift`."""
         first = 0 if self.lifted is None else len(self.lifted.joints)
         oldest = int(self.times.searchsorted(self.times[first] - HISTORY_REACH_S))
         recent = slice(oldest, None)
@@ -151,22 +124,13 @@ class ObservedWindow:
         return sample_histories(points, weight, times, np.arange(first - oldest, len(times)))
 
     def view_body(self, frames: slice, focal: float) -> tuple[Array, Array]:
-        """Return points (F, J, 2) of `skeleton.BODY26` in the virtual cameras, and their scores, for the lifter.
-
-        Args:
-            frames: the F frames.
-            focal: focal length of the virtual cameras; the points are in its unit.
-        """
+        """Return points (F, J, 2) of `skeleton.BODY26` in the virtual cameras, and scores."""
         extremities = None if self.extremities is None else self.extremities.select_frames(frames)
         rays, weight = join_body(self.rays[frames], self.weight[frames], extremities)
         return self.virtual_camera.select_frames(frames).view_rays(rays, weight, focal), weight
 
     def append_lifted(self, lifted: LiftedPoses) -> ObservedWindow:
-        """Return the window with the lifted poses of the frames of `sample_unlifted_histories`.
-
-        Args:
-            lifted: poses as `Lifter.lift` returns them, in the units of rays and the axes of the virtual cameras.
-        """
+        """Return the window with lifted poses, in the units of rays, of the frames not lifted yet."""
         count = len(lifted.joints)
         camera = self.virtual_camera.select_frames(slice(len(self.times) - count, None))
         in_real_camera = LiftedPoses(camera.to_real_camera(lifted.joints), lifted.std)
@@ -176,13 +140,7 @@ class ObservedWindow:
         return ObservedWindow(self.times, *seen, all_lifted, self.extremities)
 
     def convert_to_initial_values(self, theta: Array, rotation: Array, roots: Array) -> InitialValues:
-        """Return a state of the person in the real camera as initial values for a solver.
-
-        Args:
-            theta: (F, K) m, weights of the base poses.
-            rotation: (F, 3, 3) rotations from the body to the real camera.
-            roots: (F, 3) m, positions of the body's origin in the real camera's frame.
-        """
+        """Return theta (F, K) m, rotations (F, 3, 3) and roots (F, 3) m in the real camera as initial values."""
         return InitialValues(theta, self.virtual_camera.weak_perspective_cameras(rotation, roots))
 
     def build_solver_window(
@@ -194,11 +152,8 @@ class ObservedWindow:
     ) -> Window:
         """Return the window as a solver gets it, in px of the virtual cameras.
 
-        Args:
-            start: initial values; None for the solver's own. Their median scale is the window's unit.
-            noise: m, image noise, if it is known.
-            fixed_frames: number of frames at the beginning that keep their initial values.
-            earlier_frames: summary of the frames before the window, if there are any.
+        Its unit is the median scale of `start`; `noise` is in m; the first `fixed_frames` keep their initial
+        values.
 
         Raises:
             InputError: No frame has four seen joints.
@@ -234,15 +189,10 @@ def observe_sequence(
 
     A frame with all its points in one place, of four or more seen joints, counts as not seen.
 
-    Args:
-        keypoints: (F, Js, 3) x and y in px, and confidence score; NaN or score 0 where not seen.
-        joint_names: (Js,) any names that `keypoints.joint_map` knows.
-        times: (F,) s, increasing.
-        intrinsics: intrinsics of the camera.
-        config: parameters; `min_score`, `undo_swaps` and `perspective` apply.
-        skeleton: skeleton with the joints of the model.
-        find_shots: splits the sequence into shots, whose sides are put right independently; None if the sequence
-            has no cuts.
+    `keypoints` (F, Js, 3) x and y in px, and confidence score, NaN or score 0 where not seen; `joint_names` (Js,)
+    any names that `keypoints.joint_map` knows; `times` (F,) s, increasing; `config` parameters, `min_score`,
+    `undo_swaps` and `perspective` apply; `find_shots` splits the sequence into shots, whose sides are put right
+    independently, None if the sequence has no cuts.
 
     Raises:
         SkeletonError: These names give too few of the model's joints.
@@ -281,13 +231,9 @@ def _exclude_frames_in_one_place(
     Frames with fewer than `MIN_JOINTS_FOR_CAMERA` seen joints stay: so few may be in one place in the image of a
     person.
 
-    Args:
-        rays: (F, J, 2) rays; some frame has `MIN_JOINTS_FOR_CAMERA` seen joints.
-        weight: (F, J) confidence scores.
-        extremities: those of the same frames, if there are any.
-
-    Returns:
-        The rays, the scores and the extremities, all 0 in these frames.
+    `rays` (F, J, 2) rays, some frame has `MIN_JOINTS_FOR_CAMERA` seen joints; `weight` (F, J) confidence scores;
+    `extremities` those of the same frames, if there are any. Returns the rays, the scores and the extremities, all
+    0 in these frames.
 
     Raises:
         InputError: No other frame has `MIN_JOINTS_FOR_CAMERA` seen joints.
@@ -303,5 +249,4 @@ def _exclude_frames_in_one_place(
 
 
 def _clear(rays: Array, weight: Array, excluded: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return rays (F, J, 2) and scores (F, J), 0 in the frames of a mask (F, 1)."""
     return np.where(excluded[..., None], 0.0, rays), np.where(excluded, 0.0, weight)

@@ -3,30 +3,23 @@
 
 """The vertical of a camera, and lifted poses turned towards it.
 
-How far a body leans along the line of sight hardly shows in its image, so lifted poses lean by several degrees
-to and fro, for as long as a detector's errors last. What all people of a camera share is the vertical. Each pose
-tells a direction upwards u (`models.upward_direction`), which is off by the lean of the lifted pose and by what
-the person does. The vertical v is the mean of these directions over all people and some time, robust and with
-weights that fade:
+How far a body leans along the line of sight hardly shows, so lifted poses lean to and fro. Each pose shows a
+direction upwards u (`models.upward_direction`); the vertical v of a camera is their robust mean over people and
+some time:
 
     v_t = normalise(sum_i max(p_i, P) k_i u_i),    k_i = exp(-|t - t_i| / T) dt_i / (1 + (angle(u_i, v) / A)^2)
     s_v = min(S sqrt(C / sum_i p_i k_i), MAX_STD_DEG)
 
 with p_i the share to which the pose stands and dt_i the time to the next frame; live, the sums are over the frames
-before t alone. Directions of one person within the time C have nearly the same error, so sum_i p_i k_i / C counts
-the independent ones, and s_v is the standard deviation of their mean.
-
-Each lifted pose y is then turned about the horizontal axis of its virtual camera, as the probabilities demand:
+before t. Directions of one person within the time C have nearly one error. Each lifted pose y is then turned about
+the horizontal axis of its virtual camera, by phi, the angle about that axis from u to v:
 
     y' = R_x(p g phi / (1 + (phi / B)^2)) y,    g = s_y^2 / (s_y^2 + s_u^2 + s_v^2)
 
-with phi the angle about that axis from u to v, s_y = KAPPA sigma_z / r the standard deviation of the lean of a
-lifted pose of radius r and depths of standard deviation sigma_z, and s_u that of the angle from u to the vertical
-in true poses. Turns about the line of sight and about the vertical are left to the image.
-
-The lifter gets a vertical that is given as well, to the share p to which its own pose stands: its training shows
-hardly anybody who sits, and it takes them for people who lean. It does not get a vertical that was found, which
-rests on its own poses and makes whole sequences of left-out persons 1 mm worse; the turns make them 0.3 mm better.
+s_y = KAPPA sigma_z / r is the standard deviation of the lean of a lifted pose of radius r and depths sigma_z, and
+s_u that of the angle from u to the vertical in true poses. The lifter gets a vertical that is given as well, to
+the share p, but none that was found, which rests on its own poses and makes left-out persons 1 mm worse (the
+turns: 0.3 better).
 """
 
 from __future__ import annotations
@@ -51,7 +44,7 @@ AUTO, NONE = 'auto', 'none'  # values of `tracker.vertical` besides three number
 # Constants of the formulas above; angles in degrees. All were measured on training persons seen by the protocol's
 # detectors from elevations of 0 to 32 degrees.
 MEMORY_S = 20.0  # s; T: long for people who turn about, short enough for a camera that is moved
-DIRECTION_STD_DEG = 8.0  # S: of the direction that a lifted pose tells
+DIRECTION_STD_DEG = 8.0  # S: of the direction that a lifted pose shows
 CORRELATION_S = 4.0  # s; C: means over so long still differ by almost as much as those of single frames
 MAX_STD_DEG = 25.0  # of a vertical of which next to nothing is known: that of people who sit all the time
 GIVEN_STD_DEG = 1.0  # s_v of a vertical that is given: that of a spirit level or an accelerometer at rest
@@ -61,20 +54,13 @@ UNIT_TOLERANCE = 0.01  # 1; difference of a given direction's length from 1 that
 
 @dataclass(frozen=True, eq=False)
 class Vertical:
-    """What is known of the vertical of a camera; it is immutable, and `advance` returns a new one.
+    """What is known of the vertical of a camera; it is immutable, and `advance` returns a new one."""
 
-    Attributes:
-        direction: (3,) unit vector upwards in the camera's optical frame.
-        seconds: s, for how long people have been seen standing, those of long ago counting less; infinite where
-            it is given.
-        weight: s, the same, in which those who do not stand count at least `MIN_STANDING`.
-        stamp_ns: ns, stamp of the newest frame that it rests on.
-    """
-
-    direction: Array
+    direction: Array  # (3,) unit vector upwards in the camera's optical frame
+    # s, for how long people have been seen standing, those of long ago counting less; infinite where it is given
     seconds: float
-    stamp_ns: int = 0
-    weight: float = 0.0
+    stamp_ns: int = 0  # ns, stamp of the newest frame that it rests on
+    weight: float = 0.0  # s, the same, in which those who do not stand count at least `MIN_STANDING`
 
     @property
     def std(self) -> float:
@@ -91,18 +77,12 @@ class Vertical:
 
     @staticmethod
     def begin(stamp_ns: int, upward: Array) -> Vertical:
-        """Return the vertical that the first poses tell; upward (P, 3), P >= 1, stamp in ns."""
+        """Return the vertical that the first poses show; upward (P, 3), P >= 1, stamp in ns."""
         total = upward.sum(axis=0)
         return Vertical(total / max(float(np.linalg.norm(total)), 1e-9), 0.0, stamp_ns)
 
     def advance(self, stamp_ns: int, upward: Array, standing: Array) -> Vertical:
-        """Return the vertical after another frame.
-
-        Args:
-            stamp_ns: ns, stamp of the frame, later than those before.
-            upward: (P, 3) directions upwards that the poses of P >= 0 people tell, in the camera's optical frame.
-            standing: (P,) shares to which they stand.
-        """
+        """Return the vertical after a later frame, by directions (P, 3) of people who stand to shares (P,)."""
         if self.is_given:
             return self
         age_s = (stamp_ns - self.stamp_ns) / NS_PER_S
@@ -157,10 +137,8 @@ def lift_under_vertical(
 def turn_towards_vertical(lifted: LiftedPoses, vertical: Array, std: Array) -> LiftedPoses:
     """Return lifted poses turned towards the vertical (formulas of this module).
 
-    Args:
-        lifted: poses of F frames in the axes of their virtual cameras; NaN where they are not known.
-        vertical: (F, 3) vertical in the same axes.
-        std: (F,) rad, standard deviation of the vertical.
+    `lifted` poses of F frames in the axes of their virtual cameras, NaN where they are not known; `vertical` (F,
+    3) vertical in the same axes; `std` (F,) rad, standard deviation of the vertical.
     """
     joints = engine.turn_poses(
         np.ascontiguousarray(lifted.joints),
@@ -177,14 +155,9 @@ def turn_towards_vertical(lifted: LiftedPoses, vertical: Array, std: Array) -> L
 def find_vertical(times: Array, upward: Array, standing: Array) -> tuple[Array, Array]:
     """Return the vertical of a whole sequence, found from all its frames.
 
-    Args:
-        times: (F,) s, increasing.
-        upward: (F, 3) directions upwards that the poses of one person tell, in the optical frame of the camera;
-            NaN where there is no pose.
-        standing: (F,) shares to which the poses stand.
-
-    Returns:
-        (F, 3) unit vectors and (F,) rad, their standard deviations; NaN where no frame has a pose.
+    `times` (F,) s, increasing; `upward` (F, 3) directions upwards that the poses of one person show, in the
+    optical frame of the camera, NaN where there is no pose; `standing` (F,) shares to which the poses stand.
+    Returns (F, 3) unit vectors and (F,) rad, their standard deviations; NaN where no frame has a pose.
     """
     known = np.asarray(np.isfinite(upward).all(axis=1))
     if not known.any():

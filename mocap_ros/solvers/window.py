@@ -43,64 +43,49 @@ BODY_REFLECTION = np.diag([-1.0, 1.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class InitialValues:
-    """Values of the unknowns from which a solver starts.
+    """Values of the unknowns from which a solver starts."""
 
-    Attributes:
-        theta: (F, K) m, weights of the base poses.
-        cameras: scale (F,) in px/m and rotation (F, 3, 3) from the body frame to the camera frame.
-    """
-
-    theta: Array
+    theta: Array  # (F, K) m, weights of the base poses
+    # scale (F,) in px/m and rotation (F, 3, 3) from the body frame to the camera frame
     cameras: WeakPerspectiveCameras
 
 
 @dataclass(frozen=True, eq=False)
 class EarlierFrames:
-    """Summary of the frames of the same person that precede a window; it keeps the bone lengths consistent.
-
-    Attributes:
-        count: number of these frames.
-        mean_bone_lengths: (B,) m, mean length of each bone over these frames.
-    """
+    """Summary of the frames of the same person that precede a window; it keeps the bone lengths consistent."""
 
     count: int
-    mean_bone_lengths: Array
+    mean_bone_lengths: Array  # (B,) m, mean length of each bone over these frames
 
 
 @dataclass(frozen=True, eq=False)
 class Window:
     """Image points of one person over consecutive frames, with what is known about them in advance.
 
-    Attributes:
-        points: (F, J, 2) px, joints in the order of the model's skeleton. All values are finite; the value of a
-            point of weight 0 is ignored.
-        weight: (F, J) confidence scores of the detector, 0 for joints that were not seen.
-        times: (F,) s, increasing.
-        start: initial values; None selects the mean pose and closed-form cameras.
-        unit: px/m, the constant s0 that converts image errors to metres at the body; None selects the median scale
-            of the initial cameras. Objectives of one window are comparable only under the same unit.
-        noise: m, standard deviation of a coordinate of a point of weight 1; None to estimate it from the residual.
-        focal: px, focal length of a virtual camera that faces the person; `points` are relative to its optical
-            axis. Infinity selects weak perspective.
-        fixed_frames: number of frames at the beginning of the window that keep their initial values; these must
-            then be given by `start`.
-        earlier_frames: summary of the frames before the window; None if there are none.
-        lifted: 3D poses of the frames as estimated by the lifter, in px, used as a prior; None uses the prior of
-            the base poses alone.
-
     Raises:
         InputError: the shapes do not match, or no frame has `MIN_JOINTS_FOR_CAMERA` seen joints.
     """
 
+    # (F, J, 2) px, joints in the order of the model's skeleton. All values are finite; the value of a point of
+    # weight 0 is ignored
     points: Array
-    weight: Array
-    times: Array
-    start: InitialValues | None = None
+    weight: Array  # (F, J) confidence scores of the detector, 0 for joints that were not seen
+    times: Array  # (F,) s, increasing
+    start: InitialValues | None = None  # initial values; None selects the mean pose and closed-form cameras
+    # px/m, the constant s0 that converts image errors to metres at the body; None selects the median scale of the
+    # initial cameras. Objectives of one window are comparable only under the same unit
     unit: float | None = None
+    # m, standard deviation of a coordinate of a point of weight 1; None to estimate it from the residual
     noise: float | None = None
+    # px, focal length of a virtual camera that faces the person; `points` are relative to its optical axis.
+    # Infinity selects weak perspective
     focal: float = math.inf
+    # number of frames at the beginning of the window that keep their initial values; these must then be given by
+    # `start`
     fixed_frames: int = 0
-    earlier_frames: EarlierFrames | None = None
+    earlier_frames: EarlierFrames | None = None  # summary of the frames before the window; None if there are none
+    # 3D poses of the frames as estimated by the lifter, in px, used as a prior; None uses the prior of the base
+    # poses alone
     lifted: LiftedPoses | None = None
 
     def __post_init__(self) -> None:
@@ -116,11 +101,7 @@ class Window:
 
 
 def require_camera_frame(weight: Array) -> None:
-    """Check that some frame of weights (F, J) has `MIN_JOINTS_FOR_CAMERA` seen joints.
-
-    Raises:
-        InputError: no frame has as many.
-    """
+    """Raise an `InputError` unless some frame of weights (F, J) has `MIN_JOINTS_FOR_CAMERA` seen joints."""
     if not any(np.count_nonzero(frame > 0) >= MIN_JOINTS_FOR_CAMERA for frame in weight[::-1]):
         raise InputError('no frame has four seen joints: nothing to reconstruct')
 
@@ -153,29 +134,22 @@ class Reconstruction:
 
     The names of the latter are those of `scipy.optimize.OptimizeResult` where it has them. Every field holds what
     was computed; what only some solvers compute is in subclasses.
-
-    Attributes:
-        joints: (F, J, 3) m, poses along the axes of the camera optical frame (x right, y down, z forward), each
-            centred on the mean of its joints.
-        theta: (F, K) m, weights of the base poses.
-        cameras: scale (F,) in px/m and rotation (F, 3, 3) from the body frame to the camera frame.
-        translation: (F, 2) px, image of the origin of the body frame; interpolated in frames without a seen joint.
-        residual: (F,) px, RMS reprojection error over the seen joints; NaN for a frame without any.
-        status: why the solver stopped.
-        history: m^2, values of the objective at the initial values and after the steps. A solver that estimates
-            the image noise in rounds gives those of its last round, since objectives under different noise are not
-            comparable.
-        iterations: number of steps that were tried, in all rounds together.
     """
 
+    # (F, J, 3) m, poses along the axes of the camera optical frame (x right, y down, z forward), each centred on
+    # the mean of its joints
     joints: Array
-    theta: Array
+    theta: Array  # (F, K) m, weights of the base poses
+    # scale (F,) in px/m and rotation (F, 3, 3) from the body frame to the camera frame
     cameras: WeakPerspectiveCameras
+    # (F, 2) px, image of the origin of the body frame; interpolated in frames without a seen joint
     translation: Array
-    residual: Array
+    residual: Array  # (F,) px, RMS reprojection error over the seen joints; NaN for a frame without any
     status: SolverStatus
+    # m^2, values of the objective at the initial values and after the steps. A solver that estimates the image
+    # noise in rounds gives those of its last round, since objectives under different noise are not comparable
     history: tuple[float, ...]
-    iterations: int
+    iterations: int  # number of steps that were tried, in all rounds together
 
     @property
     def cost(self) -> float:
@@ -194,13 +168,7 @@ class Reconstruction:
 
 
 def choose_initial_values(window: Window, model: BasePoses, camera_window_s: float) -> tuple[InitialValues, float]:
-    """Return the window's initial values and unit (px/m), each replaced by its default if it is None.
-
-    Args:
-        window: image points of F frames.
-        model: K base poses; further weights in `window.start` are dropped.
-        camera_window_s: s, span of frames that share one closed-form camera.
-    """
+    """Return the window's initial values and unit (px/m), each replaced by its default if it is None."""
     start = window.start or initialise_from_mean_pose(window, model, camera_window_s)
     k = len(model.std)
     unit = window.unit or float(np.median(start.cameras.scale))
@@ -208,26 +176,17 @@ def choose_initial_values(window: Window, model: BasePoses, camera_window_s: flo
 
 
 def reverse_depth(start: InitialValues) -> InitialValues:
-    """Return the initial values with the same weights and scales and the Necker reversal of the cameras.
+    """Return the initial values with the Necker reversal R -> diag(1, 1, -1) R diag(-1, 1, 1) of the cameras.
 
-    The Necker reversal R -> diag(1, 1, -1) R diag(-1, 1, 1) reverses the depth. A body seen from the front is
-    nearly planar, so its projection hardly changes under it, and for such a body the reversal is half a turn about
-    the vertical.
+    The projection of a body seen from the front hardly changes under it; there it is half a turn about the
+    vertical.
     """
     rotation = DEPTH_REFLECTION @ start.cameras.rotation @ BODY_REFLECTION
     return InitialValues(start.theta, WeakPerspectiveCameras(start.cameras.scale, rotation))
 
 
 def interpolate_unseen(translation: Array, window: Window) -> Array:
-    """Return translations (F, 2) in px, those of frames without a seen joint interpolated in time from the others.
-
-    Nothing tells a solver where the body is in such a frame. Before the first and after the last frame with a seen
-    joint they are those of that frame.
-
-    Args:
-        translation: (F, 2) px, images of the body's origin, arbitrary in frames without a seen joint.
-        window: image points of the frames.
-    """
+    """Return translations (F, 2) px, those of frames without a seen joint interpolated in time from the others."""
     seen = np.asarray((window.weight > 0).any(axis=1))
     if seen.all():
         return translation
@@ -238,14 +197,8 @@ def interpolate_unseen(translation: Array, window: Window) -> Array:
 def initialise_from_mean_pose(window: Window, model: BasePoses, camera_window_s: float) -> InitialValues:
     """Return the mean pose for every frame, seen by closed-form cameras (TPAMI 2016, section 3.5).
 
-    A frame with fewer than `MIN_JOINTS_FOR_CAMERA` seen joints receives the camera of the nearest frame in time
-    that has enough.
-
-    Args:
-        window: image points of F frames.
-        model: K base poses.
-        camera_window_s: s, span of frames that share one closed-form camera; 0 fits each frame alone, as the
-            paper.
+    Frames within `camera_window_s` s share one, 0 fits each alone; one of fewer than `MIN_JOINTS_FOR_CAMERA` seen
+    joints has that of the nearest frame.
     """
     theta = np.zeros((len(window.times), len(model.std)))
     cameras = fit_cameras_closed_form(

@@ -42,7 +42,7 @@ from mocap_ros.solvers.classification import (
     PeriodicSwitch,
     fit_periodic_stepwise,
     measure_evidence,
-    measure_tremble,
+    measure_jitter,
     minus_twice_log_evidence_stepwise,
 )
 from mocap_ros.solvers.joint.solver import (
@@ -420,7 +420,7 @@ class HypothesisChecker:
         joints = track.solved.model.poses(start.theta) @ np.swapaxes(start.cameras.rotation, -1, -2)
         times = track.times_s
         images = track.solved.compute_joints(np.arange(len(times)))[..., :2]
-        return EstimatedPoses(joints, start.cameras.scale, noise, measure_tremble(times, images))
+        return EstimatedPoses(joints, start.cameras.scale, noise, measure_jitter(times, images))
 
 
 def classify_as_other(track: Track) -> Classification:

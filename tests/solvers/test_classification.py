@@ -21,7 +21,7 @@ from mocap_ros.solvers.classification import (
     choose_category,
     fit_periodic_stepwise,
     is_periodic,
-    measure_tremble,
+    measure_jitter,
 )
 from mocap_ros.solvers.periodic.solver import EstimatedPoses
 from mocap_ros.solvers.stepwise import run_to_end
@@ -149,29 +149,29 @@ def test_what_a_periodic_motion_does_not_explain_counts(walk_model: BasePoses) -
 
 
 @pytest.mark.parametrize('rate', [30.0, 100.0])
-def test_tremble_is_what_remains_of_noise_without_the_motion(rng: np.random.Generator, rate: float) -> None:
+def test_jitter_is_what_remains_of_noise_without_the_motion(rng: np.random.Generator, rate: float) -> None:
     times = np.arange(int(2 * rate)) / rate
     swing = 0.2 * np.sin(2 * np.pi * times[:, None, None] + rng.uniform(0, 6, (15, 2)))
-    assert measure_tremble(times, swing) < 0.003, 'm; the motion of 0.2 m'
+    assert measure_jitter(times, swing) < 0.003, 'm; the motion of 0.2 m'
     noise = rng.normal(0, 0.02, swing.shape)
     noise -= noise.mean(axis=1, keepdims=True)
-    assert measure_tremble(times, swing + noise) == pytest.approx(0.02 * np.sqrt(2), rel=0.15)
+    assert measure_jitter(times, swing + noise) == pytest.approx(0.02 * np.sqrt(2), rel=0.15)
     moved = swing + noise + np.cumsum(rng.normal(0, 1, (len(times), 1, 2)), axis=0)
-    assert measure_tremble(times, moved) == pytest.approx(measure_tremble(times, swing + noise)), 'of the body'
+    assert measure_jitter(times, moved) == pytest.approx(measure_jitter(times, swing + noise)), 'of the body'
     few_frames, slow = slice(5), slice(0, None, int(rate / 10))
-    assert measure_tremble(times[few_frames], noise[few_frames]) == measure_tremble(times[slow], noise[slow]) == 0
+    assert measure_jitter(times[few_frames], noise[few_frames]) == measure_jitter(times[slow], noise[slow]) == 0
 
 
-def test_what_trembles_does_not_speak_against_a_periodic_motion(
+def test_what_jitters_does_not_speak_against_a_periodic_motion(
     walk_model: BasePoses, rng: np.random.Generator
 ) -> None:
     _, _, points, times = make_walk(walk_model)
     window = Window(points, np.ones(points.shape[:2]), times)
     exact = fit_periodic(window, {'walk': walk_model}, QUICK).reconstruction
-    trembling = exact.joints + rng.normal(0, 0.02, exact.joints.shape)
+    jittering = exact.joints + rng.normal(0, 0.02, exact.joints.shape)
     excess = []
-    for tremble in (0.0, 0.01, 1.0):
-        poses = EstimatedPoses(trembling, exact.cameras.scale, 0.01, tremble)
+    for jitter in (0.0, 0.01, 1.0):
+        poses = EstimatedPoses(jittering, exact.cameras.scale, 0.01, jitter)
         excess.append(fit_periodic(window, {'walk': walk_model}, QUICK, poses).excess_residual)
     assert excess[0] ** 2 - excess[1] ** 2 == pytest.approx(3 * (0.01 / walk_model.stature) ** 2, rel=0.05)
     assert excess[2] == 0

@@ -3,15 +3,12 @@
 
 """Alignment of a motion to the image points (Loy et al. 2004, figure 9, step 1), and offsets of the detector.
 
-Each pose is translated, rotated and scaled to fit its image points. A detector may place a joint elsewhere than
-the model does: the pelvis as the middle of the hips, for example, lies 4 to 7 cm below the model's. A motion of
-fixed limb lengths cannot reach such points, and would bend the rest of the body instead. Constant offsets of the
-trunk's joints are therefore estimated from proposed 3D poses and subtracted from the image points:
-
     min_o sum_f w_f rho( | P R_f o - d_f |^2 ) + ridge |o|^2      for each joint of the trunk
 
-o is the offset (m) in the body's frame, R_f the body's rotation, P the orthographic projection to x and y, and d_f
-the difference (m) between the back-projected image point and the model's joint. rho is Cauchy's loss.
+A detector may have a joint elsewhere than the model does (the pelvis lies 4 to 7 cm above the middle of the hips),
+and limbs of fixed lengths cannot reach such points. So the constant offset o (m, body's frame) is estimated from
+proposed poses: R_f is the body's rotation, P drops the depth, d_f is the back-projected point less the model's
+joint.
 """
 
 from __future__ import annotations
@@ -52,17 +49,11 @@ MIN_DIAGONAL = 1e-9  # guards the normal equations of a joint that no frame show
 
 @dataclass(frozen=True, eq=False)
 class AlignedMotion:
-    """A motion with a weak-perspective or perspective camera for each frame.
+    """A motion with a weak-perspective or perspective camera for each frame."""
 
-    Attributes:
-        joints: (F, J, 3) m, virtual camera's axes, relative to an origin near the mean of the joints.
-        scale: (F,) px/m, scale of the projection at the origin's depth.
-        translation: (F, 2) px, image of the origin.
-    """
-
-    joints: Array
-    scale: Array
-    translation: Array
+    joints: Array  # (F, J, 3) m, virtual camera's axes, relative to an origin near the mean of the joints
+    scale: Array  # (F,) px/m, scale of the projection at the origin's depth
+    translation: Array  # (F, 2) px, image of the origin
 
     def relative_depth(self, focal: float) -> Array:
         """Return (F, J) depths divided by the origin's depth; 1 if the focal length (px) is infinite."""
@@ -84,17 +75,11 @@ class AlignedMotion:
 
 
 def align_motion(motion: Array, points: Array, weight: Array, times: Array, focal: float) -> AlignedMotion:
-    """Translate, rotate and scale each pose to fit its image points robustly (figure 9, step 1).
+    """Translate, rotate and scale each pose (F, J, 3) m to fit its image points robustly (figure 9, step 1).
 
-    Rotations have a prior of `ROTATION_STD` around none. Scales are low-passed. Scale and translation are
-    interpolated over the frames with fewer than three seen joints, whose poses are not rotated.
-
-    Args:
-        motion: (F, J, 3) m, virtual camera's axes.
-        points: (F, J, 2) px, arbitrary where the weight is 0.
-        weight: (F, J) confidence scores, 0 where not seen.
-        times: (F,) s, increasing.
-        focal: px, focal length, or infinite.
+    Rotations have a prior of `ROTATION_STD` around none. Scales are low-passed, and with the translation
+    interpolated over frames of fewer than three seen joints. Points (F, J, 2) and `focal`, which may be infinite,
+    are in px.
 
     Raises:
         InputError: No frame has three seen joints.
@@ -150,18 +135,7 @@ def estimate_body_rotations(joints: Array, body: Array) -> Array:
 def estimate_joint_offsets(
     motion: AlignedMotion, points: Array, weight: Array, focal: float, body: Array
 ) -> Array:
-    """Estimate the detector's mean joint offsets by reweighted least squares over all frames.
-
-    Args:
-        motion: proposed 3D poses, aligned to the image points.
-        points: (F, J, 2) px, arbitrary where the weight is 0.
-        weight: (F, J) confidence scores, 0 where not seen.
-        focal: px, focal length, or infinite.
-        body: (J, 3) m, mean pose, whose frame is the body's frame.
-
-    Returns:
-        (J, 3) m in the body's frame; 0 for the joints of the limbs.
-    """
+    """Return the detector's mean joint offsets (J, 3) m in the frame of the mean pose `body`; 0 for the limbs."""
     projection = estimate_body_rotations(motion.joints, body)[:, None, :2]
     difference = motion.displacement(points, focal)
     out = np.zeros_like(body)

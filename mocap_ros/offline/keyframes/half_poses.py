@@ -3,18 +3,15 @@
 
 """The 2D poses of the upper and the lower half of the body, and their distances (Loy et al. 2004, section 4).
 
-Every bone belongs to one half: trunk, arms and head to the upper half, legs to the lower half. The 2D poses of a
-half are measured in torso lengths, so that distances between poses do not depend on the person's distance.
-
-The distance matrix between the 2D poses of all frames (sections 4.1 and 4.2) is
+Trunk, arms and head are the upper half, legs the lower one. Poses are measured in torso lengths. The distance
+matrix between those of all frames (sections 4.1 and 4.2) is
 
     C(i, j) = A(i, j) B(i, j) + (1 - A(i, j)) max B
     D = M C M^T      with M(i, k) = [C(i, k) < beta] / #{k : C(i, k) < beta}
 
-The paper compares edge elements of images; this module compares joints. B(i, j) is the mean distance in torso
-lengths between the joints seen in both frames, after one pose is translated onto the other. A(i, j) is the number
-of joints seen in both frames divided by the number seen in either. D is the de-noised matrix: every row and
-column of C is replaced by the mean over the frames at a distance less than beta.
+B(i, j) is the mean distance between the joints seen in both frames, after one pose is translated onto the other,
+and A(i, j) their number divided by that of those seen in either. (The paper compares edge elements of images.) D
+is de-noised: the mean over the frames at a distance less than beta.
 """
 
 from __future__ import annotations
@@ -42,16 +39,11 @@ MIN_FILTER_WEIGHT = 1e-6  # guards the division below where no frame near in tim
 
 @dataclass(frozen=True)
 class BodyHalf:
-    """The joints and bones of one half of the body.
+    """The joints and bones of one half of the body."""
 
-    Attributes:
-        name: `upper` or `lower`.
-        joints: indices into the skeleton's joints, increasing; the pelvis is in both halves.
-        bones: (parent, child) joint indices; each bone of the skeleton is in one half only.
-    """
-
-    name: str
-    joints: tuple[int, ...]
+    name: str  # `upper` or `lower`
+    joints: tuple[int, ...]  # indices into the skeleton's joints, increasing; the pelvis is in both halves
+    # (parent, child) joint indices; each bone of the skeleton is in one half only
     bones: tuple[tuple[int, int], ...]
 
 
@@ -68,19 +60,12 @@ def split_into_halves(skeleton: Skeleton = CMU15) -> tuple[BodyHalf, BodyHalf]:
 
 @dataclass(frozen=True, eq=False)
 class HalfPoses:
-    """The 2D poses of one half of the body, in the frames that show enough joints of that half.
+    """The 2D poses of one half of the body, in the frames that show enough joints of that half."""
 
-    Attributes:
-        frames: (N,) indices of these frames in the sequence, increasing.
-        times: (N,) s.
-        points: (N, J, 2) torso lengths, up to a translation; arbitrary where not seen.
-        seen: (N, J) True where a joint is seen or interpolated.
-    """
-
-    frames: NDArray[np.intp]
-    times: Array
-    points: Array32
-    seen: Mask
+    frames: NDArray[np.intp]  # (N,) indices of these frames in the sequence, increasing
+    times: Array  # (N,) s
+    points: Array32  # (N, J, 2) torso lengths, up to a translation; arbitrary where not seen
+    seen: Mask  # (N, J) True where a joint is seen or interpolated
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -91,15 +76,7 @@ class HalfPoses:
 
 
 def extract_half_poses(points: Array, weight: Array, times: Array, half: BodyHalf, max_gap: float) -> HalfPoses:
-    """Return the low-passed 2D poses of one half of the body, in torso lengths.
-
-    Args:
-        points: (F, J, 2) px, joints of `CMU15`; arbitrary where the weight is 0.
-        weight: (F, J) confidence scores, 0 where not seen.
-        times: (F,) s, increasing.
-        half: half of the body.
-        max_gap: s; a joint that is not seen for at most this long is interpolated.
-    """
+    """Return the low-passed 2D poses of one half of the body; gaps of at most `max_gap` s are interpolated."""
     in_torsos = points / estimate_torso_lengths(points, weight, times)[:, None, None]
     joints = list(half.joints)
     low_pass = build_low_pass_matrix(times, LOW_PASS_S)
@@ -114,9 +91,7 @@ def extract_half_poses(points: Array, weight: Array, times: Array, half: BodyHal
 def estimate_torso_lengths(points: Array, weight: Array, times: Array) -> Array:
     """Estimate the lengths (F,) that the torso (pelvis to neck) would have in the image without foreshortening.
 
-    It is the upper quartile of the lengths seen within 3 s: foreshortening only shortens a length, and the
-    quartile tolerates some outliers. If neck and pelvis are never seen together, one size of the body's image
-    stands for all frames. Arguments are those of `extract_half_poses`; the unit is that of the points.
+    It is the upper quartile of those seen within 3 s or, if none is, one size of the body's image.
     """
     neck, pelvis = CMU15.index('neck'), CMU15.index('pelvis')
     torso_frames = np.flatnonzero((weight[:, [neck, pelvis]] > 0).all(axis=1))
@@ -132,7 +107,6 @@ def estimate_torso_lengths(points: Array, weight: Array, times: Array) -> Array:
 
 
 def _estimate_image_size(points: Array, weight: Array) -> float:
-    """Return the root mean square distance (px) of all seen points from their mean, or 1 px if none is seen."""
     seen = points[weight > 0]
     return max(float(np.sqrt(seen.var(axis=0).sum())), MIN_TORSO_PX) if len(seen) else 1.0
 
@@ -141,12 +115,7 @@ BLOCK_FRAMES = 256  # frames on a side of the blocks computed at once; bounds th
 
 
 def compare_poses(a: HalfPoses, b: HalfPoses) -> tuple[Array32, Array32]:
-    """Return B and A between Na and Nb poses of the same half of the body.
-
-    Returns:
-        B: (Na, Nb) torso lengths, 0 where the two frames have no joint in common.
-        A: (Na, Nb) share of the seen joints that are seen in both frames.
-    """
+    """Return B (Na, Nb) in torso lengths, 0 without common joints, and A (Na, Nb) between poses of one half."""
     seen_a, seen_b = a.seen.astype(np.float32), b.seen.astype(np.float32)
     x_a, x_b = a.points * seen_a[..., None], b.points * seen_b[..., None]
     common = seen_a @ seen_b.T
@@ -169,12 +138,9 @@ def compare_poses(a: HalfPoses, b: HalfPoses) -> tuple[Array32, Array32]:
 
 
 def compute_distances(a: HalfPoses, b: HalfPoses, max_b: float | None = None) -> tuple[Array32, float]:
-    """Return the initial distance matrix C (Na, Nb) in torso lengths, and the max B used in it.
+    """Return the initial distance matrix C (Na, Nb), and the max B used in it, in torso lengths.
 
-    Args:
-        a: Na poses.
-        b: Nb poses; passing `a` itself saves half of the work, since C is then symmetric.
-        max_b: max B, torso lengths; None for the largest B of these poses.
+    Passing `a` itself as `b` saves half of the work.
     """
     c = np.empty((len(a), len(b)), np.float32)
     shares = np.empty_like(c)
@@ -195,11 +161,7 @@ def compute_distances(a: HalfPoses, b: HalfPoses, max_b: float | None = None) ->
 
 
 def build_averaging_matrix(c: Array32, beta: float) -> Array32:
-    """Return the averaging matrix M (N, N) of C (N, N) in torso lengths (section 4.2).
-
-    Its row i takes the mean over the frames at a distance less than beta from frame i: these show the same pose,
-    and so does the frame itself.
-    """
+    """Return the averaging matrix M (N, N) of C (N, N) in torso lengths (section 4.2)."""
     m = (c < beta).astype(np.float32)
     np.fill_diagonal(m, 1)
     m /= m.sum(axis=1, keepdims=True)
@@ -207,9 +169,6 @@ def build_averaging_matrix(c: Array32, beta: float) -> Array32:
 
 
 def denoise_distances(c: Array32, averaging: Array32) -> Array32:
-    """Return the de-noised distance matrix D = M C M^T (section 4.2).
-
-    C may be (K, N), distances from K mean poses, whose rows are not averaged again.
-    """
+    """Return D = M C M^T (section 4.2); rows of C (K, N), from K mean poses, are not averaged again."""
     rows = averaging @ c if len(c) == len(averaging) else c
     return np.asarray(rows @ averaging.T)

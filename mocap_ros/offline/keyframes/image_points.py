@@ -8,11 +8,10 @@ For each joint, the set S of inlier frames that minimises
     E(S) = sum_{t in S} (|d_t| / s)^2 + c |not S|
          + sum_{a, b successive in S} |d_b - d_a|^2 / (n^2 + (v (time_b - time_a))^2)
 
-is found exactly by dynamic programming over pairs of successive inlier frames. d_t is the displacement (m) of the
-image point, back-projected to its joint's depth, from the interpolated motion. s (m) is the joint's spread, n
-(`POINT_NOISE_M`) and v (`MAX_SPEED`) limit how far d may move between inliers, and c (`OUTLIER_COST`) is the cost
-of an outlier. A term of the first sum is at most 2 c. A term of the sum over successive inliers is at most c. For
-two inliers more than `MAX_LINK_S` apart it is c, or 0 if the joint was not seen for so long before the second.
+is found by dynamic programming. d_t is the displacement (m) of the back-projected point from the interpolated
+motion, s (m) the joint's spread, n = `POINT_NOISE_M`, v = `MAX_SPEED` and c = `OUTLIER_COST`. Terms of the first
+sum are at most 2 c, those of the last c, as for inliers more than `MAX_LINK_S` apart, or 0 if the joint was not
+seen in between.
 """
 
 from __future__ import annotations
@@ -33,15 +32,7 @@ MIN_SECONDS = 1e-9  # s; guards divisions by a width or a time difference of zer
 
 
 def build_low_pass_matrix(times: Array, width: float) -> csr_array:
-    """L(i, j) = g(t_i - t_j) / sum_k g(t_i - t_k), g(t) = exp(-t^2 / (2 width^2)): a Gaussian low-pass filter.
-
-    Args:
-        times: (F,) s, increasing.
-        width: s, standard deviation of the Gaussian.
-
-    Returns:
-        (F, F) sparse matrix; its product with (F, D) values is the filtered values.
-    """
+    """L(i, j) = g(t_i - t_j) / sum_k g(t_i - t_k), g(t) = exp(-t^2 / (2 width^2)): a low-pass filter (F, F)."""
     from scipy.sparse import csr_array
 
     frames = len(times)
@@ -73,17 +64,7 @@ def nan_median(values: Array, axis: int) -> Array:
 
 
 def interpolate_gaps(points: Array, seen: Mask, times: Array, max_gap: float) -> tuple[Array, Mask]:
-    """Interpolate each point linearly through the short gaps in which it is not seen.
-
-    Args:
-        points: (F, J, D) any unit, arbitrary where not seen.
-        seen: (F, J) True where a point is seen.
-        times: (F,) s, increasing.
-        max_gap: s, largest time between the frames before and after a gap that is interpolated.
-
-    Returns:
-        (F, J, D) points, and (F, J) True where a point is seen or interpolated.
-    """
+    """Interpolate points (F, J, D) through gaps of at most `max_gap` s; return also which are then known."""
     out, known = points.copy(), seen.copy()
     for j in range(points.shape[1]):
         seen_frames = np.flatnonzero(seen[:, j])
@@ -112,11 +93,9 @@ MAX_LINK_FRAMES = 61  # frames; bounds the work a frame at high frame rates
 def find_outliers(displacement: Array, seen: Mask, times: Array) -> Mask:
     """Find the image points (F, J) that make the 3D motion discontinuous.
 
-    Args:
-        displacement: (F, J, 2) m along the image axes, the image points, back-projected to the depths of their
-            joints, minus the joints of the interpolated motion; arbitrary but finite where a point is not seen.
-        seen: (F, J) True where a point is seen.
-        times: (F,) s, increasing.
+    `displacement` (F, J, 2) m along the image axes, the image points, back-projected to the depths of their
+    joints, minus the joints of the interpolated motion, arbitrary but finite where a point is not seen; `seen` (F,
+    J) True where a point is seen; `times` (F,) s, increasing.
     """
     frames, joints = seen.shape
     magnitude = np.linalg.norm(displacement, axis=-1)
@@ -155,7 +134,6 @@ def find_outliers(displacement: Array, seen: Mask, times: Array) -> Mask:
 
 
 def _trace_inliers(best: Array, previous: Array, skipped: Array) -> Mask:
-    """Return (F, J) True for the inliers, followed back from each joint's cheapest last inlier."""
     inliers = np.zeros(best.shape, bool)
     total = best + skipped[-1] - skipped
     for j in range(best.shape[1]):

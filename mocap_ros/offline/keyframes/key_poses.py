@@ -5,8 +5,7 @@
 
     d_k = normalise( sum_{f in W_k} exp(-(D(k, f) / (beta / 2))^2 / 2) d_f )        for each limb
 
-d_k is the limb direction of the key pose of keyframe k, d_f that of the proposed pose of frame f, and W_k the
-frames that k represents well.
+d_k is the limb direction of keyframe k, d_f that proposed for frame f, and W_k the frames that k represents well.
 """
 
 from __future__ import annotations
@@ -50,15 +49,8 @@ def propose_poses(
 ) -> tuple[str, Array]:
     """Propose 3D poses for many frames, including the keyframes, by the source that `keyframes.poses` names.
 
-    Args:
-        observed: image points without suspect points.
-        keyframes: frame indices of the keyframes of both halves.
-        models: base poses by name.
-        config: parameters of all parts.
-
-    Returns:
-        Name of the base poses used, and (F, J, 3) poses of any size, virtual camera's axes; NaN in frames without
-        one.
+    Returns the name of the base poses used, and (F, J, 3) of any size in the virtual camera's axes, NaN in other
+    frames.
 
     Raises:
         InputError: No frame gives a pose.
@@ -94,7 +86,7 @@ def propose_solved_poses(
 ) -> tuple[str, Array]:
     """Propose poses (F, J, 3) m by the whole-sequence solver, section by section, and name the base poses.
 
-    The solver gets the keyframes and a frame every `SOLVER_STEP_S`; the poses of all other frames are NaN.
+    The solver gets the keyframes and a frame every `SOLVER_STEP_S`; the others are NaN.
     """
     times, camera = observed.times, observed.virtual_camera
     # derives a neck or a pelvis that was left out as suspect from the joints beside it
@@ -124,9 +116,7 @@ def propose_solved_poses(
 def estimate_limb_lengths(poses: Array, body_height: float) -> Array:
     """Estimate limb lengths (B,) in m from proposed poses: their median proportions, at the stature given.
 
-    Args:
-        poses: (F, J, 3) any size; NaN in frames without a pose.
-        body_height: m, stature.
+    `poses` (F, J, 3) any size, NaN in frames without a pose; `body_height` m, stature.
 
     Raises:
         InputError: All joints are in one place in every frame.
@@ -144,15 +134,7 @@ def estimate_limb_lengths(poses: Array, body_height: float) -> Array:
 
 
 def average_key_directions(keyframes: KeyframeSet, poses: Array, beta: float) -> Array:
-    """Return the limb directions (K, B, 3) of the key poses of one half; NaN where no frame has a proposed pose.
-
-    Each key pose is the mean over the frames that its keyframe represents well, weighted by nearness.
-
-    Args:
-        keyframes: keyframes of the half.
-        poses: (F, J, 3) proposed poses of any size; NaN in frames without one.
-        beta: torso lengths.
-    """
+    """Return the limb directions (K, B, 3) of the key poses of one half; NaN without proposed poses."""
     directions = compute_limb_directions(poses, keyframes.body_half.bones)
     has_pose = np.isfinite(directions).all(axis=(1, 2))
     nearness = np.exp(-0.5 * (keyframes.distance / (beta / 2)) ** 2)
@@ -187,12 +169,9 @@ def apply_depth_choice(
 ) -> None:
     """Replace the key pose of one keyframe by the pose that Taylor's method gives for a user's choice.
 
-    Args:
-        choice: keyframe, and the limbs that point towards the camera.
-        keyframes: keyframes of both halves.
-        key_directions: (K, B, 3) limb directions of each half's key poses; those of the keyframe are overwritten.
-        observed: image points without suspect points.
-        lengths: (B,) m, limb lengths of the whole skeleton.
+    `choice` keyframe, and the limbs that point towards the camera; `key_directions` (K, B, 3) limb directions of
+    each half's key poses, those of the keyframe are overwritten; `lengths` (B,) m, limb lengths of the whole
+    skeleton.
 
     Raises:
         InputError: There is no such keyframe, or Taylor's method fails for it; the message names the choice.

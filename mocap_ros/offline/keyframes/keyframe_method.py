@@ -1,11 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reconstruction of a long sequence by keyframes, from 2D keypoints to 3D motion (Loy et al. 2004, figure 1).
-
-The steps: observed window of the sequence, suspect points, keyframes, key poses, interpolation between control
-points, alignment to the image, outliers, offsets of the detector's joints, projected gradient fit.
-"""
+"""Reconstruction of a long sequence by keyframes, from 2D keypoints to 3D motion (Loy et al. 2004, figure 1)."""
 
 from __future__ import annotations
 
@@ -67,21 +63,15 @@ TORSO_M = 0.5  # m, torso length of an adult; turns torso lengths into metres be
 
 @dataclass(frozen=True, eq=False)
 class KeyframeResult:
-    """A sequence reconstructed by keyframes.
+    """A sequence reconstructed by keyframes."""
 
-    Attributes:
-        result: 3D joints; joints that were not seen or are outliers are not `seen` in it. Its solution says how
-            the gradient fit ended; the objective is the mean squared reprojection error, which may rise, since
-            limb lengths are reset after every step.
-        keyframes: keyframes of the upper and the lower half of the body.
-        motion: (F, J, 3) m, virtual camera's axes: the initial motion X^0 between key poses, before the fit.
-        outliers: (F, J) True for the image points that were seen and found to be outliers.
-    """
-
+    # 3D joints; joints that were not seen or are outliers are not `seen` in it. Its solution says how the gradient
+    # fit ended; the objective is the mean squared reprojection error, which may rise, since limb lengths are reset
+    # after every step
     result: SequenceResult
-    keyframes: tuple[KeyframeSet, KeyframeSet]
-    motion: Array
-    outliers: Mask
+    keyframes: tuple[KeyframeSet, KeyframeSet]  # keyframes of the upper and the lower half of the body
+    motion: Array  # (F, J, 3) m, virtual camera's axes: the initial motion X^0 between key poses, before the fit
+    outliers: Mask  # (F, J) True for the image points that were seen and found to be outliers
 
 
 def observe_shots(
@@ -104,10 +94,7 @@ def find_keyframes(
 ) -> tuple[KeyframeSet, KeyframeSet]:
     """Find the keyframes of both halves of the body in a sequence (section 4).
 
-    Args:
-        observed: image points without suspect points.
-        config: parameters of the keyframe method.
-        progress: called with the name of each stage before it begins.
+    `progress` called with the name of each stage before it begins.
     """
     out = []
     for half in split_into_halves(CMU15):
@@ -129,16 +116,12 @@ def reconstruct(
 ) -> KeyframeResult:
     """Reconstruct a long sequence of one person's keypoints by keyframes.
 
-    Args:
-        keypoints: (F, J, 3) x and y in px, and confidence score; NaN or score 0 where not seen.
-        joint_names: (J,) any names that `keypoints.joint_map` knows.
-        times: (F,) s, increasing.
-        intrinsics: intrinsics of the camera.
-        models: base poses by name, for the solver that proposes poses.
-        config: parameters; those of `keyframes`, and those that apply to `whole_sequence.reconstruct_sequence`,
-            but not `tracker.skeleton`: the result has the joints of `skeleton.CMU15`.
-        choices: forward/backward choices for the keyframes whose key poses Taylor's method is to make.
-        progress: called with the name of each stage before it begins.
+    `keypoints` (F, J, 3) x and y in px, and confidence score, NaN or score 0 where not seen; `joint_names` (J,)
+    any names that `keypoints.joint_map` knows; `times` (F,) s, increasing; `models` base poses by name, for the
+    solver that proposes poses; `config` parameters, those of `keyframes`, and those that apply to
+    `whole_sequence.reconstruct_sequence`, but not `tracker.skeleton`: the result has the joints of
+    `skeleton.CMU15`; `choices` forward/backward choices for the keyframes whose key poses Taylor's method is to
+    make; `progress` called with the name of each stage before it begins.
 
     Raises:
         SkeletonError: These names give too few of the model's joints.
@@ -221,15 +204,8 @@ def interpolate_key_poses(
 ) -> Array:
     """Interpolate between key poses to the initial motion X^0 (F, J, 3) m (section 6.1).
 
-    A half without any key pose follows the proposed poses.
-
-    Args:
-        observed: image points without suspect points.
-        keyframes: keyframes of both halves.
-        key_directions: (K, B, 3) limb directions of each half's key poses.
-        poses: (F, J, 3) proposed poses of any size; NaN in frames without one.
-        lengths: (B,) m, limb lengths.
-        config: parameters; `gap` and `frame_pose_share` apply.
+    A half without any key pose follows the proposed poses (F, J, 3). Directions of key poses are (K, B, 3),
+    lengths (B,).
     """
     times = observed.times
     directions = np.zeros((len(times), len(CMU15.bones), 3))
@@ -254,7 +230,6 @@ def interpolate_key_poses(
 def _rank_fits(
     observed: ObservedWindow, keyframes: KeyframeSet, key_directions: Array, assignment: Indices, lengths: Array
 ) -> Array:
-    """Return the distances (F,) in torso lengths of frames from their key poses of one half, or infinity."""
     torso_px = estimate_torso_lengths(observed.points, observed.weight, observed.times)
     points = observed.points / torso_px[:, None, None]
     torso_m = lengths[CMU15.bones.index((CMU15.index('pelvis'), CMU15.index('neck')))]
@@ -276,15 +251,7 @@ def fill_missing_points(
 ) -> tuple[Array, Array]:
     """Fill the points that are not seen, as displacements from the motion interpolated over time.
 
-    Args:
-        motion: initial motion, aligned to the image points.
-        points: (F, J, 2) px, arbitrary where the weight is 0.
-        weight: (F, J) confidence scores without those of outliers, 0 where not seen.
-        times: (F,) s, increasing.
-        focal: px, focal length, or infinite.
-
-    Returns:
-        (F, J, 2) px, all points; and (F, J) weights, `FILLED_WEIGHT` for filled points.
+    Returns all points (F, J, 2) px and weights (F, J), `FILLED_WEIGHT` for filled points.
     """
     seen = weight > 0
     displacement, known = interpolate_gaps(motion.displacement(points, focal), seen, times, MAX_FILLED_GAP_S)

@@ -7,21 +7,14 @@
     C_K = sum_i ( min_{f in W, f < i} |t_i - t_f| + min_{f in W, f > i} |t_i - t_f| )               (eq. 2)
     K <- K u {j},   j = argmin_k C_{K u {k}}                                                  (eq. 3 and 4)
 
-W is the set of frames well represented by a keyframe of K: frame f is well represented by keyframe k if
-D(k, f) < beta or f = k. J is the set of interpolatable frames: those between two frames of W that are less than T
-apart. At the ends of the sequence, where no frame of W lies on one side of i, one frame interval before the first
-frame and one after the last count as well represented.
+W are the frames well represented by a keyframe k of K, D(k, f) < beta or f = k; J those between two frames of W
+that are less than T apart. At the ends, one frame interval before the first and after the last frame count as in
+W. For neighbours a and b in W with g frames between them, all terms of eq. 2 sum to (g + 2) T_ab, so C_K is a sum
+over gaps, and a new keyframe changes only the gaps in which it represents a frame.
 
-Incremental selection: let a and b be neighbours in W, T_ab seconds apart, with g frames between them. All terms of
-eq. 2 between a and b sum to (g + 2) T_ab, so C_K is a sum over gaps, and a new keyframe changes only the gaps in
-which it represents a frame. The result equals that of eq. 2 evaluated directly.
-
-Up to `keyframes.max_matrix_frames` frames the distance matrix D covers the whole sequence, and the selection is
-the paper's. A longer sequence is processed section by section, so that a section bounds the memory. In each
-section the keyframes of earlier sections first represent the frames that they can; the section then adds the
-keyframes that it still needs. This differs from one whole matrix in three ways: a later keyframe cannot replace an
-earlier one, D is de-noised within its section only, and max B is that of the first section. An earlier keyframe is
-compared with the frames of later sections by the mean pose of the frames at a distance less than beta from it.
+Beyond `keyframes.max_matrix_frames` frames, sections bound the memory: keyframes of earlier sections first
+represent the frames that they can, by the mean pose of the frames nearer than beta. A later keyframe cannot
+replace an earlier one, D is de-noised within its section, and max B is that of the first section.
 """
 
 from __future__ import annotations
@@ -73,14 +66,8 @@ def select_keyframes(
 ) -> Indices:
     """Select keyframes by eq. 3 and 4 until eq. 1 holds; return their frames in the order of selection.
 
-    Among candidates of equal cost the earliest frame is selected.
-
-    Args:
-        represents: (N, N) True in row k for the frames that k represents well, D(k, .) < beta.
-        times: (N,) s, increasing.
-        alpha: share of the frames to cover.
-        gap: T, s.
-        well_represented: (N,) True for the frames that keyframes of earlier sections represent well already.
+    Among candidates of equal cost the earliest is selected. Row k of `represents` (N, N) are the frames that k
+    represents well, `well_represented` (N,) those of keyframes of earlier sections; `gap` is T in s.
     """
     represents = represents | np.eye(len(times), dtype=bool)
     initial = np.zeros(len(times), bool) if well_represented is None else well_represented.copy()
@@ -102,21 +89,14 @@ class _CandidateCosts:
 
     The costs are sums over the gaps between neighbours in W, the set of well-represented frames. A new keyframe
     changes only the terms of the gaps in which it represents a frame.
-
-    Attributes:
-        represents: (N, N) True in row k for the frames that keyframe k represents well, k itself included.
-        times: (N,) s, increasing.
-        well_represented: (N,) True for the frames of W.
-        cost: (N,) s, C_{K u {k}} of each frame k.
-        is_keyframe: (N,) True for the frames of K.
-        padded_times: (N + 2,) s; `times` with one frame interval added before the first and after the last.
     """
 
-    represents: Mask
-    times: Array
-    well_represented: Mask
-    cost: Array = field(init=False)
-    is_keyframe: Mask = field(init=False)
+    represents: Mask  # (N, N) True in row k for the frames that keyframe k represents well, k itself included
+    times: Array  # (N,) s, increasing
+    well_represented: Mask  # (N,) True for the frames of W
+    cost: Array = field(init=False)  # (N,) s, C_{K u {k}} of each frame k
+    is_keyframe: Mask = field(init=False)  # (N,) True for the frames of K
+    # (N + 2,) s; `times` with one frame interval added before the first and after the last
     padded_times: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -180,29 +160,18 @@ MIN_WEIGHT = 1e-9  # guards the division by the number of frames that show a joi
 
 @dataclass(frozen=True, eq=False)
 class KeyframeSet:
-    """The keyframes K of one half of the body, and the frames that they represent.
-
-    Attributes:
-        body_half: half of the body.
-        frames: (K,) indices of the keyframes in the sequence, in the order of selection.
-        nearest: (F,) index into `frames` of the keyframe nearest to each frame; -1 where the frame has no pose.
-        distance: (F,) torso lengths, distance D to that keyframe; infinite where the frame has no pose.
-        well_represented: (F,) True for the frames of W: the nearest keyframe is closer than beta.
-        covered: (F,) True for the frames of W u J: well represented or interpolatable.
-        has_pose: (F,) True for the frames that show enough joints of this half.
-        distance_matrix: (N, N) torso lengths, D of the first section.
-        matrix_frames: (N,) frame indices of the rows and columns of `distance_matrix`.
-    """
+    """The keyframes K of one half of the body, and the frames that they represent."""
 
     body_half: BodyHalf
-    frames: Indices
+    frames: Indices  # (K,) indices of the keyframes in the sequence, in the order of selection
+    # (F,) index into `frames` of the keyframe nearest to each frame; -1 where the frame has no pose
     nearest: Indices
-    distance: Array
-    well_represented: Mask
-    covered: Mask
-    has_pose: Mask
-    distance_matrix: Array32
-    matrix_frames: Indices
+    distance: Array  # (F,) torso lengths, distance D to that keyframe; infinite where the frame has no pose
+    well_represented: Mask  # (F,) True for the frames of W: the nearest keyframe is closer than beta
+    covered: Mask  # (F,) True for the frames of W u J: well represented or interpolatable
+    has_pose: Mask  # (F,) True for the frames that show enough joints of this half
+    distance_matrix: Array32  # (N, N) torso lengths, D of the first section
+    matrix_frames: Indices  # (N,) frame indices of the rows and columns of `distance_matrix`
 
     @property
     def coverage(self) -> float:
@@ -278,16 +247,7 @@ def find_keyframe_set(poses: HalfPoses, half: BodyHalf, frames: int, config: Key
 
 
 def average_similar_poses(poses: HalfPoses, averaging: Array32, keyframes: Indices) -> HalfPoses:
-    """Return, for each keyframe, the mean pose of the frames at a distance less than beta.
-
-    Args:
-        poses: N poses.
-        averaging: (K, N) the keyframes' rows of the averaging matrix M.
-        keyframes: (K,) indices into `poses`.
-
-    Returns:
-        K poses; a joint that the keyframe does not show counts as not seen.
-    """
+    """Return K mean poses of the frames nearer than beta; joints that a keyframe lacks count as not seen."""
     weight = averaging[..., None] * poses.seen
     seen = poses.seen.astype(np.float32)
     centroid = (seen[..., None] * poses.points).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)[:, None]

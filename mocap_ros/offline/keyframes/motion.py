@@ -4,21 +4,13 @@
 """The initial smooth motion X^0 between key poses, and its fit to the image points (Loy et al. 2004, section 6).
 
     slerp(a, b; u) = ( sin((1 - u) omega) a + sin(u omega) b ) / sin(omega)      with cos(omega) = a . b
-
-A control point is a frame of W whose pose is replaced by the key pose of its keyframe. Limbs are unit vectors in
-the camera's frame; between control points each limb turns at constant speed (spherical linear interpolation,
-Shoemake 1985).
-
-The fit of the initial motion to the image points (section 6.2, figure 9) is
-
     X_hat = argmin_X E(X)  subject to X in M_N,      E(X) = || x' - x_hat ||^2                  (eq. 5 and 6)
     X^i = X^{i-1} - lambda grad E(X^{i-1})                                                  (figure 9, step 3)
 
-x' is the projection of the motion X, and x_hat the image points, whose squared errors count by their weights. Step
-1 translates, rotates and scales the initial motion X^0 to fit the image points (`alignment.py`). Each step of the
-gradient descent is followed by step 4, the approximate projection onto the manifold M_N of skeleton motions: limb
-lengths are reset and the joints' trajectories are low-passed. E is measured in metres at the body, under the
-perspective projection if the focal length is known.
+A control point is a frame of W whose pose is replaced by the key pose of its keyframe; between them each limb
+turns at constant speed (Shoemake 1985). x' is the projection of X, and x_hat the weighted image points; E is in
+metres at the body. Each step of the descent is followed by step 4, the approximate projection onto the manifold
+M_N: limb lengths are reset and trajectories low-passed.
 """
 
 from __future__ import annotations
@@ -53,13 +45,7 @@ def compute_limb_directions(poses: Array, bones: Bones) -> Array:
 
 
 def assemble_poses(directions: Array, lengths: Array, skeleton: Skeleton) -> Array:
-    """Return poses (..., J, 3) centred on the mean of the joints, in the unit of the lengths.
-
-    Args:
-        directions: (..., B, 3) unit vectors, in the order of `skeleton.bones`.
-        lengths: (..., B) limb lengths in any unit.
-        skeleton: skeleton with J joints and B bones.
-    """
+    """Return centred poses (..., J, 3) of directions (..., B, 3) and lengths (..., B) of the limbs."""
     bone_index = {bone: i for i, bone in enumerate(skeleton.bones)}
     out = np.zeros((*directions.shape[:-2], len(skeleton.joints), 3))
     for bone in skeleton.outward_bones():
@@ -74,12 +60,8 @@ def compute_reprojection_distances(key_poses: Array, points: Array, seen: NDArra
 
         e = r sqrt( mean_j log(1 + |x'_j - x_j|^2 / r^2) )      with r = `ROBUST_SCALE`
 
-    Each key pose is first translated by the median difference of the seen joints.
-
-    Args:
-        key_poses: (N, J, 2) x', reprojected 3D key poses, torso lengths.
-        points: (N, J, 2) x, image points of the frames, torso lengths.
-        seen: (N, J) True where a joint of the frame is seen.
+    Key poses x' (N, J, 2) and points x, in torso lengths, are first aligned by the median difference of the seen
+    joints.
     """
     difference = np.where(seen[..., None], key_poses - points, np.nan)
     difference = np.nan_to_num(difference - nan_median(difference, axis=1)[:, None])
@@ -90,14 +72,8 @@ def compute_reprojection_distances(key_poses: Array, points: Array, seen: NDArra
 def select_control_points(assignment: Indices, distance: Array, times: Array, gap: float) -> Indices:
     """Select the control points: the worst fitting frames of each run assigned to one keyframe are omitted.
 
-    Args:
-        assignment: (F,) index of the keyframe that represents each frame well, -1 where none does.
-        distance: (F,) distance of each frame from its reprojected key pose.
-        times: (F,) s, increasing.
-        gap: T, s; a frame is omitted only if its neighbouring control points are at most T apart.
-
-    Returns:
-        Frame indices of the control points, increasing. The best fitting frame of a run is always among them.
+    A frame is omitted only if its neighbouring control points are at most `gap` s apart, and never the best of a
+    run.
     """
     represented = np.flatnonzero(assignment >= 0)
     before = dict(zip(represented[1:].tolist(), represented[:-1].tolist(), strict=True))
@@ -115,11 +91,7 @@ def select_control_points(assignment: Indices, distance: Array, times: Array, ga
 
 
 def slerp(directions: Array, control_times: Array, times: Array) -> Array:
-    """Interpolate unit vectors (C, B, 3) between control points to vectors (F, B, 3) (formula of the module).
-
-    The directions at the ends are held before and after. Opposite directions have no unique path between them;
-    these turn through some plane.
-    """
+    """Interpolate unit vectors (C, B, 3) between control points to (F, B, 3); the ends are held."""
     after = np.clip(np.searchsorted(control_times, times), 0, len(control_times) - 1)
     before = np.maximum(after - 1, 0)
     elapsed, duration = times - control_times[before], control_times[after] - control_times[before]
@@ -147,16 +119,11 @@ def reset_limb_lengths(joints: Array, lengths: Array, skeleton: Skeleton) -> Arr
 
 @dataclass(frozen=True, eq=False)
 class FitResult:
-    """The result of the projected gradient descent.
-
-    Attributes:
-        motion: fitted motion X_hat.
-        mean_squared_errors: m^2, sum (w |e|)^2 / sum w of the reprojection errors e and weights w, before each
-            step and at the end. The limb lengths of the motion are reset once more after the last value.
-        status: why the descent stopped.
-    """
+    """The result of the projected gradient descent."""
 
     motion: AlignedMotion
+    # m^2, sum (w |e|)^2 / sum w of the reprojection errors e and weights w, before each step and at the end. The
+    # limb lengths of the motion are reset once more after the last value
     mean_squared_errors: tuple[float, ...]
     status: SolverStatus
 
@@ -177,18 +144,9 @@ def fit_motion(
 ) -> FitResult:
     """Fit a motion to its image points by projected gradient descent (figure 9, steps 2 to 5).
 
-    Args:
-        start: aligned initial motion from step 1.
-        points: (F, J, 2) px, arbitrary where the weight is 0.
-        weight: (F, J) weights in [0, 1].
-        times: (F,) s, increasing.
-        lengths: (B,) m, limb lengths, left and right equal.
-        skeleton: skeleton of the joints.
-        focal: px, focal length, or infinite.
-        step: lambda, factor of the gradient of the squared error.
-        smoothing: s, standard deviation of the low-pass filter; 0 for none.
-        iterations: maximum number of steps.
-        tolerance: relative change of the error below which the descent has converged.
+    Points (F, J, 2) and `focal`, which may be infinite, are in px; `lengths` (B,) m are equal left and right;
+    `step` is lambda, `smoothing` s the standard deviation of the low-pass filter, `tolerance` the relative change
+    at the end.
     """
     low_pass = build_low_pass_matrix(times, smoothing) if smoothing > 0 else None
     motion = replace(start, joints=reset_limb_lengths(start.joints, lengths, skeleton))

@@ -22,16 +22,7 @@ MAX_ABSENCE_S = 0.5  # s without a pose, after which the motion before no longer
 
 
 def split_into_sections(times: Array, max_seconds: float, margin: float) -> list[tuple[slice, slice]]:
-    """Split the frames of a sequence into sections of about equal duration.
-
-    Args:
-        times: (F,) s, increasing.
-        max_seconds: s, maximum duration of a section without its margins.
-        margin: s, added before and after each section.
-
-    Returns:
-        For each section the frames with both margins, and the frames without.
-    """
+    """Split the frames of a sequence into sections of about equal duration, with and without margins in s."""
     count = max(int(np.ceil((times[-1] - times[0]) / max_seconds)), 1)
     edges = np.searchsorted(times, np.linspace(times[0], times[-1], count + 1)[1:-1]).tolist()
     bounds = sorted({0, *edges, len(times)})
@@ -45,13 +36,8 @@ def split_into_sections(times: Array, max_seconds: float, margin: float) -> list
 def find_shots(points: Array, weight: Array, times: Array) -> list[slice]:
     """Split a sequence into shots, the slices of frames between its cuts.
 
-    A cut is where the median joint moves more than `CUT_DISPLACEMENT` between frames, or where no frame shows a
-    pose for more than `MAX_ABSENCE_S`. Swapped left and right are no cut.
-
-    Args:
-        points: (F, J, 2) any unit, joints of `CMU15`; arbitrary where the weight is 0.
-        weight: (F, J) confidence scores, 0 where not seen.
-        times: (F,) s, increasing.
+    A cut is where the median joint of points (F, J, 2) in any unit moves by more than `CUT_DISPLACEMENT`, or after
+    more than `MAX_ABSENCE_S` without a pose. Swapped left and right are no cut.
     """
     pose_frames = np.flatnonzero((weight > 0).sum(axis=1) >= MIN_JOINTS_FOR_CAMERA)
     torso = estimate_torso_lengths(points, weight, times)[pose_frames[1:]]

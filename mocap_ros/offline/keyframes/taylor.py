@@ -5,10 +5,9 @@
 
     dz^2 = l^2 - (du^2 + dv^2) / s^2
 
-Under scaled orthographic projection with scale s, the image (du, dv) of a limb of length l gives the limb's extent
-dz along the optical axis up to its sign. The scale must be large enough for every limb. A user chooses the sign:
-for each limb whether its outer joint is nearer to the camera than its inner joint (the forward/backward
-ambiguity).
+Under scaled orthographic projection with scale s, the image (du, dv) of a limb of length l gives its depth dz up
+to the sign, which a user chooses: whether the outer joint is nearer to the camera. The scale must suffice for all
+limbs.
 """
 
 from __future__ import annotations
@@ -34,21 +33,14 @@ ENTRY_KEYS = {'time', 'half', 'represents', 'spans', 'forward', 'scale'}  # keys
 
 @dataclass(frozen=True)
 class DepthChoice:
-    """A user's forward/backward choice for the limbs of one keyframe.
+    """A user's forward/backward choice for the limbs of one keyframe."""
 
-    Attributes:
-        half: `upper` or `lower`.
-        time_s: s, time of the keyframe since the beginning of the sequence.
-        forward: outer joints of the limbs that point towards the camera; all other limbs point away from it.
-        scale: px/m, scale of the projection; None for the minimum that every limb allows.
-        location: file and entry of the choice, for error messages.
-    """
-
-    half: str
-    time_s: float
+    half: str  # `upper` or `lower`
+    time_s: float  # s, time of the keyframe since the beginning of the sequence
+    # outer joints of the limbs that point towards the camera; all other limbs point away from it
     forward: frozenset[str]
-    scale: float | None
-    location: str
+    scale: float | None  # px/m, scale of the projection; None for the minimum that every limb allows
+    location: str  # file and entry of the choice, for error messages
 
 
 def reconstruct_limbs(
@@ -58,17 +50,10 @@ def reconstruct_limbs(
     forward: frozenset[str],
     scale: float | None = None,
 ) -> tuple[Array, float]:
-    """Reconstruct limbs in 3D from one image by Taylor's method, up to the depth of the whole body.
+    """Reconstruct limbs (B, 3) from points (J, 2) px by Taylor's method; return also the scale used.
 
-    Args:
-        points: (J, 2) px, x to the right and y down; NaN where not seen.
-        lengths: (B,) limb lengths in m or any other unit, since only their ratios matter if `scale` is None.
-        bones: (B,) pairs of inner and outer joint index.
-        forward: names of the outer joints that are nearer to the camera than their inner joints.
-        scale: px per unit of the lengths; None for the minimum that every limb allows.
-
-    Returns:
-        (B, 3) vectors from inner to outer joint, camera's axes (z away from the camera); and the scale used.
+    Vectors are from inner to outer joint, in the camera's axes. Without `scale`, px per unit of the lengths, it is
+    the least that every limb allows; the outer joints `forward` are nearer to the camera.
 
     Raises:
         InputError: A joint, which is named, is not seen or is no outer joint of these limbs, or the scale is too
@@ -98,11 +83,7 @@ def reconstruct_limbs(
 
 
 def parse_depth_choices(tree: object, source: str) -> tuple[DepthChoice, ...]:
-    """Parse the choices in a file of keyframes as `mocap-ros keyframes` writes it.
-
-    Args:
-        tree: content of the YAML file; an entry without `forward` holds no choice.
-        source: name of the file, for error messages.
+    """Parse the choices in a YAML tree of keyframes as `mocap-ros keyframes` writes it; `source` names the file.
 
     Raises:
         InputError: The file or an entry is malformed; the message names the entry.

@@ -5,9 +5,8 @@
 
     u_l(t) = c_0l + sum_h [a_hl cos(h omega (t - t0)) + b_hl sin(h omega (t - t0))],    h = 1 ... H
 
-for l = 1 ... K (weights of the base poses, m) and l = K + 1 (heading, rad), with one fundamental frequency omega
-for all functions (the paper has a sine with its own frequency for each function, eq. 17). They are linear in the
-P = 2 H + 1 coefficients c_pl:
+for l = 1 ... K (weights, m) and l = K + 1 (heading, rad), with one fundamental frequency omega (eq. 17 has one for
+each). They are linear in the P = 2 H + 1 coefficients c_pl:
 
     u_l(t) = sum_p terms_tp c_pl,    d u_l(t) / d c_pl = terms_tp
     slope_tl = d u_l(t) / d omega = sum_h h (t - t0) [b_hl cos(h omega (t - t0)) - a_hl sin(h omega (t - t0))]
@@ -27,7 +26,7 @@ Array = NDArray[np.float64]
 MIN_CADENCE_HZ = 0.5  # Hz, full cycles; the slowest walk, as `ClassifierConfig.walk_cadence`
 MAX_CADENCE_HZ = 2.2  # Hz, full cycles; about that of a sprint
 CADENCE_STEP_HZ = 0.02  # Hz; half a step shifts the phase over a window of 2 s by 2 % of a cycle
-MIN_CYCLES = 0.8  # cycles in the window; a lower cadence could not be told from a drift
+MIN_CYCLES = 0.8  # cycles in the window; a lower cadence would look like a drift
 MIN_LOG_CADENCE_RATIO = 0.25  # a second cadence differs by a factor of 1.28, or it would end in the same minimum
 RIDGE = 0.2  # weight of c^T diag(1 / share) c against the mean squared misfit; chosen on CMU walks and runs
 MAX_FREQUENCY_STEP = 0.1  # of omega; guards a step of the solver against leaving the cadence of its hypothesis
@@ -38,17 +37,11 @@ HARMONIC_SHARE = 0.4  # of the first harmonic; the h-th has 1 / h^2 of it
 
 @dataclass(frozen=True, eq=False)
 class FourierSeries:
-    """Fourier series of K base-pose weights and, in the last column, of the heading.
+    """Fourier series of K base-pose weights and, in the last column, of the heading."""
 
-    Attributes:
-        coefficients: (P, K + 1) m, in the last column rad. The rows are constant, cos, sin, cos 2, sin 2, ...
-        omega: rad/s, fundamental frequency.
-        origin: s, the time t0 at which the phase is zero.
-    """
-
-    coefficients: Array
-    omega: float
-    origin: float
+    coefficients: Array  # (P, K + 1) m, in the last column rad; constant, cos, sin, cos 2, sin 2 and so on
+    omega: float  # rad/s, fundamental frequency
+    origin: float  # s, the time t0 at which the phase is zero
 
     @property
     def cadence(self) -> float:
@@ -84,15 +77,10 @@ class FourierSeries:
 
 @dataclass(frozen=True, eq=False)
 class SeriesJacobian:
-    """Jacobian J_t = d u_t / d x of the functions' values by the G = P (K + 1) + 1 unknowns, for all frames.
+    """Jacobian J_t = d u_t / d x of the functions' values by the G = P (K + 1) + 1 unknowns, for all frames."""
 
-    Attributes:
-        terms: (N, P) derivatives by c_pl, the same for all functions.
-        slopes: (N, K + 1) derivatives by omega.
-    """
-
-    terms: Array
-    slopes: Array
+    terms: Array  # (N, P) derivatives by c_pl, the same for all functions
+    slopes: Array  # (N, K + 1) derivatives by omega
 
     def products(self, values: Array) -> Array:
         """Return X_t J_t of every frame, (N, R, G), for X (N, R, K + 1)."""
@@ -110,10 +98,7 @@ class SeriesJacobian:
         return np.concatenate([np.swapaxes(by_terms, 0, 1).reshape(rows, -1), by_omega[:, None]], axis=1)
 
     def sum_congruences(self, matrices: Array) -> Array:
-        """Return sum_t J_t^T X_t J_t, (G, G), for symmetric X (N, K + 1, K + 1).
-
-        All functions have the same terms, so the products of terms are formed once, not once for each function.
-        """
+        """Return sum_t J_t^T X_t J_t, (G, G), for symmetric X (N, K + 1, K + 1)."""
         frames, k, _ = matrices.shape
         p = self.terms.shape[1]
         products = (self.terms[:, :, None] * self.terms[:, None]).reshape(frames, -1)
@@ -131,18 +116,12 @@ def fit_initial_series(
 ) -> FourierSeries:
     """Fit a series to the weights of a non-periodic reconstruction, with the most likely cadence of a scan.
 
-    For every cadence on a grid the coefficients minimise, with the diagonal ridge D = RIDGE N diag(1 / share_p),
+    For every cadence, with the diagonal ridge D = RIDGE N diag(1 / share_p), the coefficients minimise
 
         |theta_l - T c_l|^2 + c_l^T D c_l = |theta_l|^2 - c_l^T T^T theta_l    at  c_l = (T^T T + D)^-1 T^T theta_l
 
-    so the best cadence has the largest c^T T^T theta, summed over all base poses. A base pose counts by the
-    variance of its weight, that is, as far as it moves the body. The heading begins as zero.
-
-    Args:
-        theta: (N, K) m, weights.
-        times: (N,) s.
-        config: `harmonics` applies.
-        excluded_omega: rad/s; similar frequencies are left out of the scan, unless none would remain.
+    so the best has the largest c^T T^T theta, summed over base poses. The heading begins as zero. Frequencies like
+    `excluded_omega` rad/s are left out, unless none would remain.
     """
     scanned = list_scanned_frequencies(times)
     if excluded_omega is not None:
@@ -172,16 +151,7 @@ def make_terms(angle: Array) -> Array:
 
 
 def fit_with_ridge(terms: Array, theta: Array, share: Array) -> tuple[Array, Array]:
-    """Fit the coefficients for every scanned frequency (formula at `fit_initial_series`).
-
-    Args:
-        terms: (C, N, P) terms at each of C frequencies.
-        theta: (N, K) m, weights.
-        share: (P,) share of a weight's variance that the prior gives to each term.
-
-    Returns:
-        The coefficients (C, P, K) m, and the part c^T T^T theta of |theta_l|^2 that they explain, (C, K) m^2.
-    """
+    """Return coefficients (C, P, K) m for C frequencies, and what they explain, c^T T^T theta, (C, K) m^2."""
     ridge = RIDGE * theta.shape[0] * np.diag(1 / share)
     cross = np.swapaxes(terms, -1, -2)
     fits = np.linalg.solve(cross @ terms + ridge, cross @ theta)
@@ -189,9 +159,6 @@ def fit_with_ridge(terms: Array, theta: Array, share: Array) -> tuple[Array, Arr
 
 
 def variance_shares(harmonics: int) -> Array:
-    """Return the share (2 H + 1,) of a weight's variance that the prior gives to each term.
-
-    The cosine and the sine of a harmonic have the same share.
-    """
+    """Return the share (2 H + 1,) of a weight's variance that the prior gives to each term."""
     harmonic = HARMONIC_SHARE / np.arange(1, harmonics + 1) ** 2
     return np.append(CONSTANT_SHARE, np.repeat(harmonic, 2))

@@ -3,41 +3,28 @@
 
 """The normal equations of the periodic model, and their solution with the cameras eliminated.
 
-Unknowns of a window of N frames, K base poses, P terms of a series (module `fourier`):
+    x    G = P (K + 1) + 1 coefficients c_pl of the K weights and the heading, then the frequency omega
+    z_t  4 unknowns of each frame's camera: rotation vector w_t of C_t <- exp([w_t]x) C_t, and log scale log s_t
 
-    x    coefficients c_pl (P, K + 1) of the K weights and of the heading, which is function K + 1; then the
-         frequency omega. G = P (K + 1) + 1.
-    z_t  4 unknowns of each frame's camera: rotation vector w_t of C_t <- exp([w_t]x) C_t, and log scale log s_t.
-         Translations are eliminated already (module `joint.normal_equations`).
-
-Chain rule. With u_t = (theta_t, psi_t) the values of the functions at frame t,
+With u_t = (theta_t, psi_t) the values of the functions,
 
     d u_tl / d c_pl = terms_tp,    d u_tl / d omega = slope_tl,    together J_t = d u_t / d x, (K + 1, G)
 
-The joint solver gives the Gauss-Newton matrix H_t and half the gradient h_t of a frame, (K + 4) unknowns: its
-weights, the rotation vector v_t of the body's rotation R_t <- exp([v_t]x) R_t and the log scale. Here R_t = C_t
-Rz(psi_t). A change of psi_t turns the body about its vertical, which is a_t = C_t e_z in the camera frame, and a
-change of the camera turns the body with it, so v_t = w_t + a_t psi_t. With H_tv the columns of H_t by v_t, the
-heading is inserted as unknown K + 1: its column of H'_t is H_tv a_t, and a_t^T H_vv a_t on the diagonal; likewise
-a_t^T h_v in h'_t.
-
-Normal equations. H'_uu, H'_zu and H'_zz are the parts of H' that belong to u_t and z_t, likewise h'_u and h'_z.
-The columns of g_t are the gradients of the bone lengths by u_t, times the square roots of their weights; the
-eliminated mean bone lengths subtract b b^T / N. D (diagonal, 0 for omega), E (coupling a camera with the next two)
-and the gradients d and e are what the terms beside those of the body add (`periodic.objective`).
+The joint solver gives the matrix H_t and half the gradient h_t of a frame, by its weights, the rotation vector v_t
+of the body's rotation C_t Rz(psi_t), and the log scale. psi_t turns the body about a_t = C_t e_z, so v_t = w_t +
+a_t psi_t, and the heading is inserted as unknown K + 1 of H'_t with the column H_tv a_t, the diagonal a_t^T H_vv
+a_t, and a_t^T h_v in h'_t. The columns of g_t are the gradients of the bone lengths by u_t, whose eliminated means
+subtract b b^T / N. D (diagonal, 0 for omega), E (cameras of frames up to two apart), d and e belong to
+`periodic.objective`:
 
     [ A    B ] [dx]     [a]        A    = sum_t J_t^T H'_uu,t J_t - b b^T / N + D,    b = sum_t J_t^T g_t
     [ B^T  C ] [dz] = - [c]        B^T  = (B_1^T; ... B_N^T),    B_t^T = H'_zu,t J_t
                                    C_tu = E_tu,    C_tt = E_tt + H'_zz,t
-                                   a    = sum_t J_t^T h'_u,t + d
-                                   c_t  = h'_z,t + e_t
+                                   a    = sum_t J_t^T h'_u,t + d,    c_t  = h'_z,t + e_t
 
-Elimination. With the block Cholesky factorisation C = L L^T (module `block_banded`), V = L^-1 B^T and v = L^-1 c,
-the Schur complement leaves a dense system for the series, and the cameras follow by back substitution:
+With the block Cholesky factorisation C = L L^T (`block_banded`), V = L^-1 B^T and v = L^-1 c,
 
-    S  = A - B C^-1 B^T = A - V^T V
-    dx = - S^-1 (a - V^T v)
-    dz = - L^-T (v + V dx)
+    dx = - (A - V^T V)^-1 (a - V^T v),    dz = - L^-T (v + V dx)
 """
 
 from __future__ import annotations
@@ -63,15 +50,10 @@ MIN_INFORMATION = 1e-12  # m^2; keeps the equations solvable where the image doe
 
 
 class Step(NamedTuple):
-    """A step of Levenberg-Marquardt.
+    """A step of Levenberg-Marquardt."""
 
-    Attributes:
-        series: (G,) change of the flattened coefficients and, in the last element, of omega.
-        cameras: (N, 4) rotation vectors and changes of the log scale.
-    """
-
-    series: Array
-    cameras: Array
+    series: Array  # (G,) change of the flattened coefficients and, in the last element, of omega
+    cameras: Array  # (N, 4) rotation vectors and changes of the log scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,36 +61,21 @@ class PeriodicEquations:
     """The equations of a window in the symbols at the head of this module; terms add to the arrays in place.
 
     The order of the G unknowns of the series is that of the flattened coefficients (P, K + 1), then omega.
-
-    Attributes:
-        series_matrix: (G, G) the matrix A without D.
-        series_prior: (G,) the diagonal of D.
-        series_gradient: (G,) the vector a.
-        mixed_matrix: (N, 4, G) the matrix B^T.
-        camera_image: (N, 4, 4) the matrices H'_zz.
-        camera_prior: (N, 4, 4) the diagonal blocks of E.
-        camera_coupling: (N, 2, 4, 4) the blocks of E in the rows of frame t + d + 1 and the columns of frame t.
-        camera_gradient: (N, 4) the vector c.
     """
 
-    series_matrix: Array
-    series_prior: Array
-    series_gradient: Array
-    mixed_matrix: Array
-    camera_image: Array
-    camera_prior: Array
+    series_matrix: Array  # (G, G) the matrix A without D
+    series_prior: Array  # (G,) the diagonal of D
+    series_gradient: Array  # (G,) the vector a
+    mixed_matrix: Array  # (N, 4, G) the matrix B^T
+    camera_image: Array  # (N, 4, 4) the matrices H'_zz
+    camera_prior: Array  # (N, 4, 4) the diagonal blocks of E
+    # (N, 2, 4, 4) the blocks of E in the rows of frame t + d + 1 and the columns of frame t
     camera_coupling: Array
-    camera_gradient: Array
+    camera_gradient: Array  # (N, 4) the vector c
 
     @staticmethod
     def begin(body: engine.JointProblem, vertical: Array, jacobian: SeriesJacobian) -> PeriodicEquations:
-        """Return the equations of the body, to which no other term has added yet.
-
-        Args:
-            body: problem of the joint solver, with its equations.
-            vertical: (N, 3) the body's vertical in the camera frame, a_t.
-            jacobian: of the series.
-        """
+        """Return the equations of the body alone, with its vertical (N, 3) in the camera frame, a_t."""
         matrix, gradient, bone_vectors = insert_heading(body, vertical)
         frames, functions = len(vertical), len(jacobian.slopes[0])
         bones = jacobian.sum_products(np.swapaxes(bone_vectors, 1, 2)) / np.sqrt(frames)
@@ -161,19 +128,11 @@ class PeriodicEquations:
             return np.inf
 
     def _factorise_cameras(self, blocks: Array) -> block_banded.BlockCholesky:
-        """Return the factor of a camera matrix with these diagonal blocks."""
         none = np.zeros((len(blocks), COUPLED_FRAMES, CAMERA_UNKNOWNS))
         return block_banded.BlockCholesky(blocks, none, self.camera_coupling)
 
     def solve_step(self, damping: float) -> Step | None:
-        """Solve for a Levenberg-Marquardt step by the elimination at the head of this module.
-
-        Args:
-            damping: relative increase of the diagonals of A and C.
-
-        Returns:
-            The step; None if C or S is not positive definite.
-        """
+        """Return the step with diagonals of A and C raised by `damping`; None if not positive definite."""
         camera_blocks = self.camera_image + self.camera_prior
         on_diagonal = np.einsum('nii->ni', camera_blocks)
         on_diagonal *= 1 + damping
@@ -199,12 +158,7 @@ class PeriodicEquations:
 
 
 def insert_heading(body: engine.JointProblem, vertical: Array) -> tuple[Array, Array, Array]:
-    """Return H' (N, K + 5, K + 5), h' (N, K + 5) and g (N, K + 1, B), with the heading as unknown K + 1.
-
-    Args:
-        body: problem of the joint solver, with its equations H_t and h_t.
-        vertical: (N, 3) the body's vertical in the camera frame, a_t.
-    """
+    """Return H' (N, K + 5, K + 5), h' (N, K + 5) and g (N, K + 1, B), with the heading as unknown K + 1."""
     frames, n = body.gradient.shape
     k = n - CAMERA_UNKNOWNS
     turn, kept = slice(k, k + 3), ((slice(0, k), slice(0, k)), (slice(k, n), slice(k + 1, n + 1)))

@@ -9,17 +9,11 @@
       + gamma  int |dM / dt|^2 dt + kappa int |d^2 M / dt^2|^2 dt              movement of the camera, M = s C[:2]
       + nu     mean_t |tilt_t|^2                                               level cameras
 
-The pose P_tj has the weights theta_t, and (theta_t, psi_t) = u(t) are the Fourier series of module `fourier` with
-the coefficients c_pl. Base poses have no heading, but a body turns with every stride: psi is this turn, Rz a
-rotation about the vertical of the body, and C_t the rotation of the camera, which does not contain the strides.
-rho is Cauchy's loss, and the first two terms are those of the joint solver.
-
-The prior occurs once a window, not once a frame, since the coefficients do. The variance of a weight over time
-and persons is shared among the terms of its series (`fourier.variance_shares`); the constants have less, for a
-person's mean pose is near that of the model, and the camera already contains the mean heading. The tilt is the x
-and z components of C_t e_z; it counts for models whose base poses were aligned by heading, so that the z axis of
-the body frame is vertical in every pose. The paper weighs changes of the camera (eq. 12) and has
-neither prior nor tilt.
+P_tj has the weights theta_t; (theta_t, psi_t) = u(t) are Fourier series (`fourier`), psi the turn of the body with
+every stride, Rz a rotation about its vertical, C_t the camera without the strides, rho Cauchy's loss. The prior
+counts once a window: the variance of a weight is shared among the terms of its series (`fourier.variance_shares`),
+with less for constants. The tilt is x and z of C_t e_z, for base poses aligned by heading. The paper weighs
+changes of the camera (eq. 12) and has neither prior nor tilt.
 """
 
 from __future__ import annotations
@@ -62,36 +56,23 @@ MIN_FREE_FRACTION = 0.05  # of the coordinates; guards the noise estimate agains
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """Values of the unknowns of a window of N frames.
+    """Values of the unknowns of a window of N frames."""
 
-    Attributes:
-        series: Fourier series of the weights and the heading.
-        cameras: cameras C_t without the heading, with no weights: theta is (N, 0).
-        body: weights theta_t and rotations C_t Rz(psi_t) with the translations of the cameras.
-        cost: m^2, value of the objective.
-    """
-
-    series: FourierSeries
-    cameras: State
-    body: State
-    cost: float
+    series: FourierSeries  # Fourier series of the weights and the heading
+    cameras: State  # cameras C_t without the heading, with no weights: theta is (N, 0)
+    body: State  # weights theta_t and rotations C_t Rz(psi_t) with the translations of the cameras
+    cost: float  # m^2, value of the objective
 
 
 @dataclass(frozen=True, eq=False)
 class PeriodicObjective:
-    """The objective E of one window of N frames.
+    """The objective E of one window of N frames."""
 
-    Attributes:
-        body: reprojection and bone lengths, as in the joint solver.
-        prior: (P, K + 1) lambda / var_pl, the factor on the square of each coefficient.
-        movement: velocity and acceleration of the camera, whose features are the elements (N, 6) of M.
-        level_weight: nu / N, m^2.
-    """
-
-    body: JointObjective
-    prior: Array
+    body: JointObjective  # reprojection and bone lengths, as in the joint solver
+    prior: Array  # (P, K + 1) lambda / var_pl, the factor on the square of each coefficient
+    # velocity and acceleration of the camera, whose features are the elements (N, 6) of M
     movement: tuple[FiniteDifference, ...]
-    level_weight: float
+    level_weight: float  # nu / N, m^2
 
     @staticmethod
     def build(window: Window, unit: float, model: BasePoses, config: SolverConfig) -> PeriodicObjective:
@@ -127,10 +108,7 @@ class PeriodicObjective:
     def measure(self, series: FourierSeries, cameras: State, settle_steps: int = 1) -> Point:
         """Return the point of a series and cameras.
 
-        Args:
-            series: of the weights and the heading.
-            cameras: without the heading.
-            settle_steps: number of steps of the robust fit by which each translation moves to its optimum.
+        `settle_steps` number of steps of the robust fit by which each translation moves to its optimum.
         """
         values = series.evaluate(self.body.batch.times)
         rotation = cameras.rotation @ rotations_about_vertical(values[:, -1])

@@ -25,7 +25,7 @@ from mocap_ros.solvers.periodic.fourier import MAX_CADENCE_HZ, MIN_CADENCE_HZ, M
 
 Array = NDArray[np.float64]
 
-NEWEST_S = 0.4  # s; most of a step of a walk: half of it tells that something else has begun
+NEWEST_S = 0.4  # s; most of a step of a walk: half of it shows that something else has begun
 SAMPLE_STEP_S = 1 / 15  # s; at which a motion is compared, often enough for a run
 MAX_STRETCH = 0.1  # of the cycle; by so much two cycles of a person differ, and a cadence is wrong
 STRETCHES = 9  # lengths of a cycle that are tried
@@ -37,10 +37,7 @@ MIN_SHARE_OF_CYCLE = 0.75
 def measure_repetition(times: Array, theta: Array, cadence: float) -> float:
     """Return r (formula of the module); NaN if the motion is not known for long enough or does not move.
 
-    Args:
-        times: (F,) s, increasing.
-        theta: (F, K) m, base-pose weights at these times.
-        cadence: Hz, full cycles.
+    `times` (F,) s, increasing; `theta` (F, K) m, base-pose weights at these times; `cadence` Hz, full cycles.
     """
     known_s = times[-1] - times[0] - NEWEST_S
     if known_s * cadence < 1:
@@ -58,11 +55,9 @@ def measure_repetition(times: Array, theta: Array, cadence: float) -> float:
 
 
 def measure_best_repetition(times: Array, theta: Array) -> float:
-    """Return the largest r over all cadences; NaN if the motion is not known for long enough to tell.
+    """Return the largest r over all cadences; NaN if the motion is known for too short a time.
 
-    Args:
-        times: (F,) s, increasing.
-        theta: (F, K) m, base-pose weights at these times.
+    `times` (F,) s, increasing; `theta` (F, K) m, base-pose weights at these times.
     """
     span_s = times[-1] - times[0]
     longest_s = span_s - NEWEST_S

@@ -64,34 +64,21 @@ INITIAL_TRANSLATION_STEPS = 2  # the first least squares step is not yet at the 
 
 @dataclass(frozen=True, eq=False)
 class EstimatedPoses:
-    """Poses of the frames of a window under any model of the same skeleton, from which the periodic solver starts.
+    """Poses of the frames of a window under any model, from which the periodic solver starts."""
 
-    Attributes:
-        joints: (F, J, 3) m, along the axes of the camera optical frame.
-        scale: (F,) px/m, scales of the cameras.
-        noise: m, standard deviation of a coordinate of an image point of weight 1.
-        tremble: m, RMS distance of a joint's image from where it would be without tremble.
-    """
-
-    joints: Array
-    scale: Array
-    noise: float
-    tremble: float = 0.0
+    joints: Array  # (F, J, 3) m, along the axes of the camera optical frame
+    scale: Array  # (F,) px/m, scales of the cameras
+    noise: float  # m, standard deviation of a coordinate of an image point of weight 1
+    jitter: float = 0.0  # m, RMS distance of a joint's image from where it would be without jitter
 
 
 @dataclass(frozen=True, eq=False)
 class PeriodicReconstruction(Reconstruction):
-    """Reconstruction under the periodic model. Its objective never rises.
+    """Reconstruction under the periodic model. Its objective never rises."""
 
-    Attributes:
-        noise: m, standard deviation of a coordinate of a point of weight 1.
-        cadence: Hz, full cycles (two steps of a walk) per second.
-        series: Fourier series of the weights and the heading.
-    """
-
-    noise: float
-    cadence: float
-    series: FourierSeries
+    noise: float  # m, standard deviation of a coordinate of a point of weight 1
+    cadence: float  # Hz, full cycles (two steps of a walk) per second
+    series: FourierSeries  # Fourier series of the weights and the heading
 
 
 def solve(
@@ -102,13 +89,10 @@ def solve(
 ) -> tuple[PeriodicReconstruction, ...]:
     """Reconstruct windows under the periodic model.
 
-    Args:
-        windows: image points; each window should contain a cycle or more. Times may be irregular. Lifted poses,
-            fixed frames and earlier frames are ignored.
-        model: base poses of a periodic motion.
-        config: weights of the terms, and `harmonics`. `max_iterations` limits the number of steps that are tried
-            for a window, in all its searches together.
-        initial: poses for each window, from which to start; None computes them.
+    `windows` image points, each window should contain a cycle or more. Times may be irregular. Lifted poses, fixed
+    frames and earlier frames are ignored; `config` weights of the terms, and `harmonics`. `max_iterations` limits
+    the number of steps that are tried for a window, in all its searches together; `initial` poses for each window,
+    from which to start, None computes them.
 
     Raises:
         InputError: the equations cannot be solved, or the result is not finite because numbers are too large.
