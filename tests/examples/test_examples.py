@@ -13,20 +13,16 @@ import numpy as np
 import pytest
 
 from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.recorder import Recorder
-from mocap_ros.config import RecorderConfig, with_values
-from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.config import with_values
 from mocap_ros.messages.cdr import decode
-from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.camera_infos import camera_info
 from tests.support.modules import load_module
 from tests.support.paths import ROOT
-from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames
+from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, read_messages, write_keypoints_bag
 
 FRAMES = 60
-STEP_NS = 33_333_333  # 30 Hz
 
 
 def load(name: str) -> ModuleType:
@@ -37,15 +33,11 @@ def load(name: str) -> ModuleType:
 def scene(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
     """Return the skeletons of a recorded scene in the robot's frame: x ahead of the camera, z up."""
     folder = tmp_path_factory.mktemp('scene')
-    with Recorder(folder / 'bag', RecorderConfig()) as recorder:
-        recorder.write('/camera_info', CAMERA_INFO, camera_info(), 0, 0)
-        for i, raw in enumerate(encode_demo_frames(FRAMES), 1):
-            recorder.write('/keypoints', KEYPOINTS, raw, i * STEP_NS, i * STEP_NS)
+    write_keypoints_bag(folder / 'bag', encode_demo_frames(FRAMES), camera_info())
     values = {'node.output_frame': 'base_link', 'node.camera_pose': '0 0 1.5 0 0 0'}
     with Bag(folder / 'bag') as bag:
         replay(bag, folder / 'out', ReplayOptions(with_values(FAST_CONFIG, values)))
-    with Bag(folder / 'out') as bag:
-        return [decode(m.raw, SKELETONS) for m in bag.messages(['/skeletons'])]
+    return [decode(raw, SKELETONS) for raw in read_messages(folder / 'out', '/skeletons')]
 
 
 def move(skeletons: Any, ahead_m: float, velocity_m_s: float) -> None:

@@ -26,6 +26,7 @@ from mocap_ros.skeleton import keypoint_layout
 from tests.support import foreign_packages
 from tests.support.camera_infos import camera_info
 from tests.support.paths import ROOT
+from tests.support.pipeline_inputs import read_messages
 from tests.support.ros_node import TIMEOUT_S, Peer, StartNode, stack_joints, stop_node, wait_until_discovered
 
 pytest.importorskip('rclpy')
@@ -67,8 +68,7 @@ def place_people(frame: int, *names: str) -> dict[str, list[list[float]]]:
 def assert_replay_gives_the_same(bag_folder: Path, out: Path, skeletons: list[bytes]) -> None:
     with Bag(bag_folder) as bag:
         replay(bag, out)
-    with Bag(out) as again:
-        replayed = [m.raw for m in again.messages(['/skeletons'])]
+    replayed = read_messages(out, '/skeletons')
     np.testing.assert_allclose(stack_joints(replayed), stack_joints(skeletons), atol=1e-9, rtol=0)
 
 

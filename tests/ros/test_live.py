@@ -41,7 +41,7 @@ from mocap_ros.tracking.tracker import Tracker
 from tests.support.camera_infos import camera_info
 from tests.support.installed_types import MARKER_TYPES, describe_as_rclpy, replace_installed_types
 from tests.support.line_log import LineLog
-from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, with_stamp
+from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, read_messages, with_stamp
 from tests.support.transforms import make_transforms
 
 FRAMES = 25
@@ -136,11 +136,6 @@ def find_bag(folder: Path) -> Path:
     """Return the only bag of the run that recorded to the folder `live`."""
     (bag,) = (folder / 'live').iterdir()
     return bag
-
-
-def read_messages(bag_folder: Path, topic: str) -> list[bytes]:
-    with Bag(bag_folder) as bag:
-        return [m.raw for m in bag.messages([topic])]
 
 
 def recording_to(folder: Path, **values: object) -> Config:

@@ -27,6 +27,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION
 from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.runtime.playback import encode_sequence
+from tests.support.pipeline_inputs import read_messages
 from tests.support.ros_node import TIMEOUT_S, Peer, StartNode, keypoints_at, run_cli, stack_joints, stop_node
 
 pytest.importorskip('rclpy')
@@ -83,8 +84,7 @@ def test_a_live_run_is_received_recorded_and_replayed(
     assert started_ns < times[-1] < time.time_ns()
     done = run_cli(env, 'replay', bag_folder, '-o', tmp_path / 'again')
     assert (done.returncode, done.stderr) == (0, '')
-    with Bag(tmp_path / 'again') as again:
-        replayed = [m.raw for m in again.messages(['/skeletons'])]
+    replayed = read_messages(tmp_path / 'again', '/skeletons')
     assert len(replayed) == FRAMES
     np.testing.assert_allclose(stack_joints(replayed), stack_joints(recorded['skeletons']), atol=1e-9, rtol=0)
 

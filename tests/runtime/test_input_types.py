@@ -44,6 +44,7 @@ from tests.support.foreign_messages import (
     make_inputs,
     make_people,
 )
+from tests.support.pipeline_inputs import read_messages
 
 FRAMES = 10
 
@@ -74,8 +75,7 @@ def test_every_input_type_gives_the_same_people_live_and_from_a_bag(msgtype: str
         replay(bag, tmp_path / 'out')
     with Bag(tmp_path / 'bag') as bag:
         replay(bag, tmp_path / 'same', ReplayOptions(config=BASE_CONFIG))
-    with Bag(tmp_path / 'same') as out:
-        raws = [m.raw for m in out.messages(['/skeletons'])]
+    raws = read_messages(tmp_path / 'same', '/skeletons')
     assert raws == [o.data for c in results for o in c.outputs if o.topic == 'skeletons']
 
 

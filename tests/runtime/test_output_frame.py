@@ -32,12 +32,19 @@ from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.camera_infos import camera_info
-from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, process, with_stamp
+from tests.support.pipeline_inputs import (
+    FAST_CONFIG,
+    STEP_NS,
+    encode_demo_frames,
+    process,
+    read_messages,
+    with_stamp,
+    write_keypoints_bag,
+)
 from tests.support.pipeline_inputs import decode_skeletons as decode_outputs
 from tests.support.transforms import SECOND_NS, make_transforms
 
 FRAMES = 12
-STEP_NS = 33_333_333  # between two frames of the demo; 30 Hz
 START_NS = 1_700_000_000_000_000_000  # since the epoch
 SPEED_M_S = 2.0  # of the robot along x of map
 # The camera on the robot looks along the robot's x, with z of the robot up.
@@ -206,8 +213,7 @@ def write_bag(folder: Path, stream: list[bytes], in_camera: list[Any]) -> None:
 
 
 def read_joints(bag_path: Path) -> np.ndarray:
-    with Bag(bag_path) as bag:
-        return np.array([stack(decode(m.raw, SKELETONS)) for m in bag.messages(['/skeletons'])])
+    return np.array([stack(decode(raw, SKELETONS)) for raw in read_messages(bag_path, '/skeletons')])
 
 
 def test_a_replay_reads_the_transforms_of_the_bag(
@@ -292,10 +298,7 @@ def test_predictions_are_in_the_output_frame_and_the_same_in_a_replay(
     config = with_values(MAP_CONFIG, {**values, 'node.camera_pose': '0 0 1.5 0 0.1 0'})
     stream, pipeline = long_stream[:20], Pipeline(config)
     pipeline.set_camera_info(camera_info())
-    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        recorder.write('/camera_info', CAMERA_INFO, camera_info(), 1, 1)
-        for i, raw in enumerate(stream):
-            recorder.write('/keypoints', KEYPOINTS, raw, 2 + i * STEP_NS, 2 + i * STEP_NS)
+    write_keypoints_bag(tmp_path / 'bag', stream, camera_info())
     live = []
     for raw in stream:
         outputs = process(pipeline, raw)
@@ -313,10 +316,8 @@ def test_predictions_are_in_the_output_frame_and_the_same_in_a_replay(
     with Bag(tmp_path / 'bag') as bag:
         replay(bag, tmp_path / 'out', ReplayOptions(config))
         replay(bag, tmp_path / 'plain', ReplayOptions(PLAIN_CONFIG))
-    with Bag(tmp_path / 'out') as bag:
-        assert [bytes(m.raw) for m in bag.messages(['/predictions'])] == live
-    with Bag(tmp_path / 'plain') as bag:
-        assert not list(bag.messages(['/predictions']))
+    assert read_messages(tmp_path / 'out', '/predictions') == live
+    assert not read_messages(tmp_path / 'plain', '/predictions')
 
 
 FLOOR_POSE = {'node.output_frame': 'map', 'node.camera_pose': '0 0 1.5 0 0 0'}

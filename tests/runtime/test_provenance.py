@@ -16,21 +16,16 @@ import numpy as np
 from mcap.reader import make_reader
 
 from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.recorder import Recorder
-from mocap_ros.config import RecorderConfig, from_yaml, with_values
-from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.config import from_yaml, with_values
 from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.runtime.provenance import RECORDED_PACKAGES
 from mocap_ros.runtime.replay import ReplayOptions, replay
-from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames
+from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, write_keypoints_bag
 
 
 def test_a_bag_names_versions_models_and_parameters(tmp_path: Path) -> None:
     config = with_values(FAST_CONFIG, {'solver.max_iterations': 7, 'solver.prior': 'learned'})
-    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        for stamp_ns, raw in enumerate(encode_demo_frames(2)):
-            recorder.write('/keypoints', KEYPOINTS, raw, stamp_ns, stamp_ns)
-    with Bag(tmp_path / 'bag') as bag:
+    with Bag(write_keypoints_bag(tmp_path / 'bag', encode_demo_frames(2))) as bag:
         replay(bag, tmp_path / 'out', ReplayOptions(config))
     with (tmp_path / 'out' / 'out_0.mcap').open('rb') as file:
         attachments = {a.name: a for a in make_reader(file).iter_attachments()}

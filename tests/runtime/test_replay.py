@@ -35,7 +35,13 @@ from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.camera_infos import camera_info
 from tests.support.paths import ROOT
-from tests.support.pipeline_inputs import FAST_CONFIG, FAST_VALUES, encode_demo_frames
+from tests.support.pipeline_inputs import (
+    FAST_CONFIG,
+    FAST_VALUES,
+    encode_demo_frames,
+    read_messages,
+    write_keypoints_bag,
+)
 from tests.support.transforms import make_transforms
 
 OPTIONS = ReplayOptions(FAST_CONFIG)
@@ -54,22 +60,14 @@ def stream() -> list[bytes]:
 def skeletons(stream: list[bytes], tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
     """Return the skeletons that the replay of a bag of this package gives."""
     folder = tmp_path_factory.mktemp('ours')
-    write_bag(folder / 'bag', stream)
+    write_keypoints_bag(folder / 'bag', stream, camera_info(), START_NS)
     return replay_skeletons(folder / 'bag', folder / 'out')
-
-
-def write_bag(folder: Path, stream: list[bytes]) -> None:
-    with Recorder(folder, RecorderConfig()) as recorder:
-        recorder.write('/camera_info', CAMERA_INFO, camera_info(), START_NS, START_NS)
-        for i, raw in enumerate(stream):
-            recorder.write('/keypoints', KEYPOINTS, raw, START_NS + i * STEP_NS, START_NS)
 
 
 def replay_skeletons(path: Path, out: Path, options: ReplayOptions = OPTIONS) -> list[bytes]:
     with Bag(path) as bag:
         replay(bag, out, options)
-    with Bag(out) as bag:
-        return [m.raw for m in bag.messages(['/skeletons'])]
+    return read_messages(out, '/skeletons')
 
 
 # Metadata version, storage plugin and compression of a bag.
@@ -136,7 +134,7 @@ def ros1_camera_info(store: Typestore) -> Any:
 def test_a_split_bag_and_each_of_its_files_replay(
     tmp_path: Path, stream: list[bytes], skeletons: list[bytes]
 ) -> None:
-    write_bag(tmp_path / 'bag', stream)
+    write_keypoints_bag(tmp_path / 'bag', stream, camera_info(), START_NS)
     config = with_values(FAST_CONFIG, {'recorder.split_seconds': 0.1})
     assert replay_skeletons(tmp_path / 'bag', tmp_path / 'split', ReplayOptions(config)) == skeletons
     files = sorted((tmp_path / 'split').glob('*.mcap'))
@@ -164,7 +162,7 @@ def test_an_invalid_journal_is_reported_with_its_topic(
 def test_an_interrupted_replay_is_repeated_on_resume(
     tmp_path: Path, stream: list[bytes], skeletons: list[bytes]
 ) -> None:
-    write_bag(tmp_path / 'bag', stream)
+    write_keypoints_bag(tmp_path / 'bag', stream, camera_info(), START_NS)
 
     def interrupted(found: Any, _: int) -> Any:
         yield from islice(found, 5)
@@ -172,14 +170,12 @@ def test_an_interrupted_replay_is_repeated_on_resume(
 
     with Bag(tmp_path / 'bag') as bag, pytest.raises(KeyboardInterrupt):
         replay(bag, tmp_path / 'out', OPTIONS, interrupted)
-    with Bag(tmp_path / 'out.partial') as bag:
-        assert [m.raw for m in bag.messages(['/skeletons'])] == skeletons[:4]
+    assert read_messages(tmp_path / 'out.partial', '/skeletons') == skeletons[:4]
     with pytest.raises(RecordingError, match=r'out\.partial: an interrupted replay left this bag; --resume'):
         replay_skeletons(tmp_path / 'bag', tmp_path / 'out')
     command = ['replay', str(tmp_path / 'bag'), '-o', str(tmp_path / 'out'), '--resume', *FAST_ARGUMENTS]
     assert main(command) == 0
-    with Bag(tmp_path / 'out') as bag:
-        assert [m.raw for m in bag.messages(['/skeletons'])] == skeletons
+    assert read_messages(tmp_path / 'out', '/skeletons') == skeletons
     assert not (tmp_path / 'out.partial').exists()
     assert main(command) == 0  # the bag is complete already
 
@@ -188,7 +184,7 @@ def test_a_bag_that_fails_does_not_stop_the_others(
     tmp_path: Path, stream: list[bytes], skeletons: list[bytes], capfd: pytest.CaptureFixture[str]
 ) -> None:
     for name in ('a', 'b', 'c'):
-        write_bag(tmp_path / name, stream)
+        write_keypoints_bag(tmp_path / name, stream, camera_info(), START_NS)
     (tmp_path / 'b' / 'b_0.mcap').write_bytes(b'')
     bags = [str(tmp_path / name) for name in ('a', 'b', 'c')]
     assert main(['replay', *bags, '-o', str(tmp_path / 'out'), *FAST_ARGUMENTS]) == 1
@@ -197,8 +193,7 @@ def test_a_bag_that_fails_does_not_stop_the_others(
     (line,) = err.splitlines()
     assert line.startswith(f'mocap-ros: {tmp_path}/b: ')
     for name in ('a', 'c'):
-        with Bag(tmp_path / 'out' / name) as bag:
-            assert [m.raw for m in bag.messages(['/skeletons'])] == skeletons
+        assert read_messages(tmp_path / 'out' / name, '/skeletons') == skeletons
 
 
 RECORDED = {**FAST_VALUES, 'tracker.window': 1.2, 'tracker.lag': 0.1}  # parameters of a recorded run

@@ -1,23 +1,29 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Keypoint messages of the demo recording, and a pipeline that is fast enough for tests."""
+"""Keypoint messages of the demo recording, bags of them, and a pipeline that is fast enough for tests."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 from mocap_ros.bags.journal import Verdict
+from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, RecorderConfig, with_values
 from mocap_ros.demo.scene import make_recording
+from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header, OutputMessage, create_header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.playback import encode_sequence
 
+STEP_NS = 33_333_333  # between two frames of the demo; 30 Hz
 FAST_VALUES = {'tracker.model': 'walk', 'tracker.components': 8, 'tracker.iterations': 1}
 FAST_CONFIG = with_values(Config(), FAST_VALUES)
 
@@ -32,6 +38,23 @@ def with_stamp(raw: bytes, stamp_ns: int) -> bytes:
     message = decode(raw, KEYPOINTS)
     message.header = create_header(Header(stamp_ns, 'camera'))
     return encode(message, KEYPOINTS)
+
+
+def write_keypoints_bag(folder: Path, stream: Sequence[bytes], info: bytes = b'', start_ns: int = 1) -> Path:
+    """Write a bag of a CameraInfo, unless it is empty, and of keypoints at 30 Hz; return the folder."""
+    with Recorder(folder, RecorderConfig(min_free_mb=0)) as recorder:
+        if info:
+            recorder.write('/camera_info', CAMERA_INFO, info, start_ns, start_ns)
+        for i, raw in enumerate(stream):
+            time_ns = start_ns + i * STEP_NS
+            recorder.write('/keypoints', KEYPOINTS, raw, time_ns, time_ns)
+    return folder
+
+
+def read_messages(bag_path: Path, topic: str) -> list[bytes]:
+    """Return the messages of a topic of a bag."""
+    with Bag(bag_path) as bag:
+        return [m.raw for m in bag.messages([topic])]
 
 
 def process(pipeline: Pipeline, raw: bytes) -> tuple[OutputMessage, ...]:
