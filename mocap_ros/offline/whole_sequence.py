@@ -194,14 +194,14 @@ def _complete(result: SequenceResult, observed: ObservedWindow, config: TrackerC
     evidence = collect_evidence(core, observed, image_noise)
     found = smooth_extremities(observed.times, evidence, config.body_height)
     if config.skeleton == CMU15.name:
-        return replace(result, orientation=found.quaternions, turn_inferred=~found.is_turn_told)
+        return replace(result, orientation=found.quaternions, turn_inferred=~found.is_turn_seen)
     return replace(
         result,
         joints=attach(core, found.offsets),
         seen=evidence.weight > 0,
         skeleton=BODY26,
         orientation=found.quaternions[:, SEGMENT_OF],
-        turn_inferred=~found.is_turn_told[:, SEGMENT_OF],
+        turn_inferred=~found.is_turn_seen[:, SEGMENT_OF],
     )
 
 

@@ -29,7 +29,7 @@ from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15, KEYPOINT_LAYOUTS, canonical_joint_names
 from mocap_ros.solvers.vertical import AUTO, NONE
 from mocap_ros.tracking.tracker import Tracker
-from mocap_ros.tracking.vertical_check import LastingDoubt, VerticalCheck
+from mocap_ros.tracking.vertical_check import LastingCondition, VerticalCheck
 from mocap_ros.units import NS_PER_S
 
 MEMORY_S = 5.0  # s; a corrected mistake is forgotten soon
@@ -72,7 +72,7 @@ class InputChecks:
 
     def reset(self) -> None:
         """Forget what was found so far, and what was described."""
-        self._joint_order, self._image_size = (LastingDoubt(MEMORY_S, LEAST_S) for _ in range(2))
+        self._joint_order, self._image_size = (LastingCondition(MEMORY_S, LEAST_S) for _ in range(2))
         self._vertical = VerticalCheck()
         self._newest_seen_ns = 0  # stamp of the newest image in which a person was detected
         self._first_nominal_ns: int | None = None  # stamp of the first image of people without a CameraInfo

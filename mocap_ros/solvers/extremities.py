@@ -123,7 +123,7 @@ STATE = np.dtype(
         ('velocity', float, (EXTREMITY_COUNT, 3)),  # m/s, of the offsets
         ('quaternions', float, (SEGMENT_COUNT, 4)),  # x, y, z, w, orientations of the segments
         (
-            'is_turn_told',
+            'is_turn_seen',
             float,
             SEGMENT_COUNT,
         ),  # 1 where the image says how a segment is turned about itself
@@ -229,9 +229,9 @@ class ExtremityState:
         return self.read('quaternions')
 
     @property
-    def is_turn_told(self) -> Bools:
+    def is_turn_seen(self) -> Bools:
         """(15,) whether the image says how a segment is turned about its own axis."""
-        return self.read('is_turn_told') > 0
+        return self.read('is_turn_seen') > 0
 
 
 class ExtremitySequence(NamedTuple):
@@ -240,7 +240,7 @@ class ExtremitySequence(NamedTuple):
     offsets: Array  # (F, 11, 3) m, points less the core joints on which they hang
     offset_std: Array  # (F, 11) m, standard deviation of each of them
     quaternions: Array  # (F, 15, 4) x, y, z, w, orientations of the segments, continuous
-    is_turn_told: Bools  # (F, 15) whether the image says how a segment is turned about its own axis
+    is_turn_seen: Bools  # (F, 15) whether the image says how a segment is turned about its own axis
 
 
 def smooth_extremities(times: Array, evidence: ExtremityEvidence, stature: float) -> ExtremitySequence:
@@ -248,4 +248,4 @@ def smooth_extremities(times: Array, evidence: ExtremityEvidence, stature: float
     steps = np.append(np.inf, np.diff(times))
     states = _BODY.smooth(_START.view(float), *evidence.arrays(), stature, steps).view(STATE)[:, 0]
     offsets, std, quaternions = (np.ascontiguousarray(states[n]) for n in ('offsets', 'offset_std', 'quaternions'))
-    return ExtremitySequence(offsets, std, quaternions, states['is_turn_told'] > 0)
+    return ExtremitySequence(offsets, std, quaternions, states['is_turn_seen'] > 0)

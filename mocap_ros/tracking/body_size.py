@@ -3,37 +3,27 @@
 
 """How large a person is and so how far away, and what is known of it: from the body height, and from the floor.
 
-One camera sees the same image of a large person far away and of a small one near by. The tracker assumes a body
-height; the true body is r times as large and r times as far away. Before anything is seen, ln r has the variance
-
-    s_0^2 = s_height^2 + s_pose^2
-
-of body heights, and of the reconstruction, whose bones may be too long. Where the robot knows the floor, by the
-direction upwards u and the height c of the camera over it, a foot on the floor tells r: the lower ankle, found at
-a, is f b over the floor, with b the assumed body height and f the share of an ankle, so that
+One camera sees the same image of a large person far away and of a small one near by. The true body is r times as
+large as the assumed one and r times as far away; at first ln r has the variance s_0^2 = s_height^2 + s_pose^2 of
+body heights and of the reconstruction. Where the floor is known, by the direction upwards u and the height c of
+the camera, the lower ankle, found at a, is f b over it, with b the assumed body height and f the share of an
+ankle:
 
     c + r u.a = r f b,    x = ln r = ln c - ln(f b - u.a)
     s_x^2 = s_noise^2 + s_floor^2,    s_noise = F / c,    s_floor^2 = (G / c)^2 + (T d / c)^2
 
-with d the horizontal distance of the ankle. T is the error of the camera's tilt and G what the ankles of a person
-are higher or lower; both stay the same. The x of frames in which the lower foot neither rises nor sinks are
-averaged, robustly, with weights that last as long as the person is known; frames within C count as one:
+with d the horizontal distance, T the error of the camera's tilt and G what ankles are higher or lower. The x of
+frames in which the lower foot neither rises nor sinks are averaged, robustly; frames within C count as one:
 
     n = sum_i k_i / C,    m = sum_i k_i x_i / sum_i k_i,    k_i = dt_i / (1 + ((x_i - m_i) / (2 s_x))^2)
     s_m^2 = s_noise^2 / (n + 1) + s_floor^2,    g = s_0^2 / (s_0^2 + s_m^2)
     ln r = x_0 + g (m - x_0),    s^2 = min(Q^2 g s_m^2, s_0^2)
 
-with x_0 = 0, or the logarithm of a height that is known of the person, over the assumed one.
-A foot on a step would make a person larger than anybody is: such frames count for nothing.
-
-The covariance of the root's position has three parts: that of its joints, that of the person's size, which has
-the relative standard deviation s and moves the body along the line of sight u at the distance d, and that of the
-focal length, which has the relative standard deviation t and moves the body along the optical axis e at the depth
-z:
+with x_0 = 0, or the logarithm of a height that is known of the person, over the assumed one. The covariance of the
+root is that of its joints, of the size s along the line of sight u at the distance d, and of the focal length, of
+the relative deviation t, along the optical axis e at the depth z (std that of the hips, F = `ROOT_FACTOR`):
 
     C = (F std)^2 (I / 6 + u u^T / 2) + (s d)^2 u u^T + (t z)^2 e e^T    (the first term: `models/joint_std.py`)
-
-with std that of the hips, and F = `ROOT_FACTOR`.
 """
 
 from __future__ import annotations
@@ -60,7 +50,7 @@ Array = NDArray[np.float64]
 
 FOCAL_SHARE = 0.2  # 1; usual focal lengths are 0.6 to 0.9 of the longer side of the image, the nominal one is 0.75
 POSE_SHARE = 0.04  # 1; s_pose, measured on training persons of known height seen by four detectors
-KNOWN_HEIGHT_STD_M = 0.02  # m; of a height that somebody stated, shoes and posture included
+KNOWN_HEIGHT_STD_M = 0.02  # m; of a height that a user stated, shoes and posture included
 HEIGHT_RANGE_M = 0.3, 2.6  # m; range of body heights, as of `tracker.body_height`
 ANKLE_SHARE = 0.042  # 1; f, share of the body height: 0.03 to 0.055 in motion capture, more in a walk
 NOISE_M = 0.04  # m; F, of an ankle's height over the floor from image noise and heels that rise
@@ -68,46 +58,32 @@ GROUND_M = 0.04  # m; G, by which ankles, shoes and carpets differ, and detector
 FLOOR_FACTOR = 1.7  # 1; Q, so that 95 of 100 roots of training persons are within the ellipsoids
 TILT_RAD = 0.005  # rad; T, 0.3 degrees: of a camera that was calibrated to its robot
 CORRELATION_S = 0.5  # s; C, as long as a step lasts
-MAX_RISE_M_S = 0.3  # m/s; of a foot that stands; depth trembles, and lets standing feet rise and sink a little
+MAX_RISE_M_S = 0.3  # m/s; of a foot that stands; depth jitters, and lets standing feet rise and sink a little
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for
 SIZE_RANGE = math.log(0.4), math.log(1.25)  # 1; range of ln r: from children of 0.7 m to adults of 2.1 m
-MIN_DROP_SHARE = 0.1  # of the camera's height; a foot that seems higher than this below the camera tells nothing
+MIN_DROP_SHARE = 0.1  # of the camera's height; a foot that seems higher than this below the camera shows nothing
 FORGOTTEN_COMMA = re.compile(r'=\s*[\d.]+[\s;]')  # in what should be an id: a height is in it
 ROOT_FACTOR = 1.1  # 1; detectors put both hips off the same way; chosen by the errors of training persons' roots
 ANKLES = CMU15.index('lankle'), CMU15.index('rankle')
 
 
 class BodySize(NamedTuple):
-    """A person's size, and how sure it and so the distance is.
+    """A person's size, and how certain it and so the distance is."""
 
-    Attributes:
-        ratio: r, of the true size to the assumed.
-        share: standard deviation of the size and of the distance, as a share of them.
-        focal_share: that of the focal length and so of the depth.
-    """
-
-    ratio: float
-    share: float
-    focal_share: float = 0.0
+    ratio: float  # r, of the true size to the assumed
+    share: float  # standard deviation of the size and of the distance, as a share of them
+    focal_share: float = 0.0  # that of the focal length and so of the depth
 
 
 @dataclass(frozen=True)
 class FloorContact:
-    """What feet on the floor say of a person's size; `advance` returns a new one.
+    """What feet on the floor say of a person's size; `advance` returns a new one."""
 
-    Attributes:
-        mean: 1, the m of the module: mean of ln r.
-        seconds: s, for how long feet were seen on the floor, frames that are discounted counting less.
-        noise: s_noise of the newest frame.
-        floor_std: s_floor of the newest frame.
-        stamp_ns: ns, stamp of the newest frame.
-    """
-
-    mean: float
-    seconds: float
+    mean: float  # 1, the m of the module: mean of ln r
+    seconds: float  # s, for how long feet were seen on the floor, frames that are discounted counting less
     noise: float
     floor_std: float
-    stamp_ns: int
+    stamp_ns: int  # ns, stamp of the newest frame
 
     @staticmethod
     def advance(
@@ -118,16 +94,7 @@ class FloorContact:
         floor: Floor,
         body_height: float,
     ) -> FloorContact | None:
-        """Return what is known after another frame.
-
-        Args:
-            before: what was known; None if nothing was.
-            stamp_ns: ns, stamp of the frame.
-            joints: (J, 3) m, joints of the person of the assumed size in the camera's optical frame.
-            velocity: (J, 3) m/s, their velocities.
-            floor: floor in that frame.
-            body_height: m, assumed body height.
-        """
+        """Return what is known after another frame, of joints (J, 3) m of a person of the assumed size."""
         ankles, height = joints[list(ANKLES)], floor.camera_height
         if height is None:
             return before
@@ -144,7 +111,7 @@ class FloorContact:
         noise, floor_std = NOISE_M / height, math.hypot(GROUND_M, TILT_RAD * distance) / height
         if before is None:
             return FloorContact(found, 0.0, noise, floor_std, stamp_ns)
-        if stamp_ns <= before.stamp_ns:  # with a lag, this frame was put out before
+        if stamp_ns <= before.stamp_ns:  # with a lag, this frame was shown before
             return before
         step = min((stamp_ns - before.stamp_ns) / NS_PER_S, MAX_STEP_S)
         off = (found - before.mean) / (2 * math.hypot(noise, floor_std))
@@ -154,7 +121,7 @@ class FloorContact:
         return FloorContact(mean, seconds, noise, floor_std, stamp_ns)
 
     def find_size(self, prior: BodySize) -> BodySize:
-        """Return the size that the floor and what is known besides tell together."""
+        """Return the size that the floor and what is known besides show together."""
         own = self.noise**2 / (self.seconds / CORRELATION_S + 1) + self.floor_std**2
         gain = prior.share**2 / (prior.share**2 + own)
         before = math.log(prior.ratio)
@@ -164,11 +131,7 @@ class FloorContact:
 
 @lru_cache(maxsize=10)
 def read_body_heights(text: str) -> Mapping[str, float]:
-    """Return the body heights in m, by id, that `tracker.body_heights` gives.
-
-    Raises:
-        ConfigError: the text is not as expected; the message names the part.
-    """
+    """Return the body heights in m, by id, that `tracker.body_heights` gives, or raise a `ConfigError`."""
     heights: dict[str, float] = {}
     for part in filter(str.strip, text.split(',')):
         person_id, sign, number = (word.strip() for word in part.rpartition('='))
@@ -198,13 +161,7 @@ def assume_size(config: TrackerConfig, person_id: str = '', *, is_focal_known: b
 
 
 def estimate_root_covariance(joints: Array, std: Array, sizes: Sequence[BodySize]) -> Array:
-    """Return the covariances (P, 3, 3) m^2 of the roots of P people (formula of the module).
-
-    Args:
-        joints: (P, J, 3) m, those of people of the assumed size.
-        std: (P, J) m, their standard deviations; NaN if unknown.
-        sizes: what is known of their sizes.
-    """
+    """Return the covariances (P, 3, 3) m^2 of roots, of joints (P, J, 3) m of the assumed size."""
     ratio, share, focal_share = np.array(sizes).T
     roots = (joints[:, HIPS[0]] + joints[:, HIPS[1]]) / 2
     covariance = compute_joint_covariance(ROOT_FACTOR * (std[:, HIPS[0]] + std[:, HIPS[1]]) / 2, roots)

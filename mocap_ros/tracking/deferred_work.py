@@ -3,20 +3,12 @@
 
 """The work of a tracker that waits until the outputs of a frame are published: checks and classifications.
 
-No frame waits for a whole check. Each piece of work is a generator of slices, each about a step of a solver, and
-after each frame only as many are done as a budget allows. The budget limits the cost and not the time
-(`hypotheses`), so a replay does the same slices after the same frames as the live node.
-
-One piece of work is done at a time. It is about one person, and about this person's track as it was when the work
-began. What it finds is used when its last slice is done, some frames later (`TrackSolution.follow`). It ends
-without a result if meanwhile the person was forgotten, the camera changed, or left and right of an earlier frame
-were exchanged; a check also does if the image noise rose so much that all models are tried again. It is due again
-if the person is still there.
-
-The next piece is the one that is latest in proportion to its interval. So a new person, whose checks are due every
-0.1 s, comes before those who are checked every few seconds. Nobody is passed over for ever: whoever waits gets
-later all the time, while a piece that was done is not due again before its interval has passed. If more is due
-than can be done, all intervals become longer.
+Each piece of work is a generator of slices, each about a step of a solver; after each frame as many are done as a
+budget of cost, not time, allows (`hypotheses`), so a replay does the same slices as the live node. A piece is
+about one track as it was when it began, and ends without a result if meanwhile the person was forgotten, the
+camera changed, or left and right of an earlier frame were exchanged; a check also if the image noise rose so much
+that all models are tried again. The next piece is the one that is latest in proportion to its interval: new people
+come first, and if more is due than can be done, all intervals become longer.
 """
 
 from __future__ import annotations
@@ -39,21 +31,13 @@ WINDOW_COST = 20_000  # elements; building the windows of a piece of work, its f
 
 @dataclass(eq=False)
 class Work:
-    """A piece of work that has begun.
-
-    Attributes:
-        track: the person.
-        then: the person's track as it was when the work began.
-        is_check: whether it is a check and not a classification.
-        slices: the rest of the work, which ends by changing the track.
-        next_cost: cost of the next slice; None when all are done.
-    """
+    """A piece of work that has begun."""
 
     track: Track
-    then: Track
-    is_check: bool
-    slices: Slices[None]
-    next_cost: float | None
+    then: Track  # the person's track as it was when the work began
+    is_check: bool  # whether it is a check and not a classification
+    slices: Slices[None]  # the rest of the work, which ends by changing the track
+    next_cost: float | None  # cost of the next slice; None when all are done
 
 
 class DeferredWork:
@@ -86,14 +70,7 @@ class DeferredWork:
         self.begun: Work | None = None
 
     def advance(self, tracks: Sequence[Track], stamp_ns: int) -> None:
-        """Do the slices that follow a frame.
-
-        If one raises an error, its piece of work is given up; the person is checked again when it is next due.
-
-        Args:
-            tracks: all people.
-            stamp_ns: ns, stamp of the frame.
-        """
+        """Do the slices that follow a frame; an error gives its piece of work up until it is next due."""
         newest = [t for t in tracks if t.stamps_ns[-1] == stamp_ns and not t.is_tentative]
         for track in newest:
             track.schedule.restart_if_noise_rose(track.solved.noise, stamp_ns, len(self._turns))
@@ -116,7 +93,6 @@ class DeferredWork:
             work = None
 
     def _begin_latest(self, newest: Sequence[Track], stamp_ns: int) -> Work | None:
-        """Begin the latest piece of work about the people of the newest frame; None if none is due."""
         pieces = []
         for track in newest:
             if track.age_s > 0:
@@ -157,16 +133,11 @@ def _classify(checker: HypothesisChecker, then: Track, now: Track) -> Slices[Non
 
 
 def _count_dropped(then: Track, now: Track) -> int:
-    """Return how many of the frames of a track as it was have left the window."""
     return bisect_left(then.stamps_ns, now.stamps_ns[0])
 
 
 def _is_outdated(work: Work) -> bool:
-    """Return whether the result of a piece of work would count for nothing.
-
-    So it is if the camera has changed, if left and right of an earlier frame have been exchanged since, if none of
-    the frames is left in the window, or if all models are to be tried again.
-    """
+    """Return whether the result of a piece of work would count for nothing (text of the module)."""
     then, now = work.then, work.track
     kept = then.swap_filter.is_swapped[_count_dropped(then, now) :]
     is_relabelled = not np.array_equal(now.swap_filter.is_swapped[: len(kept)], kept)

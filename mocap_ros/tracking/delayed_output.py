@@ -1,17 +1,12 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which frame is put out with `tracker.lag`.
+"""Which frame is shown with `tracker.lag`.
 
-Let t_0 < ... < t_n be the stamps of the frame that was put out last and of all frames after it. Their mean
-interval is h = (t_n - t_0) / n, the lag is L, and
-
-    s = min(h, L) / 2
-
-The next frame is put out if it is older than L - s, and frames are left out only where a later one is older than
-L + s. So one frame follows another while the stamps keep their mean interval, if none is more than h / 4 early or
-late, and also where the lag is a whole number of intervals. A frame is put out L - s to L + s + h after it was
-taken.
+With t_0 < ... < t_n the stamps of the frame that was shown last and of all after it, h = (t_n - t_0) / n and the
+lag L, the next frame is shown if it is older than L - s, s = min(h, L) / 2, and frames are left out only where a
+later one is older than L + s. So one frame follows another if none is more than h / 4 early or late, and is shown
+L - s to L + s + h after it was taken.
 """
 
 from __future__ import annotations
@@ -23,15 +18,9 @@ from mocap_ros.units import NS_PER_S
 
 
 def find_delayed_frame(stamps_ns: Sequence[int], lag_s: float, *, has_begun: bool) -> tuple[int, bool]:
-    """Return the index of the frame that is put out, and whether the output has begun.
+    """Return the index of the frame that is shown, and whether the output has begun, of stamps (n + 1,) ns.
 
-    Until a frame is old enough it is the first one, and the output has not begun.
-
-    Args:
-        stamps_ns: (n + 1,) ns, increasing stamps of the frame that was put out last, or of the first frame, and of
-            all frames after it.
-        lag_s: s, L, positive.
-        has_begun: whether the first of these frames was put out.
+    The first stamp is that of the frame that was shown last or, before the output has begun, of the first frame.
     """
     lag_ns = lag_s * NS_PER_S
     newest_ns = stamps_ns[-1]
@@ -45,5 +34,5 @@ def find_delayed_frame(stamps_ns: Sequence[int], lag_s: float, *, has_begun: boo
 
 
 def find_oldest_needed_ns(newest_ns: int, lag_s: float) -> float:
-    """Return a stamp in ns; of the frames up to it, only the newest may be put out now or later."""
+    """Return a stamp in ns; of the frames up to it, only the newest may be shown now or later."""
     return newest_ns - 1.5 * lag_s * NS_PER_S

@@ -3,18 +3,13 @@
 
 """Checks of a track against other hypotheses: another model, a solution from scratch, a periodic motion.
 
-Hypotheses are compared by -2 log evidence of the image points (`classification.minus_twice_log_evidence`), all
-under the same image noise. A hypothesis replaces the track's solution if its value is the lowest; one of another
-model must be lower by `EVIDENCE_MARGIN`. Where there are lifted poses, the evidence does not say which prior is to
-lead; the image noise does, with either in the lead (`leading_prior`).
-
-A check costs as much as several frames, so it is a generator of `Slices`, of which one or a few are done after
-each frame. It changes nothing, and returns the solution that the track, as it was at the beginning, has from now
-on.
+Hypotheses are compared by -2 log evidence of the image points (`classification.minus_twice_log_evidence`) under
+the same image noise; the lowest wins, one of another model by `EVIDENCE_MARGIN`. Which prior leads, the image
+noise with either decides (`leading_prior`). A check is a generator of `Slices`; it changes nothing, and returns
+the solution that the track, as it was at the beginning, has from now on.
 
 The cost of a slice is counted in elements of the solver's matrix: a step over F frames with n unknowns each, with
-its normal equations, costs F n^2, and `STEP_BASE` more for what does not grow with the window. It follows from the
-input and is no measured time, so it is the same whenever the same work is done.
+its normal equations, costs F n^2 + `STEP_BASE`. It follows from the input and is no measured time.
 """
 
 from __future__ import annotations
@@ -91,8 +86,8 @@ CHECK_SPAN_S = 1.0  # s; newest part of the window that is checked, for the olde
 CLASSIFICATION_STEP_S = 1 / 15  # s; halves the frames of a 30 Hz stream, and samples a running cycle 10 times
 CLASSIFICATION_MAX_ITERATIONS = 8  # steps of the periodic solver, which starts from the solution; limits the time
 MIN_RUN_SPEED_M_S = 0.9  # m/s; RMS over the joints about the body's origin: 0.5 to 0.9 in walks, to 1.5 in runs
-SPEED_STEP_S = 0.2  # s; over which the speed is taken, long enough for tremble to say little
-# s; section of somebody who has walked or run shortly before and is expected to go on. Of others such short
+SPEED_STEP_S = 0.2  # s; over which the speed is taken, long enough for jitter to say little
+# s; section of a person who has walked or run shortly before and is expected to go on. Of others such short
 # sections are called periodic too often: 0.09 of those with clean points, of 2 s 0.04 (training persons).
 RESUMED_SECTION_S = 1.3
 OTHER_MODEL_TURNS = 4  # classifications; one of so many tries the model that is less likely by the speed
@@ -107,14 +102,7 @@ NOISE_RATIO_WITH_LIFTER = 0.76  # the same ratio with the lifter's prior (CMU wa
 
 
 def slice_work(work: Stepwise[Result], frames: int, components: int, factor: float = 1.0) -> Slices[Result]:
-    """Do the pieces of a solver's work as slices, and return its result.
-
-    Args:
-        work: the work.
-        frames: number of frames of its window.
-        components: number of base poses.
-        factor: cost of a piece over one of the joint solver of this size.
-    """
+    """Do the pieces of a solver's work as slices, each `factor` of the cost of one of the joint solver."""
     cost = factor * (STEP_BASE + frames * (components + CAMERA_UNKNOWNS) ** 2) / PIECES_OF_STEP
     while True:
         yield cost
@@ -134,12 +122,7 @@ class Hypothesis(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class HypothesisChecker:
-    """Initialises tracks, checks them against other hypotheses and classifies their motion.
-
-    Attributes:
-        models: base-pose models by name.
-        config: all parameters.
-    """
+    """Initialises tracks, checks them against other hypotheses and classifies their motion."""
 
     models: Mapping[str, BasePoses]
     config: Config
@@ -159,12 +142,7 @@ class HypothesisChecker:
         """Return the first solutions of tracks, from few steps of one batch for each model.
 
         The hypotheses are a solution from scratch under each model and, for a person who looks like a remembered
-        pose, that pose under the first model. All are compared under the same image noise.
-
-        Args:
-            tracks: tracks without a solution, at least one.
-            model_names: names of the candidate models.
-            memory: key poses of people who were lost.
+        pose, that pose under the first model.
         """
         solver = replace(self.config.solver, max_iterations=INITIAL_MAX_ITERATIONS)
         first_model = self.models[model_names[0]]
@@ -188,7 +166,6 @@ class HypothesisChecker:
         return solutions
 
     def _build_first_window(self, track: Track, model: BasePoses) -> Window:
-        """Return the frames of a new track as the input of a solver, with the same unit for all hypotheses."""
         window = replace(track.observed.build_solver_window(), noise=INITIAL_NOISE)
         start, _ = choose_initial_values(
             start_from_lifted_poses(window, model), model, self.config.solver.start_window
@@ -196,7 +173,6 @@ class HypothesisChecker:
         return replace(window, unit=float(np.median(start.cameras.scale)))
 
     def _recall_start(self, track: Track, memory: KeyPoseMemory, model: BasePoses) -> InitialValues | None:
-        """Return the remembered pose that a new track's newest frame looks like, for all its frames; or None."""
         newest, count = track.observed.select_frames(slice(-1, None)), len(track.stamps_ns)
         recalled = memory.recall(newest.points[0], newest.weight[0])
         if recalled is None:
@@ -207,14 +183,10 @@ class HypothesisChecker:
         return InitialValues(np.tile(theta, (count, 1)), cameras)
 
     def check(self, track: Track, model_name: str) -> Slices[TrackSolution | None]:
-        """Check a track against a model; return the solution that replaces its own, or None.
+        """Check a solved track against a model; return the solution that replaces its own, or None.
 
-        The hypothesis is the track's own poses under that model. It is a solution from scratch if the model is the
-        track's own, if the track is new, or after a rise of the image noise.
-
-        Args:
-            track: a solved track.
-            model_name: name of the model; empty to compare the leading priors instead.
+        The hypothesis is the track's own poses under that model, or a solution from scratch if the model is its
+        own, the track is new, or the image noise rose. Without a name, the other prior leads in it.
         """
         if not model_name:
             return (yield from self._compare_leads(track))
@@ -231,7 +203,6 @@ class HypothesisChecker:
         return (yield from self._choose_likelier(track, frames, window, hypotheses))
 
     def _solve_from_scratch(self, window: Window, model_name: str, own: TrackSolution) -> Slices[Hypothesis]:
-        """Solve a window without its initial values under a model."""
         model, frames = self.models[model_name], len(window.times)
         solver = replace(
             self._choose_solver(own.base_poses_lead),
@@ -250,14 +221,7 @@ class HypothesisChecker:
     def _choose_likelier(
         self, track: Track, frames: NDArray[np.intp], window: Window, hypotheses: tuple[Hypothesis, Hypothesis]
     ) -> Slices[TrackSolution | None]:
-        """Return the solution by another hypothesis if it is likelier than the track's own solution, or None.
-
-        Args:
-            track: a solved track.
-            frames: (n,) indices of the frames to compare by, increasing.
-            window: these frames.
-            hypotheses: the other one, and the track's own solution.
-        """
+        """Return the solution by another hypothesis if it is likelier than the track's own solution, or None."""
         other, own = hypotheses
         base_poses_lead = track.solved.base_poses_lead
         solver = replace(self._choose_solver(base_poses_lead), max_iterations=COMPARISON_MAX_ITERATIONS)
@@ -303,7 +267,6 @@ class HypothesisChecker:
         return fit
 
     def _choose_solver(self, base_poses_lead: bool) -> SolverConfig:
-        """Return the parameters of the solver with one or the other prior in the lead."""
         return let_base_poses_lead(self.config.solver) if base_poses_lead else self.config.solver
 
     def _adopt(
@@ -328,14 +291,10 @@ class HypothesisChecker:
         return interpolate(refined, observed, frames, model_name, model, solution)
 
     def classify_motion(self, track: Track) -> Slices[Classification | None]:
-        """Classify the newest section of a track's window as periodic or not (TPAMI 2016, section 4.9).
+        """Classify the newest section of a solved track as periodic or not (TPAMI 2016, section 4.9).
 
-        Args:
-            track: a solved track.
-
-        Returns:
-            The kind of motion; None if a section is not almost full yet, or no model is periodic. Motion that
-            does not repeat itself at any cadence is not periodic, whatever a model would say.
+        None if a section is not almost full yet, or no model is periodic. Motion that repeats itself at no cadence
+        is not.
         """
         section_s = min(self._choose_section(track), self.config.tracker.window)
         periodic_names = [n for n in PERIODIC_CATEGORIES if n in self.models]
@@ -352,15 +311,14 @@ class HypothesisChecker:
         return classify_as_other(track)
 
     def _choose_section(self, track: Track) -> float:
-        """Return the length in s of the newest section of a track's window that is to be classified."""
         section_s = self.config.classifier.section
         return min(section_s, RESUMED_SECTION_S) if track.schedule.may_resume else section_s
 
     def _order_periodic_models(self, track: Track, periodic_names: Sequence[str]) -> list[str]:
         """Return the names of the periodic models to fit, the likeliest first.
 
-        A track that is not periodic gets one model a classification: its own, or else that of people who move as
-        fast, and now and then the other. A periodic track gets all of them before it counts as not periodic.
+        A track that is not periodic gets one a classification: its own or that of its speed, and now and then the
+        other.
         """
         schedule, own_name = track.schedule, track.solved.model_name
         by_speed = 'run' if self._measure_speed(track) > MIN_RUN_SPEED_M_S else 'walk'
@@ -373,7 +331,6 @@ class HypothesisChecker:
         return rest if rest and is_turn_of_other and own_name not in periodic_names else [likeliest]
 
     def _measure_speed(self, track: Track) -> float:
-        """Return the RMS speed in m/s of a track's joints about the body's origin, over its window."""
         solution, times = track.solved, track.times_s
         later = np.arange(times[-1], times[0] + SPEED_STEP_S, -SPEED_STEP_S)
         if len(later) == 0:
@@ -383,7 +340,6 @@ class HypothesisChecker:
         return float(np.sqrt((moved**2).sum(axis=1).mean() / len(solution.model.mean)))
 
     def _fit_periodic_motion(self, track: Track, name: str) -> Slices[Motion | None]:
-        """Return the motion as one periodic model explains it; None if that model does not explain it."""
         settings = self.config.classifier
         frames = track.select_frames(CLASSIFICATION_STEP_S, self._choose_section(track))
         observed, start = select_start(track.observed, track.solved, frames)
@@ -402,12 +358,7 @@ class HypothesisChecker:
         return Motion(MotionKind.PERIODIC, name, fit.residual, fit.reconstruction.cadence)
 
     def still_repeats(self, track: Track, classification: Classification) -> bool:
-        """Return whether a track's newest motion may be periodic as a classification says, as far as one can tell.
-
-        Args:
-            track: a solved track.
-            classification: of its motion up to this frame or shortly before it.
-        """
+        """Return whether a track's newest motion may be periodic as a classification of it says."""
         if classification.motion.kind is not MotionKind.PERIODIC:
             return True
         times = track.times_s

@@ -1,39 +1,29 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A filter that takes the tremble out of a person's joints at the newest frame, where no later frame helps.
+"""A filter that takes the jitter out of a person's joints at the newest frame, where no later frame helps.
 
-The errors of a detector, and with them those of the reconstruction, last for some frames. So a mean over more
-frames would hardly lower them: the newest position z is the best there is, and a filter buys steadiness with
-delay. The output x follows z as a mass on a damped spring does, which is what a linear-quadratic regulator gives
-where errors of the position and of the acceleration have a price:
+Errors of a detector last for some frames, so the newest position z is the best there is, and steadiness costs
+delay. The output x follows z as a mass on a damped spring, which a linear-quadratic regulator gives where errors
+of position and acceleration have a price:
 
     d^2x/dt^2 = omega^2 (z - x) + 2 zeta omega (dz/dt - dx/dt)
 
-From one frame to the next, h seconds later, the mass goes on with its velocity v, which fades with rate b, and the
-new position pulls it by gains that give the filter the poles e^((-zeta +- i sqrt(1 - zeta^2)) omega h):
+From one frame to the next, h seconds later, the velocity v fades with rate b, and the gains give the filter the
+poles e^((-zeta +- i sqrt(1 - zeta^2)) omega h):
 
     x' = x + (1 - e^(-b h)) v / b,        v' = e^(-b h) v,                    rho = e^(-zeta omega h)
     x <- x' + (1 - rho^2) (z - x'),       v <- v' + beta / h (z - x'),
     beta = 1 + rho^2 - 2 rho cos(min(sqrt(1 - zeta^2) omega h, pi / 2))
-
-Fast limbs need a stiff spring, for they soon turn round; where little trembles, a stiff one costs nothing. Where
-the costs of delay and of tremble balance, the stiffness is a product of powers of both:
-
     omega = Omega (s^2 + s_0^2)^(p/2) (w / w_0)^(-q)
 
-s is the speed of the point, the root mean square of |v| over the last frames; w is the standard deviation of the
-tremble over the last frames, by the second differences of z, whose mean square is 6 w^2 (at uneven times they are
-divided differences). Curved motion has second differences, too. So w of a joint is at most half the image noise at
-the body, which the solver has estimated, and the filter lets exact points pass nearly unchanged.
-
-The joints about the body's centre are filtered apart from the centre, which moves more evenly and trembles mostly
-in depth. The coordinates of a joint share one w, and those of the centre have one each. The variance of a
+s is the RMS speed of the point over the last frames, w the standard deviation of the jitter, by the second
+differences of z, whose mean square is 6 w^2. As curved motion has these, too, w of a joint is at most half the
+image noise at the body. The joints are filtered about the body's centre, and the centre apart, which jitters
+mostly in depth. The coordinates of a joint share one w, those of the centre have one each. The variance of a
 coordinate of v is
 
     (f_w w omega)^2 + f_s^2 (s^2 + s_0^2) + f_0^2
-
-for tremble and for motion that is not seen or followed, which is much in depth.
 
 The constants are in `engine/motion.pyx`.
 """
@@ -55,9 +45,9 @@ Array = NDArray[np.float64]
 MAX_NOISE_SHARE = 0.5  # of the image noise; a joint rests on several frames and points
 INITIAL_TREMBLE_M = 0.005  # m; until it is estimated
 INITIAL_SPEED_M_S = 1.0  # m/s; that of a walker
-MAX_STEP_S = 0.2  # s; over a longer gap the differences say nothing of the tremble
+MAX_STEP_S = 0.2  # s; over a longer gap the differences say nothing of the jitter
 MAX_SPEED_M_S = 10.0  # m/s; of a sprinter
-MAX_DEPTH_CHANGE = 0.3  # of the depth; a larger change from frame to frame is no tremble but another solution
+MAX_DEPTH_CHANGE = 0.3  # of the depth; a larger change from frame to frame is no jitter but another solution
 DIFFERENCE_FRAMES = 3  # frames that a second difference compares
 DIFFERENCE_SQUARES = 6.0  # sum of the squared coefficients of a second difference at even times: 1, -2, 1
 # Rows of the state: x, v, the mean squares of the second differences and of v, and the variance of v.
@@ -66,19 +56,12 @@ STATE_ROWS = 5  # as many as these
 
 
 class CoreMotion(NamedTuple):
-    """The core of a person and its velocity in one frame, in the camera's optical frame.
+    """The core of a person and its velocity in one frame, in the camera's optical frame."""
 
-    Attributes:
-        joints: (J, 3) m.
-        velocity: (J, 3) m/s; NaN if unknown.
-        velocity_std: (J,) m/s, standard deviation of each joint's velocity; NaN if unknown.
-        root_velocity_covariance: (3, 3) m^2/s^2, covariance of the velocity of the place between the hips; NaN if
-            unknown.
-    """
-
-    joints: Array
-    velocity: Array
-    velocity_std: Array
+    joints: Array  # (J, 3) m
+    velocity: Array  # (J, 3) m/s; NaN if unknown
+    velocity_std: Array  # (J,) m/s, standard deviation of each joint's velocity; NaN if unknown
+    # (3, 3) m^2/s^2, covariance of the velocity of the point between the hips; NaN if unknown
     root_velocity_covariance: Array
 
 
@@ -111,13 +94,9 @@ class MotionFilter:
         self.motion = CoreMotion(*engine.read_motion(self.state, *HIPS))
 
     def advance(self, stamp_ns: int, joints: Array, image_noise: float) -> None:
-        """Go on to a newer frame.
+        """Go on to joints (J, 3) m of a newer frame, at an image noise in m at the body.
 
-        Args:
-            stamp_ns: ns, stamp of the frame, later than the one before.
-            joints: (J, 3) m, unfiltered. Where they are too far away for a person to have moved there, another
-                solution has been found, and the filter begins anew.
-            image_noise: m at the body, standard deviation of a coordinate of an image point.
+        Where they are too far away for a person to have moved there, the filter begins anew.
         """
         points, old = engine.split_centre(joints), self.state[_X, -1].tolist()
         moved = MAX_SPEED_M_S * (stamp_ns - self.stamps_ns[-1]) / NS_PER_S

@@ -1,15 +1,12 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The 3D person of a track in one solved frame: joints, velocities, how sure they are, extremities, orientations.
+"""The 3D person of a track in one solved frame: joints, velocities, their deviations, extremities, orientations.
 
-With a motion filter, joints and velocities are of its state. Without one, as with a lag, the solution before and
-after a frame is smooth, and the velocity is the central difference of the frames beside it
-(`geometry.interpolation`).
-
-What is published of the newest frame has the filter's velocity with a learned correction, if the pose was lifted
-(`models/velocity_correction.py`). With the filter's standard deviation s_j and the correction c_j of a joint, and
-likewise with the filter's covariance S of the root's velocity and the correction c_0 of that, these become
+With a motion filter, joints and velocities are of its state; with a lag, the velocity is the central difference of
+the smooth solution. In the newest frame, lifted poses give a learned correction (`models/velocity_correction.py`)
+of the velocity. With the filter's deviation s_j and correction c_j of a joint, and S and c_0 of the root, these
+become
 
     sqrt((f s_j)^2 + (g |c_j|)^2)        h^2 (f^2 S + g^2 c_0 c_0^T)
 """
@@ -56,14 +53,14 @@ def filter_motion(track: Track, stamp_ns: int, frame: int) -> None:
     joints = track.solved.locate_joints(frame)
     if track.motion_filter is None:
         track.motion_filter = MotionFilter(stamp_ns, joints)
-    elif stamp_ns > track.motion_filter.stamps_ns[-1]:  # else, with a lag, this frame was put out before
+    elif stamp_ns > track.motion_filter.stamps_ns[-1]:  # else, with a lag, this frame was shown before
         track.motion_filter.advance(stamp_ns, joints, track.solved.noise / track.solved.stature_ratio)
 
 
 def follow_extremities(track: Track, stamp_ns: int, frame: int, core: Array) -> ExtremityState:
     """Follow the extremities of a track up to a frame with a core (J, 3) m, stamp in ns, and return them."""
     before, age_ns, solution = track.extremity_state, stamp_ns - track.extremities_ns, track.solved
-    if before is not None and age_ns <= 0:  # with a lag, this frame was put out before
+    if before is not None and age_ns <= 0:  # with a lag, this frame was shown before
         return before
     noise = solution.noise / solution.stature_ratio
     evidence = collect_evidence(core[None], track.observed, noise, slice(frame, frame + 1)).select_frame(0)
@@ -85,8 +82,8 @@ def find_motion(track: Track, frame: int) -> CoreMotion:
     if 0 < frame < len(solution.theta) - 1:
         frames = np.arange(frame - 1, frame + 2)
         times = np.array([stamps_ns[i] - stamps_ns[frame] for i in frames]) / NS_PER_S
-        places = solution.compute_joints(frames) + solution.roots[frames, None]
-        velocity = central_velocity(times, places / solution.stature_ratio)[1]
+        positions = solution.compute_joints(frames) + solution.roots[frames, None]
+        velocity = central_velocity(times, positions / solution.stature_ratio)[1]
     return CoreMotion(joints, velocity, np.full(len(joints), np.nan), np.full((3, 3), np.nan))
 
 
@@ -107,12 +104,7 @@ def find_published_motion(track: Track, frame: int) -> CoreMotion:
 
 
 def sample_velocity_past(track: Track, filtered: CoreMotion) -> VelocityPast | None:
-    """Return what the correction of the velocities in the newest frame rests on; None where it is not trained for.
-
-    Args:
-        track: a solved track.
-        filtered: what `find_motion` found of the newest frame.
-    """
+    """Return what the correction of the newest velocities rests on; None where it is not trained for."""
     solution = track.solved
     is_filtered = track.motion_filter is not None and filtered is track.motion_filter.motion
     if track.observed.lifted is None or not is_filtered or solution.model.skeleton.joints != CMU15.joints:
@@ -127,23 +119,14 @@ def sample_velocity_past(track: Track, filtered: CoreMotion) -> VelocityPast | N
 
 
 class Cores(NamedTuple):
-    """The cores of P people in the camera's optical frame, as in `Person3D`.
+    """The cores of P people in the camera's optical frame, as in `Person3D`."""
 
-    Attributes:
-        joints: (P, J, 3) m.
-        std: (P, J) m.
-        velocity: (P, J, 3) m/s.
-        velocity_std: (P, J) m/s.
-        root_covariance: (P, 3, 3) m^2.
-        root_velocity_covariance: (P, 3, 3) m^2/s^2.
-    """
-
-    joints: Array
-    std: Array
-    velocity: Array
-    velocity_std: Array
-    root_covariance: Array
-    root_velocity_covariance: Array
+    joints: Array  # (P, J, 3) m
+    std: Array  # (P, J) m
+    velocity: Array  # (P, J, 3) m/s
+    velocity_std: Array  # (P, J) m/s
+    root_covariance: Array  # (P, 3, 3) m^2
+    root_velocity_covariance: Array  # (P, 3, 3) m^2/s^2
 
     @staticmethod
     def of_tracks(
@@ -164,13 +147,7 @@ class Cores(NamedTuple):
 
 
 def find_joint_std(tracks: Sequence[Track], frames: Sequence[int], joints: Array) -> Array:
-    """Return the standard deviations (P, J) m of joints (P, J, 3) m of P people of the assumed size.
-
-    Args:
-        tracks: P solved tracks.
-        frames: index of the frame of each.
-        joints: the joints in these frames.
-    """
+    """Return the standard deviations (P, J) m of joints (P, J, 3) m of P people of the assumed size."""
     values = [(t.solved.joint_std, t.solved.noise, t.solved.stature_ratio) for t in tracks]
     posterior, noise, stature_ratio = (np.array(column) for column in zip(*values, strict=True))
     lifted = [
@@ -188,7 +165,6 @@ def find_joint_std(tracks: Sequence[Track], frames: Sequence[int], joints: Array
 
 
 def _find_inferred(tracks: Sequence[Track], frames: Sequence[int], skeleton: Skeleton) -> Bools:
-    """Return a mask (P, J) of the joints that are not seen in a frame of each of P tracks."""
     inferred = np.ones((len(tracks), len(skeleton.joints)), bool)
     for row, track, frame in zip(inferred, tracks, frames, strict=True):
         core, others = track.observed.weight[frame], track.observed.extremities
@@ -207,20 +183,10 @@ def make_people(
     skeleton: Skeleton,
     unseen_for: Sequence[float] | None = None,
 ) -> list[Person3D]:
-    """Return P >= 1 people.
-
-    Args:
-        tracks: their tracks.
-        frames: index of the frame of each, the newest if they are predicted.
-        cores: their cores, enlarged to their sizes.
-        extremities: face, feet, hands and turns of people of the assumed size.
-        sizes: what is known of their sizes.
-        skeleton: `skeleton.BODY26`, or `skeleton.CMU15` for the core alone.
-        unseen_for: s, times since they were last seen, if they are predicted.
-    """
+    """Return P >= 1 people, of cores enlarged to their sizes, extremities of the assumed size, each in a frame."""
     intrinsics, roots = tracks[0].intrinsics, cores.joints.mean(axis=1)
     scales, translations = (intrinsics.focal / roots[:, 2]).tolist(), intrinsics.project(roots)
-    quaternions, is_known = np.array([e.quaternions for e in extremities]), [e.is_turn_told for e in extremities]
+    quaternions, is_known = np.array([e.quaternions for e in extremities]), [e.is_turn_seen for e in extremities]
     turn_inferred = ~np.array(is_known)
     joints, std, velocity, velocity_std, root_covariance, root_velocity_covariance = cores
     inferred = np.ones((len(tracks), len(skeleton.joints)), bool)

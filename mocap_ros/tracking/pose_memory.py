@@ -3,14 +3,11 @@
 
 """Memory of key poses by their appearance, for the initialisation of a person who appears again after a loss.
 
-The idea of a few 3D key poses that stand for all frames that look alike is that of Loy et al. (ECCV 2004). A pose
-is recalled if its image y, in torso lengths, is near the image x of a person. The scale s and the translation t
-bring y closest to x in the least-squares sense over the joints that both images show. The distance is that of
-matrix C in section 4.2 of the paper, C = A B + (1 - A) max B, with max B = 1 torso length:
+The idea is that of Loy et al. (ECCV 2004). A pose is recalled if its image y, in torso lengths, is near the image
+x of a person, with the scale s and the translation t that fit best, by the distance of section 4.2 with max B = 1:
 
-    A = (joints seen in both images) / (joints seen in either)
+    distance = B A + (1 - A),    A = (joints seen in both images) / (joints seen in either)
     B = mean_j |(x_j - t) / s - y_j|      over the joints seen in both, torso lengths
-    distance = B A + (1 - A)
 """
 
 from __future__ import annotations
@@ -37,19 +34,12 @@ class KeyPose(NamedTuple):
 
 
 class RecalledPose(NamedTuple):
-    """A remembered pose that looks like a person in the current image.
+    """A remembered pose that looks like a person in the current image."""
 
-    Attributes:
-        pose: (J, 3) m, camera axes, centred on the mean of the joints.
-        scale: px/m, scale of the pose in the current image.
-        translation: (2,) px, position of the pose's origin in the current image.
-        distance: torso lengths, distance of the current image from the remembered one.
-    """
-
-    pose: Array
-    scale: float
-    translation: Array
-    distance: float
+    pose: Array  # (J, 3) m, camera axes, centred on the mean of the joints
+    scale: float  # px/m, scale of the pose in the current image
+    translation: Array  # (2,) px, position of the pose's origin in the current image
+    distance: float  # torso lengths, distance of the current image from the remembered one
 
 
 class KeyPoseMemory:
@@ -68,15 +58,9 @@ class KeyPoseMemory:
         self.poses: list[KeyPose] = []
 
     def remember(self, points: Array, weight: Array, pose: Array) -> None:
-        """Remember a pose, unless too few of its joints were seen.
+        """Remember a pose (J, 3) m in the camera's axes, unless too few of its joints were seen.
 
-        The pose replaces one that looks the same. If there is none and the memory is full, it replaces the one
-        that was remembered longest ago.
-
-        Args:
-            points: (J, 2) px, joints of `CMU15`; any value for a joint of weight 0.
-            weight: (J,) confidence scores; 0 for a joint that was not seen.
-            pose: (J, 3) m, camera axes.
+        It replaces one that looks the same or, if the memory is full, the one that was remembered longest ago.
         """
         seen = weight > 0
         if seen.sum() < MIN_COMMON_JOINTS:
@@ -93,12 +77,7 @@ class KeyPoseMemory:
         del self.poses[: -self._capacity]
 
     def recall(self, points: Array, weight: Array) -> RecalledPose | None:
-        """Return the remembered pose that looks most like an image; None if none is nearer than `beta`.
-
-        Args:
-            points: (J, 2) px, joints of `CMU15`; any value for a joint of weight 0.
-            weight: (J,) confidence scores; 0 for a joint that was not seen.
-        """
+        """Return the pose that looks most like an image (J, 2) px; None if none is nearer than `beta`."""
         seen = weight > 0
         nearest = self._find_nearest(points, seen)
         if nearest is None:
@@ -109,7 +88,6 @@ class KeyPoseMemory:
         return RecalledPose(pose, scale, translation, distance)
 
     def _find_nearest(self, points: Array, seen: NDArray[np.bool_]) -> tuple[int, float] | None:
-        """Return the index and the distance of the nearest pose; None if none is nearer than `beta`."""
         nearest = None
         for index, key_pose in enumerate(self.poses):
             common = seen & key_pose.seen
@@ -127,7 +105,6 @@ class KeyPoseMemory:
 
 
 def _fit_scale_translation(source: Array, target: Array) -> tuple[float, Array]:
-    """Return the scale and translation (2,) from points (N, 2) to others (N, 2), fitted by least squares."""
     a, b = source - source.mean(axis=0), target - target.mean(axis=0)
     scale = max(float((a * b).sum() / max(float((a * a).sum()), MIN_SCALE)), 0.0)
     return scale, target.mean(axis=0) - scale * source.mean(axis=0)

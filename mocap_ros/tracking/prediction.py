@@ -37,15 +37,7 @@ _AGO = np.array(PAST_S)
 def predict_people(
     tracks: Sequence[Track], stamp_ns: int, upward: Array | None, sizes: Sequence[BodySize], skeleton: Skeleton
 ) -> list[Person3D]:
-    """Return the people of tracks at a time after their last detections.
-
-    Args:
-        tracks: P solved tracks, whose extremities have been followed.
-        stamp_ns: ns, time of the prediction.
-        upward: (3,) unit vector upwards in the optical frame; None for that of a level camera.
-        sizes: what is known of each person's size.
-        skeleton: `skeleton.BODY26`, or `skeleton.CMU15` for the core alone.
-    """
+    """Return the people of P solved tracks at a time after their last detections; `upward` (3,), None if level."""
     if not tracks:
         return []
     ages = [(stamp_ns - t.stamps_ns[-1]) / NS_PER_S for t in tracks]
@@ -95,18 +87,15 @@ def predict_ahead(
 
 
 def sample_past(track: Track, upward: Array | None = None) -> Past:
-    """Return what is known of the motion of the core of a person of the assumed size up to the newest frame.
-
-    Before the first frame of the window, the person moves as at the newest. `upward` is as in `predict_people`.
-    """
+    """Return the motion of the core of a person of the assumed size up to the newest frame."""
     frame = track.newest
     last = find_motion(track, frame)
     newest, velocity = last.joints, last.velocity
-    places = track.solved.sample_joints(track.times_s, -_AGO)
-    is_known = ~np.isnan(places[:, 0, 0])
+    positions = track.solved.sample_joints(track.times_s, -_AGO)
+    is_known = ~np.isnan(positions[:, 0, 0])
     if not np.isfinite(velocity).all():  # without a filter, or in the first frame
-        velocity = (newest - places[0]) / _AGO[0] if is_known[0] else np.zeros_like(newest)
-    earlier = np.where(is_known[:, None, None], places, newest - _AGO[:, None, None] * velocity)
+        velocity = (newest - positions[0]) / _AGO[0] if is_known[0] else np.zeros_like(newest)
+    earlier = np.where(is_known[:, None, None], positions, newest - _AGO[:, None, None] * velocity)
     heading, std = track.solved.rotation[frame, :, 0], find_joint_std([track], [frame], last.joints[None])[0]
     return Past(newest, velocity, std, earlier, heading, UPRIGHT_CAMERA if upward is None else upward)
 
@@ -119,8 +108,8 @@ def _predict(
 ) -> tuple[list[Past], Displacements]:
     """Return what is known of the persons of N >= 1 tracks, and predictions at times (N, T) in s after that.
 
-    The persons are of the assumed size. Their predictions, which have the same image, are enlarged to the sizes.
-    Nobody comes nearer to the plane of the camera than `MIN_CLEARANCE_M`, unless they are there already.
+    Predictions are enlarged to the persons' sizes. Who is not nearer already stays `MIN_CLEARANCE_M` before the
+    camera.
     """
     pasts = [sample_past(t, upward) for t in tracks]
     ahead = load_motion_predictor().predict_all(pasts, times)

@@ -46,11 +46,9 @@ def refine(
 ) -> list[TrackSolution]:
     """Return the solutions of P tracks whose newest frame is not solved yet.
 
-    Args:
-        tracks: the tracks, with solutions under the same model.
-        parts: index of the first frame of each that is solved, and how many frames from there keep their state.
-        model: the model.
-        config: weights of the terms, and when the solver stops.
+    `tracks` the tracks, with solutions under the same model; `parts` index of the first frame of each that is
+    solved, and how many frames from there keep their state; `config` weights of the terms, and when the solver
+    stops.
     """
     newest = collect_newest_frames(tracks, parts, model)
     batch = Batch(

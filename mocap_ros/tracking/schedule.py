@@ -3,9 +3,8 @@
 
 """What is scheduled for a tracked person: when to check the solution and to classify the motion, and why.
 
-A check is due soon after the first solution, then at intervals that grow with the person's age. Each check is one
-of another model, in turn; after a round of all models the image noise is the baseline. If the noise rises far
-above it, the person's motion has changed or the solution is wrong, and all models are tried from scratch.
+Checks are due at intervals that grow with the person's age, each of another model in turn. After a round of all
+models the image noise is the baseline; if it rises far above that, all models are tried from scratch.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ NEW_TRACK_S = 1.0  # s; younger tracks are solved from scratch at each check, si
 NOISE_ALARM_RATIO = 1.3  # no unit; a rise of the image noise by 30 % indicates another motion or a wrong solution
 CLASSIFICATION_INTERVAL_S = 1.0  # s; for periodic motion
 OTHER_CLASSIFICATION_INTERVAL_S = 0.5  # s; for other motion, to find a new walk sooner
-RESUMED_CLASSIFICATION_INTERVAL_S = 0.25  # s; for somebody who has walked or run and may go on with it
+RESUMED_CLASSIFICATION_INTERVAL_S = 0.25  # s; for a person who has walked or run and may go on with it
 RESUME_WITHIN_S = 10.0  # s; for so long after a walk it is expected to go on, which costs classifications
 
 
@@ -40,30 +39,21 @@ UNKNOWN = Classification(Motion(MotionKind.UNKNOWN, '', math.nan, math.nan), '')
 
 @dataclass(eq=False)
 class CheckSchedule:
-    """The checks and classifications of a track that are due, and what they are decided by.
+    """The checks and classifications of a track that are due, and what they are decided by."""
 
-    Attributes:
-        next_check_ns: ns, stamp at which the next check is due.
-        check_interval_s: s, interval from the check before it, in which its lateness is measured.
-        check_count: number of checks that have begun.
-        pending_restarts: number of solutions from scratch that are still due after the image noise has risen.
-        baseline_noise: m, image noise after the last round of checks in which every model had its turn; infinite
-            before the first round.
-        next_classification_ns: ns, stamp at which the motion is to be classified again.
-        classification_count: number of classifications so far.
-        classification: the latest one.
-        last_periodic_ns: ns, stamp of the last classification that found periodic motion; None if none did, or if
-            that is long ago.
-    """
-
-    next_check_ns: int = 0
+    next_check_ns: int = 0  # ns, stamp at which the next check is due
+    # s, interval from the check before it, in which its lateness is measured
     check_interval_s: float = MIN_CHECK_INTERVAL_S
     check_count: int = 0
+    # number of solutions from scratch that are still due after the image noise has risen
     pending_restarts: int = 0
+    # m, image noise after the last round of checks in which every model had its turn; infinite before the first
+    # round
     baseline_noise: float = math.inf
-    next_classification_ns: int = 0
+    next_classification_ns: int = 0  # ns, stamp at which the motion is to be classified again
     classification_count: int = 0
     classification: Classification = UNKNOWN
+    # ns, stamp of the last classification that found periodic motion; None if none did, or if that is long ago
     last_periodic_ns: int | None = None
 
     def check_at(self, stamp_ns: int) -> None:
@@ -86,25 +76,13 @@ class CheckSchedule:
         return (stamp_ns - self.next_classification_ns) / (self.classification_interval_s * NS_PER_S)
 
     def restart_if_noise_rose(self, noise: float, stamp_ns: int, turns: int) -> None:
-        """Schedule solutions from scratch under all models if the noise in m is far above its baseline.
-
-        Args:
-            noise: m, image noise of the solution.
-            stamp_ns: ns, stamp of the newest frame, at which they are then due.
-            turns: number of checks of a round: the candidate models and, if made, the comparison of leads.
-        """
+        """Schedule `turns` solutions from scratch, from now on, if the noise in m is far above its baseline."""
         if noise > NOISE_ALARM_RATIO * self.baseline_noise:
             self.pending_restarts, self.baseline_noise = turns, math.inf
             self.check_at(stamp_ns)
 
     def begin_check(self, stamp_ns: int, age_s: float, max_interval_s: float) -> None:
-        """Count a check that begins, and schedule the next one an interval later.
-
-        Args:
-            stamp_ns: ns, stamp of the newest frame.
-            age_s: s, time since the person was first seen.
-            max_interval_s: s, upper limit of the interval.
-        """
+        """Count a check that begins, and schedule the next one an interval later."""
         interval_s = min(max(MIN_CHECK_INTERVAL_S, CHECK_INTERVAL_GROWTH * age_s), max_interval_s)
         if self.pending_restarts:
             interval_s = min(interval_s, MIN_CHECK_INTERVAL_S)
@@ -143,12 +121,7 @@ class CheckSchedule:
         self.next_classification_ns = stamp_ns + round(self.classification_interval_s * NS_PER_S)
 
     def finish_classification(self, stamp_ns: int, classification: Classification | None) -> None:
-        """End a classification.
-
-        Args:
-            stamp_ns: ns, stamp of the newest frame when it began.
-            classification: its result; None if the window is too short for one.
-        """
+        """End a classification, begun at a stamp in ns; None if the window is too short for one."""
         if classification is not None:
             self.classification = classification
             self.classification_count += 1

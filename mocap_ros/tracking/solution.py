@@ -39,37 +39,24 @@ _STATES = 'theta', 'rotation', 'roots', 'bone_lengths', 'frame_residuals'  # att
 
 @dataclass(eq=False)
 class TrackSolution:
-    """The solution of the first S frames of a window, S >= 1, which never changes.
-
-    Attributes:
-        model_name: name of the base-pose model.
-        model: these base poses.
-        theta: (S, K) m, weights of the base poses.
-        rotation: (S, 3, 3) rotations from the body to the real camera.
-        roots: (S, 3) m, positions of the body's origin in the real camera's frame, before `stature_ratio` is
-            applied.
-        bone_lengths: (S, B) m, lengths of the bones of the model's skeleton.
-        frame_residuals: (S,) px, RMS reprojection error of each frame; NaN where nothing is seen, and interpolated
-            between the frames that a check solved.
-        noise: m, standard deviation of a coordinate of a fully trusted image point, at the body.
-        stature_ratio: stature of the solution divided by that of the model.
-        joint_std: (J,) m, posterior standard deviations of the newest frame's joints; NaN if they are not known.
-        residual: RMS reprojection error of the last solved frames as a fraction of the body's RMS radius.
-        base_poses_lead: whether the base poses lead and not the lifted poses (`solvers.leading_prior`).
-    """
+    """The solution of the first S frames of a window, S >= 1, which never changes."""
 
     model_name: str
     model: BasePoses
-    theta: Array
-    rotation: Array
+    theta: Array  # (S, K) m, weights of the base poses
+    rotation: Array  # (S, 3, 3) rotations from the body to the real camera
+    # (S, 3) m, positions of the body's origin in the real camera's frame, before `stature_ratio` is applied
     roots: Array
-    bone_lengths: Array
+    bone_lengths: Array  # (S, B) m, lengths of the bones of the model's skeleton
+    # (S,) px, RMS reprojection error of each frame; NaN where nothing is seen, and interpolated between the frames
+    # that a check solved
     frame_residuals: Array
-    noise: float
-    stature_ratio: float
+    noise: float  # m, standard deviation of a coordinate of a fully trusted image point, at the body
+    stature_ratio: float  # stature of the solution divided by that of the model
+    # (J,) m, posterior standard deviations of the newest frame's joints; NaN if they are not known
     joint_std: Array
-    residual: float
-    base_poses_lead: bool = False
+    residual: float  # RMS reprojection error of the last solved frames as a fraction of the body's RMS radius
+    base_poses_lead: bool = False  # whether the base poses lead and not the lifted poses (`solvers.leading_prior`)
 
     @staticmethod
     def interpolate(
@@ -84,15 +71,8 @@ class TrackSolution:
     ) -> TrackSolution:
         """Return a solution of all frames, interpolated between some that are solved.
 
-        Args:
-            reconstruction: of these frames, in the window's virtual camera.
-            observed: the whole window.
-            frames: (n,) indices of the frames, increasing; the last is the newest of the window.
-            model_name: name of the base poses of the reconstruction.
-            model: these base poses.
-            earlier: solution under the same model of the frames before the first of `frames`; None if there are
-                none.
-            base_poses_lead: whether the base poses led in the reconstruction.
+        The last of these (n,) is the newest; `earlier` is a solution under the same model of the frames before the
+        first.
         """
         camera, first = observed.virtual_camera, int(frames[0])
         solved_times, times = observed.times[frames], observed.times[first:]
@@ -123,11 +103,7 @@ class TrackSolution:
         return copy_with(self, **{n: getattr(self, n)[frames:] for n in _STATES}) if frames else self
 
     def follow(self, own: TrackSolution) -> TrackSolution:
-        """Return this solution with states of the newer frames as the person has moved (end of the module's text).
-
-        Args:
-            own: the person's solution so far, of the same frames and n >= 0 newer ones.
-        """
+        """Return this solution with states of newer frames as the person has moved (end of the module's text)."""
         last = len(self.theta) - 1
         if last + 1 == len(own.theta):
             return self
@@ -176,12 +152,7 @@ class TrackSolution:
         return engine.locate_joints(*state, self.model.mean, self.model.components, 1 / self.stature_ratio)
 
     def sample_joints(self, times: Array, wanted: Array) -> Array:
-        """Return the joints (T, J, 3) m of a person of the assumed size, interpolated between frames.
-
-        Args:
-            times: (S,) s, times of the frames.
-            wanted: (T,) s, times of the joints, not after the last frame; NaN is returned before the first.
-        """
+        """Return joints (T, J, 3) m of the assumed size, interpolated in time; NaN before the first frame."""
         theta, rotation, roots = (np.ascontiguousarray(v) for v in (self.theta, self.rotation, self.roots))
         basis = self.model.mean, self.model.components
         return engine.sample_joints(wanted, times, theta, rotation, roots, *basis, 1 / self.stature_ratio)

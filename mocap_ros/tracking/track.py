@@ -41,52 +41,35 @@ class Track:
 
     No array is written to: a stage gives the track new ones. So `copy` is cheap, and a check works on such a copy
     while further frames come.
-
-    Attributes:
-        id: stable name of the person in the output.
-        first_ns: ns, stamp of the person's first frame, which the window may have left behind.
-        swap_filter: filter that finds the parts of the body whose left and right are swapped.
-        intrinsics: intrinsics of the real camera.
-        focal: px, focal length that the solvers assume; infinite for weak perspective.
-        is_tentative: whether the person has not been seen for long enough to be sure that there is somebody.
-        given_id: name that the detector gave the person last; empty if it gave none.
-        has_newest_id: whether it gave a name in the newest frame.
-        frames_seen: number of frames in which the person was seen, some of which the window may have left behind.
-        stamps_ns: (F,) ns, stamps of the frames of the window, increasing.
-        rays: (F, J, 2) x / z and y / z of the joints in the real camera, with the detector's labels.
-        weight: (F, J) confidence scores with the detector's labels; 0 for a joint that was not seen.
-        extremities: face, feet and hands with the detector's labels.
-        observed: the same frames with swaps undone, their lifted poses, and one virtual camera that faces the
-            person in all of them; its times begin with 0 at the first frame of the window.
-        solution: solution of the first S of these frames, where S is F, or F - 1 between the arrival of a frame
-            and its solution; None before the first solution.
-        schedule: the checks of the solution that are due.
-        motion_filter: filter of the output; None before the first output, or if nothing is filtered.
-        extremity_state: face, feet and hands in the frame that was put out last; None before the first output.
-        extremities_ns: ns, stamp of this frame.
-        contact: what feet on the floor say of the person's size; None if nothing.
     """
 
-    id: str
-    first_ns: int
-    swap_filter: SwapFilter
+    id: str  # stable name of the person in the output
+    first_ns: int  # ns, stamp of the person's first frame, which the window may have left behind
+    swap_filter: SwapFilter  # filter that finds the parts of the body whose left and right are swapped
     intrinsics: Intrinsics
-    focal: float
-    is_tentative: bool
-    rays: Array
-    weight: Array
-    extremities: Extremities
+    focal: float  # px, focal length that the solvers assume; infinite for weak perspective
+    is_tentative: bool  # whether the person has not been seen for long enough to be certain
+    rays: Array  # (F, J, 2) x / z and y / z of the joints in the real camera, with the detector's labels
+    weight: Array  # (F, J) confidence scores with the detector's labels; 0 for a joint that was not seen
+    extremities: Extremities  # face, feet and hands with the detector's labels
+    # the same frames with swaps undone, their lifted poses, and one virtual camera that faces the person in all of
+    # them; its times begin with 0 at the first frame of the window
     observed: ObservedWindow = field(init=False)
-    given_id: str = ''
-    has_newest_id: bool = False
+    given_id: str = ''  # name that the detector gave the person last; empty if it gave none
+    has_newest_id: bool = False  # whether it gave a name in the newest frame
+    # number of frames in which the person was seen, some of which the window may have left behind
     frames_seen: int = 0
-    stamps_ns: tuple[int, ...] = ()
+    stamps_ns: tuple[int, ...] = ()  # (F,) ns, stamps of the frames of the window, increasing
+    # solution of the first S of these frames, where S is F, or F - 1 between the arrival of a frame and its
+    # solution; None before the first solution
     solution: TrackSolution | None = None
-    schedule: CheckSchedule = field(default_factory=CheckSchedule)
+    schedule: CheckSchedule = field(default_factory=CheckSchedule)  # the checks of the solution that are due
+    # filter of the output; None before the first output, or if nothing is filtered
     motion_filter: MotionFilter | None = None
+    # face, feet and hands in the frame that was shown last; None before the first output
     extremity_state: ExtremityState | None = None
-    extremities_ns: int = 0
-    contact: FloorContact | None = None
+    extremities_ns: int = 0  # ns, stamp of this frame
+    contact: FloorContact | None = None  # what feet on the floor say of the person's size; None if nothing
 
     @staticmethod
     def begin(
@@ -150,16 +133,9 @@ class Track:
         return other
 
     def add_frame(self, stamp_ns: int, detection: Detection, window_s: float, lag_s: float = 0.0) -> None:
-        """Add a frame and drop those that are too old.
+        """Add a frame and drop those older than `window_s` s that are not still to be shown after `lag_s` s.
 
-        With a lag, the frames that are still to be put out stay. If the frame changes the decision about swaps in
-        earlier frames, a check becomes due.
-
-        Args:
-            stamp_ns: ns, stamp of the frame.
-            detection: the person in this frame.
-            window_s: s, length of the window.
-            lag_s: s, delay of the output.
+        If the frame changes the decision about swaps in earlier frames, a check becomes due.
         """
         dropped = bisect_left(self.stamps_ns, stamp_ns - window_s * NS_PER_S)
         if lag_s > 0:
@@ -212,14 +188,7 @@ class Track:
         self._correct_sides(None)
 
     def select_frames(self, step_s: float, span_s: float) -> NDArray[np.intp]:
-        """Return the indices of the frames with the highest scores, one for each step of time, increasing.
-
-        The newest frame is always selected.
-
-        Args:
-            step_s: s, length of a step.
-            span_s: s, age beyond which no frame is selected.
-        """
+        """Return the indices of the best seen frame of each `step_s` s up to `span_s` s, with the newest."""
         age_s = -self.times_s
         step = (age_s / step_s + 0.5).astype(int)
         total_weight = np.append(self.weight[:-1].sum(axis=1), np.inf)

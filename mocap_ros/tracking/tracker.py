@@ -62,14 +62,14 @@ from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
-Shown: TypeAlias = list[tuple[Track, int]]  # people who are put out, and the index of the frame in each window
+Shown: TypeAlias = list[tuple[Track, int]]  # people who are shown, and the index of the frame in each window
 
 CHECK_INTERVAL_S = 0.5  # s; longest interval between checks without a lifter, where models take turns
 # s; shortest `tracker.lag` with which accelerations are limited. The velocity of a frame whose future is unknown
 # rests on few noisy frames; to go on with it costs the newest frame 1 to 6 mm, and one 0.1 s before it 1 to 3 mm.
 MIN_ACCELERATION_LAG_S = 0.15
-# Factor on `solver.scale_weight` below that lag: inertia holds back the newest frame of somebody who approaches.
-# At 1, the root of a person who walks at 3 m, with points like OpenPose's, is off by 266 mm in place of 185.
+# Factor on `solver.scale_weight` below that lag: inertia holds back the newest frame of a person who approaches.
+# At 1, the root of a person who walks at 3 m, with points like OpenPose's, is off by 266 mm instead of 185.
 NEWEST_SCALE_FACTOR = 0.1
 LIFTER_CHECK_INTERVAL_S = 5.0  # s; the longest with a lifter, whose prior makes errors rare
 # 1; relative difference of focal lengths, and of the principal point over the focal length, up to which intrinsics
@@ -99,7 +99,7 @@ class Tracker:
         backward_jump_s: s by which the last accepted stamp went back, so that tracking restarted; else 0.
         swapped_frames: number of frames so far in which a person's left and right were swapped back.
         unusable_people: number of detections so far that were no person of their own: they had too few joints, or
-            all of them in one place, or were part of somebody who was detected besides.
+            all of them in one place, or were part of another detection.
         pose_memory: key poses of people who were lost.
     """
 
@@ -161,9 +161,9 @@ class Tracker:
     def _forget_everybody(self) -> None:
         """Begin without people, names and stamps; the counters and a vertical that was given stay."""
         self.tracks: list[Track] = []
-        self._leaving: list[Track] = []  # with a lag, tracks that have ended and are still to be put out
+        self._leaving: list[Track] = []  # with a lag, tracks that have ended and are still to be shown
         self._who = Identities[Track](self.config.tracker)
-        self._waiting_ns: list[int] = []  # with a lag, stamps of the frame that is put out and of those after it
+        self._waiting_ns: list[int] = []  # with a lag, stamps of the frame that is shown and of those after it
         self._has_output_begun = False  # with a lag, whether a frame was old enough since anybody was there
         self._is_work_pending = False
         self._intrinsics: Intrinsics | None = None
@@ -181,18 +181,14 @@ class Tracker:
         fault of the program, is raised; the people whom it concerns are forgotten, and the next frame begins them
         anew.
 
-        Args:
-            stamp_ns: ns, time of the image.
-            people: all people detected in the image, possibly none.
-            intrinsics: intrinsics of the camera. Those of the frame before are used where these hardly differ.
-            floor: floor that the people stand on, which shows how tall they are; None if it is not known.
-
-        Returns:
-            All people reconstructed in this frame, in the order of `people`, and then those who are predicted
-            because they were not detected, or with fewer than `tracker.min_joints` joints. With `tracker.lag`, the
-            people are those of the frame `output_stamp_ns`, in the order in which they came, and nobody is
-            predicted. New people are tentative until they have been seen for a while, and are not predicted
-            before. Parts of a person who were detected as several people are one.
+        `stamp_ns` ns, time of the image; `people` all people detected in the image, possibly none; `intrinsics`
+        intrinsics of the camera. Those of the frame before are used where these hardly differ; `floor` floor that
+        the people stand on, which shows how tall they are, None if it is not known. Returns All people
+        reconstructed in this frame, in the order of `people`, and then those who are predicted because they were
+        not detected, or with fewer than `tracker.min_joints` joints. With `tracker.lag`, the people are those of
+        the frame `output_stamp_ns`, in the order in which they came, and no person is predicted. New people are
+        tentative until they have been seen for a while, and are not predicted before. Parts of a person who were
+        detected as several people are one.
 
         Raises:
             FrameDropped: The stamp repeats the newest or is a little older; the state has not changed.
@@ -230,13 +226,10 @@ class Tracker:
         return tuple(output)
 
     def predict(self, times_s: Sequence[float]) -> list[list[PredictedPerson]]:
-        """Return the people of the newest frame at some times after it; nobody with `tracker.lag`.
+        """Return the people of the newest frame at some times after it; none with `tracker.lag`.
 
-        Args:
-            times_s: s, times after the newest frame, not negative.
-
-        Returns:
-            The people at each of the times, without those who are tentative.
+        `times_s` s, times after the newest frame, not negative. Returns the people at each of the times, without
+        those who are tentative.
         """
         newest_ns = self._who.newest_ns
         if newest_ns is None:
@@ -313,8 +306,8 @@ class Tracker:
     def _forget_lost(self, stamp_ns: int) -> None:
         """End the tracks of people who were not detected for `tracker.forget_after`, and remember some poses.
 
-        Tentative tracks are forgotten sooner and without a trace. If nobody was there for long enough, everything
-        is forgotten. Poses and names of earlier people then have no influence on what follows, so a recording that
+        Tentative tracks are forgotten sooner and without a trace. If images were empty for long, everything is
+        forgotten. Poses and names of earlier people then have no influence on what follows, so a recording that
         is cut in two after such an absence gives the same people as the whole.
         """
         for track in self._who.find_lost(stamp_ns, self.tracks):
@@ -327,7 +320,7 @@ class Tracker:
             self._who.newest_ns, self._intrinsics = newest_ns, intrinsics
 
     def _end(self, track: Track) -> None:
-        """End a track; with a lag, its last frames are still to be put out."""
+        """End a track; with a lag, its last frames are still to be shown."""
         self.tracks.remove(track)
         self._leaving.append(track)
 
@@ -346,7 +339,7 @@ class Tracker:
     def _associate(self, stamp_ns: int, detections: Sequence[Detection], intrinsics: Intrinsics) -> list[Track]:
         """Match the detections with the known people; return the track of each person with this frame added.
 
-        A new person is tentative. Only in a stream so slow that nobody is known from one frame to the next, new
+        A new person is tentative. Only in a stream so slow that no person is known from one frame to the next, new
         people are not.
         The track of a person whose id the detector has given to another person ends.
         """
@@ -442,7 +435,7 @@ class Tracker:
         return first - fixed_frames, fixed_frames
 
     def _choose_shown(self, stamp_ns: int, detected: Sequence[Track]) -> Shown:
-        """Choose the frame that is put out, and return the people who were detected in it.
+        """Choose the frame that is shown, and return the people who were detected in it.
 
         It is this frame or, with `tracker.lag`, an older one (`delayed_output.py`); before one is old enough, the
         first frame since anybody was there, without its people.
@@ -467,7 +460,7 @@ class Tracker:
         return [(t, t.stamps_ns.index(shown_ns)) for t in people if shown_ns in t.stamps_ns]
 
     def _filter(self, shown: Shown) -> list[tuple[CoreMotion, ExtremityState]]:
-        """Filter the motion of people, and follow their extremities, up to the frame that is put out."""
+        """Filter the motion of people, and follow their extremities, up to the frame that is shown."""
         frames, found = dict(shown), []
         for track in self._each(frames):
             if self.config.tracker.steady_output and self._is_newest_shown:
@@ -480,7 +473,7 @@ class Tracker:
     def _make_people(
         self, shown: Shown, filtered: Sequence[tuple[CoreMotion, ExtremityState]], floor: Floor | None
     ) -> list[Person3D]:
-        """Return the people who are put out, of the sizes that the floor, if it is known, shows."""
+        """Return the people who are shown, of the sizes that the floor, if it is known, shows."""
         if not shown:
             return []
         (tracks, frames), (motions, extremities) = zip(*shown, strict=True), zip(*filtered, strict=True)
@@ -488,8 +481,8 @@ class Tracker:
         if floor is not None:
             for track, motion in zip(tracks, motions, strict=True):
                 if track.intrinsics.is_focal_known and not track.is_tentative:
-                    place = motion.joints, motion.velocity, floor, self.config.tracker.body_height
-                    track.contact = FloorContact.advance(track.contact, self.output_stamp_ns, *place)
+                    seen = motion.joints, motion.velocity, floor, self.config.tracker.body_height
+                    track.contact = FloorContact.advance(track.contact, self.output_stamp_ns, *seen)
         sizes = [*map(self._find_size, tracks)]
         cores = Cores.of_tracks(tracks, frames, motions, sizes)
         return make_people(tracks, frames, cores, extremities, sizes, self._skeleton)
@@ -503,7 +496,7 @@ class Tracker:
         return assumed if track.contact is None else track.contact.find_size(assumed)
 
     def _predict_missing(self, stamp_ns: int) -> list[Person3D]:
-        """Return the people who are predicted for this frame, stamp in ns; nobody with `tracker.lag`."""
+        """Return the people who are predicted for this frame, stamp in ns; none with `tracker.lag`."""
         missing = [t for t in self._list_known(stamp_ns) if t.stamps_ns[-1] < stamp_ns]
         self._at_work = missing
         return predict_people(missing, stamp_ns, self._upward, [*map(self._find_size, missing)], self._skeleton)

@@ -33,7 +33,7 @@ MEMORY_S = 20.0  # s; T, as long as a vertical that is found is remembered
 LEAST_S = 5.0  # s; S, longer than it takes to fall or to lie down for an exercise
 
 
-class LastingDoubt:
+class LastingCondition:
     """Whether something has been so for most people over the last seconds.
 
     Args:
@@ -43,7 +43,7 @@ class LastingDoubt:
 
     def __init__(self, memory_s: float, least_s: float) -> None:
         self._memory_s, self._least_s = memory_s, least_s
-        self._seconds = self._doubted_seconds = 0.0  # n and m of the module
+        self._seconds = self._is_offed_seconds = 0.0  # n and m of the module
         self._stamp_ns: int | None = None
 
     def advance(self, stamp_ns: int, is_so: Sequence[bool]) -> bool:
@@ -51,35 +51,29 @@ class LastingDoubt:
         age_s = 0.0 if self._stamp_ns is None else (stamp_ns - self._stamp_ns) / NS_PER_S
         self._stamp_ns = stamp_ns
         if age_s < 0:  # the stamps began anew
-            self._seconds = self._doubted_seconds = age_s = 0.0
+            self._seconds = self._is_offed_seconds = age_s = 0.0
         kept, step = math.exp(-age_s / self._memory_s), min(age_s, MAX_STEP_S)
         self._seconds *= kept
-        self._doubted_seconds *= kept
+        self._is_offed_seconds *= kept
         if is_so:
             self._seconds += step
-            self._doubted_seconds += step * sum(is_so) / len(is_so)
-        return self._seconds >= self._least_s and self._doubted_seconds >= LEAST_SHARE * self._seconds
+            self._is_offed_seconds += step * sum(is_so) / len(is_so)
+        return self._seconds >= self._least_s and self._is_offed_seconds >= LEAST_SHARE * self._seconds
 
 
 class VerticalCheck:
     """Comparison of a given vertical with how people stand, over successive frames."""
 
     def __init__(self) -> None:
-        self._doubt = LastingDoubt(MEMORY_S, LEAST_S)
+        self._is_off = LastingCondition(MEMORY_S, LEAST_S)
         self._angle_deg = 0.0
 
     def advance(self, stamp_ns: int, people: Sequence[Person3D], vertical: NDArray[np.float64]) -> float | None:
-        """Return the angle in degrees by which people contradict the vertical; None if they do not.
-
-        Args:
-            stamp_ns: ns, stamp of the frame.
-            people: the people in it, in the camera's optical frame.
-            vertical: (3,) unit vector upwards in that frame, which was given.
-        """
+        """Return the angle in degrees by which people contradict a given vertical (3,); None if they do not."""
         seen = [p.core for p in people if not (p.tentative or p.predicted)]
         cosines = find_upward(np.array(seen)) @ vertical if seen else np.zeros(0)
         angles = np.degrees(np.arccos(cosines[np.isfinite(cosines)].clip(-1, 1)))
         is_off = angles > MAX_ANGLE_DEG
         if is_off.any():
             self._angle_deg = float(angles[is_off].mean())
-        return self._angle_deg if self._doubt.advance(stamp_ns, is_off.tolist()) else None
+        return self._angle_deg if self._is_off.advance(stamp_ns, is_off.tolist()) else None

@@ -161,11 +161,11 @@ def test_unseen_parts_are_where_the_core_has_them_with_larger_deviations_and_fla
     seen, unseen = follow(body.evidence)[-1], follow(hidden)[-1]
     points = [j - CORE_COUNT for j in (*face, at('ltoe'), at('lheel'))]
     assert (unseen.offset_std[points] > 1.3 * seen.offset_std[points]).all()
-    is_seen = dict(zip(BODY26.joints, unseen.is_turn_told, strict=False))
+    is_seen = dict(zip(BODY26.joints, unseen.is_turn_seen, strict=False))
     assert not is_seen['head']
     assert not is_seen['lankle']
     assert is_seen['rankle']
-    assert seen.is_turn_told[at('head')]
+    assert seen.is_turn_seen[at('head')]
     nose = unseen.offsets[at('nose') - CORE_COUNT] @ FACING
     shoulders = (hidden.core[-1, at('lshoulder')] - hidden.core[-1, at('rshoulder')]) @ FACING
     assert nose @ np.cross(shoulders, [0, 0, 1]) > 0.9 * np.linalg.norm(nose[:2]) * np.linalg.norm(shoulders)
@@ -311,7 +311,7 @@ def test_feet_turn_straight_legs_and_unseen_limbs_are_flagged() -> None:
     heading = np.degrees(Rotation.from_matrix(turns).as_rotvec())[:, 2]
     assert 5 < heading[at('rknee')] < heading[at('rankle')]  # between the pelvis and the foot
     assert abs(heading[at('lknee')]) < 5
-    names = {name for name, is_told in zip(CMU15.joints, state.is_turn_told, strict=True) if is_told}
+    names = {name for name, is_seen in zip(CMU15.joints, state.is_turn_seen, strict=True) if is_seen}
     assert names == {'head', 'pelvis', 'rankle', 'rknee', 'rhip'}
 
 

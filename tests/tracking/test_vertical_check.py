@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocap_ros.people import Person3D
-from mocap_ros.tracking.vertical_check import LEAST_S, LastingDoubt, VerticalCheck
+from mocap_ros.tracking.vertical_check import LEAST_S, LastingCondition, VerticalCheck
 from tests.support.people import make_person_3d
 from tests.support.upright_body import UPRIGHT
 
 UP = np.array([0.0, 0.0, 1.0])
 STEP_NS = 100_000_000
-DOUBT_S = 2.5  # s, in tests of other doubts
+LEAST_CONDITION = 2.5  # s, in tests of other conditions
 
 
 def make_leaning(angle_deg: float) -> Person3D:
@@ -57,27 +57,29 @@ def test_it_takes_a_while_and_who_stands_among_people_who_lie_confirms_it() -> N
     assert advance(check, [make_leaning(90)], 60, 150) is not None
 
 
-def advance_doubt(doubt: LastingDoubt, is_so: list[bool], seconds: float, first: int = 0) -> bool:
+def advance_condition(condition: LastingCondition, is_so: list[bool], seconds: float, first: int = 0) -> bool:
     frames = range(first, first + round(seconds / 0.1) + 1)
-    return [doubt.advance(round(i * 0.1 * 1e9), is_so) for i in frames][-1]
+    return [condition.advance(round(i * 0.1 * 1e9), is_so) for i in frames][-1]
 
 
-def test_a_doubt_needs_most_people_for_seconds() -> None:
-    assert not advance_doubt(LastingDoubt(5.0, DOUBT_S), [True], DOUBT_S - 0.1)
-    assert advance_doubt(LastingDoubt(5.0, DOUBT_S), [True], DOUBT_S + 2)
-    assert advance_doubt(LastingDoubt(5.0, DOUBT_S), [True] * 9 + [False], DOUBT_S + 2)
-    assert not advance_doubt(LastingDoubt(5.0, DOUBT_S), [True, True, False], 60)
-    assert not advance_doubt(LastingDoubt(5.0, DOUBT_S), [], 60)
-    one_frame_a_minute = [LastingDoubt(5.0, DOUBT_S).advance(t, [True]) for t in range(0, 10**12, 60 * 10**9)]
+def test_a_condition_needs_most_people_for_seconds() -> None:
+    assert not advance_condition(LastingCondition(5.0, LEAST_CONDITION), [True], LEAST_CONDITION - 0.1)
+    assert advance_condition(LastingCondition(5.0, LEAST_CONDITION), [True], LEAST_CONDITION + 2)
+    assert advance_condition(LastingCondition(5.0, LEAST_CONDITION), [True] * 9 + [False], LEAST_CONDITION + 2)
+    assert not advance_condition(LastingCondition(5.0, LEAST_CONDITION), [True, True, False], 60)
+    assert not advance_condition(LastingCondition(5.0, LEAST_CONDITION), [], 60)
+    one_frame_a_minute = [
+        LastingCondition(5.0, LEAST_CONDITION).advance(t, [True]) for t in range(0, 10**12, 60 * 10**9)
+    ]
     assert not any(one_frame_a_minute)
     for hz in (1, 2, 5, 200):
-        doubt = LastingDoubt(5.0, DOUBT_S)
-        assert [doubt.advance(i * 10**9 // hz, [True]) for i in range(10 * hz)][-1], 'at any rate'
+        condition = LastingCondition(5.0, LEAST_CONDITION)
+        assert [condition.advance(i * 10**9 // hz, [True]) for i in range(10 * hz)][-1], 'at any rate'
 
 
-def test_a_doubt_ends_with_its_cause_and_with_stamps_that_begin_anew() -> None:
-    doubt = LastingDoubt(5.0, DOUBT_S)
-    assert advance_doubt(doubt, [True], 60)
-    assert not advance_doubt(doubt, [False], 3, first=300)
-    assert advance_doubt(doubt, [True], 60, first=400)
-    assert not doubt.advance(0, [True])
+def test_a_condition_ends_with_its_cause_and_with_stamps_that_begin_anew() -> None:
+    condition = LastingCondition(5.0, LEAST_CONDITION)
+    assert advance_condition(condition, [True], 60)
+    assert not advance_condition(condition, [False], 3, first=300)
+    assert advance_condition(condition, [True], 60, first=400)
+    assert not condition.advance(0, [True])

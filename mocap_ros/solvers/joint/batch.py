@@ -31,19 +31,13 @@ MIN_TOTAL_WEIGHT = 1e-12  # guards the division by the weights of a frame in whi
 
 
 class State(NamedTuple):
-    """The unknowns of all frames.
+    """The unknowns of all frames."""
 
-    Attributes:
-        theta: (N, K) m, base-pose weights.
-        rotation: (N, 3, 3) body frame to camera frame.
-        log_scale: (N,) logarithm of the scale, which is measured in the sequence's unit (1 at its median start).
-        translation: (N, 2) m, image of the body's origin in the sequence's unit.
-    """
-
-    theta: Array
-    rotation: Array
+    theta: Array  # (N, K) m, base-pose weights
+    rotation: Array  # (N, 3, 3) body frame to camera frame
+    # (N,) logarithm of the scale, which is measured in the sequence's unit (1 at its median start)
     log_scale: Array
-    translation: Array
+    translation: Array  # (N, 2) m, image of the body's origin in the sequence's unit
 
     def select(self, frames: NDArray[np.intp]) -> State:
         """Return the state of some frames."""
@@ -52,33 +46,19 @@ class State(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """The measurements of all frames, and which of them belong to which sequence.
+    """The measurements of all frames, and which of them belong to which sequence."""
 
-    Attributes:
-        times: (N,) s, increasing within each sequence.
-        starts: (P,) index of the first frame of each sequence.
-        counts: (P,) number of frames of each sequence.
-        image: (N, J, 2) m, image points.
-        score: (N, J) confidence scores.
-        focal: (N,) m, focal length; infinite for weak perspective.
-        is_free: (N,) False for frames that keep their initial values.
-        lifted: (N, J, 3) m, lifted poses about the mean of the joints; (0, J, 3) where there are none.
-        precision: (N, J, 3) 1/m^2, inverse variances of these coordinates; 0 where nothing is known.
-        earlier_lengths: (P, B) m, mean bone lengths of the frames before each window.
-        earlier_frames: (P,) number of those frames.
-    """
-
-    times: Array
-    starts: NDArray[np.int64]
-    counts: NDArray[np.int64]
-    image: Array
-    score: Array
-    focal: Array
-    is_free: NDArray[np.bool_]
-    lifted: Array
-    precision: Array
-    earlier_lengths: Array
-    earlier_frames: NDArray[np.int64]
+    times: Array  # (N,) s, increasing within each sequence
+    starts: NDArray[np.int64]  # (P,) index of the first frame of each sequence
+    counts: NDArray[np.int64]  # (P,) number of frames of each sequence
+    image: Array  # (N, J, 2) m, image points
+    score: Array  # (N, J) confidence scores
+    focal: Array  # (N,) m, focal length; infinite for weak perspective
+    is_free: NDArray[np.bool_]  # (N,) False for frames that keep their initial values
+    lifted: Array  # (N, J, 3) m, lifted poses about the mean of the joints; (0, J, 3) where there are none
+    precision: Array  # (N, J, 3) 1/m^2, inverse variances of these coordinates; 0 where nothing is known
+    earlier_lengths: Array  # (P, B) m, mean bone lengths of the frames before each window
+    earlier_frames: NDArray[np.int64]  # (P,) number of those frames
 
     @staticmethod
     def build(windows: Sequence[Window], units: Array, model: BasePoses) -> Batch:
@@ -151,12 +131,7 @@ class Batch:
         return np.sort(order[is_best])
 
     def initial_state(self, starts: Sequence[InitialValues], units: Array) -> State:
-        """Return the state at these starts, with the translations at the weighted centroids of the image points.
-
-        Args:
-            starts: weights and cameras of each sequence, scales in px/m.
-            units: (P,) px/m, as for `build`.
-        """
+        """Return the state at these starts, translations being the weighted centroids of the points."""
         total = np.maximum(self.score.sum(axis=1), MIN_TOTAL_WEIGHT)[:, None]
         return State(
             np.concatenate([s.theta for s in starts]),
@@ -166,10 +141,9 @@ class Batch:
         )
 
     def interpolate(self, state: State, frames: NDArray[np.intp]) -> State:
-        """Interpolate the state of some frames (M,) in time to all frames.
+        """Interpolate the state of some frames (M,) in time to all frames, rotations at constant angular velocity.
 
-        Weights, logarithms of the scale and translations are interpolated linearly, rotations at constant angular
-        velocity; frames outside those given take the nearest one of their sequence.
+        Frames outside those given have that of the nearest one of their sequence.
         """
         before, after = np.empty(len(self.times), np.intp), np.empty(len(self.times), np.intp)
         for own in self.slices:

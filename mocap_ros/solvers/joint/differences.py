@@ -5,8 +5,8 @@
 
     sum_t sum_f w_f (sum_e c_te x_(t+e)f)^2
 
-with x_f the features of a frame: the K weights of the base poses and, of the camera, the elements of s R[:2] and
-of R[:2], and log s (`measure_features`). Of order 1 the terms are, with dt_t the time from frame t to the next,
+with x_f the features of a frame: the K weights of the base poses, s R[:2], R[:2] and log s (`measure_features`).
+Of order 1 the terms are, with dt_t the time from frame t to the next,
 
     mu    sum_tl ((theta_(t+1)l - theta_tl) / sigma_l)^2 / dt_t    smoothness of the weights
   + gamma sum_t |M_(t+1) - M_t|^2 / dt_t                           flip regulariser, M = s R[:2] (TPAMI, eq. 12)
@@ -18,11 +18,9 @@ Of order 2 they are the integral of the squared acceleration of the weights and 
     sum_t alpha_t |v_(t+1) - v_t|^2 / h_t,    v_t = (x_(t+1) - x_t) / dt_t,    h_t = (dt_t + dt_(t+1)) / 2
     alpha_t = alpha / (1 + a_t^4 / (A min(r, R))^4)
 
-The scale does not count there: where the image says little, one that goes on changing at the same rate would cost
-nothing. Base poses are orthonormal, so a weight's acceleration is that of all joints together. The limit gives way
-to motion that is truly fast: a_t is the RMS acceleration within `ACTIVITY_SPAN_S` of frame t in frames a tenth of
-a second apart, where the noise of a detector shows little; A is the acceleration at which the weight is halved
-under the reference noise, and r the image noise over it. More than R times the noise makes people seem no faster.
+The limit gives way to fast motion: a_t is the RMS acceleration within `ACTIVITY_SPAN_S` in frames a tenth of a
+second apart, A that at which the weight is halved under the reference noise, and r the image noise over it, at
+most R.
 """
 
 from __future__ import annotations
@@ -50,15 +48,10 @@ TYPICAL_OF_CAMERA = 4.2  # 1/s^2; A of a body that sways by 4 degrees once a sec
 
 @dataclass(frozen=True, eq=False)
 class FiniteDifference:
-    """A weighted squared difference of order D of the features of neighbouring frames.
+    """A weighted squared difference of order D of the features of neighbouring frames."""
 
-    Attributes:
-        factors: (N, D + 1) c, 0 where the frames are not of one sequence.
-        weight: (F,) w; F = K + 13, or the features of another model.
-    """
-
-    factors: Array
-    weight: Array
+    factors: Array  # (N, D + 1) c, 0 where the frames are not of one sequence
+    weight: Array  # (F,) w; F = K + 13, or the features of another model
 
     @property
     def order(self) -> int:
@@ -102,27 +95,13 @@ def weigh_velocity_change(batch: Batch) -> Array:
 def limit_acceleration(
     weight: float, typical: float, velocity_change: Array, mean_square: Array, noise_ratio: Array
 ) -> Array:
-    """Return the factors (N, 3) of a limit to accelerations, sqrt(alpha_t) times those of the change of velocity.
-
-    Args:
-        weight: alpha.
-        typical: A.
-        velocity_change: (N, 3) as of `weigh_velocity_change`.
-        mean_square: (N,) a_t^2.
-        noise_ratio: (N,) r.
-    """
+    """Return sqrt(alpha_t) times the factors of the change of velocity (N, 3), by a_t^2 (N,) and r (N,)."""
     limit = typical * np.minimum(noise_ratio, MAX_NOISE_RATIO)
     return np.asarray(np.sqrt(weight / (1 + (mean_square / limit**2) ** 2))[:, None] * velocity_change)
 
 
 def measure_activity(values: Array, coarse: Batch, batch: Batch) -> Array:
-    """Return the mean square acceleration of values about each frame of a batch, (N,).
-
-    Args:
-        values: (M, D) in some frames.
-        coarse: these frames.
-        batch: all frames; the same sequences.
-    """
+    """Return the mean square acceleration about each frame of a batch, (N,), of values (M, D) in some frames."""
     squares = np.zeros(len(values))
     if len(values) > 2:
         c = weigh_velocity_change(coarse)[:-2, :, None]
@@ -147,13 +126,7 @@ def add_differences(
 ) -> None:
     """Add the Gauss-Newton matrix and half the gradient of differences whose weights w are 1, in place.
 
-    Args:
-        terms: of order 1 or 2.
-        features: (N, F).
-        jacobian: (N, F, n) their derivatives by the unknowns of the frame.
-        blocks: (N, n, n) of the matrix, for each frame.
-        coupling: (N, 2, n, n) blocks in the rows of frame t + d + 1 and the columns of frame t.
-        gradient: (N, n).
+    Coupling (N, 2, n, n) has the rows of frame t + d + 1 and the columns of frame t; the Jacobian is (N, F, n).
     """
     bands, force = np.zeros((3, len(features))), np.zeros_like(features)
     for term in terms:

@@ -4,15 +4,10 @@
 """Initial values from lifted poses: the base-pose weights and the camera that fit each lifted pose best.
 
     min over theta, s, R of  sum_j |R P_j - y_j / s|^2 / v + sum_l (theta_l / sigma_l)^2,
-    P = Q_0 + sum_l theta_l Q_l
+    P = Q_0 + sum_l theta_l Q_l,    theta_l = <Q_l, R^T y / s - Q_0> / (1 + v / sigma_l^2)
 
-with y the lifted pose of a frame, v the mean variance of the coordinates of y / s, and sigma_l the standard
-deviation of weight l over the training poses. Camera and weights are found in turn, `ALTERNATIONS` times: rotation
-R and scale s by Procrustes' analysis, and the weights, since the base poses Q_l are orthonormal, one by one:
-
-    theta_l = <Q_l, R^T y / s - Q_0> / (1 + v / sigma_l^2)
-
-Variances of each coordinate give the same results after the solver's steps, but need equations to be solved here.
+with y the lifted pose of a frame and v the mean variance of the coordinates of y / s. Camera (Procrustes) and
+weights are found in turn, `ALTERNATIONS` times.
 """
 
 from __future__ import annotations
@@ -35,17 +30,11 @@ ALTERNATIONS = 4  # rounds of cameras and weights; two give the same results, si
 
 
 class FittedPoses(NamedTuple):
-    """Weights and cameras that fit lifted poses.
+    """Weights and cameras that fit lifted poses."""
 
-    Attributes:
-        theta: (F, K) m, weights of the base poses.
-        scale: (F,) px/m, or the unit of the lifted poses per m.
-        rotation: (F, 3, 3) from the body to the camera.
-    """
-
-    theta: Array
-    scale: Array
-    rotation: Array
+    theta: Array  # (F, K) m, weights of the base poses
+    scale: Array  # (F,) px/m, or the unit of the lifted poses per m
+    rotation: Array  # (F, 3, 3) from the body to the camera
 
 
 def fit_lifted_poses(lifted: LiftedPoses, model: BasePoses) -> FittedPoses:

@@ -3,18 +3,15 @@
 
 """The image noise of each window, estimated while the objective is minimised, from a large noise down.
 
-The noise weighs the reprojection against all other terms (`objective`). It is estimated from the residual, shared
-among the coordinates that the unknowns have not absorbed:
+It weighs the reprojection against all other terms (`objective`), and is estimated from the residual, shared among
+the coordinates that the unknowns have not absorbed:
 
     noise^2 = sum_tj w_tj rho(|e_tj|^2) / (2 S - m),    m = F / |T| sum_(t in T) m_t
 
-over the S seen joints of a sequence, with m_t the number of coordinates that the unknowns of frame t fit away
-while its neighbours are held, counted in some free frames T.
-
-Objective and estimate are improved in turn. Under large noise the priors hold the weights, the cameras settle
-first, and few local minima are left. So the rounds begin with a noise of 50 mm, on a tenth of a second's best-seen
-frame each and with only those base poses that vary by a good part of the noise, and end with all frames and all
-base poses.
+over the S seen joints of a sequence, with m_t the coordinates that the unknowns of frame t fit away while its
+neighbours are held, counted in some free frames T. Under large noise the priors hold the weights and few local
+minima are left. So the rounds begin with 50 mm, on a tenth of a second's best-seen frame each and the base poses
+that vary by a good part of the noise, and end with all frames and all base poses.
 """
 
 from __future__ import annotations
@@ -48,15 +45,10 @@ CONTINUED_DAMPING = 1e-4  # first damping where a round goes on from the one bef
 
 
 class Annealed(NamedTuple):
-    """The objective under the noise that was found.
+    """The objective under the noise that was found."""
 
-    Attributes:
-        problem: at the point that was reached.
-        iterations: (P,) number of steps of each sequence.
-    """
-
-    problem: engine.JointProblem
-    iterations: NDArray[np.int64]
+    problem: engine.JointProblem  # at the point that was reached
+    iterations: NDArray[np.int64]  # (P,) number of steps of each sequence
 
 
 def minimise(
@@ -82,16 +74,7 @@ def anneal_stepwise(
     *,
     at_once: bool = False,
 ) -> Stepwise[Annealed]:
-    """Find the noise of each window that does not give it, in steps.
-
-    Args:
-        batch: of the windows.
-        state: initial values of the unknowns.
-        model: base poses.
-        windows: the sequences; `Window.noise` in m is taken as it is where it is given.
-        config: of the solver.
-        at_once: whether each round is one piece.
-    """
+    """Find the noise of each window that does not give it, in steps, or each round at once."""
     noise, is_unknown = get_given_noise(windows, config), np.array([w.noise is None for w in windows])
 
     def update_noise(problem: engine.JointProblem, least: float) -> Array:

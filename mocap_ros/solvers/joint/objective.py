@@ -6,9 +6,8 @@
     E = reprojection (TPAMI 2016, eq. 9) + bone lengths (eq. 20) + prior of the base poses
       + differences (`differences`) + lifted poses, where there are any
 
-The formulas are in `engine.joint`, which minimises it, and in `reference`, which computes it with NumPy alone. All
-weights but that of the first term are given for an image noise of 10 mm (`NOISE_REFERENCE`). Under another noise
-the reprojection is divided by the ratio of the variances, as the maximum of the posterior demands.
+The formulas are in `engine.joint`, which minimises it, and in `reference`. Weights are given for an image noise of
+10 mm (`NOISE_REFERENCE`); under another the reprojection is divided by the ratio of the variances.
 """
 
 from __future__ import annotations
@@ -43,21 +42,13 @@ MIN_ROBUST_SCALE = 1e-6  # m; a smaller `robust_scale` selects least squares
 
 
 class Weights(NamedTuple):
-    """Weights of the terms under one configuration.
+    """Weights of the terms under one configuration."""
 
-    Attributes:
-        prior: (K,) lambda / sigma_l^2.
-        of_bones: (B,) beta.
-        of_velocity: (K + 13,) of the features in differences of order 1: mu / sigma_l^2, gamma, tau and sigma.
-        of_pose: (K + 13,) 1 for the weights of the base poses.
-        of_direction: (K + 13,) 1 for the elements of R[:2].
-    """
-
-    prior: Array
-    of_bones: Array
-    of_velocity: Array
-    of_pose: Array
-    of_direction: Array
+    prior: Array  # (K,) lambda / sigma_l^2
+    of_bones: Array  # (B,) beta
+    of_velocity: Array  # (K + 13,) of the features in differences of order 1: mu / sigma_l^2, gamma, tau and sigma
+    of_pose: Array  # (K + 13,) 1 for the weights of the base poses
+    of_direction: Array  # (K + 13,) 1 for the elements of R[:2]
 
 
 @lru_cache(maxsize=MAX_MODELS)
@@ -84,28 +75,17 @@ def choose_weights(model: BasePoses, config: SolverConfig, has_lifted: bool) -> 
 
 @dataclass(frozen=True, eq=False)
 class JointObjective:
-    """The objective of a batch of sequences.
-
-    Attributes:
-        batch: the measurements.
-        model: base poses, metric.
-        noise_ratio: (P,) image noise over that of the reference.
-        robust_scale: m, c of the reprojection under the reference noise; infinite for least squares. It grows with
-            noise above the reference.
-        bone_weight: (B,) beta of each bone.
-        prior: (K,) lambda / sigma_l^2, of the first K base poses of the model.
-        lifter_weight: m^2, omega.
-        lifter_robust_scale: standard deviations, c of the lifted poses.
-        differences: the smoothness of poses and cameras.
-    """
+    """The objective of a batch of sequences."""
 
     batch: Batch
     model: BasePoses
-    noise_ratio: Array
+    noise_ratio: Array  # (P,) image noise over that of the reference
+    # m, c of the reprojection under the reference noise; infinite for least squares. It grows with noise above the
+    # reference
     robust_scale: float
-    bone_weight: Array
-    prior: Array
-    lifter_weight: float
+    bone_weight: Array  # (B,) beta of each bone
+    prior: Array  # (K,) lambda / sigma_l^2, of the first K base poses of the model
+    lifter_weight: float  # m^2, omega
     lifter_robust_scale: float
     differences: tuple[FiniteDifference, ...]
 
@@ -118,16 +98,10 @@ class JointObjective:
         share: Array | None = None,
         activity: tuple[Array, Array] | None = None,
     ) -> JointObjective:
-        """Return the objective with the weights of the configuration.
+        """Return the objective with the weights of the configuration, at a noise (P,) m, None for the reference.
 
-        Args:
-            batch: the measurements.
-            model: base poses.
-            config: weights of the terms.
-            noise: (P,) m, standard deviation of a coordinate of a point of weight 1; None for the reference.
-            share: (P,) of the frames of each sequence that are in the batch, where it is a selection; its
-                differences keep their balance with the image, and there are none of order 2.
-            activity: (N,) m^2/s^4 and (N,) 1/s^4, mean square accelerations of poses and cameras; None for rest.
+        Differences of a selection count by the `share` (P,) of frames in it, and there are none of order 2.
+        `activity` are mean square accelerations (N,) m^2/s^4 of poses and (N,) 1/s^4 of cameras; None for rest.
         """
         weights = choose_weights(model, config, len(batch.lifted) > 0)
         noise_ratio = np.ones(len(batch.starts)) if noise is None else noise / NOISE_REFERENCE
@@ -169,10 +143,8 @@ class JointObjective:
     ) -> engine.JointProblem:
         """Return the objective as a problem of the compiled solver.
 
-        Args:
-            state: where it starts; None to set that later.
-            settle_steps: number of steps of the robust fit by which the translations settle first.
-            at_reference: whether they settle under the robust scale of the reference noise.
+        Translations first settle by some steps of the robust fit, `at_reference` under the scale of the reference
+        noise.
         """
         problem = engine.JointProblem(self, arrange_model(self.model))
         if state is not None:
@@ -186,12 +158,6 @@ def read_state(problem: engine.JointProblem) -> State:
 
 
 def measure_activities(state: State, coarse: Batch, batch: Batch) -> tuple[Array, Array]:
-    """Return the mean square accelerations (N,) of poses and cameras about each frame of a batch.
-
-    Args:
-        state: of some of the frames.
-        coarse: these frames.
-        batch: all frames; the same sequences.
-    """
+    """Return the mean square accelerations (N,) of poses and cameras about each frame, from a state of some."""
     directions = state.rotation[:, :2].reshape(len(state.theta), 6)
     return measure_activity(state.theta, coarse, batch), measure_activity(directions, coarse, batch)

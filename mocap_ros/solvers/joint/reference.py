@@ -25,23 +25,14 @@ MIN_DEPTH = 0.1  # of that of the body's origin
 
 
 class Measured(NamedTuple):
-    """What follows from a state.
+    """What follows from a state."""
 
-    Attributes:
-        scaled_pose: (N, J, 3) m, q.
-        error: (N, J, 2) m, e.
-        length: (N, B) m, l.
-        direction: (N, B, 3) unit vectors along the bones, body frame.
-        mean_length: (P, B) m, m.
-        features: (N, K + 13).
-    """
-
-    scaled_pose: Array
-    error: Array
-    length: Array
-    direction: Array
-    mean_length: Array
-    features: Array
+    scaled_pose: Array  # (N, J, 3) m, q
+    error: Array  # (N, J, 2) m, e
+    length: Array  # (N, B) m, l
+    direction: Array  # (N, B, 3) unit vectors along the bones, body frame
+    mean_length: Array  # (P, B) m, m
+    features: Array  # (N, K + 13)
 
 
 def measure(objective: JointObjective, state: State) -> Measured:

@@ -49,29 +49,18 @@ WARM_DAMPING = 1e-2  # first damping from the solution of the last frame; tuned 
 
 @dataclass(frozen=True, eq=False)
 class JointReconstruction(Reconstruction):
-    """Reconstruction by the joint solver. Its objective never rises.
+    """Reconstruction by the joint solver. Its objective never rises."""
 
-    Attributes:
-        noise: m, standard deviation of a coordinate of a point of weight 1, estimated from the residual.
-        joint_std: (J,) m, posterior standard deviation (root of the trace of the covariance) of each joint of the
-            last frame relative to the origin of the body frame; None where the equations are singular.
-    """
-
-    noise: float
+    noise: float  # m, standard deviation of a coordinate of a point of weight 1, estimated from the residual
+    # (J,) m, posterior standard deviation (root of the trace of the covariance) of each joint of the last frame
+    # relative to the origin of the body frame; None where the equations are singular
     joint_std: Array | None
 
 
 def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> tuple[JointReconstruction, ...]:
     """Reconstruct many sequences as one batch.
 
-    Args:
-        windows: the sequences. A window without initial values starts from its lifted poses or, without these,
-            from the mean pose and closed-form cameras.
-        model: base poses, metric.
-        config: weights of the terms, and when the solver stops.
-
-    Returns:
-        One reconstruction for each window.
+    A window without initial values starts from its lifted poses or, without these, from the mean pose.
 
     Raises:
         InputError: no frame of a window has four seen joints, or only some of the windows have lifted poses.
@@ -89,7 +78,6 @@ def solve_stepwise(
 def _solve(
     windows: Sequence[Window], model: BasePoses, config: SolverConfig, *, at_once: bool
 ) -> Stepwise[tuple[JointReconstruction, ...]]:
-    """Reconstruct in steps, or with all steps of a minimisation in one."""
     if config.components < len(model.std):
         model = model.truncate(config.components)
     is_warm = all(w.start is not None and (w.noise is not None or not config.adapt_noise) for w in windows)
@@ -134,14 +122,8 @@ def solve_hypotheses(
     """Reconstruct each window from one or two initial cameras, all in one batch, and return the likelier results.
 
     The second camera is the Necker reversal of the first. `config.hypotheses` is the number of cameras, or
-    `config.heading_hypotheses` for base poses that were aligned by heading. With base poses of the right category
-    the second gains nothing; those of all motions need it for people seen from the front or from behind
-    (docs/method.md). Lifted poses already tell the front from the back, so that one start is enough.
-
-    Args:
-        windows: the sequences.
-        model: base poses, metric.
-        config: as for `solve`.
+    `config.heading_hypotheses` for base poses aligned by heading: those of all motions need it for people seen
+    from the front or from behind (docs/method.md). Lifted poses separate these already, so one start is enough.
     """
     return run_to_end(_solve_hypotheses(windows, model, config, at_once=True))
 
@@ -156,7 +138,6 @@ def solve_hypotheses_stepwise(
 def _solve_hypotheses(
     windows: Sequence[Window], model: BasePoses, config: SolverConfig, *, at_once: bool
 ) -> Stepwise[tuple[JointReconstruction, ...]]:
-    """Reconstruct in steps, or with all steps of a minimisation in one."""
     count = config.heading_hypotheses if model.aligned_by_heading else config.hypotheses
     if all(w.lifted is not None for w in windows):
         count = 1
@@ -230,16 +211,7 @@ def make_reconstruction(
     history: Sequence[float],
     iterations: int,
 ) -> Reconstruction:
-    """Return the reconstruction of a batch of one sequence.
-
-    Args:
-        problem: at the final point.
-        window: the sequence.
-        unit: px/m, by which its image points were divided.
-        status: why the solver stopped.
-        history: m^2, objective at the start and after each step.
-        iterations: number of steps that were tried.
-    """
+    """Return the reconstruction of a batch of one sequence, whose image points were divided by `unit` px/m."""
     joints, scale, translation, residual = problem.describe(np.array([unit]))
     return Reconstruction(
         joints=joints,
