@@ -48,6 +48,11 @@ MAX_LENS_ERROR = 0.01  # of half the shorter side; far above the errors of the i
 MAX_DISTORTED_SHARE = 0.2  # 1; part of the middle of the image, in all of which lenses have an inverse
 MAX_CACHED_LENSES = 4  # lenses of the cameras of one node
 MAX_CACHED_NAMES = 64  # lists of joint names; guards memory against messages that name ever new ones
+# Why messages of detections show no people.
+WITHOUT_KEYPOINTS = (
+    'the detections have no keypoints, as those of a model that finds boxes; '
+    'run a model for poses, such as yolo11n-pose.pt'
+)
 KNOWN_JOINTS = frozenset(j for layout in KEYPOINT_LAYOUTS.values() for j in layout.joints)
 
 # Parts of a message in words that may differ between messages of one kind: addresses, numbers and quoted names.
@@ -116,6 +121,8 @@ class InputChecks:
         self.warnings = tuple(filter(None, found))
         ids = EXCHANGED_IDS if tracker.are_ids_ignored else ''
         notes = [floor[1], self._check_calibration(stamp_ns, intrinsics, config), ids] if frame.people else []
+        if frame.without_keypoints and not frame.people:
+            notes.append(WITHOUT_KEYPOINTS)
         new = []
         for words in filter(None, (*notes, *self.warnings)):
             if (kind := find_kind(words)) not in self._described:

@@ -35,16 +35,13 @@ from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.offline.whole_sequence import MAX_GAP_S
 from mocap_ros.runtime.detection import ShowProgress, detect_in_video
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
-from mocap_ros.runtime.input_checks import describe_unusable_distortion
+from mocap_ros.runtime.input_checks import WITHOUT_KEYPOINTS, describe_unusable_distortion
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 from mocap_ros.units import NS_PER_S
 
 RESTART_S = 1.0  # s; messages are at most so late, and an older one begins a new run of the clock
+MIN_RUN_SHARE = 0.1  # 1; share of the images that the longest run of the clock must have
 MAX_DELAY_S = 60.0  # s between stamp and receipt; far above the delay of any detector
-WITHOUT_KEYPOINTS = (
-    'the detections have no keypoints, as those of a model that finds boxes; '
-    'run a model for poses, such as yolo11n-pose.pt'
-)
 MAX_CAMERA_INFOS = 1000  # messages in which a valid CameraInfo is searched
 MIN_FRAMES = 10  # frames; of all people, those who are seen in less are mostly errors of the detector
 # Options that apply to a kind of input; those of the focal length apply to all.
@@ -228,7 +225,9 @@ def load_bag(
         camera, camera_note = find_camera(bag, next(iter(topics)), node, camera_info)
         known = camera.size if camera else None
         size = resolve_image_size(camera=known, configured=(node.image_width, node.image_height))
-        frames, reasons, clock_note = _assemble_frames(bag, topics, node, camera, size)
+        frames, reasons, images, clock_note = _assemble_frames(bag, topics, node, camera, size)
+    if len(frames) < MIN_RUN_SHARE * images:
+        raise InputError(f'{path}: {clock_note}; its stamps are of several clocks')
     if not frames or (set(frames) == {0} and reasons):
         raise InputError(f'{path}: {reasons[0] if reasons else "no keypoints"}')
     reasons += [f'{next(iter(topics))}: {reason}' for reason in _leave_out_others(frames)]
@@ -249,8 +248,11 @@ def load_bag(
 
 def _assemble_frames(
     bag: Bag, topics: dict[str, Source], node: NodeConfig, camera: CameraInfo | None, size: tuple[int, int]
-) -> tuple[dict[int, KeypointsFrame], list[str], str]:
-    """Return the images of a bag by stamp in ns, why each other message is left out, and a note on the clock."""
+) -> tuple[dict[int, KeypointsFrame], list[str], int, str]:
+    """Return the images of a bag by stamp in ns, why each other message is left out, and a note on the clock.
+
+    The number is that of the images of all runs of the clock, of which the longest is returned.
+    """
     assembler, reasons, name, runs = FrameAssembler(), [], '', _ClockRuns()
     for number, message in enumerate(bag.messages(topics), 1):
         source = topics[message.topic]
@@ -267,7 +269,7 @@ def _assemble_frames(
             reasons.append(f'{message.topic}: message {number}: {error}')
     for frame in assembler.flush():
         runs.newest.setdefault(frame.header.stamp_ns, frame)
-    return runs.choose(), reasons, runs.describe()
+    return runs.choose(), reasons, runs.count, runs.describe()
 
 
 class _ClockRuns:
@@ -278,6 +280,11 @@ class _ClockRuns:
         self._newest_ns = 0
         self._delays_ns: list[int] = []  # from the stamp to the receipt
         self._first_jump = ''
+
+    @property
+    def count(self) -> int:
+        """The number of images of all runs."""
+        return sum(map(len, self._runs))
 
     @property
     def newest(self) -> dict[int, KeypointsFrame]:

@@ -12,14 +12,22 @@ from pathlib import Path
 import pytest
 import yaml
 from mcap.writer import Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Rosbag2Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recovery import recover
 from mocap_ros.bags.rosbag2 import BAG_INFORMATION, METADATA, make_topic
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError
+from mocap_ros.messages.cdr import typestore
+from mocap_ros.messages.foreign_types import YOLO_DETECTIONS
+from mocap_ros.messages.input_types import decode_frame
 from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.messages.versions import make_converter
 from tests.support.bag_writing import FRAMES, START_NS, make_keypoints, write_bag
+from tests.support.foreign_messages import IMAGE_SIZE, LIMITS, encode_yolo
 
 
 def test_a_bag_without_metadata_recommends_recover(tmp_path: Path) -> None:
@@ -109,15 +117,59 @@ def test_a_recovered_bag_with_any_time_is_read(tmp_path: Path) -> None:
 
 
 def test_paths_that_are_no_bags_are_refused(tmp_path: Path) -> None:
-    (tmp_path / 'x.mcap').write_bytes(b'no bag')
-    (tmp_path / 'x.txt').write_bytes(b'no bag')
+    for name in ('x.mcap', 'x.txt'):
+        (tmp_path / name).write_bytes(b'no bag')
     os.mkfifo(tmp_path / 'pipe.mcap')
-    for name, reason in {
-        'none': 'does not exist',
-        'pipe.mcap': 'neither a file',
-        'x.mcap': 'magic',
-        'x.txt': 'storage',
-        '.': 'metadata',
-    }.items():
+    reasons = {'none': 'does not exist', 'pipe.mcap': 'neither a file', 'x.mcap': 'magic', 'x.txt': 'storage'}
+    for name, reason in {**reasons, '.': 'metadata'}.items():
         with pytest.raises(InputError, match=f'{name if name != "." else ""}.*{reason}'):
             Bag(tmp_path / name)
+
+
+@pytest.mark.parametrize('storage', [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+@pytest.mark.parametrize('identifier', ['', "''", 'sqlite3', 'mcap'])
+def test_the_files_say_how_a_bag_is_stored(tmp_path: Path, storage: StoragePlugin, identifier: str) -> None:
+    write_foreign(tmp_path / 'bag', 'yolo_msgs', storage)
+    metadata = tmp_path / 'bag' / METADATA
+    metadata.write_text(
+        re.sub(r'storage_identifier: .*', f'storage_identifier: {identifier}', metadata.read_text())
+    )
+    with Bag(tmp_path / 'bag') as bag:
+        assert len(list(bag.messages(bag.topics))) == 3
+
+
+def write_foreign(
+    folder: Path, package: str, storage: StoragePlugin = StoragePlugin.MCAP, edit: tuple[str, str] = ('', '')
+) -> None:
+    """Write messages of yolo_ros under another name of their package, whose definition may be edited."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    msgtype = YOLO_DETECTIONS.replace('yolo_msgs', package)
+    text = typestore().generate_msgdef(YOLO_DETECTIONS)[0].replace('yolo_msgs', package).replace(*edit)
+    store.register(get_types_from_msg(text, msgtype))
+    with Rosbag2Writer(folder, version=9, storage_plugin=storage) as writer:
+        connection = writer.add_connection('/yolo/tracking', msgtype, typestore=store)
+        for frame in range(3):
+            raw = make_converter(typestore(), store, YOLO_DETECTIONS, msgtype)(encode_yolo(frame))
+            writer.write(connection, frame + 1, raw)
+
+
+@pytest.mark.parametrize(
+    ('package', 'edit', 'is_read'),
+    [
+        ('yolo_msgs', ('', ''), True),
+        ('yolov8_msgs', ('', ''), True),
+        ('yolov8_msgs', ('string class_name', 'int64 more\nstring class_name'), True),
+        ('yolo_of_mine_msgs', ('', ''), True),
+        ('yolo_of_mine_msgs', ('string class_name', 'int64 more\nstring class_name'), False),
+    ],
+)
+def test_messages_of_a_package_by_another_name_are_read(
+    tmp_path: Path, package: str, edit: tuple[str, str], is_read: bool
+) -> None:
+    write_foreign(tmp_path / 'bag', package, edit=edit)
+    with Bag(tmp_path / 'bag') as bag:
+        found = bag.topics_of_type([YOLO_DETECTIONS])
+        assert found == (['/yolo/tracking'] if is_read else [])
+        raws = [message.raw for message in bag.messages(found)]
+    frames = [decode_frame(raw, YOLO_DETECTIONS, LIMITS, IMAGE_SIZE) for raw in raws]
+    assert [len(frame.people) for frame in frames] == [2] * len(raws)

@@ -11,15 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mocap_ros.bags.topics import Source
 from mocap_ros.errors import InputError
 from mocap_ros.keypoints.joint_map import build_joint_map
-from mocap_ros.messages.foreign_types import OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS
+from mocap_ros.messages.cdr import decode, encode
+from mocap_ros.messages.foreign_types import HRI_SKELETON, OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS
 from mocap_ros.messages.input_types import ZED38, decode_body, decode_frame
+from mocap_ros.runtime.pipeline import Pipeline
 from tests.support.foreign_messages import (
     IMAGE_SIZE,
     LIMITS,
     edit_message,
     encode_body,
+    make_config,
     make_header,
     make_inputs,
     make_people,
@@ -89,3 +93,49 @@ def test_normalised_coordinates_of_ros4hri_need_the_image_size() -> None:
     (person, _), header = make_people(0), make_header(0)
     with pytest.raises(InputError, match=r'^skeleton: .*node\.image_width'):
         decode_body(encode_body(person, header), person.id, (0, 0), LIMITS)
+
+
+def mark_yolo(message: Any, x: float, y: float) -> None:
+    keypoint = message.detections[0].keypoints.data[0]
+    keypoint.id, keypoint.point.x, keypoint.point.y = 4, x, y  # the left ear, which is absent
+
+
+# How a keypoint of the first person is set in a message of each type to x and y in px; its score stays.
+SET_KEYPOINT: dict[str, Callable[[Any, float, float], None]] = {
+    YOLO_DETECTIONS: mark_yolo,
+    ZED_OBJECTS: lambda m, x, y: setattr(
+        m.objects[0].skeleton_2d.keypoints[ZED38['nose']], 'kp', np.array([x, y])
+    ),
+    OPENPOSE_POSES: lambda m, x, y: vars(m.pose_key_points_list[0].pose_key_points[0]).update(x=x, y=y),
+    HRI_SKELETON: lambda m, x, y: vars(m.skeleton[0]).update(x=x, y=y),
+}
+
+
+@pytest.mark.parametrize('msgtype', SET_KEYPOINT)
+@pytest.mark.parametrize('point', [(0, 0), (-1, -1), (np.nan, np.nan), (np.nan, 5)])
+def test_what_marks_a_point_as_not_seen_is_the_same_in_all_types(msgtype: str, point: tuple[float, float]) -> None:
+    def edit(message: Any) -> None:
+        SET_KEYPOINT[msgtype](message, *point)
+
+    if msgtype == HRI_SKELETON:
+        raw = encode_body(make_people(0)[0], make_header(0))
+        message = decode(raw, HRI_SKELETON)
+        edit(message)
+        _, person = decode_body(encode(message, HRI_SKELETON), 'b0', IMAGE_SIZE, LIMITS)
+    else:
+        person = decode_frame(edit_message(msgtype, edit), msgtype, LIMITS, IMAGE_SIZE).people[0]
+    joint = person.joints.index('lear' if msgtype == YOLO_DETECTIONS else 'nose')
+    assert person.score[joint] == 0
+    assert np.isnan(person.points[joint]).all()
+    assert (person.score > 0).sum() >= 14
+
+
+def test_detections_that_are_no_people_are_counted() -> None:
+    def edit(message: Any) -> None:
+        message.detections[0].class_name = 'dog'
+        message.detections[1].keypoints.data = []
+
+    frame = decode_frame(edit_message(YOLO_DETECTIONS, edit), YOLO_DETECTIONS, LIMITS, IMAGE_SIZE)
+    assert (frame.people, frame.without_keypoints) == ((), 3)  # a third one has none
+    pipeline = Pipeline(make_config(YOLO_DETECTIONS))
+    assert 'no keypoints' in pipeline.feed(Source.KEYPOINTS, edit_message(YOLO_DETECTIONS, edit)).reason
