@@ -235,7 +235,7 @@ class Recorder:
             data: The message as CDR.
             log_time_ns: Time of receipt, in ns; for an output, the time of its publication.
             publish_time_ns: Time at which the publisher sent the message, in ns.
-            repeat_keys: What the message tells of, such as the names of coordinate frames. A further file begins
+            repeat_keys: What the message is about, such as the names of coordinate frames. A further file begins
                 with the messages of latched topics and those with keys, but for those whose keys are all among the
                 keys of a later message of the topic. A message with None is not repeated and replaces none.
             may_begin_file: Whether the bag may continue in a further file with this message. What that file

@@ -13,7 +13,7 @@ are
 All other links are children of `body_<id>`: `torso_<id>` between the shoulders, `head_<id>`, the joints of the
 limbs, such as `l_shoulder_<id>`, and toes, heels, hands, eyes, ears and nose where people have them. Each is
 turned as the segment of the body that turns about it or holds it (`solvers.body_segments`): `l_shoulder_<id>` is
-the left upper arm. Of somebody who stands upright with hanging arms, all have the axes of the body.
+the left upper arm. Of a person who stands upright with hanging arms, all have the axes of the body.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ CHILD_LINKS = _list_links(BODY26)[0]  # all links besides `body` that any skelet
 
 
 class FrameNames:
-    """Names of people in those of frames or topics, which no two people share and nobody changes while present."""
+    """Names of people in those of frames or topics, which no two people share and which stay while a person is present."""
 
     def __init__(self) -> None:
         self._names: dict[str, str] = {}  # by id

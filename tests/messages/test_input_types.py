@@ -103,9 +103,7 @@ def mark_yolo(message: Any, x: float, y: float) -> None:
 # How a keypoint of the first person is set in a message of each type to x and y in px; its score stays.
 SET_KEYPOINT: dict[str, Callable[[Any, float, float], None]] = {
     YOLO_DETECTIONS: mark_yolo,
-    ZED_OBJECTS: lambda m, x, y: setattr(
-        m.objects[0].skeleton_2d.keypoints[ZED38['nose']], 'kp', np.array([x, y])
-    ),
+    ZED_OBJECTS: lambda m, *p: setattr(m.objects[0].skeleton_2d.keypoints[ZED38['nose']], 'kp', np.array(p, 'f4')),
     OPENPOSE_POSES: lambda m, x, y: vars(m.pose_key_points_list[0].pose_key_points[0]).update(x=x, y=y),
     HRI_SKELETON: lambda m, x, y: vars(m.skeleton[0]).update(x=x, y=y),
 }

@@ -50,7 +50,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 UPRIGHT_DEG = 23.0  # degrees; with it lumbar_extension is 0 in the mean pose of walkers (`walk.npz`)
-WEAK_SINE = 0.2  # W; sine of 12 degrees, by which a bent joint is told from the noise of a straight one
+WEAK_SINE = 0.2  # W; sine of 12 degrees, that separates a bent joint from the noise of a straight one
 SMOOTHING_S = 0.1  # T, s; over about this time an angle is smoothed where its weight is near W
 NEUTRAL_WEIGHT = 1e-6  # E; decides only where a limb is straight in all frames
 SWITCH_COST = 0.01  # 1; cost of a half turn between two frames in which the angle means nothing
