@@ -61,7 +61,7 @@ CHILD_LINKS = _list_links(BODY26)[0]  # all links besides `body` that any skelet
 
 
 class FrameNames:
-    """Names of people in those of frames or topics: no two people share one, and it stays while they are present."""
+    """Names of people in those of frames or topics; two people share none, and it stays while they are present."""
 
     def __init__(self) -> None:
         self._names: dict[str, str] = {}  # by id
