@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +31,6 @@ from mocap_ros.solvers.extremities import (
     attach,
     smooth_extremities,
 )
-from tests.support.evaluation_data import shared
 from tests.support.upright_body import UPRIGHT
 
 Array = NDArray[np.float64]
@@ -216,30 +214,6 @@ def test_the_gradients_are_those_of_the_sums(kind: str) -> None:
     numeric = [(cost(step * e) - cost(-step * e)) / (2 * step) for e in np.eye(7)]
     assert gradient == pytest.approx(numeric, rel=1e-5, abs=1e-5)
     assert (np.linalg.eigvalsh(hessian) > -1e-9).all()
-
-
-def test_recorded_heads_and_feet_are_found_in_what_a_detector_sees(protocol: ModuleType) -> None:
-    archive = np.load(shared('data/motion/body26_30fps.npz'))
-    view = protocol.make_view(
-        archive['26_01'], archive['_joints'], 60.0, frames=120, distance=3.0, detector='openpose', seed=1
-    )
-    names = {'lbigtoe': 'ltoe', 'rbigtoe': 'rtoe'}
-    given = [names.get(str(n), str(n)) for n in view['joint_names']]
-    camera, truth = view['camera_matrix'], view['joints3d'].astype(float)
-    rays, weight = np.zeros((120, JOINTS, 2)), np.zeros((120, JOINTS))
-    for column, name in enumerate(given):
-        seen = view['keypoints'][:, column]
-        is_seen = seen[:, 2] > 0.05
-        rays[is_seen, at(name)] = (seen[is_seen, :2] - camera[:2, 2]) / camera[0, 0]
-        weight[:, at(name)] = np.where(is_seen, seen[:, 2], 0)
-    rng = np.random.default_rng(0)
-    core = truth[:, :CORE_COUNT] + 0.02 * rng.normal(size=(CORE_COUNT, 3)) + 0.004 * rng.normal(size=(120, 15, 3))
-    unknown = np.full((120, JOINTS, 3), np.nan)
-    evidence = ExtremityEvidence(core, unknown, unknown, rays, weight, 0.015)
-    found = attach(core, offsets_of(follow(evidence)))
-    off = np.median(angles_deg(directions(found), directions(truth))[15:], axis=0)
-    assert off[0] < 20.0  # degrees, of the head, without a lifter
-    assert off[1:].mean() < 25.0  # of the feet
 
 
 def follow_core(poses: Array) -> list[ExtremityState]:

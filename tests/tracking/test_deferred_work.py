@@ -19,7 +19,7 @@ from mocap_ros.tracking.schedule import NEW_TRACK_S, CheckSchedule, Classificati
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
 from tests.support.synthetic_walk import make_walk
-from tests.support.tracks import CAMERA, STEP_NS, change, make_detection, track_walk
+from tests.support.tracks import CAMERA, STEP_NS, change, track_walk
 
 S = 10**9  # ns
 FRAMES = 61
@@ -168,11 +168,6 @@ def test_work_that_fails_is_not_repeated_for_ever(known: Track, models: dict[str
     assert track.schedule.next_check_ns > NOW
 
 
-def turn_round(solution: TrackSolution) -> TrackSolution:
-    """Return a wrong solution, in which the person faces the other way."""
-    return replace(solution, rotation=solution.rotation @ np.diag([-1.0, -1.0, 1.0]), theta=0 * solution.theta)
-
-
 @pytest.mark.parametrize('is_check', [True, False])
 @pytest.mark.parametrize(
     ('event', 'is_kept', 'is_due'),
@@ -211,26 +206,6 @@ def test_work_ends_where_its_track_is_not_what_it_was(
     assert (work.begun is not None) is (is_kept or is_due), 'what is due begins again'
     if is_due:
         assert track.schedule.check_count == (2 if is_check else 0)
-
-
-def test_an_answer_goes_on_in_the_frames_that_came_meanwhile(
-    track: Track, models: dict[str, BasePoses], walk_model: BasePoses
-) -> None:
-    """The new frames follow the solution that was found, and keep the person's movement."""
-    right = track.solved.rotation[-1]
-    track.solution = turn_round(track.solved)
-    track.schedule.next_check_ns = 0
-    work = DeferredWork(HypothesisChecker(models, CONFIG), ('walk',), 0.5)
-    begin(work, track)
-    track.add_frame(NOW + STEP_NS, make_detection(make_walk(walk_model, FRAMES + 1)[2][FRAMES]), 10.0)
-    names = 'theta', 'rotation', 'roots', 'bone_lengths', 'frame_residuals'
-    for name in names:
-        states = getattr(track.solution, name)
-        setattr(track.solution, name, np.concatenate([states, states[-1:]]))
-    finish(work, track)
-    assert len(track.solved.theta) == FRAMES + 1
-    for frame in (FRAMES - 1, FRAMES):
-        assert np.trace(track.solved.rotation[frame] @ right.T) > 2
 
 
 def walk_on(track: Track, *, stops: bool) -> None:

@@ -90,7 +90,8 @@ def test_a_part_besides_the_whole_is_no_person(points: Array) -> None:
 
 def test_a_part_of_a_new_person_is_no_other_person(points: Array) -> None:
     detections = [see_part(points, UPPER, 'x'), make_detection(points, 'y'), make_detection(points + [80, 0], 'z')]
-    matches = match_detections(NEXT_NS, (), detections)
+    unknown: tuple[Track, ...] = ()
+    matches = match_detections(NEXT_NS, unknown, detections)
     assert [d.given_id for d in matches.detections] == ['y', 'z']
     assert matches.tracks == [None, None]
 
