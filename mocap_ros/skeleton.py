@@ -3,10 +3,8 @@
 
 """Keypoint layouts, the skeleton of the reconstruction, and the canonical spelling of joint names.
 
-A keypoint layout is an ordered list of joint names with a tree of bones. `KEYPOINT_LAYOUTS` holds the layouts of
-well-known detectors, `CMU15`, the skeleton of the solvers, and `BODY26`, which adds face, feet and hands.
-Canonical joint names are lower case with the side as first letter, for example `lshoulder`;
-`canonical_joint_names` converts other spellings. The maps from one layout to another are in `keypoints.joint_map`.
+Canonical names are lower case with the side as first letter, for example `lshoulder`. `CMU15` is the skeleton of
+the solvers, `BODY26` adds face, feet and hands; maps from one layout to another are in `keypoints.joint_map`.
 """
 
 from __future__ import annotations
@@ -111,7 +109,6 @@ class Skeleton:
 
 
 def _find_twin(joint: str, joints: Sequence[str]) -> str:
-    """Return the name of the same joint on the other side of the body, or `joint` itself if there is none."""
     for side, opposite in (('l', 'r'), ('r', 'l')):
         if joint.startswith(side) and opposite + joint[1:] in joints:
             return opposite + joint[1:]
@@ -121,7 +118,6 @@ def _find_twin(joint: str, joints: Sequence[str]) -> str:
 
 
 def _is_left(joint: str, joints: Sequence[str]) -> bool:
-    """Return whether a joint that has a twin is the left one of the two."""
     twin = _find_twin(joint, joints)
     return joint.endswith('_l') if joint[1:] != twin[1:] else joint.startswith('l')
 

@@ -34,10 +34,7 @@ def interpolate_linearly(times: Array, sample_times: Array, samples: Array) -> A
 
 
 def central_velocity(times: Array, points: Array) -> Array:
-    """v(t_i) = (x(t_{i+1}) - x(t_{i-1})) / (t_{i+1} - t_{i-1}), (F, ..., 3) in m/s of points (F, ..., 3).
-
-    NaN at both ends, beside frames without points, and beside gaps of more than `MAX_STEP_S`.
-    """
+    """v(t_i) = (x(t_{i+1}) - x(t_{i-1})) / (t_{i+1} - t_{i-1}), NaN at ends and beside gaps above `MAX_STEP_S`."""
     velocity = np.full(points.shape, np.nan)
     if len(times) > 2:
         steps = np.diff(times)

@@ -25,10 +25,7 @@ def nearest_rotation(affine: Array) -> Array:
 
 
 def rotation_from_vector(vector: Array) -> Array:
-    """R = I + sin(a) / a K + (1 - cos(a)) / a^2 K^2 (Rodrigues), where K p = v x p and a = |v|.
-
-    Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3) in rad.
-    """
+    """R = I + sin(a) / a K + (1 - cos(a)) / a^2 K^2 (Rodrigues) of vectors v (..., 3), K p = v x p, a = |v|."""
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     k = cross_matrix(vector)
     return np.eye(3) + np.sinc(angle / np.pi) * k + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (k @ k)
@@ -82,10 +79,7 @@ def centre_poses(poses: Array) -> Array:
 
 
 def fit_rotation(poses: Array, target: Array) -> Array:
-    """Minimise sum_j |R p_j - q_j|^2 over rotations R (orthogonal Procrustes problem).
-
-    Return the rotations (..., 3, 3) with `poses @ R^T` closest to `target`, both (..., J, 3).
-    """
+    """Return the rotations (..., 3, 3) that minimise sum_j |R p_j - q_j|^2 (orthogonal Procrustes problem)."""
     u, _, vt = np.linalg.svd(np.swapaxes(target, -1, -2) @ poses)
     sign = np.ones(u.shape[:-1])
     sign[..., 2] = np.sign(np.linalg.det(u @ vt))

@@ -109,7 +109,7 @@ class VirtualCamera:
 
 
 def _multiply(a: Array, b: Array) -> Array:
-    """Return products of matrices (..., M, 3) and (..., 3, 3), summed in order, as BLAS may not do."""
+    # products (..., M, 3) and (..., 3, 3) summed in order, as BLAS may not do
     return np.asarray(a[..., :1] * b[..., :1, :] + a[..., 1:2] * b[..., 1:2, :] + a[..., 2:] * b[..., 2:, :])
 
 

@@ -42,24 +42,24 @@ from mocap_ros.units import NS_PER_S
 MIN_FRAMES = 3  # frames; at a low frame rate a wrong detection is in one or two
 MIN_AGE_S = 0.06  # s; at a high frame rate it lasts for several frames; three frames at 30 Hz last 0.067 s
 TENTATIVE_FORGET_S = 0.2  # s; a detector misses a person for a few frames, and a new one must not be new again
-RETURN_S = 10.0  # s; who comes back later, at the same place, may as well be somebody else
+RETURN_S = 10.0  # s; who comes back later, at the same position, may as well be another person
 MAX_NAMES = 1000  # names that are remembered
 MAX_EXCHANGES, EXCHANGE_MEMORY_S = 3, 10.0  # frames, s; a detector that tracks people confuses them less often
 EXCHANGED_IDS = 'ids of people change places from frame to frame, as numbers of a list do; they are ignored'
 
 
 def is_new(frames_seen: int, age_s: float) -> bool:
-    """Return whether a person has not been seen for long enough to be sure that there is somebody."""
+    """Return whether a person has not been seen for long enough to be certain."""
     return frames_seen < MIN_FRAMES or age_s <= MIN_AGE_S
 
 
 def find_absence(settings: TrackerConfig) -> float:
-    """Return the time in s without anybody after which everything is forgotten, and nobody waits to be put out."""
+    """Return the time in s without people after which everything is forgotten, and none waits to be shown."""
     return max(settings.forget_all_after, settings.forget_after, settings.lag)
 
 
 class _Lost(NamedTuple):
-    """A person who was forgotten: name, stamp of the last frame in ns, place in it, and the gate there."""
+    """A person who was forgotten: name, stamp of the last frame in ns, position in it, and the gate there."""
 
     name: str
     stamp_ns: int
@@ -90,7 +90,7 @@ class Identities(Generic[P]):
         self._name_count = 0  # names that were given to people without an id
 
     def is_everybody_gone(self, stamp_ns: int) -> bool:
-        """Return whether nobody was there for so long that everything is forgotten."""
+        """Return whether no person was there for so long that everything is forgotten."""
         newest_ns = self.newest_person_ns
         return newest_ns is not None and stamp_ns - newest_ns > find_absence(self._settings) * NS_PER_S
 
@@ -121,7 +121,7 @@ class Identities(Generic[P]):
         return matches
 
     def restart(self) -> Identities[P]:
-        """Return identities that know of nobody, but for the stamp of the newest frame."""
+        """Return identities that know of no person, but for the stamp of the newest frame."""
         new = Identities[P](self._settings)
         new.newest_ns = self.newest_ns
         return new

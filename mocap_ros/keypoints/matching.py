@@ -7,7 +7,7 @@ The steps, each for the people and detections that are left by those before:
 
 1. A detection with a person's id that is near where the person is expected is this person: a detector that gives
    good ids decides who is who, also where people cross.
-2. So is one that is farther away, unless it is part of somebody who was found in the first step, or lies where
+2. So is one that is farther away, unless it is part of a person who was found in the first step, or lies where
    another person is and both had their ids in their newest frames: no two people exchange their places from one
    frame to the next, but ids do, above all those that count the people of an image.
 3. The others are matched by position, size and pose (Hungarian method). A detection without an id, or with an id
@@ -47,7 +47,7 @@ from mocap_ros.units import NS_PER_S
 GATE = 0.6  # person sizes (RMS radius, about 0.5 m of an adult); acrobats move less from frame to frame
 GATE_GROWTH_PER_S = 3.0  # person sizes/s; an unseen person may walk away and the predicted position gets worse
 SIZE_GATE = (
-    0.4  # natural logarithm of 1.5; nobody shrinks by more from one frame to the next, but parts are smaller
+    0.4  # natural logarithm of 1.5; no person shrinks by more from one frame to the next, but parts are smaller
 )
 SIZE_GATE_GROWTH_PER_S = 1.0  # the same per s; an unseen person may crouch or walk away
 NEW_ID_GATE = 0.5  # person sizes; a detector that gives a new id may mean another person, who is farther away
@@ -63,20 +63,12 @@ MIRROR = np.array(CMU15.mirror)
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """One detected person of whom enough was seen to be tracked.
+    """One detected person of whom enough was seen to be tracked."""
 
-    Attributes:
-        given_id: name that the detector gives the person; empty if it gives none.
-        rays: (J, 2) x / z and y / z of the model's joints in the camera; 0 for a joint that was not seen.
-        weight: (J,) confidence scores in [0, 1]; 0 for a joint that was not seen.
-        extent: centre and size in the image, in the units of rays.
-        extremities: face, feet and hands.
-    """
-
-    given_id: str
-    rays: Array
-    weight: Array
-    extent: Extent
+    given_id: str  # name that the detector gives the person; empty if it gives none
+    rays: Array  # (J, 2) x / z and y / z of the model's joints in the camera; 0 for a joint that was not seen
+    weight: Array  # (J,) confidence scores in [0, 1]; 0 for a joint that was not seen
+    extent: Extent  # centre and size in the image, in the units of rays
     extremities: Extremities
 
     @staticmethod
@@ -85,14 +77,9 @@ class Detection:
     ) -> Detection | None:
         """Convert the keypoints of a person to rays of the model's joints.
 
-        Args:
-            person: keypoints as a detector gave them.
-            intrinsics: intrinsics of the camera.
-            min_score: confidence score below which a keypoint counts as not seen.
-            min_joints: smallest number of seen joints, at least 1, that makes a detection usable.
-
-        Returns:
-            The detection; None if fewer joints were seen, or all of them in one place.
+        `person` keypoints as a detector gave them; `min_score` confidence score below which a keypoint counts as
+        not seen; `min_joints` smallest number of seen joints, at least 1, that makes a detection usable. Returns
+        the detection; None if fewer joints were seen, or all of them in one place.
 
         Raises:
             SkeletonError: The person's joints do not cover enough of the model's.
@@ -135,21 +122,13 @@ P = TypeVar('P', bound=KnownPerson)
 
 
 class Matches(NamedTuple, Generic[P]):
-    """The matches of a frame.
+    """The matches of a frame."""
 
-    Attributes:
-        detections: the detections of people, in their order, with their parts joined to them.
-        tracks: the person who each of these detections is; None for a detection of nobody known.
-        replaced: people whose id the detector has given to another person.
-        members: for each of these detections its index, and those of its parts.
-        are_ids_exchanged: whether ids have gone from people to others who are where they were.
-    """
-
-    detections: list[Detection]
-    tracks: list[P | None]
-    replaced: list[P]
-    members: list[list[int]]
-    are_ids_exchanged: bool
+    detections: list[Detection]  # the detections of people, in their order, with their parts joined to them
+    tracks: list[P | None]  # the person who each of these detections is; None for a detection of a new one
+    replaced: list[P]  # people whose id the detector has given to another person
+    members: list[list[int]]  # for each of these detections its index, and those of its parts
+    are_ids_exchanged: bool  # whether ids have gone from people to others who are where they were
 
 
 def match_detections(stamp_ns: int, tracks: Sequence[P], detections: Sequence[Detection]) -> Matches[P]:
@@ -172,7 +151,7 @@ class _Matcher(Generic[P]):
         distances: (D, P) distances of all detections from all people.
         has_size: (D, P) whether the detection is large enough to be that of the person.
         track_of: index of the track of each matched detection, by the detection's index.
-        exchanged: detections that have the id of a person who is far, where somebody else is.
+        exchanged: detections that have the id of a person who is far, where another person is.
         whole_of: detection of which a detection is part, by indices.
     """
 
@@ -254,8 +233,8 @@ class _Matcher(Generic[P]):
         )
         is_permitted = (distances < gates) & self.has_size[free_d][:, free_p]
         extra = GATE_GROWTH_PER_S * age_s + TENTATIVE_COST * is_tentative
-        # Nobody costs the same for everybody: otherwise a detection of somebody new would let the person who was
-        # lost for longest, whom nobody costs most, take the detection of another one.
+        # No match costs the same for all: otherwise a detection of a new person would let the one who was
+        # lost for longest, for whom no match costs most, have the detection of another one.
         cost = np.where(is_permitted, distances + extra, (self.gates[free_p] + extra).max())
         for d, index in zip(free_d, choose_pairs(cost, is_permitted), strict=True):
             if index is not None:
@@ -312,7 +291,7 @@ class _Matcher(Generic[P]):
         return Matches([detections[d] for d in people], tracks, replaced, members, bool(self.exchanged))
 
     def _is_replaced(self, p: int, d: int) -> bool:
-        """Return whether the detector has given a person's id to a new detection that is somebody else's."""
+        """Return whether the detector has given a person's id to a new detection that is another person's."""
         name = self.detections[d].given_id
         is_far = self.distances[d, p] > self.same_id_gates[p]
         return bool(is_far) and name != '' and p in self.called.get(name, ())
