@@ -38,7 +38,8 @@ def test_the_wheel_holds_every_file_of_the_package(distributions: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
     assert {file for file in files if '__pycache__' not in file} - held == set()
     compiled = {name.partition('.')[0] for name in held if name.endswith('.so')}
-    assert compiled == {f'mocap_ros/engine/{path.stem}' for path in package.glob('engine/*.pyx')}
+    modules = {path.stem for path in package.glob('engine/*.pyx')} | {'_shared'}
+    assert compiled == {f'mocap_ros/engine/{name}' for name in modules}
     shared = {name.partition('.data/data/')[2] for name in held} - {''}
     assert shared >= {
         'share/ament_index/resource_index/packages/mocap_ros',

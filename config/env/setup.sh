@@ -85,7 +85,7 @@ environment() {
 
 package() {
     # what the package is built with; colcon cannot use setuptools 80 and later
-    step 'Installing build tools' .venv/bin/pip install setuptools==79.0.1 'Cython>=3.0,<4' 'scipy>=1.10,<2'
+    step 'Installing build tools' .venv/bin/pip install setuptools==79.0.1 'Cython>=3.1,<4' 'scipy>=1.10,<2'
     step 'Installing mocap_ros and its tools' \
         .venv/bin/pip install --no-build-isolation -e '.[test,dev]'
 }

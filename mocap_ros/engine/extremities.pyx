@@ -1,6 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: auto_pickle=False
 
 """Orientations of the segments of a body, and face, feet and hands as rigid parts that hang on its core.
 
