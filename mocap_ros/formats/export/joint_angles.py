@@ -39,7 +39,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solveh_banded
 
 from mocap_ros.skeleton import CMU15
 
@@ -217,6 +216,8 @@ def _follow_sign(plane: ComplexArray, side: Array) -> Array:
 
 def _smooth(numbers: ComplexArray, fps: float) -> ComplexArray:
     """Return numbers w e^(i psi) (F,), smoothed where w is small, as the formula at the top has it."""
+    from scipy.linalg import solveh_banded
+
     if len(numbers) == 1:  # has no neighbour
         return numbers + NEUTRAL_WEIGHT
     weight = np.abs(numbers)

@@ -33,8 +33,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, lapack
 
 from mocap_ros.engine import block_banded
 from mocap_ros.engine import joint as engine
@@ -107,11 +107,7 @@ class PeriodicEquations:
     def _trace_of_prior_share(self) -> float:
         """Return tr(A^-1 D)."""
         matrix = self.series_matrix + np.diag(self.series_prior + MIN_INFORMATION)
-        factor, info = lapack.dpotrf(matrix.T, lower=1, clean=1)  # A = L L^T, Cholesky; A is symmetric
-        if info:  # rounding has made a singular matrix indefinite
-            return float(np.trace(np.linalg.solve(matrix, np.diag(self.series_prior))))
-        inverse, _ = lapack.dtrtri(factor, lower=1, overwrite_c=1)  # L^-1
-        return float((inverse**2).sum(axis=0) @ self.series_prior)
+        return float(np.linalg.inv(matrix).diagonal() @ self.series_prior)
 
     def camera_log_determinant_ratio(self) -> float:
         """Return log det C - log det E, minus twice the log of the cameras' posterior over prior volume."""
@@ -149,10 +145,11 @@ class PeriodicEquations:
         schur = self.series_matrix - v_matrix.T @ v_matrix
         diagonal = self.series_prior + np.einsum('ii->i', self.series_matrix)
         np.einsum('ii->i', schur)[:] += self.series_prior + damping * diagonal + MIN_INFORMATION
-        schur_factor, info = lapack.dpotrf(schur.T, lower=1, overwrite_a=1)  # Cholesky; S is symmetric
-        if info:
+        try:
+            np.linalg.cholesky(schur)  # S is positive definite
+            step = np.linalg.solve(schur, v_matrix.T @ v_vector - self.series_gradient)
+        except LinAlgError:
             return None
-        step, _ = lapack.dpotrs(schur_factor, v_matrix.T @ v_vector - self.series_gradient, lower=1)
         camera_right = -(v_vector + v_matrix @ step).reshape(frames, n)
         return Step(step, factor.solve_lower_transposed(camera_right))
 
