@@ -129,7 +129,8 @@ def test_bodies_of_ros4hri_that_come_and_go(
     for i, present in enumerate(ids):
         people = {
             name: [[p[j][0] / 640, p[j][1] / 480, p[j][2]] if j >= 0 else [0.0, 0.0, 0.0] for j in order]
-            for name, p in place_people(i, *present).items()
+            for name, p in place_people(i, 'b1', 'b2').items()
+            if name in present
         }
         frames.append([(i + 1) * 10**8, people])
     run_detector(env, 'hri', frames)
