@@ -65,11 +65,12 @@ def add_model_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_input_options(parser: argparse.ArgumentParser) -> None:
-    """Add the input file and the options that describe its keypoints."""
+def add_input_options(parser: argparse.ArgumentParser, *, is_optional: bool = False) -> None:
+    """Add the input file, which may be optional, and the options that describe its keypoints."""
     parser.add_argument(
         'input',
         type=Path,
+        nargs='?' if is_optional else None,
         metavar='IN',
         help='sequence file (.npz), bag, folder of OpenPose JSON, COCO keypoints (.json), or video',
     )

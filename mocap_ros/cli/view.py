@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""`mocap-ros view`: show any recording or result in 3D over time, or draw a picture or a film of it."""
+"""`mocap-ros view`: show a recording, a result or the running node in 3D, or draw a picture or a film."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mocap_ros.bags.reader import is_bag
 from mocap_ros.cli.inputs import add_input_options, add_model_option, list_sources, load_models, read_input_options
 from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config
 from mocap_ros.cli.terminal import print_note, print_result, show_progress
-from mocap_ros.errors import InputError
+from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.formats.video import write_video
 from mocap_ros.runtime.input_kind import require_kind
@@ -29,6 +29,7 @@ from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.scene import Scene
 
 PAGE_SUFFIX, FILM_SUFFIX = '.html', '.mp4'  # any other suffix is that of a picture
+DEFAULT_PORT, MAX_PORT = 8642, 65535  # of --live
 POSES = 8  # frames in a picture; many more would be too small to see
 
 
@@ -43,7 +44,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'sequence file holds the true joints. Skeletons in a result of `reconstruct` or in a bag are shown as '
         'they are; the people in any other input that `reconstruct` accepts are reconstructed.'
     )
-    add_input_options(parser)
+    add_input_options(parser, is_optional=True)
     parser.add_argument(
         '-o',
         '--output',
@@ -58,6 +59,17 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='FILE',
         help='video, or bag with images, that the keypoints of IN come from (default: IN)',
     )
+    parser.add_argument(
+        '--live',
+        nargs='?',
+        const='',
+        metavar='NAMESPACE',
+        help='serve the page of the topics that the running node publishes, of a namespace if there is one, to '
+        'browsers of this machine; needs ROS 2 and no IN (default: show IN)',
+    )
+    parser.add_argument(
+        '--port', type=_parse_port, default=DEFAULT_PORT, metavar='N', help='port of --live (0: any free one)'
+    )
     add_model_option(parser)
     add_config_options(parser)
     parser.set_defaults(run=run)
@@ -65,6 +77,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Load the scene of the input, and write its page or its picture."""
+    if args.live is not None:
+        return _run_live(args)
+    if args.input is None:
+        raise InputError('what is to be shown? Give a file, or --live')
     output: Path = args.output or Path(f'{derive_output_stem(args.input)}{PAGE_SUFFIX}')
     is_picture = output.suffix not in (PAGE_SUFFIX, FILM_SUFFIX)
     if is_picture:
@@ -96,6 +112,25 @@ def run(args: argparse.Namespace) -> int:
         print_note(line)
     print_result(output)
     return 0
+
+
+def _run_live(args: argparse.Namespace) -> int:
+    if args.input or args.output:
+        raise InputError(f'--live shows what the node publishes; {args.input or args.output} does not apply')
+    try:
+        from mocap_ros.ros.live_view import serve
+    except ImportError as error:
+        raise MocapError(
+            f'--live needs ROS 2, which this Python does not have ({error}); `make setup` installs it'
+        ) from None
+    serve(args.port, args.live, lambda line: print_result(line, flush=True))
+    return 0
+
+
+def _parse_port(text: str) -> int:
+    if not (text.isdecimal() and text.isascii() and int(text[:6]) <= MAX_PORT):
+        raise argparse.ArgumentTypeError(f'{text!r}: expected 0 to {MAX_PORT}')
+    return int(text)
 
 
 def _refuse_unused_options(args: argparse.Namespace) -> None:

@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 
 IMAGE_SIZE = (640, 480)  # px, width and height of a common USB camera
 FOCAL_LENGTH_PX = 600.0  # px, a horizontal field of view of 56 degrees, as common USB cameras have
+# px, without distortion
 CAMERA_MATRIX = np.array(
     [[FOCAL_LENGTH_PX, 0, IMAGE_SIZE[0] / 2], [0, FOCAL_LENGTH_PX, IMAGE_SIZE[1] / 2], [0, 0, 1]]
 )

@@ -209,7 +209,7 @@ def _load_result_scene(path: Path, person: str | None) -> Scene:
     if result.sequence is not None and result.sequence.is_camera_known:
         intrinsics, size = result.sequence.intrinsics(1.0), result.sequence.image_size
     else:
-        intrinsics, size = recover_intrinsics(_average_core(result.joints, result.skeleton), scale, translation)
+        intrinsics, size = recover_intrinsics(average_core(result.joints, result.skeleton), scale, translation)
     intrinsics, frames = replace(intrinsics, is_focal_known=bool(is_focal_known)), np.arange(count)
     return Scene(
         title=path.name,
@@ -247,7 +247,7 @@ def recover_intrinsics(roots: Array, scale: Array, translation: Array) -> tuple[
     return Intrinsics(focal, (x, y), is_focal_known=False), (max(round(2 * x), 1), max(round(2 * y), 1))
 
 
-def _average_core(joints: NDArray[Any], skeleton: Skeleton) -> Array:
+def average_core(joints: NDArray[Any], skeleton: Skeleton) -> Array:
     """Return the means (N, 3) of the finite joints of `CMU15` among joints (N, J, 3); NaN where there is none."""
     core = joints[:, [skeleton.index(joint) for joint in CMU15.joints]].astype(np.float64)
     count = np.isfinite(core).sum(axis=1)
@@ -298,7 +298,7 @@ def _build_bag_scene(
     found = {i: _sort(own.items(), stamps) for i, own in by_id.items()}
     rows = [row for _, own in found.values() for row in own]
     scale, translation = (np.array([getattr(row, name) for row in rows]) for name in ('scale', 'translation'))
-    roots = _average_core(np.array([row.joints for row in rows]), skeleton)
+    roots = average_core(np.array([row.joints for row in rows]), skeleton)
     intrinsics, implied_size = recover_intrinsics(roots, scale, translation)
     intrinsics = detections.intrinsics or intrinsics
     people = [

@@ -20,11 +20,12 @@ import re
 import zlib
 from collections.abc import Mapping
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.skeleton import Skeleton
 from mocap_ros.viewing.plots import INFERRED_COLOUR, TRUTH_COLOUR, make_printable
 from mocap_ros.viewing.scene import (
@@ -85,11 +86,25 @@ class _Packer:
         return base64.b64encode(b''.join([*self._parts, self._compressor.flush()])).decode('ascii')
 
 
-def build_page(scene: Scene) -> str:
-    """Return the page of a scene as HTML; it needs no other file and no network."""
+class Steps(NamedTuple):
+    """The units of the integers to which joints (m) and image points (px) are rounded."""
+
+    metre: float
+    pixel: float
+
+
+LIVE_STEPS = Steps(MIN_METRE_STEP, MIN_PIXEL_STEP)  # of all frames of a live scene
+
+
+def build_page(scene: Scene, *, is_live: bool = False) -> str:
+    """Return the page of a scene as HTML; it needs no other file and no network.
+
+    A live page asks its server for the frames; the people of its scene have its colours, and no frames.
+    """
     packer = _Packer()
-    described = json.dumps(_describe_scene(scene, packer), separators=(',', ':'))
+    described = json.dumps({'isLive': is_live, **_describe_scene(scene, packer)}, separators=(',', ':'))
     parts = {
+        'CONNECT': "'self'" if is_live else "'none'",
         'TITLE': html.escape(make_printable(scene.title)),
         'STYLE': _read('page.css'),
         'IMAGES': base64.b64encode(b''.join(scene.images.jpegs if scene.images else ())).decode('ascii'),
@@ -115,7 +130,7 @@ def _describe_scene(scene: Scene, packer: _Packer) -> dict[str, Any]:
     tick_s = max(TICK_S, float(np.abs(scene.times).max(initial=0.0)) / np.iinfo(np.int32).max)
     truth = None
     if scene.truth is not None:
-        truth = {'arrays': {'joints': packer.add(_round_to_int16(scene.truth, metre_step))}}
+        truth = {'arrays': {'joints': packer.add(round_to_int16(scene.truth, metre_step))}}
     return {
         'title': make_printable(scene.title),
         'tickS': tick_s,
@@ -129,20 +144,14 @@ def _describe_scene(scene: Scene, packer: _Packer) -> dict[str, Any]:
         'bones': [list(bone) for bone in scene.skeleton.bones],
         'trailJoint': scene.skeleton.index(TRAIL_JOINT),
         'people': [
-            _describe_person(scene, index, packer, metre_step, pixel_step) for index in range(len(scene.people))
+            _describe_person(scene, index, packer, Steps(metre_step, pixel_step))
+            for index in range(len(scene.people))
         ],
         'keypoints': [_describe_keypoints(k, packer, pixel_step) for k in scene.keypoints],
         'truth': truth,
         'images': scene.images
         and {'frames': scene.images.frames.tolist(), 'sizes': [len(jpeg) for jpeg in scene.images.jpegs]},
-        'camera': {
-            'imageSize': list(scene.image_size),
-            'corners': (image_corners(scene.image_size, scene.intrinsics) * CAMERA_DEPTH_M).tolist(),
-            'isNominal': not scene.intrinsics.is_focal_known,
-            'fovDeg': float(
-                np.degrees(2 * np.arctan2(scene.image_size[1] / 2, scene.intrinsics.focal_lengths[1]))
-            ),
-        },
+        'camera': describe_camera(scene.image_size, scene.intrinsics),
         'centre': scene.centre.tolist(),
         'extent': scene.extent,
         'floorY': scene.floor_y,
@@ -159,30 +168,44 @@ def _describe_scene(scene: Scene, packer: _Packer) -> dict[str, Any]:
     }
 
 
-def _describe_person(
-    scene: Scene, index: int, packer: _Packer, metre_step: float, pixel_step: float
-) -> dict[str, Any]:
-    person: ScenePerson = scene.people[index]
-    colours = choose_joint_colours(scene, index)
+def describe_camera(image_size: tuple[int, int], intrinsics: Intrinsics) -> dict[str, Any]:
+    """Return what the script needs of the camera."""
+    return {
+        'imageSize': list(image_size),
+        'corners': (image_corners(image_size, intrinsics) * CAMERA_DEPTH_M).tolist(),
+        'isNominal': not intrinsics.is_focal_known,
+        'fovDeg': float(np.degrees(2 * np.arctan2(image_size[1] / 2, intrinsics.focal_lengths[1]))),
+    }
+
+
+def pack_person(
+    person: ScenePerson, swapped: NDArray[np.bool_], steps: Steps
+) -> Mapping[str, NDArray[np.integer[Any]]]:
+    """Return what is known of a person in N frames as arrays (N, ...) of integers, as the script reads them."""
     state = (
         person.predicted.astype(np.uint8)
         | person.tentative.astype(np.uint8) << 1
-        | scene.swapped[index].astype(np.uint8) << 2
+        | swapped.astype(np.uint8) << 2
         | person.motion << 4
     )
     inferred = person.inferred.astype(np.int32) @ (1 << np.arange(person.inferred.shape[1], dtype=np.int32))
     std = np.minimum(np.round(np.nan_to_num(person.std, nan=np.inf) / STD_STEP), UNKNOWN_STD)
     std = np.where(np.isfinite(person.std), np.minimum(std, UNKNOWN_STD - 1), UNKNOWN_STD)
-    arrays: Mapping[str, NDArray[np.integer[Any]]] = {
+    return {
         'frames': person.frames.astype(np.int32),
-        'joints': _round_to_int16(person.joints, metre_step),
+        'joints': round_to_int16(person.joints, steps.metre),
         'std': std.astype(np.uint8),
         'inferred': inferred.astype(np.int32),
-        'image': _round_to_int16(person.image, pixel_step),
+        'image': round_to_int16(person.image, steps.pixel),
         'state': state.astype(np.uint8),
-        'residual': _round_to_int16(person.residual, RESIDUAL_STEP),
-        'cadence': _round_to_int16(person.cadence, CADENCE_STEP),
+        'residual': round_to_int16(person.residual, RESIDUAL_STEP),
+        'cadence': round_to_int16(person.cadence, CADENCE_STEP),
     }
+
+
+def _describe_person(scene: Scene, index: int, packer: _Packer, steps: Steps) -> dict[str, Any]:
+    person: ScenePerson = scene.people[index]
+    colours, arrays = choose_joint_colours(scene, index), pack_person(person, scene.swapped[index], steps)
     return {
         'id': person.id,
         'colour': choose_person_colour(scene, index),
@@ -199,7 +222,7 @@ def _describe_keypoints(keypoints: SceneKeypoints, packer: _Packer, pixel_step: 
         'bones': [list(bone) for bone in skeleton.bones],
         'arrays': {
             'frames': packer.add(keypoints.frames.astype(np.int32)),
-            'points': packer.add(_round_to_int16(keypoints.points, pixel_step)),
+            'points': packer.add(round_to_int16(keypoints.points, pixel_step)),
         },
     }
 
@@ -210,7 +233,7 @@ def _find_step(arrays: list[NDArray[np.float32]]) -> float:
     return largest / MAX_INT16
 
 
-def _round_to_int16(values: NDArray[np.float32], step: float) -> NDArray[np.int16]:
+def round_to_int16(values: NDArray[np.floating[Any]], step: float) -> NDArray[np.int16]:
     """Return values as multiples of the step; values that are too large are clipped, NaN is `NOT_A_NUMBER`."""
     rounded = np.clip(np.round(values / step), -MAX_INT16, MAX_INT16)
     return np.where(np.isfinite(rounded), rounded, NOT_A_NUMBER).astype(np.int16)

@@ -21,8 +21,14 @@
   const IMAGE_S = 1; // s; without an image for longer, none is shown
   const READ_AHEAD = 4; // images that are decoded before they are shown
   const KEPT_IMAGES = 24; // decoded images; more would only take memory
+  const LIVE_FRAMES = 900; // of a live scene that are kept at least, 30 s at 30 Hz; at most twice as many
+  const LIVE_PEOPLE = 60; // people in one image of a live scene at most
+  const LIVE_TRAIL = 120; // frames of a trail of a live scene at most
+  const CURVES_S = 1; // s between two drawings of the curves of a live scene
+  const RETRY_MS = 1000; // ms after which a page asks again for frames
   const NAME_STEPS = 8; // heights of a line by which a name moves up at most, out of the way of others
-  const SLOW_FRAME_MS = 30; // ms; a slower picture lowers the resolution, so that 30 pictures a second remain
+  const SLOW_FRAME_MS = 30; // ms; slower pictures lower the resolution, so that 30 pictures a second remain
+  const VERY_SLOW_FRAME_MS = 100; // ms; pictures that are slower than this lower it sooner
   const MOTION_NAMES = ['unknown', 'periodic', 'not periodic'];
   const MOTION_COLOURS = ['#dddddd', '#8fbf8f', '#b9a3d0'];
   const $ = (id) => document.getElementById(id);
@@ -78,6 +84,86 @@
     return scene;
   }
 
+  // A scene whose frames come from the server, as arrays of the same form that grow, and lose their oldest half.
+  class LiveScene {
+    constructor(scene) {
+      Object.assign(this, scene, { palette: scene.people, count: 0 });
+      this.clear();
+    }
+
+    clear() { Object.assign(this, { people: [], seconds: [], frameCount: 0, keypoints: [], startMs: null }); }
+
+    find(id) {
+      let person = this.people.find((other) => other.id === id);
+      if (!person) {
+        const { colour, jointColours, boneColours, arrays } = this.palette[this.count++ % this.palette.length];
+        person = { id, colour, jointColours, boneColours, rowOfFrame: new Array(this.frameCount - 1).fill(-1) };
+        for (const name of Object.keys(arrays)) person[name] = [];
+        this.people.push(person);
+      }
+      return person;
+    }
+
+    // Add a frame of the server; return how many of the oldest were removed.
+    add({ stampMs, ids, people, keypoints, camera, toLevel, floorY }) {
+      if (stampMs <= this.startMs + 1000 * this.seconds[this.frameCount - 1]) this.clear(); // the clock was put back
+      this.startMs ??= stampMs;
+      const frame = this.frameCount++;
+      this.seconds.push((stampMs - this.startMs) / 1000);
+      Object.assign(this, { camera, toLevel, floorY });
+      ids.forEach((id, i) => {
+        const person = this.find(id);
+        person.rowOfFrame.push(person.frames.length);
+        person.frames.push(frame);
+        for (const name of Object.keys(people)) if (name !== 'frames') person[name].push(...people[name][i]);
+      });
+      for (const person of this.people) if (person.rowOfFrame.length <= frame) person.rowOfFrame.push(-1);
+      for (const { names, bones, points } of keypoints) {
+        let input = this.keypoints.find((other) => other.names.join() === names.join());
+        if (!input) this.keypoints.push(input = { names, bones, frames: [], points: [] });
+        input.frames.push(frame);
+        input.points.push(...points);
+      }
+      return this.frameCount > 2 * LIVE_FRAMES ? this.forget(LIVE_FRAMES) : 0;
+    }
+
+    forget(count) {
+      this.seconds.splice(0, count);
+      this.frameCount -= count;
+      const shorten = (rows, arrays) => {
+        const gone = findLast(rows.frames, count - 1) + 1;
+        const total = rows.frames.length;
+        for (const name of arrays) rows[name].splice(0, rows[name].length / total * gone);
+        rows.frames = rows.frames.map((frame) => frame - count);
+        return gone;
+      };
+      for (const person of this.people) {
+        const gone = shorten(person, Object.keys(this.palette[0].arrays));
+        person.rowOfFrame = person.rowOfFrame.slice(count).map((row) => Math.max(row - gone, -1));
+      }
+      for (const input of this.keypoints) shorten(input, ['points', 'frames']);
+      this.people = this.people.filter((person) => person.frames.length);
+      return count;
+    }
+
+    // Ask the server for frames, for ever; it answers with the newest one that is not the last.
+    async receive(onFrame) {
+      for (let after = 0; ;) {
+        try {
+          const answer = await fetch(`frame?after=${after}`);
+          if (answer.status !== 200) continue;
+          const frame = await answer.json();
+          if (frame.skeleton.join() !== this.joints.join()) return location.reload();
+          after = frame.number;
+          onFrame(frame);
+        } catch (error) {
+          onFrame(null);
+          await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
+        }
+      }
+    }
+  }
+
   // The row of a person in each frame, -1 where there is none. In frames that the tracker skipped it is the one before.
   function findRows(seconds, frames) {
     const rows = new Int32Array(seconds.length).fill(-1);
@@ -99,6 +185,13 @@
     return low - 1;
   }
 
+  // Whether the processor draws in place of a graphics card, which makes smooth edges slow.
+  function isDrawnInSoftware() {
+    const context = document.createElement('canvas').getContext('webgl2');
+    const names = context?.getExtension('WEBGL_debug_renderer_info');
+    return /swiftshader|llvmpipe|software/i.test(names ? context.getParameter(names.UNMASKED_RENDERER_WEBGL) : '');
+  }
+
   // ---- 3D ---------------------------------------------------------------------------------------------------------
 
   class SpaceView {
@@ -106,46 +199,48 @@
       this.scene = scene;
       this.canvas = $('space-view');
       this.ratio = Math.min(window.devicePixelRatio, MAX_RATIO);
-      this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: true, preserveDrawingBuffer: true });
+      const antialias = !isDrawnInSoftware();
+      this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias, preserveDrawingBuffer: true });
       this.renderer.setClearColor('#fbfbfb');
       this.camera = new THREE.PerspectiveCamera(40, 1, 0.05, 500);
       this.controls = new THREE.OrbitControls(this.camera, this.canvas);
       this.controls.addEventListener('change', onChange);
+      this.controls.addEventListener('start', () => { this.view = null; }); // of the user's own
       this.space = new THREE.Scene();
       this.space.add(new THREE.HemisphereLight('#ffffff', '#9a9a9a', 2.6));
       const sun = new THREE.DirectionalLight('#ffffff', 1.4);
       sun.position.set(2, 5, 3);
       this.space.add(sun);
       this.world = new THREE.Group();
-      const turn = new THREE.Matrix4().set(...scene.toLevel[0], 0, ...scene.toLevel[1], 0, ...scene.toLevel[2], 0, 0, 0, 0, 1);
-      const flip = new THREE.Matrix4().makeRotationX(Math.PI); // y down, z forward: to y up, z backward
-      this.world.quaternion.setFromRotationMatrix(flip.multiply(turn));
-      this.world.updateMatrixWorld();
-      this.space.add(this.world);
-      this.addFloorAndCamera();
+      this.grid = new THREE.GridHelper(20, 20, '#bbbbbb', '#e2e2e2');
+      this.frustum = new THREE.BufferGeometry();
+      this.space.add(this.world, this.grid);
+      this.world.add(new THREE.LineSegments(this.frustum, new THREE.LineBasicMaterial({ color: '#666666' })));
+      this.placeFloorAndCamera();
       this.addPeople();
       this.labels = [];
       this.mean = new THREE.Vector3();
       this.hasMean = false;
     }
 
-    addFloorAndCamera() {
-      const { floorY, camera, centre } = this.scene;
-      const grid = new THREE.GridHelper(20, 20, '#bbbbbb', '#e2e2e2');
-      grid.position.copy(this.toSpace(new THREE.Vector3(...centre))).setX(0).setY(-floorY);
-      this.space.add(grid);
+    placeFloorAndCamera() {
+      const { floorY, camera, centre, toLevel, isLive } = this.scene;
+      const turn = new THREE.Matrix4().set(...toLevel[0], 0, ...toLevel[1], 0, ...toLevel[2], 0, 0, 0, 0, 1);
+      const flip = new THREE.Matrix4().makeRotationX(Math.PI); // y down, z forward: to y up, z backward
+      this.world.quaternion.setFromRotationMatrix(flip.multiply(turn));
+      this.world.updateMatrixWorld();
+      const middle = isLive && this.hasMean ? this.mean.clone() : new THREE.Vector3(...centre);
+      this.grid.position.copy(this.toSpace(middle)).round().setY(-floorY);
       const corners = camera.corners.flatMap((corner, i) => {
         const next = camera.corners[(i + 1) % 4];
         return [[0, 0, 0], corner, corner, next];
       });
-      const frustum = new THREE.BufferGeometry();
-      frustum.setAttribute('position', new THREE.BufferAttribute(new Float32Array(corners.flat()), 3));
-      this.world.add(new THREE.LineSegments(frustum, new THREE.LineBasicMaterial({ color: '#666666' })));
+      this.frustum.setAttribute('position', new THREE.BufferAttribute(new Float32Array(corners.flat()), 3));
     }
 
     addPeople() {
       const { people, bones, joints, truth, seconds } = this.scene;
-      const count = Math.max(people.length, 1);
+      const count = this.scene.isLive ? LIVE_PEOPLE : Math.max(people.length, 1);
       const lit = () => new THREE.MeshLambertMaterial();
       const make = (geometry, material, n) => {
         const mesh = new THREE.InstancedMesh(geometry, material, n);
@@ -162,7 +257,7 @@
       const grey = new THREE.MeshLambertMaterial();
       this.truth = truth ? make(new THREE.CylinderGeometry(1, 1, 1, 5, 1, true), grey, bones.length) : null;
       const trails = new THREE.BufferGeometry();
-      const longest = seconds.reduce(
+      const longest = this.scene.isLive ? LIVE_TRAIL : seconds.reduce(
         (most, second, frame) => Math.max(most, frame - Math.max(findLast(seconds, second - TRAIL_S), 0)), 0);
       this.trailSize = 2 * count * Math.max(longest, 1); // points of all trails together; two for each step of a person
       trails.setAttribute('position', new THREE.BufferAttribute(new Float32Array(this.trailSize * 3), 3));
@@ -306,6 +401,7 @@
     }
 
     choose(view) {
+      this.view = view;
       const target = this.target();
       const radius = $('follow').checked && this.hasMean ? this.radius : this.scene.extent / 2;
       const distance = 2.2 * radius + 2.2;
@@ -440,6 +536,11 @@
       this.images = scene.images && new Images(scene.images, $('images').textContent.trim(), onChange);
       this.shown = -1; // the frame that is drawn
       this.canvas = $('image-view');
+      this.explain();
+    }
+
+    explain() {
+      const { scene } = this;
       $('image-caption').textContent = scene.keypoints.length
         ? '2D input (black) and the 3D result in the image (colours)' : 'the 3D result in the image; the input is not known';
       if (scene.camera.isNominal) {
@@ -530,7 +631,20 @@
     constructor(scene, goTo) {
       this.scene = scene;
       this.canvas = $('curves-view');
-      this.end = Math.max(scene.seconds[scene.frameCount - 1], 1e-3);
+      const drag = (event) => {
+        if (!(event.buttons & 1)) return;
+        const share = (event.offsetX - LEFT) / (this.canvas.clientWidth - LEFT - RIGHT);
+        goTo(this.begin + Math.min(Math.max(share, 0), 1) * (this.end - this.begin));
+      };
+      this.canvas.addEventListener('pointerdown', drag);
+      this.canvas.addEventListener('pointermove', drag);
+      this.layOut();
+    }
+
+    layOut() {
+      const { scene } = this;
+      this.begin = scene.seconds[0] ?? 0;
+      this.end = Math.max(scene.seconds[scene.frameCount - 1] ?? 0, this.begin + 1e-3);
       // What is known of nobody is left out.
       const isKnown = (key) => scene.people.some((person) => person[key].some((value) => value !== NOT_A_NUMBER));
       this.curves = [['residual, px', 'residual', scene.residualPerStep, 46], ['cadence, Hz', 'cadence', scene.cadencePerStep, 30]]
@@ -542,18 +656,14 @@
       this.laneTop = TOP + this.curves.reduce((sum, [, , , height]) => sum + height + CURVE_GAP, 0);
       this.axisTop = this.laneTop + LANE * this.lanes.length;
       $('curves').style.height = `${this.axisTop + AXIS}px`;
-      const drag = (event) => {
-        if (!(event.buttons & 1)) return;
-        const share = (event.offsetX - LEFT) / (this.canvas.clientWidth - LEFT - RIGHT);
-        goTo(Math.min(Math.max(share, 0), 1) * this.end);
-      };
-      this.canvas.addEventListener('pointerdown', drag);
-      this.canvas.addEventListener('pointermove', drag);
     }
 
-    xOf(seconds) { return LEFT + seconds / this.end * (this.canvas.clientWidth - LEFT - RIGHT); }
+    xOf(seconds) {
+      return LEFT + (seconds - this.begin) / (this.end - this.begin) * (this.canvas.clientWidth - LEFT - RIGHT);
+    }
 
     resize() {
+      this.layOut();
       const context = fitCanvas(this.canvas);
       const { scene } = this;
       const width = this.canvas.clientWidth;
@@ -599,9 +709,9 @@
     drawAxis(context, width, y) {
       const target = (width - LEFT - RIGHT) / 90;
       const steps = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 3600];
-      const step = steps.find((s) => this.end / s <= target) || 7200;
+      const step = steps.find((s) => (this.end - this.begin) / s <= target) || 7200;
       context.textAlign = 'center';
-      for (let t = 0; t <= this.end; t += step) {
+      for (let t = Math.ceil(this.begin / step) * step; t <= this.end; t += step) {
         const x = this.xOf(t);
         context.strokeStyle = '#eeeeee';
         context.beginPath(); context.moveTo(x, 4); context.lineTo(x, y - 4); context.stroke();
@@ -690,7 +800,8 @@
 
   async function start() {
     if (!window.DecompressionStream) return fail('This browser is too old for this page; any of 2023 or later opens it.');
-    const scene = readScene(await inflate($('data').textContent.trim()));
+    const read = readScene(await inflate($('data').textContent.trim()));
+    const scene = read.isLive ? new LiveScene(read) : read;
     let frame = 0;
     let seconds = 0;
     let isPlaying = false;
@@ -708,7 +819,7 @@
     const image = new ImageView(scene, refresh);
     const goTo = (time) => {
       if (Math.abs(time - seconds) > JUMP_S) hasJumped = true;
-      seconds = Math.min(Math.max(time, 0), scene.seconds[scene.frameCount - 1]);
+      seconds = Math.min(Math.max(time, scene.seconds[0] ?? 0), scene.seconds[scene.frameCount - 1] ?? 0);
       frame = Math.max(findLast(scene.seconds, seconds + 1e-6), 0);
       isStale = true;
     };
@@ -722,29 +833,59 @@
       $('colours').append(' ');
     }
     $('time').max = scene.frameCount - 1;
-    $('clouds').parentElement.hidden = !scene.people.some((person) => person.std.some((std) => std !== 255));
+    $('clouds').parentElement.hidden = !scene.isLive && !scene.people.some((person) => person.std.some((std) => std !== 255));
 
     const show = () => {
+      if (!scene.frameCount) return;
       space.update(frame);
       image.update(frame);
       curves.update(seconds);
       $('time').value = frame;
-      $('clock').textContent = `${seconds.toFixed(2)} s (${frame + 1} / ${scene.frameCount})`;
+      $('clock').textContent = scene.isLive ? `${seconds.toFixed(2)} s${isPlaying ? ', live' : ''}`
+        : `${seconds.toFixed(2)} s (${frame + 1} / ${scene.frameCount})`;
     };
     const setPlaying = (value) => {
       isPlaying = value;
       $('play').innerHTML = value ? '&#10074;&#10074;' : '&#9654;';
-      if (value && frame === scene.frameCount - 1) goTo(0);
+      if (value && (scene.isLive || frame === scene.frameCount - 1)) goTo(scene.isLive ? Infinity : 0);
+    };
+    let isNew = false; // whether the newest frame of a live scene has not been drawn
+    let mostPeople = 0;
+    let curvesMs = -Infinity; // when the curves of a live scene were drawn
+    const delays = []; // ms from the stamp to the picture, of the frames of a live scene that were drawn
+    const takeFrame = (received) => {
+      $('title').textContent = received ? scene.title : `${scene.title}: not connected`;
+      if (!received) return;
+      const isFirst = !scene.frameCount;
+      const removed = scene.add(received);
+      $('time').max = scene.frameCount - 1;
+      space.placeFloorAndCamera();
+      goTo(isPlaying ? Infinity : seconds);
+      isNew = true;
+      if (isFirst || (received.ids.length > mostPeople && space.view)) { // all are in sight
+        space.update(frame);
+        space.choose(space.view ?? 'free');
+        mostPeople = received.ids.length;
+      }
+      if (removed || performance.now() - curvesMs > CURVES_S * 1000) {
+        curvesMs = performance.now();
+        image.explain();
+        const height = $('curves').clientHeight;
+        curves.resize();
+        if ($('curves').clientHeight !== height) resize();
+      }
     };
     const tick = (now) => {
       const elapsed = now - before;
       before = now;
-      if (isPlaying) {
+      if (isPlaying && !scene.isLive) {
         const end = scene.seconds[scene.frameCount - 1];
         const next = seconds + Math.min(elapsed, 500) / 1000 * Number($('speed').value);
         goTo(next > end ? 0 : next); // starts again, as an animation does
+      }
+      if (isPlaying) {
         slowFrames = elapsed > SLOW_FRAME_MS ? slowFrames + 1 : 0;
-        if (slowFrames > 10) { space.lowerResolution(); slowFrames = 0; }
+        if (slowFrames > (elapsed > VERY_SLOW_FRAME_MS ? 2 : 10)) { space.lowerResolution(); slowFrames = 0; }
       }
       if (isStale) {
         show();
@@ -752,6 +893,11 @@
         hasJumped = false;
         space.draw(frame);
         pictures++;
+        if (isNew && isPlaying) {
+          delays.push(performance.timeOrigin + performance.now() - scene.startMs - 1000 * scene.seconds[frame]);
+          if (delays.length > LIVE_FRAMES) delays.shift();
+        }
+        isNew = false;
       }
       requestAnimationFrame(tick);
     };
@@ -772,9 +918,14 @@
       event.preventDefault();
     });
     resize();
-    goTo(findFirstCertainTime(scene));
-    space.update(frame);
-    space.choose('free');
+    $('speed').hidden = scene.isLive;
+    if (scene.isLive) {
+      scene.receive(takeFrame);
+    } else {
+      goTo(findFirstCertainTime(scene));
+      space.update(frame);
+      space.choose('free');
+    }
     requestAnimationFrame(tick);
 
     // For tests and for pictures of the page.
@@ -785,6 +936,7 @@
       view: (name) => { space.choose(name); refresh(); },
       pictures: () => pictures,
       pixelRatio: () => space.ratio,
+      delays: () => delays,
       imageFrame: () => image.shown,
       target: () => space.controls.target.toArray(),
       // Draw the frame at this time at once; return what was drawn.

@@ -1,0 +1,134 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The node of `mocap-ros view --live`: what the running node publishes, in pages of browsers on this machine."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+
+import numpy as np
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from mocap_ros.config import NodeConfig
+from mocap_ros.errors import ConfigError, InputError
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.image_size import resolve_image_size
+from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, decode_camera_info
+from mocap_ros.messages.keypoints import KEYPOINTS, KeypointsFrame, decode_keypoints
+from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
+from mocap_ros.ros.message_types import MessageVersions
+from mocap_ros.ros.topics import subscribe
+from mocap_ros.runtime.load_scene import PERSON_FIELDS, average_core, recover_intrinsics
+from mocap_ros.skeleton import BODY26, skeleton_from_joints
+from mocap_ros.viewing.live_page import LiveScene, PageServer, make_person
+from mocap_ros.viewing.scene import ScenePerson
+
+# Only the newest messages count: a page that is late must not fall behind.
+NEWEST_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+KEYPOINTS_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+WAITING_KEYPOINTS = 30  # messages that wait for the skeletons of their stamp: 1 s at 30 Hz
+
+
+class LiveView(Node):
+    """Node that puts the newest skeletons, with the keypoints of their image, into a live scene."""
+
+    def __init__(self, scene: LiveScene, namespace: str) -> None:
+        super().__init__('mocap_view', namespace=namespace)
+        self._scene, self._versions, self._limits = scene, MessageVersions(), NodeConfig()
+        self._keypoints: OrderedDict[int, KeypointsFrame] = OrderedDict()  # by stamp in ns
+        self._camera: CameraInfo | None = None
+        self._size = (640, 480)
+        for topic, msgtype, take, qos in (
+            ('skeletons', SKELETONS, self._take_skeletons, NEWEST_QOS),
+            ('keypoints', KEYPOINTS, self._take_keypoints, KEYPOINTS_QOS),
+            ('camera_info', CAMERA_INFO, self._take_camera, NEWEST_QOS),
+        ):
+            self._subscribe(topic, msgtype, take, qos)
+
+    def _subscribe(self, topic: str, msgtype: str, take: Callable[[bytes], None], qos: QoSProfile) -> None:
+        self._versions.add_input(msgtype)
+
+        def read(raw: bytes) -> None:
+            try:
+                take(self._versions.read(msgtype, raw))
+            except InputError as error:
+                self.get_logger().warning(f'{topic}: {error}', throttle_duration_sec=10.0)
+
+        subscribe(self, msgtype, topic, read, qos)
+
+    def _take_camera(self, raw: bytes) -> None:
+        self._camera = decode_camera_info(raw)
+
+    def _take_keypoints(self, raw: bytes) -> None:
+        if self._scene.is_viewed:
+            frame = decode_keypoints(raw, self._limits)
+            self._keypoints[frame.header.stamp_ns] = frame
+            if len(self._keypoints) > WAITING_KEYPOINTS:
+                self._keypoints.popitem(last=False)
+
+    def _take_skeletons(self, raw: bytes) -> None:
+        if not self._scene.is_viewed:
+            return
+        array = decode_skeletons(raw)
+        frame = self._keypoints.get(array.stamp_ns)
+        skeleton = array.people[0].skeleton if array.people else BODY26
+        if self._camera is not None:
+            intrinsics, self._size = self._camera.intrinsics, self._camera.size
+        elif array.people:
+            joints, scale, translation = (
+                np.array([getattr(p, n) for p in array.people]) for n in ('joints', 'scale', 'translation')
+            )
+            intrinsics, self._size = recover_intrinsics(average_core(joints, skeleton), scale, translation)
+        else:
+            intrinsics = Intrinsics.from_image_size(*self._size, 1.0)
+        if frame is not None:
+            self._size = resolve_image_size(stated=(frame.image_width, frame.image_height), configured=self._size)
+        people = make_person('', len(skeleton.joints), intrinsics)
+        if array.people:
+            people = ScenePerson(
+                id='',
+                frames=np.arange(len(array.people)),
+                intrinsics=intrinsics,
+                **{
+                    name: np.array([getattr(p, name) for p in array.people], t)
+                    for name, t in PERSON_FIELDS.items()
+                },
+            )
+        found = [] if frame is None else frame.people
+        self._scene.publish(
+            array.stamp_ns,
+            [person.id for person in array.people],
+            people,
+            [(skeleton_from_joints(p.joints), np.where(p.score[:, None] > 0, p.points, np.nan)) for p in found],
+            self._size,
+            array.vertical,
+            skeleton,
+        )
+
+
+def serve(port: int, namespace: str, announce: Callable[[str], None]) -> None:
+    """Serve the page of the topics in a namespace until interrupted; `announce` gets the line with the address.
+
+    Raises:
+        MocapError: the port is taken, the namespace is not valid, or a message type is not installed.
+    """
+    scene = LiveScene('Live')
+    rclpy.init(args=[])
+    try:
+        try:
+            node = LiveView(scene, namespace)
+        except rclpy.exceptions.InvalidNamespaceException as error:
+            raise ConfigError(f'--live {namespace}: {str(error).splitlines()[0]}') from None
+        with PageServer(scene, port) as server:
+            topic = node.resolve_topic_name('skeletons')
+            announce(f'{server.address} shows {topic} in any browser of this machine; Ctrl-C ends')
+            rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass  # the only way to end it
+    finally:
+        rclpy.try_shutdown()

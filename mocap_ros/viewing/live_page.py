@@ -1,0 +1,220 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Serve the page of a live scene to browsers on this machine.
+
+A browser asks for the frame after the one that it has, and gets the newest as soon as there is one. So a slow one
+leaves frames out, and none is ever late.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.errors import MocapError
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.level import average_vertical
+from mocap_ros.skeleton import BODY26, Skeleton
+from mocap_ros.viewing.page import LIVE_STEPS, build_page, describe_camera, pack_person, round_to_int16
+from mocap_ros.viewing.scene import PERSON_COLOURS, Scene, ScenePerson
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+HOST = '127.0.0.1'
+WAIT_S = 5.0  # s; a request without a new frame is answered after it
+VIEWED_S = 10.0  # s; without a request for longer, there is no browser
+LEVEL_STEP = 10  # frames; in every tenth one the floor and the vertical are found
+LEVEL_FRAMES = 30  # of these frames, from which they are found: 10 s at 30 Hz
+
+
+class LiveScene:
+    """The newest frame of a live scene as JSON, for any number of threads that wait for it."""
+
+    def __init__(self, title: str) -> None:
+        self._title, self._number, self._frame, self._asked_s = title, 0, b'', -VIEWED_S
+        self._changed = threading.Condition()
+        self._skeleton = BODY26
+        self._verticals: deque[NDArray[np.float64]] = deque(maxlen=LEVEL_FRAMES)
+        self._people: deque[ScenePerson] = deque(maxlen=LEVEL_FRAMES)
+        self._level: dict[str, Any] = {}
+
+    @property
+    def is_viewed(self) -> bool:
+        """Whether a browser has asked lately; if not, frames need not be made."""
+        return time.monotonic() - self._asked_s < VIEWED_S
+
+    def build_page(self) -> str:
+        """Return the page, which asks for the frames."""
+        size = 640, 480  # px; the frames have their own
+        intrinsics = Intrinsics.from_image_size(*size, 1.0)
+        empty = make_person('', len(self._skeleton.joints), intrinsics)
+        people = (empty,) * len(PERSON_COLOURS)
+        scene = Scene(self._title, [0], people, (), size, intrinsics, skeleton=self._skeleton)
+        return build_page(scene, is_live=True)
+
+    def publish(
+        self,
+        stamp_ns: int,
+        ids: Sequence[str],
+        people: ScenePerson,
+        keypoints: Sequence[tuple[Skeleton, NDArray[np.float64]]],
+        image_size: tuple[int, int],
+        vertical: NDArray[np.float64],
+        skeleton: Skeleton,
+    ) -> None:
+        """Put the next frame in place of the last one.
+
+        Args:
+            stamp_ns: stamp of the image.
+            ids: (P,) of the people.
+            people: the people of this frame as the frames of one person.
+            keypoints: layout and points (Jk, 2) in px of each detection.
+            image_size: (width, height) in px.
+            vertical: (3,) upwards in the camera's optical frame; NaN where it is not known.
+            skeleton: skeleton of the people.
+        """
+        self._skeleton = skeleton if ids else self._skeleton
+        if self._number % LEVEL_STEP == 0 or not self._people:
+            self._find_level(people, vertical)
+        arrays = pack_person(people, np.zeros(len(ids), bool), LIVE_STEPS)
+        frame = {
+            'stampMs': stamp_ns / 1e6,
+            'skeleton': self._skeleton.joints,
+            'ids': ids,
+            'people': {name: array.reshape(len(ids), -1).tolist() for name, array in arrays.items()},
+            'keypoints': [
+                {
+                    'names': layout.joints,
+                    'bones': layout.bones,
+                    'points': round_to_int16(points, LIVE_STEPS.pixel).ravel().tolist(),
+                }
+                for layout, points in keypoints
+            ],
+            'camera': describe_camera(image_size, people.intrinsics),
+            **self._level,
+        }
+        with self._changed:
+            self._number += 1
+            self._frame = json.dumps({'number': self._number, **frame}, separators=(',', ':')).encode()
+            self._changed.notify_all()
+
+    def _find_level(self, people: ScenePerson, vertical: NDArray[np.float64]) -> None:
+        """Find the vertical and the floor, to which a frame contributes."""
+        if np.linalg.norm(vertical) > 0:
+            self._verticals.append(vertical)
+        if len(people.frames):
+            self._people.append(people)
+        known = average_vertical(np.array(self._verticals)) if self._verticals else np.full(3, np.nan)
+        intrinsics = people.intrinsics
+        scene = Scene(
+            '', [0], tuple(self._people), (), (1, 1), intrinsics, skeleton=self._skeleton, vertical=known
+        )
+        self._level = {'toLevel': scene.to_level.tolist(), 'floorY': scene.floor_y}
+
+    def wait(self, number: int) -> bytes:
+        """Return the newest frame when there is one with another number; empty if there is none for `WAIT_S`."""
+        self._asked_s = time.monotonic()
+        with self._changed:
+            self._changed.wait_for(lambda: self._number != number and self._frame, WAIT_S)
+            return b'' if self._number == number else self._frame
+
+
+def make_person(person_id: str, joint_count: int, intrinsics: Intrinsics, frames: int = 0) -> ScenePerson:
+    """Return a person of whom nothing is known in some frames."""
+    shape = frames, joint_count
+    unknown = np.full(frames, np.nan, np.float32)
+    return ScenePerson(
+        id=person_id,
+        frames=np.arange(frames),
+        joints=np.full((*shape, 3), np.nan, np.float32),
+        std=np.full(shape, np.nan, np.float32),
+        inferred=np.zeros(shape, bool),
+        intrinsics=intrinsics,
+        residual=unknown,
+        cadence=unknown,
+        motion=np.zeros(frames, np.uint8),
+        predicted=np.zeros(frames, bool),
+        tentative=np.zeros(frames, bool),
+    )
+
+
+class PageServer(ThreadingHTTPServer):
+    """Server of a live scene on 127.0.0.1, in threads of its own; a context manager that ends it.
+
+    Attributes:
+        address: the address of the page.
+
+    Raises:
+        MocapError: the port is taken.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, scene: LiveScene, port: int) -> None:
+        self.scene = scene
+        try:
+            super().__init__((HOST, port), _Handler)
+        except OSError as error:
+            raise MocapError(f'--port {port}: {error.strerror}; choose another') from None
+        port = self.server_address[1]
+        self.hosts = {f'{HOST}:{port}', f'localhost:{port}'}
+        self.address = f'http://{HOST}:{port}/'
+        self._thread = threading.Thread(target=self.serve_forever, name='page', daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.shutdown()
+        self.server_close()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Ignore a browser that has gone."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Answers `/` with the page and `/frame?after=N` with the newest frame."""
+
+    server: PageServer
+    protocol_version = 'HTTP/1.1'
+    disable_nagle_algorithm = True
+
+    def do_GET(self) -> None:
+        """Answer a request from this machine; other names of it, and other pages, are refused."""
+        origin = self.headers.get('Origin')
+        if self.headers.get('Host') not in self.server.hosts or (
+            origin is not None and origin.removeprefix('http://') not in self.server.hosts
+        ):
+            return self._answer(403, 'text/plain', b'only for pages of this server')
+        url = urlsplit(self.path)
+        if url.path == '/':
+            return self._answer(200, 'text/html; charset=utf-8', self.server.scene.build_page().encode())
+        number = parse_qs(url.query).get('after', [''])[0]
+        if url.path == '/frame' and number.isdecimal() and number.isascii():
+            frame = self.server.scene.wait(int(number[:18]))
+            return self._answer(200 if frame else 204, 'application/json', frame)
+        return self._answer(404, 'text/plain', b'not found')
+
+    def _answer(self, status: int, kind: str, content: bytes) -> None:
+        self.send_response(status)
+        self.send_header('Content-Type', kind)
+        self.send_header('Content-Length', str(len(content)))
+        self.send_header('Cache-Control', 'no-store')
+        self.send_header('X-Content-Type-Options', 'nosniff')
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, *_: object) -> None:
+        """Log nothing."""
