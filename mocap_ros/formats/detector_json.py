@@ -50,7 +50,10 @@ ID_KEYS = ('track_id', 'idx', 'person_id')  # keys of the id that a tracker give
 SCORE_KEYS = ('score', 'bbox_score', 'confidence')  # keys of the score of a person
 LIST_KEYS = ('annotations', 'instance_info', 'predictions')  # keys of the list of people or frames
 PEOPLE_KEYS = ('people', 'instances', 'bodies', 'instance_info', 'predictions')  # of the people of one frame
-NAME_KEYS = ('keypoint_names', 'joint_names', 'keypoint_id2name', 'skeleton')  # keys of the names of the joints
+# Keys of the names of the joints: in any mapping, in the `meta_info` of MMPose, and of easy_ViTPose
+NAME_KEYS = (
+    'keypoint_names', 'joint_names', 'keypoint_id2name', 'keypoint_name2id', 'keypoint_info', 'skeleton',
+)  # fmt: skip
 PERSON_CLASS, PERSON_ID = 'person', 1  # name and id of people among the categories of COCO
 LANDMARK_KEYS = ('pose_landmarks', 'landmarks', 'pose_world_landmarks')  # of MediaPipe
 EXPECTED_KEYPOINTS = 'keypoints: expected x, y, score of every joint'
@@ -390,7 +393,10 @@ def _read_names(names: Any) -> Names:
     """Return the names of joints that are listed, or mapped from their indices; empty if these are no names."""
     if isinstance(names, dict):
         with naming('names of the keypoints', 'expected a name for each index'):
+            if all(isinstance(index, int) for index in names.values()):  # keypoint_name2id
+                names = dict(zip(names.values(), names, strict=True))
             names = [names[key] for key in sorted(names, key=int)]
+            names = [name['name'] if isinstance(name, dict) else name for name in names]  # keypoint_info
     is_list = isinstance(names, list) and all(isinstance(name, str) for name in names)
     return detector_joint_names(names) if is_list else ()
 

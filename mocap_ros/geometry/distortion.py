@@ -33,7 +33,8 @@ COEFFICIENT_COUNTS = {'plumb_bob': (4, 5), 'rational_polynomial': (8,), 'equidis
 
 # Other names of the models, without regard to case and separators.
 MODEL_BY_SYNONYM = {
-    'plumbbob': 'plumb_bob', 'radtan': 'plumb_bob', 'radialtangential': 'plumb_bob', 'brownconrady': 'plumb_bob',
+    '': 'plumb_bob', 'plumbbob': 'plumb_bob', 'radtan': 'plumb_bob',
+    'radialtangential': 'plumb_bob', 'brownconrady': 'plumb_bob',
     'opencv': 'plumb_bob', 'rational': 'rational_polynomial', 'rationalpolynomial': 'rational_polynomial',
     'equidistant': 'equidistant', 'equidist': 'equidistant', 'fisheye': 'equidistant',
     'opencvfisheye': 'equidistant', 'kannalabrandt': 'equidistant', 'kannalabrandt4': 'equidistant',

@@ -17,8 +17,6 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader
 
-from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.topics import find_people_topics
 from mocap_ros.config import RecorderConfig
 from mocap_ros.messages.cdr import DEFINITIONS_DISTRO, decode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS
@@ -89,17 +87,6 @@ def test_mcap_ros2_decodes_the_messages(recorded: tuple[Path, list[Message]]) ->
         assert time_ns == log_time_ns
         assert decoded.header.stamp.nanosec == expected.header.stamp.nanosec
         np.testing.assert_array_equal(decoded.people[0].x, expected.people[0].x)
-
-
-def test_our_reader_returns_the_recorded_messages(recorded: tuple[Path, list[Message]]) -> None:
-    folder, written = recorded
-    with Bag(folder) as bag:
-        (topic,) = find_people_topics(bag)
-        read = list(bag.messages([topic]))
-        assert bag.count([topic]) == FRAMES
-    expected = [(topic, log_time_ns, data) for topic, log_time_ns, _, data in written[1:]]
-    assert [(m.topic, m.time_ns, m.raw) for m in read] == expected
-    assert {m.type for m in read} == {KEYPOINTS}
 
 
 def read_ros_distro(folder: Path) -> str:

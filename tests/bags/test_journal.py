@@ -42,24 +42,6 @@ def test_journal_entries_round_trip() -> None:
         assert decode_entry(encode_entry(entry)) == entry
 
 
-def test_inputs_are_numbered_and_resets_refer_to_the_last_input(tmp_path: Path) -> None:
-    journal = Journal('/mocap_node/journal')
-    raw, late = make_keypoints(0), START_NS + 2
-    records = [
-        *journal.make_input_records('/keypoints', KEYPOINTS, raw, (START_NS, START_NS), Verdict.ACCEPTED),
-        journal.make_reset_record(START_NS + 1),
-        *journal.make_input_records('/keypoints', KEYPOINTS, b'bad', (late, START_NS), Verdict.INVALID, 'bad'),
-    ]
-    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        for record in records:
-            recorder.write(*record)
-    with Bag(tmp_path / 'bag') as bag:
-        entries = [decode_entry(m.raw) for m in bag.messages(['/mocap_node/journal'])]
-    assert [(e.kind, e.number, e.verdict.name) for e in entries] == [
-        ('input', 1, 'ACCEPTED'), ('reset', 1, 'ACCEPTED'), ('input', 2, 'INVALID'),
-    ]  # fmt: skip
-
-
 def record_split_run(folder: Path) -> Path:
     """Record a run of three files, whose CameraInfo is latched, so that each further file repeats it."""
     journal, seconds = Journal('/mocap_node/journal'), FRAMES_A_FILE * STEP_NS / 1e9
@@ -122,21 +104,6 @@ def test_a_further_file_alone_has_its_inputs_after_the_repeated_ones(tmp_path: P
         run, inputs = read_run(bag), number_inputs(bag)
     ((last_before_reset, (event,)),) = run.events.items()
     assert (event.kind, inputs[last_before_reset].raw) == ('reset', make_keypoints(RESET_AFTER + 1))
-
-
-def test_an_entry_whose_input_is_in_the_file_before_has_no_number(tmp_path: Path) -> None:
-    journal = Journal('/mocap_node/journal')
-    _, second, third = (
-        journal.make_input_records('/keypoints', KEYPOINTS, b'', (START_NS + i, START_NS), verdict)
-        for i, verdict in enumerate((Verdict.ACCEPTED, Verdict.BACKLOG, Verdict.ACCEPTED))
-    )
-    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
-        for record in (second[1], *third, journal.make_reset_record(START_NS + 3)):
-            recorder.write(*record)
-    with Bag(tmp_path / 'bag') as bag:
-        run = read_run(bag)
-    assert run.skipped_inputs == set()
-    assert list(run.events) == [1]
 
 
 def test_a_further_file_alone_has_the_transforms_of_every_publisher(tmp_path: Path) -> None:

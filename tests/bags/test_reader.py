@@ -26,17 +26,8 @@ from mocap_ros.messages.foreign_types import YOLO_DETECTIONS
 from mocap_ros.messages.input_types import decode_frame
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.versions import make_converter
-from tests.support.bag_writing import FRAMES, START_NS, make_keypoints, write_bag
+from tests.support.bag_writing import START_NS, make_keypoints, write_bag
 from tests.support.foreign_messages import IMAGE_SIZE, LIMITS, encode_yolo
-
-
-def test_a_bag_without_metadata_recommends_recover(tmp_path: Path) -> None:
-    write_bag(tmp_path / 'bag', RecorderConfig())
-    (tmp_path / 'bag' / 'metadata.yaml').unlink()
-    with pytest.raises(InputError, match=r'not finished: metadata\.yaml is missing; `mocap-ros recover'):
-        Bag(tmp_path / 'bag')
-    with Bag(tmp_path / 'bag' / 'bag_0.mcap') as bag:
-        assert bag.count(bag.topics) == FRAMES + 1
 
 
 @pytest.mark.parametrize(

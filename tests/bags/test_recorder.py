@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import shutil
 import subprocess
@@ -25,11 +24,10 @@ from mocap_ros.bags.mcap_scan import MAGIC
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.recovery import recover
-from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError, RecordingError
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.messages.skeletons import SKELETON_DEFINITION, SKELETONS
+from mocap_ros.messages.skeletons import SKELETON_DEFINITION
 from mocap_ros.units import NS_PER_S
 from tests.support.bag_writing import DEFINITION, FRAMES, START_NS, STEP_NS, make_keypoints
 from tests.support.paths import ROOT
@@ -182,21 +180,6 @@ def test_a_removed_recording_is_an_error(tmp_path: Path, removed: str, end: str)
     assert not (tmp_path / removed).exists()
 
 
-def test_a_split_that_fails_leaves_a_whole_bag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    recorder = Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=1.0))
-    recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS, START_NS)
-
-    def fail(*_: object, **__: object) -> None:
-        raise OSError(errno.EIO, os.strerror(errno.EIO))
-
-    monkeypatch.setattr('mocap_ros.bags.recorder.McapFile', fail)
-    with pytest.raises(RecordingError, match=f'bag: {os.strerror(errno.EIO)}$'):
-        recorder.write('/keypoints', KEYPOINTS, make_keypoints(1), START_NS + 10**9, START_NS)
-    recorder.close()
-    with Bag(tmp_path / 'bag') as bag:
-        assert [m.raw for m in bag.messages(['/keypoints'])] == [make_keypoints(0)]
-
-
 def test_unwritable_and_existing_folders_are_refused(tmp_path: Path) -> None:
     (tmp_path / 'file').write_text('')
     with pytest.raises(RecordingError, match=r'file: is no folder'):
@@ -204,19 +187,6 @@ def test_unwritable_and_existing_folders_are_refused(tmp_path: Path) -> None:
     (tmp_path / 'bag').mkdir()
     with pytest.raises(RecordingError, match=r'bag: File exists'):
         Recorder(tmp_path / 'bag', RecorderConfig())
-
-
-def test_the_first_description_of_a_topic_holds(tmp_path: Path) -> None:
-    """A bag whose topic has two descriptions cannot be read."""
-    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS, START_NS)
-        recorder.add_topic(make_topic('/keypoints', KEYPOINTS, latched=True))
-        recorder.write('/keypoints', KEYPOINTS, make_keypoints(1), START_NS + 1, START_NS)
-        with pytest.raises(RecordingError, match='topic /keypoints has the type'):
-            recorder.add_topic(make_topic('/keypoints', SKELETONS))
-    with Bag(tmp_path / 'bag') as bag:
-        assert [m.raw for m in bag.messages(['/keypoints'])] == [make_keypoints(0), make_keypoints(1)]
-        assert not bag.latched_topics
 
 
 def test_a_further_file_repeats_what_no_later_message_replaces(
@@ -234,19 +204,6 @@ def test_a_further_file_repeats_what_no_later_message_replaces(
         recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS + 2 * NS_PER_S, START_NS)
     with Bag(tmp_path / 'bag' / 'bag_1.mcap') as bag:
         assert [m.raw for m in bag.messages(['/once', '/growing'])] == [b'once', b'x', b'abc']
-
-
-def test_what_a_further_file_repeats_does_not_make_it_large(tmp_path: Path) -> None:
-    """Otherwise each message would begin a file, if the repeated ones are larger than a file may be."""
-    large = bytes(3_000_000)
-    with Recorder(tmp_path / 'bag', RecorderConfig(split_mb=2, compression='none')) as recorder:
-        recorder.declare_topic('/latched', SKELETON_DEFINITION, latched=True)
-        recorder.write('/latched', SKELETON_DEFINITION, large, START_NS, START_NS)
-        recorder.flush()
-        for i in range(20):
-            recorder.write('/keypoints', KEYPOINTS, make_keypoints(i), START_NS + i, START_NS)
-            recorder.flush()
-    assert len(list((tmp_path / 'bag').glob('*.mcap'))) == 2
 
 
 def test_a_file_begins_only_with_a_message_that_may_begin_it(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import random
 import sqlite3
@@ -13,13 +12,12 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-import zstandard
 from mcap.reader import make_reader
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from mocap_ros.bags.mcap_file import Attachment
-from mocap_ros.bags.mcap_scan import CRC_BYTES, MAGIC, McapScan
+from mocap_ros.bags.mcap_scan import MAGIC
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.recovery import recover
@@ -183,35 +181,6 @@ def test_a_recovered_bag_has_the_files_and_messages_of_the_other_and_no_more(
     assert report.messages == {'/keypoints': FRAMES, '/latched': 2 * number_of_files}
 
 
-def raise_io_error(*_: object) -> bytes:
-    """Raise EIO, as a disk with a bad sector does."""
-    raise OSError(errno.EIO, os.strerror(errno.EIO))
-
-
-@pytest.mark.parametrize('fault', ['open', 'link'])
-def test_a_file_that_cannot_be_read_costs_no_other_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
-) -> None:
-    with Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=1.0)) as recorder:
-        for i, raw in enumerate(MESSAGES):
-            recorder.write('/keypoints', KEYPOINTS, raw, i * STEP_NS, i)
-    written = read_files(tmp_path / 'bag')
-    file, reason = tmp_path / 'bag' / 'bag_1.mcap', os.strerror(errno.EIO)
-    if fault == 'link':
-        file.unlink()
-        file.symlink_to('nowhere')
-        reason = os.strerror(errno.ENOENT)
-    else:
-        scan = McapScan
-        monkeypatch.setattr(
-            'mocap_ros.bags.recovery.McapScan', lambda f: raise_io_error() if f == file else scan(f)
-        )
-    report = recover(tmp_path / 'bag', tmp_path / 'out')
-    monkeypatch.undo()
-    assert f'{file}: {reason}' in report.losses
-    assert read_files(tmp_path / 'out') == [written[0], *written[2:]]
-
-
 def find_first_chunk(bag: Path) -> int:
     """Return the byte at which the first chunk of a bag's file starts."""
     with (bag / f'{bag.name}_0.mcap').open('rb') as file:
@@ -237,28 +206,6 @@ def test_every_chunk_behind_a_damaged_start_is_recovered(tmp_path: Path, is_cut:
         frames, losses = recover_frames(damaged, tmp_path / str(number))
         assert frames == list(range(FRAMES))
         assert any(loss.endswith(': its first 8 bytes are not those of an MCAP file') for loss in losses)
-
-
-@pytest.mark.parametrize('compression', ['zstd', 'none'])
-@pytest.mark.parametrize('has_checksum', [True, False])
-def test_only_the_chunk_loses_messages_whose_bytes_are_missing_or_too_many(
-    tmp_path: Path, compression: str, has_checksum: bool
-) -> None:
-    """The next chunk seems to lie within it, and the end of the file is not where it states it is."""
-    data = write_bag(tmp_path / 'bag', compression)
-    if not has_checksum:  # of the summary
-        data = data[: -len(MAGIC) - CRC_BYTES] + bytes(CRC_BYTES) + data[-len(MAGIC) :]
-    ends = [end for end, _ in find_chunks(tmp_path / 'bag')]
-    for number in (4, 5):
-        middle = ends[number] - 180  # more bytes than the message index behind the chunk has
-        for name, damaged in {
-            'short': data[:middle] + data[middle + 170 :],
-            'long': data[:middle] + random.Random(3).randbytes(50) + data[middle:],
-        }.items():
-            frames, losses = recover_frames(damaged, tmp_path / f'{name}{number}')
-            first_lost = number * MAX_FRAMES_PER_CHUNK
-            assert set(range(FRAMES)) - set(frames) == set(range(first_lost, first_lost + MAX_FRAMES_PER_CHUNK))
-            assert any('the chunk record' in loss for loss in losses)
 
 
 def test_messages_of_the_write_ahead_log_are_recovered(tmp_path: Path) -> None:
@@ -383,69 +330,6 @@ def test_bags_that_rosbag2_compressed_are_recovered(
     assert recover(tmp_path / 'bag', tmp_path / 'out').losses == []
     assert read_frames(tmp_path / 'out') == list(range(FRAMES))
     assert {f.name for f in tmp_path.iterdir()} == {'bag', 'out'}
-
-
-def test_compressed_files_are_recovered_in_their_order_and_as_far_as_they_reach(tmp_path: Path) -> None:
-    """A recorder that is killed leaves its last file as it was, and one that it was compressing twice."""
-    write_bag(tmp_path / 'bag')
-    (tmp_path / 'bag' / 'metadata.yaml').unlink()
-    whole = tmp_path / 'bag' / 'bag_0.mcap'
-    data, compressor = whole.read_bytes(), zstandard.ZstdCompressor().compressobj()
-    packed = b''.join(
-        compressor.compress(data[i : i + 1000]) + compressor.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
-        for i in range(0, len(data), 1000)
-    )
-    (tmp_path / 'bag' / 'bag_0.mcap.zstd').write_bytes(packed[: len(packed) // 2])
-    assert recover(tmp_path / 'bag', tmp_path / 'whole').messages == {'/keypoints': FRAMES}
-    whole.rename(tmp_path / 'bag' / 'bag_1.mcap')
-    report = recover(tmp_path / 'bag', tmp_path / 'both')
-    frames = read_frames(tmp_path / 'both')
-    assert 0 < len(frames) - FRAMES < FRAMES
-    assert report.losses
-    assert all(loss.startswith(f'{tmp_path}/bag/bag_0.mcap.zstd: ') for loss in report.losses)
-
-
-@pytest.mark.parametrize('has_metadata', [True, False])
-@pytest.mark.parametrize('is_present_folder', [True, False])
-def test_one_file_of_a_bag_is_recovered_beside_the_bag(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_metadata: bool, is_present_folder: bool
-) -> None:
-    write_bag(tmp_path / 'bag')
-    if not has_metadata:
-        (tmp_path / 'bag' / 'metadata.yaml').unlink()
-    monkeypatch.chdir(tmp_path / 'bag' if is_present_folder else tmp_path)
-    assert main(['recover', 'bag_0.mcap' if is_present_folder else 'bag/bag_0.mcap']) == 0
-    assert read_frames(tmp_path / 'bag_0_recovered') == list(range(FRAMES))
-
-
-@pytest.mark.parametrize(
-    ('encoding', 'text', 'is_kept'),
-    [
-        ('ros2msg', 'string data\nstring unit', True),
-        ('ros2idl', 'module std_msgs { module msg { struct String { string data; string unit; }; }; };', True),
-        ('protobuf', 'string data', False),
-        ('ros2msg', '', False),
-    ],
-)
-def test_only_definitions_in_no_known_language_are_replaced(
-    tmp_path: Path, encoding: str, text: str, is_kept: bool
-) -> None:
-    path = tmp_path / 'x.mcap'
-    writer = McapWriter(str(path))
-    writer.start('ros2')
-    schema = writer.register_schema('std_msgs/msg/String', encoding, text.encode())
-    channel = writer.register_channel('/words', 'cdr', schema)
-    writer.add_message(channel, 1, bytes(12), 1)
-    writer.finish()  # type: ignore[no-untyped-call]
-    recover(path, tmp_path / 'out')
-    with (tmp_path / 'out' / 'out_0.mcap').open('rb') as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    (recovered,) = summary.schemas.values()
-    own = make_topic('/words', 'std_msgs/msg/String')
-    assert (recovered.encoding, recovered.data.decode()) == (
-        (encoding, text) if is_kept else (own.encoding, own.definition)
-    )
 
 
 @pytest.mark.parametrize('storage', [StoragePlugin.MCAP, StoragePlugin.SQLITE3])

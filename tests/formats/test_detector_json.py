@@ -181,6 +181,9 @@ AIC = [*(f'{s}_{j}' for s in ('right', 'left') for j in ('shoulder', 'elbow', 'w
 SWAPPED_COCO = [n.replace('left', '?').replace('right', 'left').replace('?', 'right') for n in HALPE[:17]]
 
 
+NAMED_IN = ['keypoint_id2name', 'keypoint_name2id', 'keypoint_info', 'categories', 'keypoint_names', 'person']
+
+
 @pytest.mark.parametrize(
     ('names', 'expected'),
     [
@@ -192,7 +195,7 @@ SWAPPED_COCO = [n.replace('left', '?').replace('right', 'left').replace('?', 'ri
         ([f'left_hip {i}' if i == 1 else n for i, n in enumerate(H36M)], ('pelvis', 'lhip1', 'rknee', 'rankle')),
     ],
 )
-@pytest.mark.parametrize('place', ['meta_info', 'categories', 'keypoint_names', 'person'])
+@pytest.mark.parametrize('place', NAMED_IN)
 def test_joints_are_called_as_the_file_says(
     tmp_path: Path, place: str, names: list[str], expected: tuple[str, ...]
 ) -> None:
@@ -202,10 +205,14 @@ def test_joints_are_called_as_the_file_says(
         'keypoints': BODY[: 3 * len(names)] + BODY[:3] * max(0, len(names) - 25),
     }
     content: Any = {'annotations': [person]}
-    if place == 'meta_info':
-        by_index = {str(i): n for i, n in enumerate(names)}
+    if place in ('keypoint_id2name', 'keypoint_name2id', 'keypoint_info'):
+        by_index: dict[str, Any] = {str(i): n for i, n in enumerate(names)}
+        if place == 'keypoint_name2id':
+            by_index = {n: i for i, n in enumerate(names)}
+        elif place == 'keypoint_info':
+            by_index = {str(i): {'name': n, 'swap': ''} for i, n in enumerate(names)}
         content = {
-            'meta_info': {'keypoint_id2name': by_index},
+            'meta_info': {place: by_index},
             'instance_info': [{'frame_id': 1, 'instances': [person]}],
         }
     elif place == 'categories':

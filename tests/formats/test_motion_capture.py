@@ -136,16 +136,6 @@ def test_unit_and_vertical_axis_are_found(poses: np.ndarray, up: int) -> None:
         assert find_vertical_axis(-rolled, usual=0) == ~up
 
 
-def test_an_archive_is_in_mm_unless_another_unit_is_given(tmp_path: Path, poses: np.ndarray) -> None:
-    np.savez(tmp_path / 'm.npz', _joints=np.array(CMU15.joints), t=poses)
-    np.savez(tmp_path / 'mm.npz', _joints=np.array(CMU15.joints), t=1000 * poses)
-    (plain,) = load_trials(tmp_path / 'mm.npz')
-    (given,) = load_trials(tmp_path / 'm.npz', TrialOptions(unit=1.0))
-    assert given.poses == pytest.approx(plain.poses)
-    with pytest.raises(InputError, match=r'm\.npz: t: a body 0\.00\d+ m tall, if .* units of 0\.001 m'):
-        load_trials(tmp_path / 'm.npz')
-
-
 def rename_joints(bvh: str, names: dict[str, str]) -> str:
     """Return the text of a BVH file in which joints have other names."""
     for name, replacement in names.items():

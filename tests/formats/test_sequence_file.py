@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -53,26 +52,17 @@ def test_round_trip(tmp_path: Path, sequence: KeypointSequence) -> None:
     assert loaded.truth.joint_names == sequence.truth.joint_names
 
 
-def test_camera_and_truth_are_optional(tmp_path: Path, sequence: KeypointSequence) -> None:
-    path = tmp_path / 'walk.npz'
-    save_sequence(path, replace(sequence, camera_matrix=None, distortion=None, truth=None))
-    loaded = load_sequence(path)
-    assert loaded.camera_matrix is None
-    assert loaded.truth is None
-    assert loaded.intrinsics(1.2).focal == pytest.approx(768)
-    assert not loaded.intrinsics(1.2).is_focal_known
-
-
 def test_unseen_keypoints_have_nan_points_and_score_0(tmp_path: Path, sequence: KeypointSequence) -> None:
     sequence.keypoints[0, 0, 2] = np.nan
     sequence.keypoints[0, 1, 0] = np.nan
     sequence.keypoints[0, 2, 2] = 0
+    sequence.keypoints[0, 4, :2], sequence.keypoints[0, 5, :2], sequence.keypoints[0, 6, 2] = 0, -1, -0.5
     sequence.keypoints[0, 3, 2] = 1.24
     path = tmp_path / 'walk.npz'
     save_sequence(path, sequence)
     person = load_sequence(path).person(0)
     np.testing.assert_array_equal(person.score[:4], [0, 0, 0, 1])
-    np.testing.assert_array_equal(np.isnan(person.points[:4]).all(axis=1), [True] * 3 + [False])
+    np.testing.assert_array_equal(np.isnan(person.points[:7]).all(axis=1), [True] * 3 + [False] + [True] * 3)
 
 
 def set_element(arrays: dict[str, Any], key: str, index: Any, value: float) -> None:

@@ -93,17 +93,6 @@ def test_a_camera_is_named_by_number_or_device(tmp_path: Path, monkeypatch: pyte
         VideoReader(Path('/dev/null'), is_camera=True)
 
 
-def test_reading_ahead_keeps_the_order_and_the_error() -> None:
-    def count() -> Iterator[int]:
-        yield from range(100)
-        raise InputError('the end')
-
-    seen: list[int] = []
-    with pytest.raises(InputError, match='the end'):
-        seen.extend(read_ahead(count()))
-    assert seen == list(range(100))
-
-
 def test_a_camera_that_gives_no_image_is_not_closed_while_it_is_read(tmp_path: Path) -> None:
     """FFmpeg would crash; a video takes the place of the camera."""
     is_read, is_released = threading.Event(), threading.Event()

@@ -53,7 +53,8 @@ OPENCV = (0.1, -0.2, 0.001, 0.002, 0.03, 0.04, 0.05, 0.06)
         ('rational_polynomial', (*OPENCV, *[0.0] * 6), ('rational_polynomial', 8)),  # as DepthAI sends them
         ('fisheye', OPENCV[:4], ('equidistant', 4)),
         ('kannala_brandt4', OPENCV[:4], ('equidistant', 4)),
-        ('', (0.0,) * 5, ('plumb_bob', 0)),
+        ('', OPENCV[:5], ('plumb_bob', 5)),
+        ('unknown', (0.0,) * 5, ('plumb_bob', 0)),
         ('none', (), ('plumb_bob', 0)),
     ],
 )

@@ -115,15 +115,6 @@ def test_invalid_keypoints_are_refused_by_field_and_person(case: str) -> None:
     assert '\n' not in str(caught.value)
 
 
-def test_nan_and_scores_above_one_are_accepted() -> None:
-    frame = decode_keypoints(edit_keypoints(set_element('x', 3, np.nan)), LIMITS)
-    assert frame.people[1].score[3] == 0
-    frame = decode_keypoints(edit_keypoints(set_element('score', 3, np.nan)), LIMITS)
-    assert frame.people[1].score[3] == 0
-    frame = decode_keypoints(edit_keypoints(set_element('score', 3, 8)), LIMITS)
-    assert frame.people[1].score.max() == frame.people[1].score[3] == 1
-
-
 VALID = encode_keypoints(HEADER, SIZE, [make_person_2d('a'), make_person_2d('b')])
 
 
