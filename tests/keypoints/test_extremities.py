@@ -11,23 +11,13 @@ import pytest
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.extremities import convert_body_to_rays, exchange_body_sides, join_body, split_body
 from mocap_ros.keypoints.left_right import PARTS
-from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT, keypoint_layout
+from mocap_ros.skeleton import BODY26, CORE_COUNT, keypoint_layout
 
 CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
 
 
 def make_body(rng: np.random.Generator, frames: int) -> tuple[np.ndarray, np.ndarray]:
     return rng.normal(size=(frames, len(BODY26.joints), 2)), rng.uniform(0.1, 1, (frames, len(BODY26.joints)))
-
-
-def test_a_body_is_split_and_joined(rng: np.random.Generator) -> None:
-    points, weight = make_body(rng, 4)
-    core, core_weight, extremities = split_body(points, weight)
-    assert core.shape == (4, CORE_COUNT, 2)
-    assert extremities.weight.shape == (4, EXTREMITY_COUNT)
-    for joined, whole in zip(join_body(core, core_weight, extremities), (points, weight), strict=True):
-        assert (joined == whole).all()
-    assert not join_body(core, core_weight, None)[1][:, CORE_COUNT:].any()
 
 
 @pytest.mark.parametrize(

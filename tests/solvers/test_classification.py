@@ -14,7 +14,6 @@ import pytest
 from mocap_ros.config import ClassifierConfig, SolverConfig
 from mocap_ros.formats.mocap.trials import load_trials
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.solvers.classification import (
     PeriodicFit,
     PeriodicSwitch,
@@ -69,15 +68,6 @@ def test_evidence_finds_the_category_of_an_unseen_person(
     periodic = fit_periodic(window, models_without_35, QUICK)
     assert periodic.category == category
     assert is_periodic(periodic, ClassifierConfig())
-
-
-def test_a_jump_is_neither_a_walk_nor_periodic(protocol: ModuleType) -> None:
-    models = {name: load_base_poses(name) for name in ('walk', 'run', 'jump')}
-    window = make_window(protocol, '13_11', 90)
-    jump_frames = slice(40, 100)
-    window = Window(window.points[jump_frames], window.weight[jump_frames], window.times[jump_frames])
-    assert choose_category(window, models, QUICK).category == 'jump'
-    assert not is_periodic(fit_periodic(window, models, QUICK), ClassifierConfig())
 
 
 @pytest.fixture(scope='module')

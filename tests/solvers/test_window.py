@@ -71,16 +71,6 @@ def test_status_tells_convergence_from_the_limit_of_iterations(
     assert stopped.cost > converged.cost
 
 
-@pytest.mark.parametrize('solve', [solve_jointly, solve_periodically])
-def test_without_tolerance_the_solver_ends_where_no_step_helps(
-    walk_model: BasePoses, window: Window, solve: Callable[[Window, BasePoses, SolverConfig], Reconstruction]
-) -> None:
-    result = solve(window, walk_model, replace(CONFIG, max_iterations=1000, tolerance=0.0))
-    assert result.status is SolverStatus.NO_LOWER_STEP
-    assert result.success
-    assert result.iterations < 1000
-
-
 def test_cost_is_that_of_the_solution(walk_model: BasePoses, window: Window) -> None:
     model = walk_model.truncate(CONFIG.components)
     result = solve_jointly(window, model, CONFIG)

@@ -230,25 +230,6 @@ def test_periodic_motion_ends_when_the_newest_poses_do_not_repeat_the_last_cycle
     assert found.periodic_model_name == ('' if stops else 'walk')
 
 
-@pytest.mark.parametrize('stops', [False, True])
-def test_a_classification_that_is_overtaken_by_the_end_of_the_motion_does_not_bring_it_back(
-    track: Track, models: dict[str, BasePoses], stops: bool
-) -> None:
-    class WalkChecker(IdleChecker):
-        def classify_motion(self, track: Track) -> Slices[Classification | None]:  # noqa: ARG002
-            yield 10 * CHECK_COST  # more than the budget of a frame
-            return Classification(WALK, 'walk')
-
-    work = DeferredWork(WalkChecker(models, CONFIG), ('jump', 'walk'), 0.5)
-    walk_on(track, stops=False)
-    track.schedule.next_classification_ns = 0
-    begin(work, track)
-    walk_on(track, stops=stops)
-    finish(work, track)
-    kind = track.schedule.classification.motion.kind
-    assert kind is (MotionKind.NON_PERIODIC if stops else MotionKind.PERIODIC)
-
-
 PERIODIC = Classification(Motion(MotionKind.PERIODIC, 'walk', 0.01, 0.9), 'walk')
 OTHER = Classification(Motion(MotionKind.NON_PERIODIC, 'jump', 0.01, np.nan), '')
 

@@ -88,14 +88,6 @@ def test_a_part_besides_the_whole_is_no_person(points: Array) -> None:
             assert (matches.detections[0].weight > 0).all()
 
 
-def test_a_part_of_a_new_person_is_no_other_person(points: Array) -> None:
-    detections = [see_part(points, UPPER, 'x'), make_detection(points, 'y'), make_detection(points + [80, 0], 'z')]
-    unknown: tuple[Track, ...] = ()
-    matches = match_detections(NEXT_NS, unknown, detections)
-    assert [d.given_id for d in matches.detections] == ['y', 'z']
-    assert matches.tracks == [None, None]
-
-
 def test_a_new_person_beside_another_is_no_part(points: Array) -> None:
     ann = make_known(points, 'ann', 'a')
     new = make_detection(points[:, ::-1] + [40, -30], 'x')  # in another pose, at nearly the same position
@@ -128,22 +120,6 @@ def test_a_person_of_half_the_size_is_not_the_person(points: Array) -> None:
     assert match_detections(10**9, (ann,), [make_detection(small, 'ann')]).tracks == [ann], 'later it may be'
 
 
-def test_an_id_that_jumps_to_another_person_is_believed_unless_that_person_is_there(points: Array) -> None:
-    """The detector gives bob's id to what it finds where ann was, 1.5 sizes away."""
-    ann, bob = make_known(points, 'ann', 'a'), make_known(points + [150, 0], 'bob', 'b')
-    assert match_detections(NEXT_NS, (ann, bob), [make_detection(points, 'b')]).tracks == [bob]
-    both = [see_part(points, ~UPPER, 'b'), see_part(points, UPPER, 'a')]
-    assert match_detections(NEXT_NS, (ann, bob), both).tracks == [ann]
-
-
-def test_the_newest_of_a_persons_ids_counts_most(points: Array) -> None:
-    """The detector has exchanged the ids of ann and bob for good."""
-    ann, bob = make_known(points, 'a', 'b'), make_known(points + [20, 0], 'b', 'a')
-    detections = [make_detection(points + [20, 0], 'a'), make_detection(points, 'b')]
-    assert match_detections(NEXT_NS, (ann, bob), detections).tracks == [bob, ann]
-    assert match_detections(NEXT_NS, (ann,), [make_detection(points, 'a')]).tracks == [ann]
-
-
 def test_a_known_person_gets_a_detection_sooner_than_a_tentative_one(points: Array) -> None:
     ann = make_known(points, 'ann')
     ghost = change(make_known(points, 'ghost'), is_tentative=True)
@@ -153,13 +129,6 @@ def test_a_known_person_gets_a_detection_sooner_than_a_tentative_one(points: Arr
     new = change(ghost, stamps_ns=(lost_for_ns - STEP_NS,))
     found = match_detections(lost_for_ns, (ann, new), [make_detection(points + [3, 0])]).tracks
     assert found == [new], 'but who was lost does not take the detection of a new person'
-
-
-def test_a_person_who_is_gone_does_not_push_others(points: Array) -> None:
-    """A new person is within reach of bob, and bob within reach of ann, who is gone."""
-    ann, bob = make_known(points, 'ann'), make_known(points + [80, 0], 'bob')
-    detections = [make_detection(points + [80, 0]), make_detection(points + [160, 0])]
-    assert match_detections(NEXT_NS, (ann, bob), detections).tracks == [bob, None]
 
 
 def test_a_new_person_does_not_make_people_change_their_names(points: Array) -> None:

@@ -74,12 +74,6 @@ def test_a_tentative_person_is_never_predicted_and_costs_no_deferred_work(tracke
     assert [t.id for t in tracker.tracks] == ['person_1']
 
 
-def test_a_tentative_person_who_is_missed_for_a_few_frames_keeps_the_id(tracker: Tracker, points: Array) -> None:
-    for frame, expected in ((0, 'tentative'), (3, 'tentative'), (6, 'seen')):
-        assert describe(tracker.update(frame * STEP_NS, [see(points[0])], CAMERA)) == [('person_1', expected)]
-        assert (describe(tracker.update((frame + 1) * STEP_NS, [], CAMERA)) != []) == (expected == 'seen')
-
-
 def test_a_person_who_comes_back_while_the_track_is_kept_is_certain(tracker: Tracker, points: Array) -> None:
     for frame in range(5):
         tracker.update(frame * STEP_NS, [see(points[0], 'ann')], CAMERA)
@@ -142,12 +136,3 @@ def test_people_who_cross_keep_their_ids(tracker: Tracker, points: Array, ids: t
         known = ids if ids[0] else ('person_1', 'person_2')
         assert [p.id for p in people] == list(known), frame
         assert [p.predicted for p in people] == [False, len(present) == 1]
-
-
-def test_with_a_lag_those_who_have_become_certain_are(walk_model: BasePoses, points: Array) -> None:
-    tracker = Tracker(walk_model, with_settings(CONFIG, {'tracker.lag': 0.09}))
-    for frame in range(12):
-        seen = [see(points[frame])] + ([see(points[frame] + APART)] if frame == 6 else [])
-        people = describe(tracker.update(frame * STEP_NS, seen, CAMERA))
-        ghost = [('person_2', 'tentative')] if frame == 9 else []
-        assert people == ([('person_1', 'seen'), *ghost] if frame >= 3 else [])

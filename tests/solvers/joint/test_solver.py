@@ -59,16 +59,6 @@ def test_reaches_the_alternations_minimum_or_a_lower_one(walk_model: BasePoses) 
     assert np.argmax(np.array(fast.history) <= fast.cost * (1 + 1e-4)) <= 15
 
 
-def test_initial_cameras_are_shared_for_the_time_of_the_parameter(walk_model: BasePoses) -> None:
-    def measure_turn(start_window: float) -> float:
-        once = {'hypotheses': 1, 'adapt_noise': False, 'max_iterations': 1, 'tolerance': 1.0}
-        config = SolverConfig(start_window=start_window, **once)  # type: ignore[arg-type]
-        (result,) = joint.solve([window(walk_model, noise=0.0)], walk_model, config)
-        return float(np.ptp(result.cameras.rotation, axis=0).max())
-
-    assert measure_turn(60.0) < measure_turn(1.0) < measure_turn(0.0)
-
-
 @pytest.mark.parametrize('scale', [1e-3, 200.0])
 def test_lifted_poses_give_their_weights_and_cameras(
     walk_model: BasePoses, rng: np.random.Generator, scale: float
