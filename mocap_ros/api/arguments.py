@@ -139,6 +139,7 @@ def check_sequence(sequence: KeypointSequence, times: str = 'timestamps') -> Key
     for field, kind, default in (
         ('person_id', str, ''),
         ('frame_id', str, ''),
+        ('focal_source', str, ''),
         ('truth', GroundTruth, None),
         ('calibration', Intrinsics, None),
     ):
@@ -167,6 +168,7 @@ def check_sequence(sequence: KeypointSequence, times: str = 'timestamps') -> Key
         frame_id=sequence.frame_id,
         recorded_ns=tuple(stamps.tolist()) if is_same else (),
         calibration=sequence.calibration,
+        focal_source=sequence.focal_source,
     )
 
 

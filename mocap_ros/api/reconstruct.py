@@ -24,10 +24,10 @@ from mocap_ros.api.arguments import (
 from mocap_ros.config import format_value
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import KeypointSequence, describe_frames, extract_observations
-from mocap_ros.keypoints.validation import describe_points_outside
 from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.runtime.save_results import ReconstructedSequence
+from mocap_ros.runtime.summary import Summary, summarise
 
 Array = NDArray[np.float64]
 
@@ -65,6 +65,8 @@ class PoseSequence:
         vertical_std: (F,) rad, standard deviations of the direction of `vertical`; NaN where nothing is known.
         is_scale_known: True if the focal length was given; False if it is nominal, and the distances with it.
         sequence: the keypoints that were reconstructed.
+        summary: what the poses rest on, and whether the input is `good`, `doubtful` or `wrong` (`grade`); as text,
+            the line that the commands print.
     """
 
     joints: Array
@@ -88,10 +90,11 @@ class PoseSequence:
     vertical_std: Array
     is_scale_known: bool
     sequence: KeypointSequence
+    summary: Summary
     _reconstruction: ReconstructedSequence
 
     @staticmethod
-    def _create(reconstruction: ReconstructedSequence) -> PoseSequence:
+    def _create(reconstruction: ReconstructedSequence, summary: Summary) -> PoseSequence:
         sequence, result = reconstruction.sequence, reconstruction.result
         cameras, translation = result.cameras_in_real_image()
         unknown = np.full((*result.seen.shape, 4), np.nan), np.ones(result.seen.shape, bool)
@@ -117,6 +120,7 @@ class PoseSequence:
             vertical_std=result.vertical_std,
             is_scale_known=result.virtual_camera.intrinsics.is_focal_known,
             sequence=sequence,
+            summary=summary,
             _reconstruction=reconstruction,
         )
 
@@ -196,9 +200,6 @@ def reconstruct(
         given: Any = keypoints, joint_names, times, image_size, camera_matrix, distortion
         check_camera(*given[3:])
         sequence = check_sequence(KeypointSequence(*given), 'times')
-        points, score = sequence.keypoints[..., :2], sequence.keypoints[..., 2]
-        if outside := describe_points_outside(points, score, sequence.image_size):
-            LOGGER.warning('keypoints: %s', outside)
     observations = extract_observations(sequence, config.tracker.nominal_focal_length)
     try:
         if method == 'keyframes':
@@ -207,4 +208,7 @@ def reconstruct(
             result = reconstruct_sequence(*observations, models, config)
     except (InputError, np.linalg.LinAlgError) as error:
         raise InputError(f'keypoints: {error}') from None
-    return PoseSequence._create(ReconstructedSequence(sequence, result))
+    summary = summarise([sequence], [result], config)
+    if summary.reason:
+        LOGGER.warning('keypoints: %s: %s', summary.grade, summary.reason)
+    return PoseSequence._create(ReconstructedSequence(sequence, result, summary), summary)

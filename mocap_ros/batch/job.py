@@ -40,6 +40,7 @@ from mocap_ros.runtime.load_keypoints import InputOptions, load_input
 from mocap_ros.runtime.provenance import provenance_attachments
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.runtime.save_results import SUFFIXES, format_yaml
+from mocap_ros.runtime.summary import Summary
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing import plots
 from mocap_ros.viewing.keyframe_plots import draw_distances_figure, draw_keyframes_figure
@@ -67,6 +68,7 @@ COLUMNS = {
     'bag_invalid': 'int64',
     'bag_swaps': 'int64',
     'bag_work_s': 'float64',
+    'grade': 'string',
     'note': 'string',
     'error': 'string',
     'version': 'string',
@@ -229,13 +231,21 @@ def _replay(path: Path, job: Job, scratch: Path) -> tuple[dict[str, Path], Rows]
     with Bag(path) as bag:
         options = ReplayOptions(settings.config, settings.topic, settings.camera_info, changes=settings.changes)
         found = replay(bag, out, options)
-    note = ' '.join((found.first_rejection or ' '.join(found.tracebacks) or ' '.join(found.notes)).split())
+    note = ' '.join(
+        (
+            describe_unsound(found.summary)
+            or found.first_rejection
+            or ' '.join(found.tracebacks)
+            or ' '.join(found.notes)
+        ).split()
+    )
     columns = {
         'bag_frames': found.counters.accepted,
         'bag_dropped': found.counters.dropped.total(),
         'bag_invalid': found.counters.invalid,
         'bag_swaps': found.swapped_frames,
         'configuration': _compute_key(to_yaml(found.config))[:KEY_DIGITS],
+        'grade': found.summary.grade,
         'note': note,
     }
     return {job.result_url: out}, [{**columns, **_describe(a)} for a in found.appearances] or [columns]
@@ -248,7 +258,14 @@ def _reconstruct(path: Path, job: Job, scratch: Path) -> tuple[dict[str, Path], 
     out = scratch / f'result{job.settings.suffix}'
     write(out, poses)
     residual = _drop_nan(float(np.nanmean(poses.residual)))
-    return {job.result_url + job.settings.suffix: out}, [{**columns, 'residual_px': residual}]
+    columns |= {'residual_px': residual, 'grade': poses.summary.grade}
+    columns['remark'] = '; '.join(filter(None, (describe_unsound(poses.summary), columns['remark'])))
+    return {job.result_url + job.settings.suffix: out}, [columns]
+
+
+def describe_unsound(summary: Summary) -> str:
+    """Return the grade and the reason of an input that is not sound; empty if it is."""
+    return summary.reason and f'{summary.grade}: {summary.reason}'
 
 
 def _find_keyframes(path: Path, job: Job, scratch: Path) -> tuple[dict[str, Path], Rows]:

@@ -14,8 +14,14 @@ from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
-from mocap_ros.cli.inputs import add_topic_options, add_video_options, read_video_options
-from mocap_ros.cli.options import add_config_options, load_config_file, parse_changes, parse_count
+from mocap_ros.cli.inputs import add_topic_options, add_video_options, read_lens_parameters, read_video_options
+from mocap_ros.cli.options import (
+    add_config_options,
+    add_strict_option,
+    load_config_file,
+    parse_changes,
+    parse_count,
+)
 from mocap_ros.cli.terminal import print_note, print_result
 from mocap_ros.errors import InputError, MocapError, tell_installation
 from mocap_ros.runtime.save_results import SUFFIXES
@@ -60,6 +66,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add_topic_options(parser)
     add_video_options(parser)
+    add_strict_option(parser)
     add_config_options(parser)
     parser.set_defaults(run=run)
 
@@ -102,22 +109,25 @@ def run(args: argparse.Namespace) -> int:
     failed = [outcome for outcome in outcomes if outcome.status is Status.FAILED]
     for outcome in failed:
         print_note(outcome.reason)
-    return 1 if failed else 0
+    rows = [row for outcome in outcomes for row in outcome.rows[:1]]
+    unsound = [row for row in rows if row.get('grade') in ('doubtful', 'wrong')]
+    for row in unsound:
+        print_note(f'{row["url"]}: {row["note"]}')
+    return int(bool(failed) or (args.strict and any(row['grade'] == 'wrong' for row in unsound)))
 
 
 def _make_settings(args: argparse.Namespace) -> Settings:
     from mocap_ros.batch.job import Settings
     from mocap_ros.batch.recordings import Work
 
-    if args.work == Work.REPLAY.value and (args.hfov or args.focal):
-        raise InputError(
-            '--hfov and --focal do not apply to --work replay; set tracker.nominal_focal_length instead'
-        )
+    changes = parse_changes(args)
+    if args.work == Work.REPLAY.value:
+        changes |= read_lens_parameters(args)
     settings = Settings(
         Work(args.work),
         args.output if '://' in args.output else str(Path(args.output).resolve()),
         config=load_config_file(args),
-        changes=parse_changes(args),
+        changes=changes,
         topic=args.topic,
         camera_info=args.camera_info,
         video=read_video_options(args),

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.cli.inputs import add_model_option, list_sources, load_models, name_file_in_errors
-from mocap_ros.cli.options import add_config_options, load_config
+from mocap_ros.cli.options import add_config_options, add_strict_option, load_config
 from mocap_ros.cli.reconstruct import reconstruct_file
 from mocap_ros.cli.terminal import print_note, print_result, show_progress
 from mocap_ros.errors import InputError
@@ -34,6 +34,7 @@ from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.runtime.input_kind import InputKind, require_kind
 from mocap_ros.runtime.load_keypoints import load_sequence_file
 from mocap_ros.runtime.load_results import load_result
+from mocap_ros.runtime.summary import summarise
 
 # Columns of the table: key of the record, title, unit and number format.
 COLUMNS = (
@@ -88,6 +89,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add_model_option(parser)
     parser.add_argument('--json', type=Path, metavar='FILE', help='file for all numbers as JSON (default: none)')
+    add_strict_option(parser)
     add_config_options(parser)
     parser.set_defaults(run=run)
 
@@ -100,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
         check_output(args.json, *sources)
     models = load_models(args, config)
     truths = {} if args.truth is None else {args.truth: _load_truth(args.truth)}
-    records = []
+    records, is_wrong = [], False
     for path in show_progress(args.input, 'evaluate'):
         place, timing = args.truth or path, {}
         if require_kind(path, ACCEPTED_KINDS, ACCEPTED_FORMATS) is InputKind.SEQUENCE:
@@ -110,6 +112,10 @@ def run(args: argparse.Namespace) -> int:
             with name_file_in_errors(path):
                 found = reconstruct_file(sequence, models, config)
             timing = {'seconds': time.perf_counter() - start_s}
+            summary = summarise([sequence], [found], config)
+            if summary.reason:
+                print_note(f'{path}: {summary}')
+            is_wrong |= summary.is_wrong
             residual = found.solution.residual
             result = StoredResult(sequence.timestamps, found.joints, found.seen, residual, found.skeleton)
         else:
@@ -131,7 +137,7 @@ def run(args: argparse.Namespace) -> int:
     for path, sequence in truths.items():
         if measure_person_size(_get_truth(sequence).joints) > MAX_PERSON_SIZE_M:
             print_note(f'{path}: joints3d: the values look like mm, but m are expected')
-    return 0
+    return int(args.strict and is_wrong)
 
 
 def _refuse_options(path: Path, value_by_option: Mapping[str, object], kind: str) -> None:

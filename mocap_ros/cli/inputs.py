@@ -16,7 +16,7 @@ from mocap_ros.bags.reader import list_bag_files
 from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.cli.options import parse_positive
 from mocap_ros.cli.terminal import print_note, show_progress
-from mocap_ros.config import Config
+from mocap_ros.config import Config, Value
 from mocap_ros.errors import InputError, MocapError, name_errors
 from mocap_ros.formats.detections import HFOV_RANGE_DEG, Video
 from mocap_ros.formats.mocap.trials import MANIFEST_NAME, list_files
@@ -105,6 +105,23 @@ def add_video_options(parser: argparse.ArgumentParser) -> None:
         metavar='WxH',
         help='px, size of the image if JSON does not give it (default: a common size that contains all points)',
     )
+    add_lens_options(parser)
+    parser.add_argument(
+        '--layout',
+        choices=LAYOUT_NAMES,
+        help='keypoint layout of JSON (default: the layout with that number of keypoints)',
+    )
+    parser.add_argument(
+        '--detector',
+        type=Path,
+        metavar='FILE',
+        help='model that finds the keypoints in a video, as for `mocap-ros detect --model` (default: the one that '
+        'comes with MediaPipe 0.10.21)',
+    )
+
+
+def add_lens_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options `--hfov` and `--focal`, of which one may be given."""
     lens = parser.add_mutually_exclusive_group()
     lens.add_argument(
         '--hfov',
@@ -119,18 +136,12 @@ def add_video_options(parser: argparse.ArgumentParser) -> None:
         metavar='PX',
         help='px, focal length of a camera without calibration, instead of --hfov (default: likewise)',
     )
-    parser.add_argument(
-        '--layout',
-        choices=LAYOUT_NAMES,
-        help='keypoint layout of JSON (default: the layout with that number of keypoints)',
-    )
-    parser.add_argument(
-        '--detector',
-        type=Path,
-        metavar='FILE',
-        help='model that finds the keypoints in a video, as for `mocap-ros detect --model` (default: the one that '
-        'comes with MediaPipe 0.10.21)',
-    )
+
+
+def read_lens_parameters(args: argparse.Namespace) -> dict[str, Value]:
+    """Return the parameters of a replay that the options of `add_lens_options` state."""
+    given = {'node.hfov': args.hfov, 'node.focal': args.focal}
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def read_video_options(args: argparse.Namespace) -> Video:

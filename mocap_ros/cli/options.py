@@ -34,6 +34,13 @@ def add_config_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_strict_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option `--strict`."""
+    parser.add_argument(
+        '--strict', action='store_true', help='exit with 1 if the input turns out to be wrong (default: with 0)'
+    )
+
+
 def derive_output_stem(input_path: Path) -> str:
     """Return the stem of the names of files that are made from this input; a folder may hold dots in its name."""
     if input_path.is_dir():

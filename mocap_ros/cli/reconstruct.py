@@ -21,8 +21,8 @@ from mocap_ros.cli.inputs import (
     load_sequences,
     name_file_in_errors,
 )
-from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config
-from mocap_ros.cli.terminal import print_note, print_result, show_stages
+from mocap_ros.cli.options import add_config_options, add_strict_option, derive_output_stem, load_config
+from mocap_ros.cli.terminal import finish, print_note, print_result, show_stages
 from mocap_ros.config import Config, load_yaml
 from mocap_ros.errors import InputError
 from mocap_ros.formats.bvh import BLENDER_IMPORT
@@ -33,6 +33,7 @@ from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.keyframes.taylor import DepthChoice, parse_depth_choices
 from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequence
 from mocap_ros.runtime import save_results
+from mocap_ros.runtime.summary import summarise
 
 MAX_ENDING = 64  # characters of a person's id in the name of a file
 MAX_CHOICES_BYTES = 16 << 20  # bytes; guards against parsing a huge file as keyframes
@@ -79,12 +80,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'writes (default: none)',
     )
     add_model_option(parser)
+    add_strict_option(parser)
     add_config_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Reconstruct the people in the input, save the results, and print their residuals."""
+    """Reconstruct the people in the input, save the results, and print what they rest on."""
     outputs = args.output or [Path(f'{derive_output_stem(args.input)}_3d.npz')]
     config = load_config(args)
     sources = list_sources(args, config)
@@ -100,18 +102,33 @@ def run(args: argparse.Namespace) -> int:
     sequences, endings = load_sequences(args, config, all_people=args.all_people), ['']
     if args.all_people:
         endings = choose_endings([sequence.person_id for sequence in sequences])
-    errors = []
-    for sequence, ending in zip(sequences, endings, strict=True):
+    results = _reconstruct_all(args, sequences, models, config)
+    known = [(sequence, result) for sequence, result in zip(sequences, results, strict=True) if result is not None]
+    summary = summarise([sequence for sequence, _ in known], [result for _, result in known], config)
+    for sequence, ending, result in zip(sequences, endings, results, strict=True):
+        if result is not None:
+            found = save_results.ReconstructedSequence(sequence, result, summary)
+            _save(args, found, [add_ending(path, ending) for path in outputs], sources)
+    return finish(args.input, summary, is_strict=args.strict)
+
+
+def _reconstruct_all(
+    args: argparse.Namespace,
+    sequences: Sequence[KeypointSequence],
+    models: Mapping[str, BasePoses],
+    config: Config,
+) -> list[SequenceResult | None]:
+    """Return the result of each person, None where there is none; InputError if there is none at all."""
+    results: list[SequenceResult | None] = []
+    for sequence in sequences:
         try:
-            result, summary = _reconstruct(args, sequence, models, config)
-            _save(args, sequence, result, [add_ending(path, ending) for path in outputs], sources, summary)
+            results.append(_reconstruct(args, sequence, models, config))
         except InputError as error:  # noqa: PERF203 # one who cannot be reconstructed does not stop the others
-            errors.append(error)
-            if len(errors) < len(sequences):
-                print_note(f'{error} (person {sequence.person_id!r} is left out)')
-    if len(errors) == len(sequences):
-        raise errors[-1]
-    return 0
+            if len(sequences) == 1 or (not any(results) and len(results) == len(sequences) - 1):
+                raise
+            print_note(f'{error} (person {sequence.person_id!r} is left out)')
+            results.append(None)
+    return results
 
 
 def choose_endings(person_ids: Sequence[str]) -> list[str]:
@@ -132,22 +149,17 @@ def add_ending(path: Path, ending: str) -> Path:
 
 def _reconstruct(
     args: argparse.Namespace, sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config
-) -> tuple[SequenceResult, str]:
+) -> SequenceResult:
     if args.method == 'whole':
         with name_file_in_errors(args.input):
-            result = reconstruct_file(sequence, models, config)
-        return result, f'{result.solution.iterations} iterations'
+            return reconstruct_file(sequence, models, config)
     choices: tuple[DepthChoice, ...] = ()
     if args.choices is not None:
         text = read_text(args.choices, max_bytes=MAX_CHOICES_BYTES)
         choices = parse_depth_choices(load_yaml(text, str(args.choices)), str(args.choices))
     observations = extract_observations(sequence, config.tracker.nominal_focal_length)
     with name_file_in_errors(args.input), show_stages() as set_stage:
-        found = keyframe_method.reconstruct(*observations, models, config, choices, set_stage)
-    upper, lower = (len(half.frames) for half in found.keyframes)
-    outliers = int(found.outliers.sum())
-    summary = f'{upper} keyframes of the upper body and {lower} of the lower body, {outliers} outliers replaced'
-    return found.result, summary
+        return keyframe_method.reconstruct(*observations, models, config, choices, set_stage).result
 
 
 def reconstruct_file(
@@ -160,33 +172,22 @@ def reconstruct_file(
 
 def _save(
     args: argparse.Namespace,
-    sequence: KeypointSequence,
-    result: SequenceResult,
+    found: save_results.ReconstructedSequence,
     outputs: Sequence[Path],
     sources: Sequence[Path],
-    summary: str,
 ) -> None:
-    """Write the files, put them in place when all of them are written, and print a line about each."""
+    """Write the files, put them in place when all of them are written, and print their names."""
     with ExitStack() as replacements:
         for output in outputs:
             unfinished = replacements.enter_context(replace_output(output, *sources))
             with name_file_in_errors(args.input, InputError):
-                save_results.save(unfinished, save_results.ReconstructedSequence(sequence, result))
-    missing = int(np.isnan(result.joints).any(axis=(1, 2)).sum())
+                save_results.save(unfinished, found)
+    missing = int(np.isnan(found.result.joints).any(axis=(1, 2)).sum())
     if missing:
-        line = f'{missing} frames in which the person is out of sight have no skeleton'
+        line = f'{missing} frames before the first and after the last sight of the person have no skeleton'
         print_note(f'{args.input}: {line}')
-    solution = result.solution
-    warning = '' if solution.success else f'. {solution.message}'
-    distance = f'{np.nanmedian(result.joints[..., 2]):.1f} m away'
-    if not sequence.is_camera_known:
-        distance += (
-            ' by a nominal focal length, to which it is proportional (--hfov or --focal gives the true one)'
-        )
+    solution = found.result.solution
     for output in outputs:
-        print_result(
-            f'{output}: {len(sequence)} frames, base poses {result.category}, residual '
-            f'{np.nanmean(solution.residual):.2f} px, {distance}, {summary}{warning}'
-        )
+        print_result(output if solution.success else f'{output}: {solution.message}')
         if output.suffix == '.bvh':
             print_result(f'{output}: in cm, y up, as for a level camera. In Blender: {BLENDER_IMPORT}')

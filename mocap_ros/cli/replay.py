@@ -13,9 +13,9 @@ from pathlib import Path
 
 from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import remove_partial
-from mocap_ros.cli.inputs import add_topic_options
-from mocap_ros.cli.options import add_config_options, load_config_file, name_bag, parse_changes
-from mocap_ros.cli.terminal import interrupt_between_items, print_note, print_result, show_progress
+from mocap_ros.cli.inputs import add_lens_options, add_topic_options, read_lens_parameters
+from mocap_ros.cli.options import add_config_options, add_strict_option, load_config_file, name_bag, parse_changes
+from mocap_ros.cli.terminal import finish, interrupt_between_items, print_note, print_result, show_progress
 from mocap_ros.errors import InputError, MocapError, RecordingError, make_printable_line
 from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
 from mocap_ros.runtime.replay import ReplayOptions, replay
@@ -41,19 +41,22 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='folder of the new bag, which must not exist; for several bags, the folder for all new bags',
     )
     add_topic_options(parser)
+    add_lens_options(parser)
     parser.add_argument(
         '--resume',
         action='store_true',
         help='skip the bags that have been replayed, and start interrupted replays again (default: fail if a new '
         'bag exists)',
     )
+    add_strict_option(parser)
     add_config_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Replay the bags, and print the number of messages by verdict."""
-    options = ReplayOptions(load_config_file(args), args.topic, args.camera_info, changes=parse_changes(args))
+    changes = parse_changes(args) | read_lens_parameters(args)
+    options = ReplayOptions(load_config_file(args), args.topic, args.camera_info, changes=changes)
     jobs = _choose_outputs(args.bags, args.output)
     for bag, out in list(jobs.items()):
         if args.resume and out.exists():
@@ -66,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     has_failed = False
     for bag, out in jobs.items():
         try:
-            _replay_one(bag, out, options)
+            has_failed |= bool(_replay_one(bag, out, options, is_strict=args.strict))
         except MocapError as error:  # noqa: PERF203 # a failure does not stop the others
             if len(jobs) == 1:
                 raise
@@ -92,8 +95,8 @@ def _choose_outputs(bags: list[Path], output: Path) -> dict[Path, Path]:
     return {bag: output / name for bag, name in zip(bags, names, strict=True)}
 
 
-def _replay_one(path: Path, out: Path, options: ReplayOptions) -> None:
-    """Replay a bag; print the counters on stdout, and faults and losses on stderr."""
+def _replay_one(path: Path, out: Path, options: ReplayOptions, *, is_strict: bool) -> int:
+    """Replay a bag; print counters and summary on stdout, faults and losses on stderr; return the exit code."""
     start = time.monotonic()
     require_kind(path, [InputKind.BAG], BAG_FORMATS)
     with Bag(path) as bag, interrupt_between_items() as stop_at_interrupt:
@@ -118,3 +121,4 @@ def _replay_one(path: Path, out: Path, options: ReplayOptions) -> None:
         f'{out}: {counts.accepted} messages of people accepted, {counts.dropped.total()} dropped, '
         f'{counts.invalid} invalid, {seconds:.1f} s'
     )
+    return finish(path, result.summary, is_strict=is_strict)

@@ -13,9 +13,12 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from mocap_ros.errors import make_printable_line
+
+if TYPE_CHECKING:
+    from mocap_ros.runtime.summary import Summary
 
 T = TypeVar('T')
 
@@ -28,6 +31,12 @@ def print_result(line: object, *, flush: bool = False) -> None:
 def print_note(line: object) -> None:
     """Print a line about the input or the work on stderr, with the name of the program."""
     print(make_printable_line(f'mocap-ros: {line}'), file=sys.stderr)
+
+
+def finish(path: object, summary: Summary, *, is_strict: bool) -> int:
+    """Print the summary of a recording on stdout, and return the exit code."""
+    print_result(f'{path}: {summary}')
+    return int(is_strict and summary.is_wrong)
 
 
 def show_progress(items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:

@@ -14,8 +14,8 @@ import numpy as np
 
 from mocap_ros.bags.reader import is_bag
 from mocap_ros.cli.inputs import add_input_options, add_model_option, list_sources, load_models, read_input_options
-from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config
-from mocap_ros.cli.terminal import print_note, print_result, show_progress
+from mocap_ros.cli.options import add_config_options, add_strict_option, derive_output_stem, load_config
+from mocap_ros.cli.terminal import finish, print_note, print_result, show_progress
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.formats.video import write_video
@@ -71,6 +71,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--port', type=_parse_port, default=DEFAULT_PORT, metavar='N', help='port of --live (0: any free one)'
     )
     add_model_option(parser)
+    add_strict_option(parser)
     add_config_options(parser)
     parser.set_defaults(run=run)
 
@@ -91,7 +92,9 @@ def run(args: argparse.Namespace) -> int:
     sources = list_sources(args, config)
     check_output(output, *sources)
     options = SceneOptions(config, load_models(args, config), read_input_options(args, config), is_picture)
-    scene, lines = load_scene(args.input, options, lambda items, total: show_progress(items, 'view', total))
+    scene, lines, summary = load_scene(
+        args.input, options, lambda items, total: show_progress(items, 'view', total)
+    )
     for line in lines:
         print_note(line)
     notes: list[str] = []
@@ -111,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
     for line in notes:
         print_note(line)
     print_result(output)
-    return 0
+    return 0 if summary is None else finish(args.input, summary, is_strict=args.strict)
 
 
 def _run_live(args: argparse.Namespace) -> int:

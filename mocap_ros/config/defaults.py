@@ -243,6 +243,26 @@ class NodeConfig:
         read_only=True,
         is_common=True,
     )
+    hfov: float = define_parameter(
+        0.0,
+        'degrees, horizontal field of view of a camera without CameraInfo; 0: tracker.nominal_focal_length',
+        low=0.0,
+        high=170.0,
+        is_common=True,
+    )
+    focal: float = define_parameter(
+        0.0,
+        'px, focal length of a camera without CameraInfo, in place of node.hfov; 0: unknown',
+        low=0.0,
+        high=1e6,
+    )
+    camera_info_wait: float = define_parameter(
+        1.0,
+        's, from the first image, in which people wait for the first CameraInfo, so that their distances do not '
+        'change when it comes; 0: do not wait',
+        low=0.0,
+        high=60.0,
+    )
     image_width: int = define_parameter(
         0,
         'px, image width where neither the message nor CameraInfo gives it; 0: unknown',

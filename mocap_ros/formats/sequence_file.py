@@ -81,6 +81,7 @@ class KeypointSequence:
         recorded_ns: (F,) timestamps in ns, where they are known more exactly than in s, or empty.
         calibration: intrinsics of the camera, where they are given in another form than `camera_matrix` and
             `distortion`, or None.
+        focal_source: where the focal length is from if it is neither a calibration nor nominal, such as `given`.
     """
 
     keypoints: Array
@@ -94,6 +95,7 @@ class KeypointSequence:
     frame_id: str = ''
     recorded_ns: tuple[int, ...] = ()
     calibration: Intrinsics | None = None
+    focal_source: str = ''
 
     def __len__(self) -> int:
         return len(self.timestamps)

@@ -80,11 +80,16 @@ def describe_other_unit(points: Array, score: Array, image_width: int) -> str:
     return ''
 
 
+def measure_share_outside(points: Array, score: Array, image_size: tuple[int, int]) -> float:
+    """Return the share of the seen keypoints that lie outside the image (width, height); 0 if too few are seen."""
+    seen = points[score > 0]
+    return 1 - _measure_share_inside(seen, *image_size) if len(seen) >= MIN_JUDGED_POINTS else 0.0
+
+
 def describe_points_outside(points: Array, score: Array, image_size: tuple[int, int]) -> str:
     """Describe in a clause that most keypoints lie outside the image, or return an empty string."""
-    seen = points[score > 0]
-    outside = 1 - _measure_share_inside(seen, *image_size)
-    if len(seen) < MIN_JUDGED_POINTS or outside <= MAX_SHARE_OUTSIDE:
+    outside = measure_share_outside(points, score, image_size)
+    if outside <= MAX_SHARE_OUTSIDE:
         return ''
     return f'{outside:.0%} of the seen keypoints lie outside {image_size[0]} x {image_size[1]} px'
 

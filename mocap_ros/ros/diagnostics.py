@@ -108,6 +108,7 @@ class DiagnosticsReporter:
             'category': ', '.join(sorted({p.motion.category for p in people})),
             'swapped frames': pipeline.swapped_frames,
             'detections that were no person': counts['unusable'],
+            'summary': str(pipeline.summary.summarise()),
             'camera': 'from CameraInfo' if pipeline.camera_info is not None else 'nominal focal length',
             'frame of people': make_printable(pipeline.output_header.frame_id),
             'recorder': recorder,

@@ -9,13 +9,17 @@ A camera is known by the `frame_id` of its images. Another camera replaces the o
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from mocap_ros.errors import InputError
 from mocap_ros.messages.camera_info import CameraInfo
 from mocap_ros.messages.cdr import Header
 from mocap_ros.units import NS_PER_S
 
+FocalSource = Literal['known', 'given', 'nominal']  # by a calibration, by the user, or assumed
+KNOWN: FocalSource = 'known'
+GIVEN: FocalSource = 'given'
+NOMINAL: FocalSource = 'nominal'
 SILENCE_S = 1.0  # s; without images of one camera, before those of another are taken as a move of the input
 
 
@@ -83,3 +87,28 @@ class InputCamera:
         """Note that an image is used, with the CameraInfo that `check` has returned."""
         self.name, self._rival = header.frame_id or self.name, None
         self.calibration = calibration
+
+
+class CalibrationWait:
+    """Waits for the first CameraInfo, so that people do not change their size and distance when it comes.
+
+    Images are left out until it comes or `node.camera_info_wait` has passed by their stamps. If it comes still
+    later, tracking is restarted.
+    """
+
+    def __init__(self) -> None:
+        self._first_ns: int | None = None
+        self._source: FocalSource | None = None
+
+    def is_waiting(self, stamp_ns: int, wait_s: float) -> bool:
+        """Return whether an image is left out, for which there is no CameraInfo yet."""
+        if self._first_ns is None or stamp_ns < self._first_ns:
+            self._first_ns = stamp_ns
+        return self._source is None and stamp_ns - self._first_ns < wait_s * NS_PER_S
+
+    def find_restart(self, source: FocalSource) -> str:
+        """Note where the focal length of an image is from; return why tracking must be restarted, usually ''."""
+        before, self._source = self._source, source
+        if before == NOMINAL and source == KNOWN:
+            return 'the first CameraInfo came late and changes all distances, so tracking was restarted'
+        return ''

@@ -3,9 +3,9 @@
 
 """Mistakes in valid input, each described in words once: what is suspicious, and what to check.
 
-Joints in another order, points of an image of another size, and a vertical that people contradict are suspected
-once they are so for most people over seconds (`tracking/vertical_check.py`); misspelt names of joints, distortions
-without an inverse, and a camera without a calibration are certain.
+A vertical that people contradict is suspected once they do so for seconds (`tracking/vertical_check.py`); misspelt
+names of joints, distortions without an inverse, and a camera without a calibration are certain. Whether the points
+fit their layout and the image, `summary.RunSummary` judges.
 """
 
 from __future__ import annotations
@@ -22,23 +22,16 @@ from mocap_ros.config import Config, TrackerConfig
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import Floor
 from mocap_ros.keypoints.identities import EXCHANGED_IDS, find_absence
-from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import describe_points_outside, describe_transposed_size
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15, KEYPOINT_LAYOUTS, canonical_joint_names
 from mocap_ros.solvers.vertical import AUTO, NONE
 from mocap_ros.tracking.tracker import Tracker
-from mocap_ros.tracking.vertical_check import LastingCondition, VerticalCheck
+from mocap_ros.tracking.vertical_check import VerticalCheck
 from mocap_ros.units import NS_PER_S
 
-MEMORY_S = 5.0  # s; a corrected mistake is forgotten soon
-LEAST_S = 2.5  # s; longer than a burst of wrong points, such as while a person enters the image
 # s; a CameraInfo comes within it, if at all: publishers send it with every image
 CALIBRATION_WAIT_S = 2.5
-# 1; RMS residual divided by the body radius. With it, none of 150 recordings of motion capture with the errors of
-# three detectors is suspected, and all of 50 with joints reversed, one on, or in random order are.
-MAX_RESIDUAL = 0.25
 LEAST_LIKENESS = 0.8  # 1, of difflib; one or two letters of a joint's name
 GRID_SIZE = 9  # points in each direction of the middle of the image, at which a lens is checked
 # 1; radius of the middle of the image, of half the shorter side. A fisheye whose image circle fits the image shows
@@ -77,7 +70,6 @@ class InputChecks:
 
     def reset(self) -> None:
         """Forget what was found so far, and what was described."""
-        self._joint_order, self._image_size = (LastingCondition(MEMORY_S, LEAST_S) for _ in range(2))
         self._vertical = VerticalCheck()
         self._newest_seen_ns = 0  # stamp of the newest image in which a person was detected
         self._first_nominal_ns: int | None = None  # stamp of the first image of people without a CameraInfo
@@ -92,6 +84,7 @@ class InputChecks:
         tracker: Tracker,
         config: Config,
         floor: tuple[Floor | None, str],
+        fault: str = '',
     ) -> list[str]:
         """Return what is wrong with the input and was not described before.
 
@@ -104,6 +97,7 @@ class InputChecks:
             tracker: The tracker.
             config: All parameters.
             floor: The floor, if it is known, and what it cannot be used for, in words.
+            fault: Why the points are not sound (`summary.RunSummary`), in words; empty if they are.
         """
         stamp_ns = frame.header.stamp_ns
         if frame.people or stamp_ns < self._newest_seen_ns:
@@ -113,8 +107,7 @@ class InputChecks:
         self._last_ns = stamp_ns
         found = (
             self._check_vertical(people, tracker, config, has_floor=floor[0] is not None),
-            self._check_joint_order(stamp_ns, people),
-            self._check_image_size(stamp_ns, frame.people, intrinsics.image_size),
+            fault and f'people: {fault}',
             next(filter(None, (describe_misspelt_joint(p.joints) for p in frame.people)), ''),
             describe_unusable_distortion(intrinsics),
         )
@@ -130,27 +123,6 @@ class InputChecks:
                 new.append(words)
         return new
 
-    def _check_joint_order(self, stamp_ns: int, people: Sequence[Person3D]) -> str:
-        residuals = [p.motion.residual for p in people if not p.predicted and math.isfinite(p.motion.residual)]
-        if not (self._joint_order.advance(stamp_ns, [r > MAX_RESIDUAL for r in residuals]) and residuals):
-            return ''
-        return (
-            'people: no person has joints where the points are: beside the skeletons by '
-            f'{np.mean(residuals):.2f} of the radius of a body; check that skeleton or joint_names of the '
-            'messages give the joints in the order of the points'
-        )
-
-    def _check_image_size(
-        self, stamp_ns: int, detections: Sequence[Person2D], image_size: tuple[int, int] | None
-    ) -> str:
-        outside = [_describe_outside(p, image_size) for p in detections] if image_size else []
-        if not (self._image_size.advance(stamp_ns, [*map(bool, outside)]) and any(outside)):
-            return ''
-        return (
-            f'people: {next(filter(None, outside))}; check that the detector sees images of that size, and '
-            'gives points in px from the upper left corner'
-        )
-
     def _check_calibration(self, stamp_ns: int, intrinsics: Intrinsics, config: Config) -> str:
         focal = config.tracker.nominal_focal_length
         if intrinsics.is_focal_known or focal != TrackerConfig().nominal_focal_length:
@@ -163,7 +135,7 @@ class InputChecks:
         return (
             f'no CameraInfo: a nominal focal length of {focal:g} longer sides of the image '
             f'({math.degrees(2 * math.atan(0.5 / focal)):.0f} degrees) is assumed, to which distances from the '
-            'camera are proportional; publish camera_info or set tracker.nominal_focal_length'
+            'camera are proportional; publish camera_info or set node.hfov'
         )
 
     def _check_vertical(
@@ -183,13 +155,6 @@ class InputChecks:
             name = f'node.output_frame = {config.node.output_frame!r}, whose z axis is taken as up'
             advice = 'check the pose of the camera'
         return f'{name}: people seem to stand at {angle_deg:.0f} degrees to it; {advice}, unless everybody lies'
-
-
-def _describe_outside(person: Person2D, image_size: tuple[int, int]) -> str:
-    """Describe in a clause that most points of a person lie outside the image, in px; empty if they do not."""
-    keypoints = person.points, person.score, image_size
-    outside = describe_points_outside(*keypoints)
-    return outside and (describe_transposed_size(*keypoints) or outside)
 
 
 def describe_unusable_distortion(intrinsics: Intrinsics) -> str:

@@ -35,6 +35,7 @@ from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.offline.whole_sequence import MAX_GAP_S
 from mocap_ros.runtime.detection import ShowProgress, detect_in_video
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
+from mocap_ros.runtime.input_camera import GIVEN
 from mocap_ros.runtime.input_checks import WITHOUT_KEYPOINTS, describe_unusable_distortion
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 from mocap_ros.units import NS_PER_S
@@ -192,7 +193,7 @@ def give_focal_length(sequences: list[KeypointSequence], video: Video) -> tuple[
     if sequences[0].is_camera_known:
         return sequences, ['has a calibrated camera; --hfov and --focal are not used']
     matrix = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-    return [replace(sequence, camera_matrix=matrix) for sequence in sequences], []
+    return [replace(s, camera_matrix=matrix, focal_source=GIVEN) for s in sequences], []
 
 
 def load_sequence_file(path: str | Path) -> KeypointSequence:

@@ -29,12 +29,13 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import average_vertical
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.offline.whole_sequence import reconstruct_sequence
+from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequence
 from mocap_ros.people import MotionKind
 from mocap_ros.runtime.frame_assembly import is_stamp_missing
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 from mocap_ros.runtime.load_keypoints import InputOptions, load_bag, load_input, load_people
 from mocap_ros.runtime.load_results import RecordedPeople, find_skeletons_topic, holds_result
+from mocap_ros.runtime.summary import Summary, summarise
 from mocap_ros.skeleton import CMU15, Skeleton, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.scene import Mark, MarkKind, Scene, SceneKeypoints, ScenePerson
@@ -74,7 +75,7 @@ class SceneOptions(NamedTuple):
 
 def load_scene(
     path: Path, options: SceneOptions, progress: ProgressWrapper = lambda items, _: items
-) -> tuple[Scene, list[str]]:
+) -> tuple[Scene, list[str], Summary | None]:
     """Load what is drawn of an input or a result.
 
     Args:
@@ -83,7 +84,8 @@ def load_scene(
         progress: function that shows progress.
 
     Returns:
-        The scene, and lines for the user about people and messages that were left out.
+        The scene, lines for the user about people and messages that were left out, and what a reconstruction rests
+        on; None for a result.
 
     Raises:
         InputError: the input is of no known format, is damaged or shows no person; the error names where.
@@ -91,9 +93,9 @@ def load_scene(
     kind = require_kind(path, VIEWED_KINDS, VIEWED_FORMATS)
     try:
         if kind is InputKind.RESULT:
-            return _load_result_scene(path, options.input.person), []
+            return _load_result_scene(path, options.input.person), [], None
         if kind is InputKind.BAG and holds_result(path):
-            return _load_bag_scene(path, options, progress)
+            return *_load_bag_scene(path, options, progress), None
         reading = options.input._replace(node=options.config.node)
         if reading.person or options.only_one or kind is InputKind.SEQUENCE:
             sequence, lines = load_input(path, reading)
@@ -103,7 +105,8 @@ def load_scene(
             sequences = sorted(sequences, key=lambda s: -int((s.keypoints[..., 2] > 0).any(axis=1).sum()))
             if len(sequences) > MAX_PEOPLE:
                 lines.append(f'{path}: {len(sequences) - MAX_PEOPLE} more people are not shown, who are seen less')
-        return _reconstruct_people(path, sequences[:MAX_PEOPLE], options, progress, lines), lines
+        scene, summary = _reconstruct_people(path, sequences[:MAX_PEOPLE], options, progress, lines)
+        return scene, lines, summary
     except InputError as error:
         prefix = '' if str(error).startswith(str(path)) else f'{path}: '
         raise InputError(f'{prefix}{error}') from None
@@ -115,8 +118,8 @@ def _reconstruct_people(
     options: SceneOptions,
     progress: ProgressWrapper,
     lines: list[str],
-) -> Scene:
-    """Return the scene of some people; `lines` gets one for each person who cannot be reconstructed.
+) -> tuple[Scene, Summary]:
+    """Return the scene of some people, and what they rest on; `lines` gets one for each who fails.
 
     Raises:
         InputError: no person can be reconstructed.
@@ -127,6 +130,7 @@ def _reconstruct_people(
     people: list[ScenePerson] = []
     keypoints: dict[Skeleton, list[SceneKeypoints]] = {}
     verticals, skeleton, failures = [], CMU15, []
+    reconstructed: list[tuple[KeypointSequence, SequenceResult]] = []
     for index, sequence in enumerate(progress(sequences, len(sequences))):
         person_id = sequence.person_id or f'person_{index + 1}'
         frames = np.searchsorted(stamps, sequence.stamps_ns)
@@ -136,6 +140,7 @@ def _reconstruct_people(
             failures.append(str(error))
             lines.append(f'{path}: person {person_id!r} left out: {error}')
             continue
+        reconstructed.append((sequence, result))
         skeleton = result.skeleton
         verticals.append(result.vertical)
         people.append(_make_person(person_id, frames, result, result.solution.residual, intrinsics))
@@ -144,7 +149,8 @@ def _reconstruct_people(
     if not people:
         raise InputError(failures[-1])
     truth = sequences[0].truth if len(sequences) == 1 else None
-    return Scene(
+    summary = summarise([s for s, _ in reconstructed], [r for _, r in reconstructed], options.config)
+    scene = Scene(
         title=path.name,
         stamps_ns=stamps.tolist(),
         people=tuple(people),
@@ -155,6 +161,7 @@ def _reconstruct_people(
         skeleton=skeleton,
         vertical=average_vertical(np.concatenate(verticals)),
     )
+    return scene, summary
 
 
 def select_true_joints(joints: Array, names: Sequence[str], skeleton: Skeleton = CMU15) -> Array32 | None:

@@ -19,6 +19,7 @@ from mocap_ros.bags.journal import Verdict
 from mocap_ros.bags.topics import PEOPLE_SOURCES, TRANSFORM_SOURCES, Source
 from mocap_ros.config import Config
 from mocap_ros.errors import FrameDropped, InputError
+from mocap_ros.formats.detections import Video
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.messages.camera_info import check_image_size, decode_camera_info
@@ -30,10 +31,19 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Person3D
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
-from mocap_ros.runtime.input_camera import Calibration, InputCamera
+from mocap_ros.runtime.input_camera import (
+    GIVEN,
+    KNOWN,
+    NOMINAL,
+    Calibration,
+    CalibrationWait,
+    FocalSource,
+    InputCamera,
+)
 from mocap_ros.runtime.input_checks import InputChecks
 from mocap_ros.runtime.output_frame import OutputFrame
 from mocap_ros.runtime.outputs import OutputEncoder
+from mocap_ros.runtime.summary import RunSummary
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.units import NS_PER_S
 
@@ -108,6 +118,7 @@ class Pipeline:
         output_header: Header of the outputs of that image, in whose frame the people are published.
         people: People in the outputs of the last accepted image, in the camera's optical frame.
         checks: What seems to be wrong with the input, as of that image.
+        summary: What the people rest on, and whether the input is sound, since the pipeline was created or reset.
 
     Raises:
         ConfigError: The camera or the floor in the output frame are wrong (`OutputFrame`),
@@ -133,7 +144,8 @@ class Pipeline:
         self._assembler = FrameAssembler()
         self._camera = InputCamera()
         self._camera_note = ''
-        self.checks = InputChecks()
+        self.checks, self.summary = InputChecks(), RunSummary()
+        self._wait = CalibrationWait()
         self._consecutive_errors = 0
         self.header = self.output_header = Header(0, '')
         self.people: tuple[Person3D, ...] = ()
@@ -189,6 +201,7 @@ class Pipeline:
         """
         try:
             self._tracker.run_deferred_work()
+            self.summary.advance_judgement(self.config)
         except Exception:
             return traceback.format_exc()
         return ''
@@ -218,7 +231,8 @@ class Pipeline:
         self._tracker.reset()
         self._assembler.reset()
         self._camera.reset()
-        self.checks = InputChecks()
+        self.checks, self.summary = InputChecks(), RunSummary()
+        self._wait = CalibrationWait()
         self.people = ()
         self.header = Header(0, '')
         return self._outputs.encode_clear(self.output_header)
@@ -271,7 +285,14 @@ class Pipeline:
             if is_stamp_missing(stamp_ns, self.header.stamp_ns):
                 raise FrameDropped(MISSING_STAMP)
             restart, calibration = self._camera.check(frame.header)
-            intrinsics = self._find_intrinsics(frame, calibration)
+            intrinsics, focal_source = self._find_intrinsics(frame, calibration)
+            if (
+                calibration is None
+                and focal_source == NOMINAL
+                and self._wait.is_waiting(stamp_ns, config.node.camera_info_wait)
+            ):
+                return ProcessingResult(Verdict.ACCEPTED)
+            restart = restart or self._wait.find_restart(focal_source)
             floor = self._output_frame.find_floor(frame.header, intrinsics, config)
             if restart:
                 tracker.reset()
@@ -281,7 +302,9 @@ class Pipeline:
             times = self._prediction_times
             predicted = [*map(PredictedFrame, times, tracker.predict(times))] if times else ()
             outputs = self._outputs.encode(header, people, config.node, placement, tracker.vertical, predicted)
-            found = self.checks.advance(frame, intrinsics, people, tracker, config, floor)
+            seen = frame.people, people
+            self.summary.add(stamp_ns, *seen, intrinsics, focal_source, tracker.vertical, config)
+            found = self.checks.advance(frame, intrinsics, people, tracker, config, floor, self.summary.reason)
         except Exception as error:
             if isinstance(error, FrameDropped) and stamp_ns == self.header.stamp_ns == 0:
                 error = FrameDropped(MISSING_STAMP)
@@ -296,14 +319,16 @@ class Pipeline:
             reason = f'the stamp went back by {back_s:.1f} s, so tracking was restarted'
         return ProcessingResult(Verdict.ACCEPTED, '; '.join(filter(None, (restart, reason, *found))), outputs)
 
-    def _find_intrinsics(self, frame: KeypointsFrame, calibration: Calibration | None) -> Intrinsics:
-        """Return the intrinsics of a CameraInfo, or nominal ones from the size in messages or parameters."""
+    def _find_intrinsics(
+        self, frame: KeypointsFrame, calibration: Calibration | None
+    ) -> tuple[Intrinsics, FocalSource]:
+        """Return the intrinsics of a CameraInfo, or others for the size in messages or parameters."""
         node, stated = self.config.node, (frame.image_width, frame.image_height)
         camera = calibration.info if calibration else None
         if camera is not None:
             check_image_size(frame, camera)
             if camera.intrinsics.is_focal_known:
-                return camera.intrinsics
+                return camera.intrinsics, KNOWN
         known, configured = camera.size if camera else None, (node.image_width, node.image_height)
         size = resolve_image_size(stated=stated, camera=known, configured=configured)
         if not all(size):
@@ -311,7 +336,10 @@ class Pipeline:
                 'image_width, image_height: not set, and neither CameraInfo nor the parameters '
                 'node.image_width and node.image_height give the size of the image'
             )
-        return Intrinsics.from_image_size(*size, self.config.tracker.nominal_focal_length)
+        if node.hfov or node.focal:
+            focal = Video(hfov=node.hfov or None, focal=node.focal or None).find_focal_length(size[0])
+            return Intrinsics(float(focal or 0), (size[0] / 2, size[1] / 2), True, image_size=size), GIVEN
+        return Intrinsics.from_image_size(*size, self.config.tracker.nominal_focal_length), NOMINAL
 
     def _count(self, source: Source, result: ProcessingResult) -> None:
         if result.error_traceback:

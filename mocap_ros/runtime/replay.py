@@ -37,9 +37,11 @@ from mocap_ros.runtime.input_checks import find_kind
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, build_skeleton_definition
 from mocap_ros.runtime.pipeline import Counters, Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
+from mocap_ros.runtime.summary import Summary
 
 JOURNAL_TOPIC = '/mocap_replay/journal'  # ends as the journal of a live run, so that a replay can be replayed
 INPUT_TYPE_PARAMETER = 'node.input_type'  # set to the type of the bag's keypoints, whatever the parameters say
+WAIT_PARAMETER = 'node.camera_info_wait'  # 0 where no CameraInfo can come, or the run did not wait
 PREFIX_PARAMETER = 'node.frame_prefix'  # by which the people of the recorded run are known on /tf
 
 # A function that shows progress while the messages it is given are iterated; its second argument is their number.
@@ -64,7 +66,8 @@ class ReplayResult:
     """Summary of a replay."""
 
     counters: Counters  # numbers of keypoint messages by verdict
-    # Where the first message that was not accepted, and the reason; empty if there is none
+    summary: Summary  # what the people rest on
+    # Place of the first message that was not accepted, and the reason; empty if there is none
     first_rejection: str
     # Number of inputs that the recorded run processed but that the bag lacks; the outputs after the first of these
     # may differ from those of the recorded run
@@ -134,6 +137,8 @@ class _Replay:
         if self._repeats_parameters:
             config = self._apply_recorded(config, self._run.parameters)
         config = with_values(config, {INPUT_TYPE_PARAMETER: keypoints_type})
+        if camera_info is None or WAIT_PARAMETER not in (self._run.parameters or [WAIT_PARAMETER]):
+            config = with_values(config, {WAIT_PARAMETER: 0.0})
         self._inputs |= find_transform_topics(bag, config.node, self._run.input_topics)
         # that of the outputs in the bag, whatever the parameters of the replay say
         self._frame_prefix = str(self._run.parameters.get(PREFIX_PARAMETER, config.node.frame_prefix))
@@ -163,6 +168,7 @@ class _Replay:
                     self._tracebacks.setdefault(error_traceback, error_traceback)
         return ReplayResult(
             pipeline.counters,
+            pipeline.summary.summarise(),
             self._first_rejection,
             self._run.lost_count,
             tuple(self._tracebacks.values()),

@@ -41,6 +41,7 @@ from mocap_ros.offline.whole_sequence import MAX_GAP_S, SequenceResult
 from mocap_ros.people import CameraVertical, Motion, MotionKind, Person3D
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OutputEncoder, build_skeleton_definition
 from mocap_ros.runtime.playback import DEFAULT_FRAME_ID
+from mocap_ros.runtime.summary import Summary
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.solvers.observed_window import ObservedWindow
 
@@ -74,6 +75,7 @@ class ReconstructedSequence:
 
     sequence: KeypointSequence  # the keypoints
     result: SequenceResult  # the reconstruction, with joints (F, J, 3) in m in the camera's optical frame
+    summary: Summary | None = None  # what it rests on
 
 
 def save(path: Path, reconstruction: ReconstructedSequence) -> None:
@@ -116,6 +118,8 @@ def _save_npz(path: Path, reconstruction: ReconstructedSequence) -> None:
         'vertical_std': result.vertical_std,
     }
     arrays |= {key: a for key, a in zip(('camera_matrix', 'distortion'), camera, strict=True) if a is not None}
+    if (summary := reconstruction.summary) is not None:
+        arrays |= {'grade': np.array(summary.grade), 'summary': np.array(str(summary))}
     if result.orientation is not None and result.turn_inferred is not None:
         arrays |= {'orientation': result.orientation.astype('f4'), 'turn_inferred': result.turn_inferred}
     write_npz(path, arrays)

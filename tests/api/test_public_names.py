@@ -32,7 +32,8 @@ PUBLIC: dict[str, str] = {
     'GroundTruth': '(joints, joint_names)',
     'InputError': 'MocapError',
     'KeypointSequence': '(keypoints, joint_names, timestamps, image_size, camera_matrix=None, distortion=None, '
-    "truth=None, person_id='', frame_id='', recorded_ns=(), calibration=None) is_camera_known stamps_ns",
+    "truth=None, person_id='', frame_id='', recorded_ns=(), calibration=None, focal_source='') "
+    'is_camera_known stamps_ns',
     'MocapError': 'Exception',
     'ModelError': 'MocapError',
     'Motion': 'cadence category kind residual',
@@ -41,7 +42,8 @@ PUBLIC: dict[str, str] = {
     'root_covariance root_velocity root_velocity_covariance rotation scale scale_known skeleton std tentative '
     'translation turn_inferred unseen_for velocity velocity_std',
     'PoseSequence': 'base_poses cost is_scale_known iterations joint_names joints message orientation parents '
-    'residual rotation scale seen sequence success times translation turn_inferred vertical vertical_std weights',
+    'residual rotation scale seen sequence success summary times translation turn_inferred vertical '
+    'vertical_std weights',
     'RecordingError': 'MocapError',
     'SkeletonError': 'MocapError',
     'Tracker': '(joint_names, *, image_size, camera_matrix=None, distortion=None, '

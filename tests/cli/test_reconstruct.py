@@ -51,9 +51,12 @@ def test_the_summary_says_that_distances_are_nominal_unless_a_field_of_view_is_g
     command = ['reconstruct', str(short_recording), '-o', str(out), *QUICK_OPTIONS]
     for options, is_known in (([], False), (['--hfov', '56'], True), (['--focal', '600'], True)):
         assert main([*command, *options]) == 0
-        assert ('nominal focal length' in capsys.readouterr().out) != is_known
+        *_, line = capsys.readouterr().out.splitlines()
+        assert line.startswith(f'{short_recording}: good; 1 person in 20 frames; ')
+        assert ('px, given' if is_known else 'px, nominal') in line
         with np.load(out) as arrays:
             assert bool(arrays['scale_known']) == is_known
+            assert (arrays['grade'], f'{short_recording}: {arrays["summary"]}') == ('good', line)
 
 
 @pytest.mark.filterwarnings('error')
@@ -93,9 +96,9 @@ def test_a_name_that_a_terminal_would_obey_is_escaped(
 ) -> None:
     out = tmp_path / 'a\x1b[2J\nb.csv'
     assert main(['reconstruct', str(short_recording), '-o', str(out), *QUICK_OPTIONS]) == 0
-    (line,) = capsys.readouterr().out.splitlines()
+    line, _ = capsys.readouterr().out.splitlines()
     assert line.isprintable()
-    assert line.startswith(f'{tmp_path}/a\\x1b[2J b.csv: 20 frames')
+    assert line.startswith(f'{tmp_path}/a\\x1b[2J b.csv')
     assert out.is_file()
 
 

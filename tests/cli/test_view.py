@@ -27,7 +27,7 @@ def test_it_writes_a_page_or_a_picture(
     monkeypatch.chdir(tmp_path)
     output = Path(options[1] if options else f'{short_recording.stem}.html')
     assert main(['view', str(short_recording), *options, *QUICK_OPTIONS]) == 0
-    assert capsys.readouterr().out == f'{output}\n'
+    assert capsys.readouterr().out.startswith(f'{output}\n')
     if output.suffix == '.html':
         assert short_recording.name in output.read_text(encoding='utf-8')
     else:

@@ -21,10 +21,7 @@ from mocap_ros.messages.camera_info import CameraInfo, encode_camera_info
 from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.runtime.input_camera import SILENCE_S, Calibration, InputCamera
-from mocap_ros.runtime.input_checks import (
-    LEAST_S,
-    describe_misspelt_joint,
-)
+from mocap_ros.runtime.input_checks import describe_misspelt_joint
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.skeleton import KEYPOINT_LAYOUTS, keypoint_layout
 from tests.support.camera_infos import camera_info
@@ -55,6 +52,14 @@ def reverse_joints(person: Any) -> None:
     person.skeleton, person.joint_names = '', list(reversed(COCO17))
 
 
+def name_as_h36m(person: Any) -> None:
+    person.skeleton, person.joint_names = 'h36m17', []
+
+
+def exchange_axes(person: Any) -> None:
+    person.x, person.y = person.y, person.x
+
+
 def enlarge(person: Any) -> None:
     person.x, person.y = person.x * 3, person.y * 3
 
@@ -62,13 +67,20 @@ def enlarge(person: Any) -> None:
 def list_reasons(pipeline: Pipeline, frames: list[bytes]) -> list[str]:
     if pipeline.camera_info is None:  # which would be a problem of its own
         pipeline.set_camera_info(camera_info())
-    return [pipeline.feed(Source.KEYPOINTS, raw).reason for raw in frames]
+    reasons = []
+    for raw in frames:
+        reasons.append(pipeline.feed(Source.KEYPOINTS, raw).reason)
+        for _ in range(20):  # the readings of a stretch, which are measured one after another
+            assert not pipeline.run_deferred_work()
+    return reasons
 
 
 @pytest.mark.parametrize(
     ('edit', 'problem'),
     [
-        (reverse_joints, 'people: no person has joints where the points are'),
+        (name_as_h36m, 'people: these look like coco17, not h36m17: use --layout coco17'),
+        (reverse_joints, 'people: these look like coco17, not the given joints'),
+        (exchange_axes, 'people: (x and y look exchanged|people lie)'),
         (enlarge, r'people: \d+% of the seen keypoints lie outside 640 x 480 px; check that the detector sees'),
     ],
 )
@@ -80,11 +92,12 @@ def test_a_mistake_is_described_once_and_kept_until_it_is_mended(
     reasons = list_reasons(pipeline, wrong)
     (made,) = (r for r in reasons if r)
     assert re.match(problem, made)
-    assert not any(reasons[: int(LEAST_S / STEP_S)]), 'not before some seconds'
+    assert not any(reasons[: int(1.0 / STEP_S)]), 'not before a second'
     (kept,) = pipeline.checks.warnings
     assert re.match(problem, kept)
-    later = [with_stamp(raw, round((10 + i * STEP_S) * 1e9)) for i, raw in enumerate(stream)]
-    assert not any(list_reasons(pipeline, later))
+    assert pipeline.summary.summarise().grade in ('doubtful', 'wrong')
+    later = [with_stamp(raw, round((10 + i * STEP_S) * 1e9)) for i, raw in enumerate(2 * stream)]
+    assert [r for r in list_reasons(pipeline, later) if r] == []
     assert pipeline.checks.warnings == ()
     pipeline.reset()
     assert sum(map(bool, list_reasons(pipeline, wrong))) == 1, 'a reset forgets what was reported'
@@ -92,7 +105,7 @@ def test_a_mistake_is_described_once_and_kept_until_it_is_mended(
     assert pipeline.checks.warnings == ()
 
 
-def test_right_points_are_no_problem(stream: list[bytes]) -> None:
+def test_nothing_is_reported_on_right_points(stream: list[bytes]) -> None:
     assert not any(list_reasons(Pipeline(FAST_CONFIG), stream))
 
 

@@ -63,7 +63,7 @@ def bag(sequence: KeypointSequence, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 def test_a_bag_is_drawn_as_it_was_recorded(bag: Path, sequence: KeypointSequence) -> None:
-    scene, (line,) = load_scene(bag, OPTIONS)
+    scene, (line,), _ = load_scene(bag, OPTIONS)
     assert '1 messages left out; /keypoints: message 9: ' in line
     assert scene.image_size == sequence.image_size
     assert scene.stamps_ns == sequence.stamps_ns
@@ -96,7 +96,7 @@ def test_a_bag_is_drawn_as_it_was_recorded(bag: Path, sequence: KeypointSequence
 
 
 def test_one_person_of_a_bag_is_shown_alone(bag: Path) -> None:
-    scene, _ = load_scene(bag, OPTIONS._replace(input=InputOptions(person='ben')))
+    scene, _, _ = load_scene(bag, OPTIONS._replace(input=InputOptions(person='ben')))
     assert [person.id for person in scene.people] == ['ben']
     with pytest.raises(InputError, match="no person 'carl'"):
         load_scene(bag, OPTIONS._replace(input=InputOptions(person='carl')))
@@ -105,7 +105,7 @@ def test_one_person_of_a_bag_is_shown_alone(bag: Path) -> None:
 
 
 def test_a_bag_of_keypoints_shows_all_people(bag: Path) -> None:
-    scene, _ = load_scene(bag.with_name('in'), OPTIONS)
+    scene, _, _ = load_scene(bag.with_name('in'), OPTIONS)
     assert [person.id for person in scene.people] == ['anna', 'ben']
     assert all((np.diff(person.frames) == 1).all() for person in scene.people)
     anna, ben = scene.people
@@ -123,7 +123,9 @@ def test_a_sequence_file_and_its_results_look_the_same(
         matrix = np.array([[480.0, 0, 320], [0, 480, 240], [0, 0, 1]])
         sequence = replace(sequence, camera_matrix=matrix)
     save_sequence(tmp_path / 'in.npz', sequence)
-    whole, _ = load_scene(tmp_path / 'in.npz', OPTIONS)
+    whole, _, summary = load_scene(tmp_path / 'in.npz', OPTIONS)
+    assert summary is not None
+    assert (summary.grade, summary.people) == ('good', 1)
     (person,) = whole.people
     intrinsics = sequence.intrinsics(OPTIONS.config.tracker.nominal_focal_length)
     result = reconstruct_sequence(
@@ -134,7 +136,7 @@ def test_a_sequence_file_and_its_results_look_the_same(
     for suffix in ('.npz', '.mcap'):
         path = tmp_path / f'result{suffix}'
         save_results.save(path, save_results.ReconstructedSequence(sequence, result))
-        scene, _ = load_scene(path, OPTIONS)
+        scene, _, _ = load_scene(path, OPTIONS)
         (stored,) = scene.people
         assert stored.joints == pytest.approx(person.joints, abs=1e-4)
         assert stored.image == pytest.approx(person.image, abs=1)
@@ -179,6 +181,6 @@ def test_messages_that_cannot_be_drawn_are_counted(bag: Path, tmp_path: Path) ->
             recorder.write(message.topic, message.type, raw, message.time_ns, message.time_ns)
             if message.type == SKELETONS and number < 8:
                 recorder.write('/skeletons', SKELETONS, raw[: len(raw) // 8 * 4], message.time_ns, message.time_ns)
-    scene, lines = load_scene(tmp_path / 'odd', OPTIONS)
+    scene, lines, _ = load_scene(tmp_path / 'odd', OPTIONS)
     assert [int(line.partition(': ')[2].split()[0]) for line in lines] == [6, 4], 'one repeats a stamp'
     assert scene.keypoints

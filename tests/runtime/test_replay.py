@@ -189,7 +189,7 @@ def test_a_bag_that_fails_does_not_stop_the_others(
     bags = [str(tmp_path / name) for name in ('a', 'b', 'c')]
     assert main(['replay', *bags, '-o', str(tmp_path / 'out'), *FAST_ARGUMENTS]) == 1
     out, err = capfd.readouterr()
-    assert len(out.splitlines()) == 2
+    assert len(out.splitlines()) == 4, 'counters and summary of two bags'
     (line,) = err.splitlines()
     assert line.startswith(f'mocap-ros: {tmp_path}/b: ')
     for name in ('a', 'c'):

@@ -36,6 +36,7 @@ BASE_CONFIG = with_values(
         'tracker.model': 'walk',
         'tracker.components': 8,
         'tracker.iterations': 1,
+        'node.camera_info_wait': 0.0,
         'node.image_width': IMAGE_SIZE[0],
         'node.image_height': IMAGE_SIZE[1],
     },

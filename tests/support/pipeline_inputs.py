@@ -24,7 +24,12 @@ from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.playback import encode_sequence
 
 STEP_NS = 33_333_333  # between two frames of the demo; 30 Hz
-FAST_VALUES = {'tracker.model': 'walk', 'tracker.components': 8, 'tracker.iterations': 1}
+FAST_VALUES = {
+    'tracker.model': 'walk',
+    'tracker.components': 8,
+    'tracker.iterations': 1,
+    'node.camera_info_wait': 0.0,
+}
 FAST_CONFIG = with_values(Config(), FAST_VALUES)
 
 

@@ -1,0 +1,365 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a reconstruction rests on, in numbers and one line: who was seen, the fit, the focal length, the vertical.
+
+`summarise` makes it of whole recordings and `RunSummary` of images that follow one another; `evaluation.verdict`
+judges both.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.config import Config
+from mocap_ros.evaluation.verdict import (
+    MAX_STRETCHES,
+    MIN_SEEN_JOINTS,
+    STRETCH_S,
+    Fault,
+    Grade,
+    Judgement,
+    Reading,
+    average,
+    cut_stretches,
+    judge,
+    list_readings,
+    make_stretch,
+    measure_uncertainty,
+)
+from mocap_ros.formats.sequence_file import KeypointSequence
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.keypoints.validation import (
+    MAX_SHARE_OUTSIDE,
+    describe_points_outside,
+    describe_transposed_size,
+    measure_share_outside,
+)
+from mocap_ros.models.model_file import load_shipped_lifter
+from mocap_ros.offline.whole_sequence import SequenceResult
+from mocap_ros.people import CameraVertical, Person3D
+from mocap_ros.skeleton import skeleton_from_joints
+from mocap_ros.solvers.vertical import AUTO, NONE, read_given_vertical
+from mocap_ros.units import NS_PER_S
+
+Array = NDArray[np.float64]
+
+NOT_JUDGED = Judgement(Grade.GOOD, Fault.UNKNOWN)
+MAX_JUDGED_PEOPLE = 3  # of a recording; those who come first in the input
+MAX_FOUND_STD_DEG = 20.0  # degrees; a vertical that is less certain than this counts as uncertain
+MAX_STEP = 0.5  # of the person's size in the image; of a person from one image to the next
+MEMORY_S = 5.0  # s; live, the residual is averaged over about this time, and after it points are judged anew
+
+# What to say of a fault, but for those that name layouts.
+WORDS = {
+    Fault.UNKNOWN: f'too few images show {MIN_SEEN_JOINTS} joints',
+    Fault.AXES: 'x and y look exchanged',
+    Fault.Y_UP: 'y looks as if it pointed upwards: expected is y = 0 at the top of the image',
+    Fault.MIRRORED: 'left and right look exchanged: the names of the joints, or the image is mirrored',
+    Fault.TURNED: 'people lie or are upside down in the image: x and y may be exchanged, or y points upwards; '
+    'if the camera is turned, give tracker.vertical',
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a reconstruction rests on.
+
+    Attributes:
+        people: number of people.
+        frames: number of images.
+        seen: 1, share of the detector's points that were seen, in images with people; NaN without any.
+        residual_px: px, mean RMS reprojection error; NaN if unknown.
+        residual_share: 1, the same over the height of the body in the image.
+        distance_m: m, median distance along the optical axis; NaN if unknown.
+        focal_px: px, focal length; NaN if unknown.
+        focal_source: `known` by a calibration, `given` by the user, or `nominal`.
+        vertical: `given`, `found`, `uncertain` or `none`.
+        vertical_std_deg: degrees, standard deviation of the vertical; NaN if there is none.
+        grade: `good`, `doubtful` or `wrong`; `not judged` if too little was seen.
+        reason: why the grade is not good, in words.
+    """
+
+    people: int
+    frames: int
+    seen: float
+    residual_px: float
+    residual_share: float
+    distance_m: float
+    focal_px: float
+    focal_source: str
+    vertical: str
+    vertical_std_deg: float
+    grade: str
+    reason: str = ''
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether the input is wrong, so that the result is."""
+        return self.grade == describe_grade(Judgement(Grade.WRONG))
+
+    def __str__(self) -> str:
+        parts = [f'{self.grade}: {self.reason}' if self.reason else self.grade]
+        parts.append(f'{self.people} {"person" if self.people == 1 else "people"} in {self.frames} frames')
+        if math.isfinite(self.seen):
+            parts.append(f'{self.seen:.0%} of the points seen')
+        if math.isfinite(self.residual_px):
+            parts.append(f'residual {self.residual_px:.1f} px ({self.residual_share:.1%} of the body height)')
+        if math.isfinite(self.focal_px):
+            distance = f'{self.distance_m:.1f} m away' if math.isfinite(self.distance_m) else 'distances'
+            proportional = f': {distance}, proportional to it' if self.focal_source != 'known' else f', {distance}'
+            parts.append(f'focal length {self.focal_px:.0f} px, {self.focal_source}{proportional}')
+        std = f' (± {self.vertical_std_deg:.0f}°)' if math.isfinite(self.vertical_std_deg) else ''
+        parts.append(f'vertical {self.vertical}{std}')
+        return '; '.join(parts)
+
+
+def describe_grade(judgement: Judgement) -> str:
+    """Return the grade in words."""
+    return 'not judged' if judgement.fault is Fault.UNKNOWN else judgement.grade.name.lower()
+
+
+def describe_fault(judgement: Judgement, names: Sequence[str], outside: str = '') -> str:
+    """Return why points whose joints have these names are not sound, in words; empty if they are.
+
+    `outside` describes where they lie if most lie outside the image.
+    """
+    if judgement.fault is Fault.OUTSIDE:
+        return (
+            f'{outside}; check that the detector sees images of that size, and gives points in px from the upper '
+            'left corner'
+        )
+    given = skeleton_from_joints(tuple(names)).name or 'the given joints'
+    if judgement.fault is Fault.LAYOUT:
+        return (
+            f'these look like {judgement.layout}, not {given}: use --layout {judgement.layout}, or its joint names'
+        )
+    if judgement.fault is Fault.MISFIT:
+        return (
+            f'the points do not fit people with {given}: the joints may be in another order than their names, or '
+            'the detector sees something else'
+        )
+    return WORDS.get(judgement.fault, '')
+
+
+def summarise(sequences: Sequence[KeypointSequence], results: Sequence[SequenceResult], config: Config) -> Summary:
+    """Summarise the reconstruction of all people of a recording, one sequence and result each."""
+    tracker, lifter = config.tracker, load_shipped_lifter()
+    given, outside = read_given_vertical(tracker), ''
+    measured: list[dict[Reading, float]] = []
+    turns = count_upright_turns(None if given is None else CameraVertical(given.direction, given.std))
+    rows, seen, shares = [], [], []
+    for sequence, result in zip(sequences, results, strict=True):
+        intrinsics = result.virtual_camera.intrinsics
+        depth = float(np.nanmedian(result.joints[..., 2]))
+        residual = float(np.nanmean(result.solution.residual))
+        share = residual * depth / intrinsics.focal / tracker.body_height
+        rows.append((residual, share, depth, float(np.nanmedian(result.vertical_std))))
+        score = np.where(sequence.keypoints[..., 2] >= tracker.min_score, sequence.keypoints[..., 2], 0.0)
+        keypoints = np.concatenate([sequence.keypoints[..., :2], score[..., None]], axis=-1)
+        seen.append(float((score > 0)[(score > 0).any(axis=1)].mean()))
+        shares.append(measure_share_outside(keypoints[..., :2], score, sequence.image_size))
+        outside = outside or describe_outside(keypoints[..., :2], score, sequence.image_size)
+        if len(measured) < MAX_JUDGED_PEOPLE * MAX_STRETCHES:
+            for stretch in cut_stretches(keypoints, sequence.joint_names, sequence.timestamps, intrinsics):
+                readings = list_readings(stretch.names)
+                measured.append(
+                    {r: measure_uncertainty(stretch, r, turns, lifter, tracker.min_score) for r in readings}
+                )
+    counts = [len(sequence) for sequence in sequences]
+    residual, share, depth, std = np.average(rows, axis=0, weights=counts).tolist()
+    judgement = judge(average(measured), share, float(np.mean(shares)))
+    sequence, intrinsics = sequences[0], results[0].virtual_camera.intrinsics
+    return Summary(
+        people=len(sequences),
+        frames=len(set().union(*(s.stamps_ns for s in sequences))),
+        seen=float(np.mean(seen)),
+        residual_px=residual,
+        residual_share=share,
+        distance_m=depth,
+        focal_px=intrinsics.focal,
+        focal_source=sequence.focal_source or ('known' if intrinsics.is_focal_known else 'nominal'),
+        vertical=describe_vertical(tracker.vertical, math.degrees(std)),
+        vertical_std_deg=math.degrees(std),
+        grade=describe_grade(judgement),
+        reason=describe_fault(judgement, sequence.joint_names, outside),
+    )
+
+
+def describe_outside(points: Array, score: Array, image_size: tuple[int, int]) -> str:
+    """Describe in a clause that most points lie outside the image, in px; empty if they do not."""
+    keypoints = points, score, image_size
+    return describe_transposed_size(*keypoints) or describe_points_outside(*keypoints)
+
+
+def describe_vertical(parameter: str, std_deg: float) -> str:
+    """Return how the vertical is known, by the parameter `tracker.vertical` and its standard deviation."""
+    if parameter not in (AUTO, NONE):
+        return 'given'
+    if not math.isfinite(std_deg):
+        return 'none'
+    return 'found' if std_deg <= MAX_FOUND_STD_DEG else 'uncertain'
+
+
+def count_upright_turns(vertical: CameraVertical | None) -> int:
+    """Return the quarter turns clockwise after which up is up in the image of a camera; 0 if it is not known."""
+    if vertical is None:
+        return 0
+    x, y = vertical.direction[:2].tolist()
+    return int(np.argmin([y, x, -y, -x]))
+
+
+def find_same_person(last: Person2D, detections: Sequence[Person2D]) -> Person2D | None:
+    """Return the detection whose points are nearest to those of a person in the image before; None if far."""
+    size = float(np.ptp(last.points[last.score > 0], axis=0).max())
+    nearest: tuple[Person2D | None, float] = None, MAX_STEP * size
+    for person in detections:
+        shared = (last.score > 0) & (person.score > 0) if person.joints == last.joints else np.zeros(0, bool)
+        if shared.any():
+            distance = float(np.median(np.linalg.norm((person.points - last.points)[shared], axis=1)))
+            nearest = min(nearest, (person, distance), key=lambda found: found[1])
+    return nearest[0]
+
+
+class RunSummary:
+    """Summary of the images of one camera so far, as of the last.
+
+    Every few seconds the points of one person are collected for a stretch of `evaluation.verdict`. One of its
+    readings is measured at each call of `advance_judgement`, so that no image waits for all of them.
+    """
+
+    def __init__(self) -> None:
+        self.judgement = NOT_JUDGED
+        self._people: set[str] = set()
+        self._frames = self._counted = 0
+        self._sums = np.zeros(4)  # over people seen: share of points, residual in px, its share, distance
+        self._residual_share, self._share_outside = math.nan, 0.0  # averaged over `MEMORY_S`
+        self._outside = ''
+        self._last_ns = 0
+        self._focal, self._focal_source, self._vertical_std_deg, self._vertical = math.nan, '', math.nan, AUTO
+        self._followed: list[tuple[int, Person2D]] = []  # one person's points, by stamp in ns
+        self._rest_ns = 0  # stamp from which on the next stretch begins
+        self._names: tuple[str, ...] = ()
+        self._measured: dict[Reading, float] = {}
+        self._readings: list[Reading] = []  # still to be measured
+        self._parts: deque[dict[Reading, float]] = deque(maxlen=MAX_STRETCHES)
+
+    def add(
+        self,
+        stamp_ns: int,
+        detections: Sequence[Person2D],
+        people: Sequence[Person3D],
+        intrinsics: Intrinsics,
+        focal_source: str,
+        vertical: CameraVertical | None,
+        config: Config,
+    ) -> None:
+        """Add an image: what the detector saw, and the people who were reconstructed up to it."""
+        self._frames += 1
+        self._focal, self._focal_source, self._vertical = intrinsics.focal, focal_source, config.tracker.vertical
+        self._vertical_std_deg = math.nan if vertical is None else math.degrees(vertical.std)
+        seen = [p for p in people if not p.tentative]
+        self._people.update(p.id for p in seen if p.id not in self._people)
+        fits = [
+            (p.residual, p.residual / p.scale / config.tracker.body_height, p.joints[0, 2])
+            for p in seen
+            if not p.predicted and math.isfinite(p.residual)
+        ]
+        fresh = 1 - math.exp(-min(max(stamp_ns - self._last_ns, 0) / NS_PER_S, 1.0) / MEMORY_S)
+        if detections and (size := intrinsics.image_size) is not None:
+            points, score = (np.concatenate([getattr(d, k) for d in detections]) for k in ('points', 'score'))
+            self._share_outside += fresh * (measure_share_outside(points, score, size) - self._share_outside)
+            if self._share_outside > MAX_SHARE_OUTSIDE:
+                self._outside = describe_outside(points, score, size) or self._outside
+        if fits:
+            share = sum((d.score >= config.tracker.min_score).mean() for d in detections) / max(len(detections), 1)
+            mean = np.array([share, *np.mean(fits, axis=0)])
+            self._sums += mean
+            self._counted += 1
+            before = self._residual_share if math.isfinite(self._residual_share) else mean[2]
+            self._residual_share = before + fresh * (mean[2] - before)
+        self._last_ns = stamp_ns
+        self._follow(stamp_ns, detections, intrinsics, vertical, config)
+
+    def _follow(
+        self,
+        stamp_ns: int,
+        detections: Sequence[Person2D],
+        intrinsics: Intrinsics,
+        vertical: CameraVertical | None,
+        config: Config,
+    ) -> None:
+        """Collect the points of one person, and begin to measure them when there are enough."""
+        if self._readings or stamp_ns < self._rest_ns:
+            return
+        detections = [d for d in detections if (d.score > 0).sum() >= MIN_SEEN_JOINTS]
+        if self._followed:
+            last_ns, last = self._followed[-1]
+            if not 0 < stamp_ns - last_ns < STRETCH_S * NS_PER_S:
+                self._followed = []
+                return
+            person = find_same_person(last, detections)
+        else:
+            person = max(detections, key=lambda d: int((d.score > 0).sum()), default=None)
+        if person is None:
+            return
+        self._followed.append((stamp_ns, person))
+        if person.joints != self._names:
+            self._names, self._residual_share, self.judgement = person.joints, math.nan, NOT_JUDGED
+            self._parts.clear()
+        start_ns = self._followed[0][0]
+        if stamp_ns - start_ns < STRETCH_S * NS_PER_S:
+            return
+        score = np.array([p.score for _, p in self._followed])
+        score[score < config.tracker.min_score] = 0.0
+        keypoints = np.concatenate([[p.points for _, p in self._followed], score[..., None]], axis=-1)
+        times = np.array([(ns - start_ns) / NS_PER_S for ns, _ in self._followed])
+        stretch = make_stretch(keypoints, person.joints, times, intrinsics)
+        self._followed, self._rest_ns = [], stamp_ns + round(MEMORY_S * NS_PER_S)
+        if stretch is not None:
+            given = None if read_given_vertical(config.tracker) is None else vertical
+            self._turns, self._stretch, self._measured = count_upright_turns(given), stretch, {}
+            self._readings = list_readings(stretch.names)
+
+    def advance_judgement(self, config: Config) -> None:
+        """Measure a reading of the points that were collected, if there are any, and judge after the last."""
+        if self._readings:
+            reading, score = self._readings.pop(), config.tracker.min_score
+            u = measure_uncertainty(self._stretch, reading, self._turns, load_shipped_lifter(), score)
+            self._measured[reading] = u
+            if not self._readings:
+                self._parts.append(self._measured)
+        self.judgement = judge(average(self._parts), self._residual_share, self._share_outside)
+
+    @property
+    def reason(self) -> str:
+        """Why the input is not sound, in words; empty if it is, or was not judged yet."""
+        is_sound = self.judgement.grade is Grade.GOOD
+        return '' if is_sound else describe_fault(self.judgement, self._names, self._outside)
+
+    def summarise(self) -> Summary:
+        """Return the summary of all images so far."""
+        seen, residual, share, depth = (
+            self._sums / self._counted if self._counted else np.full(4, math.nan)
+        ).tolist()
+        return Summary(
+            people=len(self._people),
+            frames=self._frames,
+            seen=seen,
+            residual_px=residual,
+            residual_share=share,
+            distance_m=depth,
+            focal_px=self._focal,
+            focal_source=self._focal_source,
+            vertical=describe_vertical(self._vertical, self._vertical_std_deg),
+            vertical_std_deg=self._vertical_std_deg,
+            grade=describe_grade(self.judgement),
+            reason=describe_fault(self.judgement, self._names, self._outside),
+        )
