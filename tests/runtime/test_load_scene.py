@@ -149,7 +149,7 @@ def test_a_sequence_file_and_its_results_look_the_same(
     with np.load(tmp_path / 'result.npz') as archive:  # as earlier versions wrote it
         old = {key: archive[key] for key in archive if not key.startswith(('keypoint', 'image_size', 'camera'))}
     np.savez(tmp_path / 'old.npz', **old)
-    scene, _ = load_scene(tmp_path / 'old.npz', OPTIONS)
+    scene, _, _ = load_scene(tmp_path / 'old.npz', OPTIONS)
     assert scene.people[0].image == pytest.approx(person.image, abs=1)
     assert not scene.keypoints
 
