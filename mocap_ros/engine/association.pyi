@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 
 def measure_extent(points: Array, weight: Array, min_size: float) -> tuple[float, float, float]: ...
+def expect_person(
+    points: Array, weight: Array, age_s: Array, max_moved_s: float, min_span_s: float, min_shared: int
+) -> tuple[Array, Array]: ...
 def measure_distances(
     expected: Array,
     known: Array,

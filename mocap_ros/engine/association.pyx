@@ -94,6 +94,36 @@ def measure_extent(Points points, Weights weight, double min_size):
     return extent.x, extent.y, extent.size
 
 
+def expect_person(
+    const double[:, :, ::1] points, Points weight, Weights age_s, double max_moved_s, double min_span_s, int min_shared
+):
+    """Return where joints are expected (J, 2) and whether they were seen (J,), as of `keypoints.association`."""
+    cdef Py_ssize_t j, f, last = weight.shape[0] - 1
+    cdef int shared = 0
+    cdef double span_s = age_s[0] - age_s[last], x = 0, y = 0, moved_s
+    arrays = np.zeros((weight.shape[1], 2)), np.zeros(weight.shape[1])
+    cdef double[:, ::1] out = arrays[0]
+    cdef double[::1] out_weight = arrays[1]
+    for j in range(weight.shape[1]):
+        if weight[0, j] > 0 and weight[last, j] > 0:
+            shared += 1
+            x += points[last, j, 0] - points[0, j, 0]
+            y += points[last, j, 1] - points[0, j, 1]
+    if span_s >= min_span_s and shared >= min_shared:
+        x, y = x / (shared * span_s), y / (shared * span_s)
+    else:
+        x = y = 0
+    for j in range(weight.shape[1]):
+        f = last
+        while f >= 0 and not weight[f, j] > 0:
+            f -= 1
+        if f >= 0:
+            moved_s = min(age_s[f], max_moved_s)
+            out[j, 0], out[j, 1] = points[f, j, 0] + x * moved_s, points[f, j, 1] + y * moved_s
+            out_weight[j] = 1
+    return arrays
+
+
 def measure_distances(
     const double[:, :, ::1] expected, Points known, const double[:, :, ::1] detected, Points seen,
     const long long[::1] mirror, int min_shared, double min_size, int few_shared, double radius_offset,

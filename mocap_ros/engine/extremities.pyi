@@ -10,6 +10,18 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
 
+def collect_frame(
+    frame: int,
+    core: Array,
+    camera: Array,
+    lifted: Array | None,
+    std: Array | None,
+    rays: Array,
+    weight: Array,
+    other_rays: Array | None,
+    other_weight: Array | None,
+) -> tuple[Array, Array, Array, Array]: ...
+
 class Body:
     def __init__(
         self,

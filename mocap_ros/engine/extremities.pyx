@@ -299,6 +299,43 @@ cdef void add_estimate(
         pull[i] += sign * weighed[i]
 
 
+def collect_frame(
+    Py_ssize_t frame, Rows core, Rows camera, Stack lifted, Stack std, Stack rays, Rows weight, Stack other_rays,
+    Rows other_weight,
+):
+    """Return what one of F frames of a window says: the attributes of `ExtremityEvidence` from `lifted` to `weight`.
+
+    Args:
+        frame: its index.
+        core: (15, 3) m.
+        camera: (3, 3) rotation from the real to the virtual camera.
+        lifted: (F, 26, 3) in the unit of rays; None without a lifter.
+        std: likewise.
+        rays: (F, 15, 2) of the core.
+        weight: (F, 15).
+        other_rays: (F, 11, 2) of the extremities; None if none were seen.
+        other_weight: (F, 11).
+    """
+    cdef Py_ssize_t j, i, known = core.shape[0], joints = known + POINTS
+    cdef double depth = 0
+    arrays = np.full((joints, 3), np.nan), np.full((joints, 3), np.nan), np.zeros((joints, 2)), np.zeros(joints)
+    cdef double[:, ::1] out_lifted = arrays[0], out_std = arrays[1], out_rays = arrays[2]
+    cdef double[::1] out_weight = arrays[3]
+    for j in range(known):
+        for i in range(3):
+            depth += camera[2, i] * core[j, i] / known
+    for j in range(joints):
+        if lifted is not None:
+            for i in range(3):
+                out_lifted[j, i], out_std[j, i] = depth * lifted[frame, j, i], depth * std[frame, j, i]
+        if j < known:
+            out_rays[j, 0], out_rays[j, 1], out_weight[j] = rays[frame, j, 0], rays[frame, j, 1], weight[frame, j]
+        elif other_rays is not None:
+            out_rays[j, 0], out_rays[j, 1] = other_rays[frame, j - known, 0], other_rays[frame, j - known, 1]
+            out_weight[j] = other_weight[frame, j - known]
+    return arrays
+
+
 cdef class Body:
     """How segments and parts hang together; what the arguments are is said in `body_segments` and `extremities`."""
 

@@ -20,6 +20,22 @@ def turn_to_axes(Rows rays):
     return result
 
 
+def face_points(Stack rays, Rows weight, double min_total):
+    """Return the smallest rotation (3, 3) that brings the weighted centroid of rays (F, J, 2) to the optical axis."""
+    cdef Py_ssize_t n, j
+    cdef double x = 0, y = 0, total = 0
+    result = np.empty((3, 3))
+    cdef double[:, ::1] out = result
+    for n in range(weight.shape[0]):
+        for j in range(weight.shape[1]):
+            x += weight[n, j] * rays[n, j, 0]
+            y += weight[n, j] * rays[n, j, 1]
+            total += weight[n, j]
+    total = max(total, min_total)
+    turn_to_axis(x / total, y / total, &out[0, 0])
+    return result
+
+
 def rotate_rays(Stack rays, Stack rotation):
     """Return the rays of N groups (N, M, 2), each rotated by its rotation (N, 3, 3)."""
     cdef Py_ssize_t n, m

@@ -147,6 +147,44 @@ def sample_histories(
     return sampled, sampled_weight
 
 
+def sample_body_histories(
+    Stack rays, Rows weight, Stack other_rays, Rows other_weight, Stack rotation, double focal, Vector times,
+    Py_ssize_t first, Py_ssize_t oldest, Py_ssize_t joints, Vector slots, double max_gap_s, double tolerance_s,
+):
+    """Return what `sample_histories` does of the frames from `first` to the newest of a body, in rotated cameras.
+
+    Args:
+        rays: (F, J_c, 2) of the core.
+        weight: (F, J_c) scores.
+        other_rays: (F, J - J_c, 2) of the extremities; None if none were seen.
+        other_weight: (F, J - J_c).
+        rotation: (F, 3, 3), or (1, 3, 3) for all frames.
+        focal: of the rotated cameras.
+        times: (F,) s.
+        first: index of the first frame.
+        oldest: index of the oldest frame that may take part.
+        joints: J.
+        slots: with the next two as of `sample_histories`.
+        max_gap_s: likewise.
+        tolerance_s: likewise.
+    """
+    cdef Py_ssize_t f, j, core = weight.shape[1], count = times.shape[0] - oldest
+    points, scores = np.zeros((count, joints, 2)), np.zeros((count, joints))
+    cdef double[:, :, ::1] out = points
+    cdef double[:, ::1] score = scores
+    cdef const double* camera
+    cdef const double* ray
+    for f in range(count):
+        camera = &rotation[(oldest + f) % rotation.shape[0], 0, 0]
+        for j in range(core if other_weight is None else joints):
+            score[f, j] = weight[oldest + f, j] if j < core else other_weight[oldest + f, j - core]
+            if score[f, j] > 0:
+                ray = &rays[oldest + f, j, 0] if j < core else &other_rays[oldest + f, j - core, 0]
+                rotate_ray(camera, ray[0], ray[1], focal, &out[f, j, 0])
+    frames = np.arange(first - oldest, count)
+    return sample_histories(out, score, times[oldest:], frames, slots, max_gap_s, tolerance_s)
+
+
 cdef inline bint is_seen(const double* point, double weight) noexcept nogil:
     return weight > 0 and fabs(point[0]) < MAX_COORDINATE and fabs(point[1]) < MAX_COORDINATE
 

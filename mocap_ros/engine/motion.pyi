@@ -10,7 +10,17 @@ Array: TypeAlias = NDArray[np.float64]
 Array32: TypeAlias = NDArray[np.float32]
 Indices: TypeAlias = NDArray[np.int64]
 
-def extrapolate_state(share: float, theta: Array, rotation: Array, roots: Array) -> tuple[Array, Array, Array]: ...
+def add_correction(
+    velocity: Array,
+    std: Array,
+    covariance: Array,
+    correction: Array,
+    left_hip: int,
+    right_hip: int,
+    std_factor: float,
+    correction_factor: float,
+    root_factor: float,
+) -> tuple[Array, Array, Array] | None: ...
 def locate_joints(
     theta: Array, rotation: Array, root: Array, mean: Array, components: Array, size: float
 ) -> Array: ...

@@ -13,7 +13,7 @@ from libc.stdlib cimport free, malloc
 
 import numpy as np
 
-from mocap_ros.engine.geometry cimport dot, multiply, multiply_transposed, rotation_from_vector, vector_from_rotation
+from mocap_ros.engine.geometry cimport dot
 
 ctypedef const double[::1] Vector
 ctypedef const double[:, ::1] Rows
@@ -23,8 +23,6 @@ ctypedef const long long[::1] Indices
 
 cdef extern from *:
     """
-    #define MAX_APPROACH 0.5  /* of the last depth, by which a person comes nearer at most; the camera stays behind */
-
     /* The constants of joints and the powers were chosen together on 53 trials of persons of the training data, with
        clean points and as three detectors give them: least errors of acceleration for 0.1 to 0.6 mm of the positions.
        The stiffness of joints and the power of jitter were set last, with other persons in sight (docs/method.md).
@@ -60,7 +58,7 @@ cdef extern from *:
         double stiffness, damping, fade, speed_floor, velocity_floor
         double[3] jitter_factors, speed_factors
     const Spring JOINT, CENTRE
-    const double MAX_APPROACH, SPEED_POWER, JITTER_POWER, JITTER_UNIT_M, SPEED_MEMORY_S, JITTER_MEMORY_S, MAX_RISE
+    const double SPEED_POWER, JITTER_POWER, JITTER_UNIT_M, SPEED_MEMORY_S, JITTER_MEMORY_S, MAX_RISE
     const double MIN_JITTER_M, SQUARES, INPUT_LIMIT, MAX_CORRECTION
     const int LIMIT_FIRST, LIMIT_LAST
 
@@ -71,38 +69,6 @@ cdef enum:  # rows of the filter's state: x, v, mean squares of the second diffe
 
 cdef inline double square(double x) noexcept nogil:
     return x * x
-
-
-def extrapolate_state(double share, Rows theta, Stack rotation, Rows roots):
-    """Return theta_n (K,), R_n (3, 3) and root_n (3,) from the last two solved frames, or from one.
-
-    Args:
-        share: a.
-        theta: (2, K) m, or (1, K).
-        rotation: (2, 3, 3), or (1, 3, 3).
-        roots: (2, 3) m, or (1, 3).
-    """
-    cdef Py_ssize_t last = theta.shape[0] - 1, k
-    cdef double[9] turn
-    cdef double[3] vector
-    cdef double root_share = share, moved
-    arrays = np.empty(theta.shape[1]), np.empty((3, 3)), np.empty(3)
-    cdef double[::1] new_theta = arrays[0], new_root = arrays[2]
-    cdef double[:, ::1] new_rotation = arrays[1]
-    multiply_transposed(&rotation[last, 0, 0], &rotation[0, 0, 0], turn)
-    vector_from_rotation(turn, vector)
-    for k in range(3):
-        vector[k] *= share
-    rotation_from_vector(vector, turn)
-    multiply(turn, &rotation[last, 0, 0], &new_rotation[0, 0])
-    moved = roots[last, 2] - roots[0, 2]
-    if share * moved < -MAX_APPROACH * roots[last, 2]:  # at few frames a second a person may seem to pass the camera
-        root_share = -MAX_APPROACH * roots[last, 2] / moved
-    for k in range(theta.shape[1]):
-        new_theta[k] = theta[last, k] + share * (theta[last, k] - theta[0, k])
-    for k in range(3):
-        new_root[k] = roots[last, k] + root_share * (roots[last, k] - roots[0, k])
-    return arrays
 
 
 cdef void pose(
@@ -334,6 +300,49 @@ cdef void evaluate(
         factor = hidden[i] / (1 + expf(-hidden[i]))
         for n in range(outputs):
             found[n] += factor * weight_1[i, n]
+
+
+def add_correction(
+    Rows velocity, Vector std, Rows covariance, Rows correction, Py_ssize_t left_hip, Py_ssize_t right_hip,
+    double std_factor, double correction_factor, double root_factor,
+):
+    """Return corrected velocities (J, 3), their deviations (J,) and covariance (3, 3); None where none is corrected.
+
+    The formulas are in `tracking.output`.
+
+    Args:
+        velocity: (J, 3) of the filter.
+        std: (J,) likewise.
+        covariance: (3, 3) likewise, of the velocity between the hips.
+        correction: (J, 3).
+        left_hip: index of the joint.
+        right_hip: likewise.
+        std_factor: f.
+        correction_factor: g.
+        root_factor: h.
+    """
+    cdef Py_ssize_t j, i, k, count = velocity.shape[0]
+    cdef double squared
+    cdef bint is_corrected = False
+    cdef double[3] at_root
+    arrays = np.empty((count, 3)), np.empty(count), np.empty((3, 3))
+    cdef double[:, ::1] new_velocity = arrays[0], new_covariance = arrays[2]
+    cdef double[::1] new_std = arrays[1]
+    for j in range(count):
+        squared = dot(&correction[j, 0], &correction[j, 0])
+        is_corrected = is_corrected or squared > 0
+        new_std[j] = sqrt(square(std_factor * std[j]) + square(correction_factor) * squared)
+        for i in range(3):
+            new_velocity[j, i] = velocity[j, i] + correction[j, i]
+    if not is_corrected:
+        return None
+    for i in range(3):
+        at_root[i] = (correction[left_hip, i] + correction[right_hip, i]) / 2
+    for i in range(3):
+        for k in range(3):
+            new_covariance[i, k] = square(root_factor * std_factor) * covariance[i, k]
+            new_covariance[i, k] += square(root_factor * correction_factor) * at_root[i] * at_root[k]
+    return arrays
 
 
 def correct_velocity(

@@ -66,10 +66,7 @@ class VirtualCamera:
     @staticmethod
     def look_at_mean_position(rays: Array, weight: Array, intrinsics: Intrinsics) -> VirtualCamera:
         """Return one virtual camera for all frames, which looks at the weighted centroid of their seen joints."""
-        weighted = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1) * weight[..., None]
-        *total_ray, total = weighted.reshape(-1, 3).sum(axis=0)
-        centroid = np.array([total_ray]) / max(total, MIN_TOTAL_WEIGHT)
-        return VirtualCamera(rotation_to_optical_axis(centroid)[0], intrinsics)
+        return VirtualCamera(engine.face_points(rays, weight, MIN_TOTAL_WEIGHT), intrinsics)
 
     def select_frames(self, frames: NDArray[np.intp] | slice) -> VirtualCamera:
         """Return the virtual cameras of the given frames."""

@@ -70,17 +70,8 @@ def expect_person(points: Array, weight: Array, age_s: Array) -> ExpectedPerson:
     Each joint is where it was last seen, moved on with the mean velocity of the joints that the first and the last
     frame show, for at most `VELOCITY_SPAN_S`.
     """
-    is_seen: Mask = np.asarray(weight > 0)
-    span_s = age_s[0] - age_s[-1]
-    shared = is_seen[0] & is_seen[-1]
-    velocity = np.zeros(2)
-    if span_s >= MIN_VELOCITY_SPAN_S and shared.sum() >= MIN_SHARED_JOINTS:
-        velocity = (points[-1] - points[0])[shared].sum(axis=0) / (shared.sum() * span_s)
-    newest = len(age_s) - 1 - is_seen[::-1].argmax(axis=0)  # frame in which each joint was last seen
-    moved_s = np.minimum(age_s[newest], VELOCITY_SPAN_S)
-    expected = points[newest, np.arange(len(newest))] + velocity * moved_s[:, None]
-    is_known = np.asarray(is_seen.any(axis=0))
-    return ExpectedPerson(np.where(is_known[:, None], expected, 0.0), is_known.astype(float))
+    limits = VELOCITY_SPAN_S, MIN_VELOCITY_SPAN_S, MIN_SHARED_JOINTS
+    return ExpectedPerson(*engine.expect_person(points, weight, age_s, *limits))
 
 
 def measure_distances(

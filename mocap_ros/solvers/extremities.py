@@ -36,7 +36,8 @@ The constants and the code are in `engine/extremities.pyx`.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,6 +184,15 @@ def collect_evidence(
     return ExtremityEvidence(core, lifted, std, rays, weight, noise)
 
 
+def collect_frame_evidence(core: Array, observed: ObservedWindow, noise: float, frame: int) -> ExtremityEvidence:
+    """Return that of one frame of a window with one virtual camera; core (15, 3), else as `collect_evidence`."""
+    lifted, others = observed.lifted, observed.extremities
+    poses = (None, None) if lifted is None else (lifted.joints, lifted.std)
+    seen = observed.rays, observed.weight, *((None, None) if others is None else others)
+    found = engine.collect_frame(frame, core, observed.virtual_camera.rotation, *poses, *seen)
+    return ExtremityEvidence(core, *found, noise)
+
+
 class ExtremityState:
     """The extremities of a person in one frame; it does not change, and `advance` returns those of the next.
 
@@ -232,6 +242,11 @@ class ExtremityState:
     def is_turn_seen(self) -> Bools:
         """(15,) whether the image says how a segment is turned about its own axis."""
         return self.read('is_turn_seen') > 0
+
+
+def read_states(states: Sequence[ExtremityState]) -> NDArray[Any]:
+    """Return the fields of `STATE` of P people, each (P, ...)."""
+    return np.array([state.values for state in states]).view(STATE)[:, 0]
 
 
 class ExtremitySequence(NamedTuple):

@@ -39,7 +39,7 @@ from mocap_ros.models.lifter_input import (
     HISTORY_SLOTS_S,
     MAX_INTERPOLATION_GAP_S,
     TIME_TOLERANCE_S,
-    sample_histories,
+    sample_body_histories,
 )
 from mocap_ros.skeleton import CMU15, Skeleton
 from mocap_ros.solvers.window import (
@@ -118,10 +118,9 @@ class ObservedWindow:
         """Return rays (N, T, J, 2) and scores (N, T, J) of the frames not lifted yet, for `Lifter.lift`."""
         first = 0 if self.lifted is None else len(self.lifted.joints)
         oldest = int(self.times.searchsorted(self.times[first] - HISTORY_REACH_S))
-        recent = slice(oldest, None)
-        times = self.times[recent]
-        points, weight = self.view_body(recent, RAY_FOCAL)
-        return sample_histories(points, weight, times, np.arange(first - oldest, len(times)))
+        others = (None, None) if self.extremities is None else self.extremities
+        seen = self.rays, self.weight, *others, self.virtual_camera.rotation.reshape(-1, 3, 3)
+        return sample_body_histories(*seen, RAY_FOCAL, self.times, first, oldest)
 
     def view_body(self, frames: slice, focal: float) -> tuple[Array, Array]:
         """Return points (F, J, 2) of `skeleton.BODY26` in the virtual cameras, and scores."""

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.engine import motion as engine
 from mocap_ros.geometry.interpolation import central_velocity
 from mocap_ros.models.joint_std import estimate_joint_std
 from mocap_ros.models.model_file import load_velocity_correction
@@ -30,7 +31,8 @@ from mocap_ros.solvers.extremities import (
     SEGMENT_OF,
     ExtremityState,
     attach,
-    collect_evidence,
+    collect_frame_evidence,
+    read_states,
 )
 from mocap_ros.tracking.body_size import BodySize, estimate_root_covariance
 from mocap_ros.tracking.motion_filter import CoreMotion, MotionFilter
@@ -63,7 +65,7 @@ def follow_extremities(track: Track, stamp_ns: int, frame: int, core: Array) -> 
     if before is not None and age_ns <= 0:  # with a lag, this frame was shown before
         return before
     noise = solution.noise / solution.stature_ratio
-    evidence = collect_evidence(core[None], track.observed, noise, slice(frame, frame + 1)).select_frame(0)
+    evidence = collect_frame_evidence(core, track.observed, noise, frame)
     if before is None:
         followed = ExtremityState.begin(evidence, solution.model.stature)
     else:
@@ -93,14 +95,10 @@ def find_published_motion(track: Track, frame: int) -> CoreMotion:
     past = sample_velocity_past(track, found) if frame == track.newest else None
     if past is None:
         return found
-    correction = load_velocity_correction().correct(past)
-    if not correction.any():
-        return found
-    squared, at_root = (correction**2).sum(axis=1), (correction[HIPS[0]] + correction[HIPS[1]]) / 2
-    std = np.sqrt((CORRECTED_STD * found.velocity_std) ** 2 + CORRECTION_STD**2 * squared)
-    covariance = (ROOT_SPREAD * CORRECTED_STD) ** 2 * found.root_velocity_covariance
-    covariance += (ROOT_SPREAD * CORRECTION_STD) ** 2 * at_root * at_root[:, None]
-    return CoreMotion(found.joints, found.velocity + correction, std, covariance)
+    _, *filtered = found
+    factors = CORRECTED_STD, CORRECTION_STD, ROOT_SPREAD
+    corrected = engine.add_correction(*filtered, load_velocity_correction().correct(past), *HIPS, *factors)
+    return found if corrected is None else CoreMotion(found.joints, *corrected)
 
 
 def sample_velocity_past(track: Track, filtered: CoreMotion) -> VelocityPast | None:
@@ -113,7 +111,7 @@ def sample_velocity_past(track: Track, filtered: CoreMotion) -> VelocityPast | N
         filtered.velocity,
         filtered.velocity_std,
         solution.locate_joints(track.newest),
-        solution.sample_joints(track.times_s, _AGO),
+        solution.sample_joints(track.observed.times, track.observed.times[-1] + _AGO),
         solution.rotation[track.newest],
     )
 
@@ -186,19 +184,19 @@ def make_people(
     """Return P >= 1 people, of cores enlarged to their sizes, extremities of the assumed size, each in a frame."""
     intrinsics, roots = tracks[0].intrinsics, cores.joints.mean(axis=1)
     scales, translations = (intrinsics.focal / roots[:, 2]).tolist(), intrinsics.project(roots)
-    quaternions, is_known = np.array([e.quaternions for e in extremities]), [e.is_turn_seen for e in extremities]
-    turn_inferred = ~np.array(is_known)
+    states = read_states(extremities)
+    quaternions, turn_inferred = states['quaternions'], ~(states['is_turn_seen'] > 0)
     joints, std, velocity, velocity_std, root_covariance, root_velocity_covariance = cores
     inferred = np.ones((len(tracks), len(skeleton.joints)), bool)
     if unseen_for is None:
         inferred = _find_inferred(tracks, frames, skeleton)
     if skeleton != CMU15:
         ratio = np.array([[size.ratio] for size in sizes])
-        offsets = np.array([e.offsets for e in extremities]) * ratio[..., None]
-        offset_std = np.array([e.offset_std for e in extremities]) * ratio
+        offsets = states['offsets'] * ratio[..., None]
+        offset_std = states['offset_std'] * ratio
         turned = ANGULAR_SPEED_STD * np.sqrt((offsets**2).sum(axis=-1))
         joints = attach(joints, offsets)
-        velocity = attach(velocity, np.array([e.velocity for e in extremities]) * ratio[..., None])
+        velocity = attach(velocity, states['velocity'] * ratio[..., None])
         # errors of an extremity's offset and of its core joint are independent
         std = np.concatenate([std, np.hypot(std[:, _ANCHORS], offset_std)], axis=1)
         velocity_std = np.concatenate([velocity_std, np.hypot(velocity_std[:, _ANCHORS], turned)], axis=1)
