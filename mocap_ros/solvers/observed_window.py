@@ -118,9 +118,10 @@ class ObservedWindow:
         """Return rays (N, T, J, 2) and scores (N, T, J) of the frames not lifted yet, for `Lifter.lift`."""
         first = 0 if self.lifted is None else len(self.lifted.joints)
         oldest = int(self.times.searchsorted(self.times[first] - HISTORY_REACH_S))
-        others = (None, None) if self.extremities is None else self.extremities
-        seen = self.rays, self.weight, *others, self.virtual_camera.rotation.reshape(-1, 3, 3)
-        return sample_body_histories(*seen, RAY_FOCAL, self.times, first, oldest)
+        other_rays, other_weight = (None, None) if self.extremities is None else self.extremities
+        cameras = self.virtual_camera.rotation.reshape(-1, 3, 3), RAY_FOCAL
+        seen = self.rays, self.weight, other_rays, other_weight, *cameras
+        return sample_body_histories(*seen, self.times, first, oldest)
 
     def view_body(self, frames: slice, focal: float) -> tuple[Array, Array]:
         """Return points (F, J, 2) of `skeleton.BODY26` in the virtual cameras, and scores."""

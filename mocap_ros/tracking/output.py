@@ -95,9 +95,9 @@ def find_published_motion(track: Track, frame: int) -> CoreMotion:
     past = sample_velocity_past(track, found) if frame == track.newest else None
     if past is None:
         return found
-    _, *filtered = found
-    factors = CORRECTED_STD, CORRECTION_STD, ROOT_SPREAD
-    corrected = engine.add_correction(*filtered, load_velocity_correction().correct(past), *HIPS, *factors)
+    correction, factors = load_velocity_correction().correct(past), (CORRECTED_STD, CORRECTION_STD, ROOT_SPREAD)
+    filtered = found.velocity, found.velocity_std, found.root_velocity_covariance
+    corrected = engine.add_correction(*filtered, correction, *HIPS, *factors)
     return found if corrected is None else CoreMotion(found.joints, *corrected)
 
 
