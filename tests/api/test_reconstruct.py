@@ -99,7 +99,7 @@ INPUT, MODEL, CONFIG = mocap_ros.InputError, mocap_ros.ModelError, mocap_ros.Con
         ({'keypoints': [[[1, 2, 3]], [[1, 2]]]}, INPUT, 'keypoints: rows of different lengths'),
         ({'keypoints': 'walk.npz'}, INPUT, 'keypoints: holds <U8, expected numbers'),
         ({'keypoints': lambda points: points / [640, 640, 1]}, INPUT, 'keypoints: looks normalised'),
-        ({'keypoints': lambda points: points * [1, 1, 0]}, INPUT, 'keypoints: no frame has four seen joints'),
+        ({'keypoints': lambda points: points * [1, 1, 0]}, INPUT, 'keypoints: every score is 0'),
         ({'keypoints': np.tile([300.0, 200.0, 1.0], (40, 17, 1))}, INPUT, 'keypoints: all seen points lie'),
         ({'joint_names': 'halpe26'}, INPUT, r'keypoints: shape \(40, 17, 3\)'),
         ({'joint_names': [f'j{i}' for i in range(17)]}, INPUT, 'joint_names: .* fewer than four joints'),

@@ -86,7 +86,6 @@ def test_a_wrong_argument_of_the_tracker_is_one_error_that_names_it(
         ({'people': np.zeros((17, 3))}, r'people: shape \(17, 3\), expected \(17, 17, 3\)'),
         ({'people': np.zeros((1, 18, 3))}, r'people: shape \(1, 18, 3\), expected \(1, 17, 3\)'),
         ({'people': [np.zeros((17, 3)), np.zeros((18, 3))]}, 'people: rows of different lengths'),
-        ({'people': np.full((1, 17, 3), 150.0)}, r'people\[0\]: score\[0\]: 150'),
         ({'people': np.full((1, 17, 3), 0.5)}, r'people\[0\]: x, y: looks normalised'),
         ({'ids': ['anna', 'ben']}, 'ids: 2 names for 1 people'),
         *(({'ids': ids}, 'ids: .* expected a list of names') for ids in (5, 'a', [b'anna'], [None])),
