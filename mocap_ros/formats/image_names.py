@@ -37,7 +37,10 @@ DIGITS_OF_UNIT = {13: 3, 16: 6, 19: 9}  # digits of a time since 1970, and how m
 FRACTION_DIGITS = (3, 6, 9)  # of fractions of a second that follow other characters than a point
 
 # What distinguishes cameras and videos that see the same frames.
-_SOURCE = re.compile(r'(cam|camera|view|video|vid|seq|clip|kinect|device)[\W_]*\d+|left|right', re.IGNORECASE)
+_SOURCE = re.compile(
+    r'(cam|camera|view|video|vid|seq|clip|kinect|device)[\W_]*\d{1,2}(?!\d)|left|right', re.IGNORECASE
+)
+SEVERAL_SOURCES = 'images {!r} and {!r}: of two cameras or videos; a file must hold one video'
 _SUFFIX = re.compile(r'\.[A-Za-z][A-Za-z0-9]{0,4}$')
 _NUMBER = re.compile(rf'(\d{{1,{MAX_DIGITS}}})')
 _EPOCH = re.compile(r'(?<!\d)(\d{9,10})([._-])(\d{1,9})(?!\d)')
@@ -65,6 +68,9 @@ def order_images(names: Iterable[ImageName]) -> ImageOrder:
         return ImageOrder({name: int(name) for name in sorted(names, key=int)}, {})
     stems = [_SUFFIX.sub('', str(name)) for name in names]
     if times := _read_times(stems):
+        sources = [[match[0] for match in _SOURCE.finditer(stem)] for stem in stems]
+        if other := next((i for i, source in enumerate(sources) if source != sources[0]), 0):
+            raise InputError(SEVERAL_SOURCES.format(names[0], names[other]))
         return ImageOrder({}, dict(sorted(zip(names, times, strict=True), key=lambda pair: pair[1])))
     _check_one_source(stems, names)
     parts = [_NUMBER.split(stem) for stem in stems]
@@ -97,7 +103,7 @@ def _check_one_source(stems: Sequence[str], names: Sequence[ImageName]) -> None:
     if len(set(keys)) < len(names):
         first = next(i for i, key in enumerate(keys) if key in keys[:i])
         other, name = names[keys.index(keys[first])], names[first]
-        raise InputError(f'images {other!r} and {name!r}: of two cameras or videos; a file must hold one video')
+        raise InputError(SEVERAL_SOURCES.format(other, name))
 
 
 def _read_times(stems: Sequence[str]) -> list[int]:

@@ -25,7 +25,8 @@ NAMES_WITH_TIMES = [
     ('{s}_{us:06d}.png', 1_700_000_000), ('{s}-{us:06d}000.png', 1_700_000_000),
     ('2023-11-14T22-13-{s2:02d}.{us:06d}Z.png', 1_700_000_000),
     ('IMG_20231114_2213{s2:02d}_{ms3:03d}.jpg', 1_700_000_000),
-    ('{s0}.{us:06d}.png', 0), ('t_{s0}.{ms3:03d}.png', 0),
+    ('{s0}.{us:06d}.png', 0), ('cam_{s0}.{ms3:03d}.png', 0),
+    ('cam_{s}.{us:06d}.png', 1_700_000_000),
 ]  # fmt: skip
 
 
@@ -75,6 +76,7 @@ def test_other_names_are_taken_in_their_natural_order(names: list[ImageName]) ->
         [f'cam{c}_{n:02d}' for c in (1, 2) for n in range(9)],
         [f'{n:04d}_{side}.png' for side in ('left', 'right') for n in range(9)],
         [f'video{c}/{n}.png' for c in (1, 2) for n in range(9)],
+        [f'cam{c}/{1305031102 + n / 30 + c / 100:.6f}.png' for c in (1, 2) for n in range(9)],
     ],
 )
 def test_images_of_several_cameras_are_refused(names: list[ImageName]) -> None:
