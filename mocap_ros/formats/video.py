@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
@@ -35,6 +35,11 @@ MICROSECONDS = 1e6  # in a second; the unit of the times of a container
 MAX_MISSING_S = 1.0  # s; the sound of a video may be longer than its images by less
 POLL_S = 0.1  # s; bounds how long the decoder outlives a reader who has gone, and how long an end goes unnoticed
 JOIN_S = 0.5  # s; the decoder of a camera that gives no more images is left after this, far above an image's time
+
+
+# Ends of the names under which telephones write their focal length, on film of 35 mm, without underscores.
+FOCAL_TAGS = ('focallength.35mmequivalent', 'focallengthin35mmfilm', 'focallengthin35mmformat')
+FOCAL_RANGE_MM = 5.0, 500.0  # on film of 35 mm; anything else is damaged
 
 
 class VideoImage(NamedTuple):
@@ -96,6 +101,7 @@ class VideoReader:
             self._container.close()
             raise InputError(f'{path}: its codec is not known, so that it cannot be decoded')
         self._stream.thread_type = 'AUTO'
+        self.focal_mm = _read_focal_length(self._container.metadata, self._stream.metadata)
         self.image_count = None if is_camera else self._count_images()
 
     def __enter__(self) -> Self:
@@ -219,6 +225,16 @@ def _take(queue: Queue[tuple[bool, Any]], is_ended: Callable[[], bool] | None) -
             return queue.get(timeout=POLL_S)
         if is_ended():
             return False, None
+
+
+def _read_focal_length(*metadata: Mapping[str, str]) -> float | None:
+    """Return the focal length in mm on film of 35 mm that telephones write into their videos; None if none is."""
+    for key, text in (item for tags in metadata for item in tags.items()):
+        if key.lower().replace('_', '').endswith(FOCAL_TAGS):
+            with suppress(ValueError):
+                if FOCAL_RANGE_MM[0] <= (value := float(text)) <= FOCAL_RANGE_MM[1]:
+                    return value
+    return None
 
 
 def _describe(error: Exception) -> str:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -15,12 +16,14 @@ from mocap_ros.detectors.load import load_detector
 from mocap_ros.errors import InputError, ModelError
 from mocap_ros.formats.detections import MAX_FRAMES, Detections, associate_people, create_person
 from mocap_ros.formats.video import VideoImage, VideoReader, read_ahead
+from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.units import NS_PER_S
 
 # A function that shows progress while the images are iterated; its second argument is their number, if known.
 ShowProgress = Callable[[Iterable[VideoImage], int | None], Iterable[VideoImage]]
 
+FILM_DIAGONAL_MM = math.hypot(36, 24)  # mm; of the film of 35 mm to which a telephone's focal length refers
 MAX_LISTED_CHANGES = 5  # changes of the person that are named in a line
 NO_PERSON_SEEN = 'no person is seen in any image'
 
@@ -82,8 +85,17 @@ def detect_in_video(
     if not any(people):
         raise InputError(f'{path}: {NO_PERSON_SEEN} ({len(people)} images, {detector.name})')
     left_out = f'{reader.left_out} images left out that are damaged or not later than the one before'
-    notes = f'keypoints by {detector.name}', left_out if reader.left_out else '', ending or reader.ending
-    detections, changes = name_people(Detections(people, stamps_ns, size))
+    notes: tuple[str, ...] = (
+        f'keypoints by {detector.name}',
+        left_out if reader.left_out else '',
+        ending or reader.ending,
+    )
+    intrinsics = None
+    if reader.focal_mm is not None:
+        focal = reader.focal_mm / FILM_DIAGONAL_MM * math.hypot(*size)
+        intrinsics = Intrinsics(focal, (size[0] / 2, size[1] / 2), True, image_size=size)
+        notes = *notes, f'focal length of {reader.focal_mm:g} mm (on film of 35 mm) by the video'
+    detections, changes = name_people(Detections(people, stamps_ns, size, intrinsics))
     return replace(detections, notes=(*filter(None, notes), *changes))
 
 

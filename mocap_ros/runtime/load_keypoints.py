@@ -161,7 +161,8 @@ def _load_detections(path: Path, kind: InputKind, options: InputOptions) -> Dete
     if kind is InputKind.BAG:
         return load_bag(path, options.node, options.topic, options.camera_info)
     if kind is InputKind.VIDEO:
-        return detect_in_video(path, video.detector, show_progress=options.show_detection)
+        found = detect_in_video(path, video.detector, show_progress=options.show_detection)
+        return replace(found, intrinsics=None) if video.hfov or video.focal else found
     detections = load_json_folder(path, video) if kind is InputKind.OPENPOSE else load_json_file(path, video)
     if not all(detections.image_size) and (video.hfov or video.focal):
         raise InputError(f'{path}: --hfov and --focal need --image-size, as the input does not state it')

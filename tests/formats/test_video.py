@@ -121,3 +121,29 @@ def test_a_video_that_was_cut_off_says_where_it_ended(tmp_path: Path) -> None:
     short = VideoReader(path)
     next(iter(short))
     assert not short.ending  # somebody who stops reading learns nothing about the end
+
+
+@pytest.mark.parametrize(
+    ('key', 'text', 'expected'),
+    [
+        ('com.apple.quicktime.camera.focal_length.35mm_equivalent', '26', 26.0),
+        ('FocalLengthIn35mmFilm', '24.5', 24.5),
+        ('FocalLengthIn35mmFilm', '0', None),
+        ('FocalLengthIn35mmFilm', 'wide', None),
+        ('com.apple.quicktime.model', '26', None),
+    ],
+)
+def test_the_focal_length_that_a_telephone_writes_is_read(
+    tmp_path: Path, key: str, text: str, expected: float | None
+) -> None:
+    import av
+
+    path = tmp_path / 'v.mov'
+    with av.open(str(path), 'w', options={'movflags': 'use_metadata_tags'}) as container:
+        container.metadata[key] = text
+        stream = container.add_stream('mpeg4', 30)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, 'yuv420p'
+        for packet in (*stream.encode(av.VideoFrame(64, 48, 'yuv420p')), *stream.encode()):
+            container.mux(packet)
+    with VideoReader(path) as reader:
+        assert reader.focal_mm == expected

@@ -76,6 +76,7 @@ class BreakingCamera:
 
     image_count = None
     left_out = 0
+    focal_mm = None
     images: Sequence[Image] = ()
     error: InputError | None = None
 

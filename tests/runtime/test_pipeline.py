@@ -205,6 +205,33 @@ def test_parameters_of_tracker_and_solver_restart_the_tracker(
     assert skeletons == expected
 
 
+@pytest.mark.parametrize(
+    ('values', 'came_at', 'published', 'is_restarted'),
+    [
+        ({}, 0, 6, False),
+        ({}, 3, 3, False),
+        ({}, None, 0, False),
+        ({'node.camera_info_wait': 0.1}, None, 3, False),
+        ({'node.camera_info_wait': 0.1}, 5, 3, True),
+        ({'node.hfov': 60.0}, None, 6, False),
+        ({'node.focal': 600.0}, None, 6, False),
+    ],
+)
+def test_people_wait_for_the_first_calibration_unless_a_focal_length_is_given(
+    stream: list[bytes], values: dict[str, float], came_at: int | None, published: int, *, is_restarted: bool
+) -> None:
+    pipeline = Pipeline(with_values(FAST_CONFIG, {'node.camera_info_wait': 1.0, **values}))
+    results = []
+    for number, raw in enumerate(stream):
+        if number == came_at:
+            pipeline.set_camera_info(camera_info())
+        results.append(pipeline.feed(Source.KEYPOINTS, raw))
+    assert all(result.verdict is Verdict.ACCEPTED for result in results)
+    assert sum(bool(result.outputs) for result in results) == published
+    assert any('CameraInfo came late' in result.reason for result in results) == is_restarted
+    assert len({person.scale_known for person in pipeline.people}) == (published > 0)
+
+
 def test_tentative_people_are_flagged_and_have_no_transforms(stream: list[bytes]) -> None:
     pipeline = Pipeline(with_values(FAST_CONFIG, {'node.publish_tf': True}))
     pipeline.set_camera_info(camera_info())

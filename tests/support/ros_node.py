@@ -29,7 +29,8 @@ TIMEOUT_S = 60.0  # s; far above what anything here takes on a busy machine
 ANSWER_S = 1.0  # s; an answer that takes longer is lost, because the server had not discovered the client
 # The machine may pause for longer than the silence of which the node warns by default.
 PATIENT = 'node.silence_warning:=60.0'
-FAST_PARAMETERS = ('tracker.model:=walk', 'tracker.iterations:=1', 'tracker.components:=8', PATIENT)
+WAITLESS = 'node.camera_info_wait:=0.0'
+FAST_PARAMETERS = ('tracker.model:=walk', 'tracker.iterations:=1', 'tracker.components:=8', WAITLESS, PATIENT)
 # A best-effort subscription may miss the first messages.
 RELIABLE_INPUT = 'qos_overrides./keypoints.subscription.reliability:=reliable'
 DEACTIVATE, ACTIVATE, CLEAN_UP, CONFIGURE = 4, 3, 2, 1  # of lifecycle_msgs/Transition
