@@ -72,7 +72,8 @@ def add_input_options(parser: argparse.ArgumentParser, *, is_optional: bool = Fa
         type=Path,
         nargs='?' if is_optional else None,
         metavar='IN',
-        help='sequence file (.npz), bag, folder of OpenPose JSON, COCO keypoints (.json), or video',
+        help='sequence file (.npz), bag, folder of OpenPose JSON, COCO keypoints (.json), or video'
+        + ' (default: none, for --live)' * is_optional,
     )
     parser.add_argument(
         '--person', metavar='ID', help='one person of several in the input (default: the one seen in most frames)'
