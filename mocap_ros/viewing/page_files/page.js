@@ -198,7 +198,7 @@
     constructor(scene, onChange) {
       this.scene = scene;
       this.canvas = $('space-view');
-      this.ratio = Math.min(window.devicePixelRatio, MAX_RATIO);
+      this.ratio = this.movingRatio = Math.min(window.devicePixelRatio, MAX_RATIO);
       const antialias = !isDrawnInSoftware();
       this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias, preserveDrawingBuffer: true });
       this.renderer.setClearColor('#fbfbfb');
@@ -429,10 +429,17 @@
     }
 
     lowerResolution() {
-      if (this.ratio > MIN_RATIO) {
-        this.ratio = Math.max(this.ratio * 0.8, MIN_RATIO);
-        this.resize();
-      }
+      if (this.movingRatio === MIN_RATIO) return;
+      this.movingRatio = Math.max(this.movingRatio * 0.8, MIN_RATIO);
+      this.setMoving(true);
+    }
+
+    // Choose the resolution of moving pictures, or the full one of those that stand.
+    setMoving(isMoving) {
+      const ratio = isMoving ? this.movingRatio : Math.min(window.devicePixelRatio, MAX_RATIO);
+      if (ratio === this.ratio) return;
+      this.ratio = ratio;
+      this.resize();
     }
 
     draw(frame) {
@@ -560,7 +567,7 @@
       const { clientWidth: width, clientHeight: height } = this.canvas;
       const [imageWidth, imageHeight] = scene.camera.imageSize;
       const scale = Math.min(width / imageWidth, height / imageHeight);
-      const dot = Math.min(Math.max(4 * scale, 1.2), 3); // px
+      const dot = Math.min(Math.max(4 * scale, 2), 3); // px
       context.clearRect(0, 0, width, height);
       const x0 = (width - imageWidth * scale) / 2;
       const y0 = (height - imageHeight * scale) / 2;
@@ -846,6 +853,8 @@
     };
     const setPlaying = (value) => {
       isPlaying = value;
+      space.setMoving(value);
+      refresh();
       $('play').innerHTML = value ? '&#10074;&#10074;' : '&#9654;';
       if (value && (scene.isLive || frame === scene.frameCount - 1)) goTo(scene.isLive ? Infinity : 0);
     };
