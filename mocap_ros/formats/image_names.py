@@ -38,7 +38,7 @@ FRACTION_DIGITS = (3, 6, 9)  # of fractions of a second that follow other charac
 
 # What distinguishes cameras and videos that see the same frames.
 _SOURCE = re.compile(
-    r'(cam|camera|view|video|vid|seq|clip|kinect|device)[\W_]*\d{1,2}(?!\d)|left|right', re.IGNORECASE
+    r'(cam|camera|view|video|vid|seq|clip|kinect|device)[\W_]*\d{1,2}(?![\d.])|left|right', re.IGNORECASE
 )
 SEVERAL_SOURCES = 'images {!r} and {!r}: of two cameras or videos; a file must hold one video'
 _SUFFIX = re.compile(r'\.[A-Za-z][A-Za-z0-9]{0,4}$')
