@@ -259,7 +259,7 @@ def _reconstruct(path: Path, job: Job, scratch: Path) -> tuple[dict[str, Path], 
     write(out, poses)
     residual = _drop_nan(float(np.nanmean(poses.residual)))
     columns |= {'residual_px': residual, 'grade': poses.summary.grade}
-    columns['remark'] = '; '.join(filter(None, (describe_unsound(poses.summary), columns['remark'])))
+    columns['note'] = '; '.join(filter(None, (describe_unsound(poses.summary), columns['note'])))
     return {job.result_url + job.settings.suffix: out}, [columns]
 
 
