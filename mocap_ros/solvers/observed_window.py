@@ -44,7 +44,6 @@ from mocap_ros.models.lifter_input import (
 from mocap_ros.skeleton import CMU15, Skeleton
 from mocap_ros.solvers.window import (
     MIN_JOINTS_FOR_CAMERA,
-    EarlierFrames,
     InitialValues,
     Window,
     require_camera_frame,
@@ -147,13 +146,10 @@ class ObservedWindow:
         self,
         start: InitialValues | None = None,
         noise: float | None = None,
-        fixed_frames: int = 0,
-        earlier_frames: EarlierFrames | None = None,
     ) -> Window:
         """Return the window as a solver gets it, in px of the virtual cameras.
 
-        Its unit is the median scale of `start`; `noise` is in m; the first `fixed_frames` keep their initial
-        values.
+        Its unit is the median scale of `start`; `noise` is in m.
 
         Raises:
             InputError: No frame has four seen joints.
@@ -170,8 +166,6 @@ class ObservedWindow:
             unit=None if start is None else statistics.median(start.cameras.scale.tolist()),
             noise=noise,
             focal=self.focal,
-            fixed_frames=fixed_frames,
-            earlier_frames=earlier_frames,
             lifted=lifted,
         )
 
