@@ -23,16 +23,20 @@ from mocap_ros.geometry.rotations import MIN_SINE, rotation_from_vector
 Array = NDArray[np.float64]
 
 LEVEL_UP = np.array([0.0, -1.0, 0.0])  # upwards in the optical frame of a level camera
+MAX_CERTAIN_STD = math.radians(20.0)  # rad; nobody is turned by a vertical that is less certain
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])  # about the optical axis
 # Last parts of the names of frames whose z axis is up: those of REP 105, and the usual one of a robot cell. The
 # frames of a robot itself tilt with it.
 LEVEL_FRAMES = frozenset({'map', 'odom', 'world'})
 
 
-def average_vertical(vertical: Array) -> Array:
-    """Return the mean direction (3,) of unit vectors (..., 3), those with NaN left out; NaN if none is left."""
+def average_vertical(vertical: Array, std: Array) -> Array:
+    """Return the mean direction (3,) of unit vectors (..., 3) whose standard deviations (...,) in rad are certain.
+
+    It is NaN if there is none.
+    """
     vectors = vertical.reshape(-1, 3)
-    total = vectors[np.isfinite(vectors).all(axis=1)].sum(axis=0)
+    total = vectors[np.isfinite(vectors).all(axis=1) & (std.reshape(-1) <= MAX_CERTAIN_STD)].sum(axis=0)
     length = float(np.linalg.norm(total))
     return total / length if length > 0 else np.full(3, np.nan)
 

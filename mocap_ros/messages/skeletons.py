@@ -131,11 +131,12 @@ class RecordedPerson(NamedTuple):
 
 
 class RecordedSkeletons(NamedTuple):
-    """What is read of a Skeleton3DArray: stamp in ns, people and, in the camera's optical frame, vertical (3,)."""
+    """What is read of a Skeleton3DArray: stamp in ns; people and vertical (3,) in the camera's optical frame."""
 
     stamp_ns: int
     people: tuple[RecordedPerson, ...]
     vertical: Array
+    vertical_std: float
 
 
 def decode_skeletons(raw: bytes) -> RecordedSkeletons:
@@ -155,7 +156,7 @@ def decode_skeletons(raw: bytes) -> RecordedSkeletons:
         with naming(f'people[{index}]'):
             people.append(_read_person(person, pose))
     vertical = message.vertical if pose is None else pose.rotate(message.vertical)
-    return RecordedSkeletons(read_stamp(message.header.stamp), tuple(people), vertical)
+    return RecordedSkeletons(read_stamp(message.header.stamp), tuple(people), vertical, message.vertical_std)
 
 
 def _read_person(person: SimpleNamespace, pose: RigidTransform | None) -> RecordedPerson:

@@ -18,6 +18,8 @@ two thirds below 5, and 3 % above 27 (lying, sitting, tumbling).
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -70,3 +72,19 @@ def find_standing(joints: Array) -> Array:
     flexion_deg = np.degrees(np.arccos(cosines.clip(-1, 1)))
     share = (SEATED_FLEXION_DEG - flexion_deg) / (SEATED_FLEXION_DEG - STANDING_FLEXION_DEG)
     return np.asarray(share.clip(0, 1))
+
+
+class Stances(NamedTuple):
+    """What N poses show of the vertical: the directions of `find_upward` (N, 3) and `find_standing` (N,)."""
+
+    upward: Array
+    standing: Array
+
+    @staticmethod
+    def of(joints: Array) -> Stances:
+        """Return what poses (N, J, 3) show, in their axes."""
+        return Stances(find_upward(joints), find_standing(joints))
+
+    def select(self, people: NDArray[np.bool_]) -> Stances:
+        """Return what the poses of a mask (N,) show."""
+        return Stances(self.upward[people], self.standing[people])

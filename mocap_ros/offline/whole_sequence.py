@@ -34,6 +34,7 @@ as its poses Q_t are,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -50,20 +51,19 @@ from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.model_file import load_prior_lifter
-from mocap_ros.models.upward_direction import find_standing, find_upward
+from mocap_ros.models.upward_direction import Stances
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, Skeleton, estimate_stature
 from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.classification import choose_category
 from mocap_ros.solvers.extremities import SEGMENT_OF, attach, collect_evidence, smooth_extremities
+from mocap_ros.solvers.image_roll import find_roll, is_upside_down, lift_turned, turn_upright
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, explains_as_well, let_base_poses_lead
-from mocap_ros.solvers.observed_window import RAY_FOCAL, ObservedWindow, observe_sequence
+from mocap_ros.solvers.observed_window import ObservedWindow, observe_sequence
 from mocap_ros.solvers.vertical import (
     AUTO,
     Vertical,
     find_vertical,
-    lift_under_vertical,
     read_given_vertical,
-    turn_towards_vertical,
 )
 from mocap_ros.solvers.window import Reconstruction, Window
 
@@ -182,7 +182,7 @@ def _reconstruct(
     joints = camera.to_real_camera(solution.joints) + root[:, None]
     joints *= body_height / estimate_stature(solution.joints, skeleton)
     if vertical is None:
-        vertical = choose_vertical(observed.times, joints, config.tracker)
+        vertical = choose_vertical(observed, joints, config.tracker)
     result = SequenceResult(joints, observed.weight > 0, skeleton, category, solution, camera, *vertical)
     return result, observed
 
@@ -241,17 +241,22 @@ class Verticals(NamedTuple):
     std: Array
 
 
-def choose_vertical(times: Array, joints: Array, config: TrackerConfig) -> Verticals:
+def choose_vertical(observed: ObservedWindow, joints: Array, config: TrackerConfig) -> Verticals:
     """Return the vertical in each frame as `tracker.vertical` says: given, found, or NaN.
 
     The poses (F, J, 3) are in any unit, in the axes of the real camera.
     """
     if config.vertical == AUTO:
-        return Verticals(*find_vertical(times, find_upward(joints), find_standing(joints)))
-    given, frames = read_given_vertical(config), len(times)
+        sign = -1.0 if _is_upside_down(observed) else 1.0
+        return Verticals(*find_vertical(observed.times, Stances.of(joints), sign))
+    given, frames = read_given_vertical(config), len(observed.times)
     if given is None:
         return Verticals(np.full((frames, 3), np.nan), np.full(frames, np.nan))
     return _repeat_vertical(given, frames)
+
+
+def _is_upside_down(observed: ObservedWindow) -> bool:
+    return is_upside_down(observed.rays, observed.weight, observed.times)
 
 
 def _repeat_vertical(given: Vertical, frames: int) -> Verticals:
@@ -259,25 +264,35 @@ def _repeat_vertical(given: Vertical, frames: int) -> Verticals:
 
 
 def _lift(
-    observed: ObservedWindow, lifter: Lifter, config: TrackerConfig, known: Verticals | None = None
+    observed: ObservedWindow,
+    lifter: Lifter,
+    config: TrackerConfig,
+    known: Verticals | None = None,
 ) -> tuple[LiftedPoses, Verticals]:
     """Return lifted poses that are turned towards the vertical, in the virtual cameras' axes, and the vertical.
 
     The lifter gets a vertical that is given, for those who stand; `known` is one that was found before.
     """
     camera, given = observed.virtual_camera, read_given_vertical(config)
-    given_in_frames: tuple[Array | None, Array | None] = (None, None)
     if given is not None:
-        known = _repeat_vertical(given, len(observed.times))
-        given_in_frames = camera.to_virtual_camera(known.direction[:, None])[:, 0], known.std
-    lifted = lift_under_vertical(lifter, *observed.sample_unlifted_histories(), RAY_FOCAL, *given_in_frames)
-    vertical = known or choose_vertical(observed.times, camera.to_real_camera(lifted.joints), config)
-    direction = camera.to_virtual_camera(vertical.direction[:, None])[:, 0]
-    return turn_towards_vertical(lifted, direction, vertical.std), vertical
+        known, roll = _repeat_vertical(given, len(observed.times)), find_roll(given.direction)
+    else:
+        roll = math.pi if _is_upside_down(observed) else 0.0
+    direction = None if known is None else camera.to_virtual_camera(known.direction[:, None])[:, 0]
+    in_lifter = (None, None) if given is None or known is None else (direction, known.std)
+    lifted = lift_turned(lifter, *observed.sample_unlifted_histories(), roll, *in_lifter)
+    if known is None or direction is None:
+        known = choose_vertical(observed, camera.to_real_camera(lifted.joints), config)
+        direction = camera.to_virtual_camera(known.direction[:, None])[:, 0]
+    return turn_upright(lifted, roll, direction, known.std), known
 
 
 def _solve_with_lifter(
-    observed: ObservedWindow, vertical: Verticals, lifter: Lifter, models: Mapping[str, BasePoses], config: Config
+    observed: ObservedWindow,
+    vertical: Verticals,
+    lifter: Lifter,
+    models: Mapping[str, BasePoses],
+    config: Config,
 ) -> tuple[str, Reconstruction]:
     """Reconstruct with lifted poses, and again with those of points that the first solution corrects.
 

@@ -17,6 +17,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.level import MAX_CERTAIN_STD
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, decode_camera_info
 from mocap_ros.messages.keypoints import KEYPOINTS, KeypointsFrame, decode_keypoints
@@ -106,7 +107,7 @@ class LiveView(Node):
             people,
             [(skeleton_from_joints(p.joints), np.where(p.score[:, None] > 0, p.points, np.nan)) for p in found],
             self._size,
-            array.vertical,
+            array.vertical if array.vertical_std <= MAX_CERTAIN_STD else np.full(3, np.nan),
             skeleton,
         )
 

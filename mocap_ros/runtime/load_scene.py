@@ -49,7 +49,7 @@ ProgressWrapper = Callable[[Iterable[Any], int], Iterable[Any]]
 MAX_PEOPLE = 16  # people who are reconstructed; those who are seen most, since each one takes seconds
 VIEWED_FORMATS = f'{KEYPOINT_FORMATS}, or a result (.npz, .mcap)'
 VIEWED_KINDS = (*KEYPOINT_KINDS, InputKind.RESULT)
-CAMERA_KEYS = ('scale', 'translation', 'vertical', 'scale_known')  # of a result file
+CAMERA_KEYS = ('scale', 'translation', 'vertical', 'vertical_std', 'scale_known')  # of a result file
 # Fields of a `RecordedPerson` that a `ScenePerson` has as well, with their types there.
 PERSON_FIELDS = {
     'joints': np.float32,
@@ -129,7 +129,7 @@ def _reconstruct_people(
     intrinsics = sequences[0].intrinsics(nominal)
     people: list[ScenePerson] = []
     keypoints: dict[Skeleton, list[SceneKeypoints]] = {}
-    verticals, skeleton, failures = [], CMU15, []
+    verticals, stds, skeleton, failures = [], [], CMU15, []
     reconstructed: list[tuple[KeypointSequence, SequenceResult]] = []
     for index, sequence in enumerate(progress(sequences, len(sequences))):
         person_id = sequence.person_id or f'person_{index + 1}'
@@ -143,6 +143,7 @@ def _reconstruct_people(
         reconstructed.append((sequence, result))
         skeleton = result.skeleton
         verticals.append(result.vertical)
+        stds.append(result.vertical_std)
         people.append(_make_person(person_id, frames, result, result.solution.residual, intrinsics))
         part = _make_keypoints(sequence, frames)
         keypoints.setdefault(part.skeleton, []).append(part)
@@ -159,7 +160,7 @@ def _reconstruct_people(
         intrinsics=intrinsics,
         truth=None if truth is None else select_true_joints(truth.joints, truth.joint_names, skeleton),
         skeleton=skeleton,
-        vertical=average_vertical(np.concatenate(verticals)),
+        vertical=average_vertical(np.concatenate(verticals), np.concatenate(stds)),
     )
     return scene, summary
 
@@ -212,7 +213,8 @@ def _load_result_scene(path: Path, person: str | None) -> Scene:
         raise InputError('no frame has a skeleton')
     arrays, count = ArrayReader(read_arrays(path, CAMERA_KEYS, 'a result of reconstruct')), len(result.times)
     scale, translation = arrays.read_numbers('scale', (count,)), arrays.read_numbers('translation', (count, 2))
-    vertical, is_focal_known = arrays.read_numbers('vertical', (count, 3)), arrays.read_flags('scale_known', ())
+    vertical = arrays.read_numbers('vertical', (count, 3)), arrays.read_numbers('vertical_std', (count,))
+    is_focal_known = arrays.read_flags('scale_known', ())
     if result.sequence is not None and result.sequence.is_camera_known:
         intrinsics, size = result.sequence.intrinsics(1.0), result.sequence.image_size
     else:
@@ -226,7 +228,7 @@ def _load_result_scene(path: Path, person: str | None) -> Scene:
         image_size=size,
         intrinsics=intrinsics,
         skeleton=result.skeleton,
-        vertical=average_vertical(vertical),
+        vertical=average_vertical(*vertical),
     )
 
 
@@ -275,12 +277,14 @@ def _load_bag_scene(path: Path, options: SceneOptions, progress: ProgressWrapper
                 if message.topic not in journals:
                     array = people.add(message.raw)
                     newest_ns = array.stamp_ns
-                    verticals.append(array.vertical)
+                    if 0 < np.linalg.norm(array.vertical) < MAX_VERTICAL:
+                        verticals.append([*array.vertical, array.vertical_std])
                 elif (entry := decode_entry(message.raw)).verdict is not Verdict.ACCEPTED:
                     drops.append((newest_ns, entry.reason))  # at the time of the skeletons before
             except (InputError, SkeletonError) as error:  # noqa: PERF203
                 faults.append(f'{message.topic}: {error}')
-    vertical = average_vertical(np.array([v for v in verticals if 0 < np.linalg.norm(v) < MAX_VERTICAL]))
+    known = np.array(verticals).reshape(-1, 4)
+    vertical = average_vertical(known[:, :3], known[:, 3])
     scene = _build_bag_scene(people, reading.person, detections, drops)
     notes = [*detections.notes, *([f'{len(faults)} messages left out; {faults[0]}'] if faults else [])]
     return replace(scene, title=path.name, vertical=vertical), [f'{path}: {note}' for note in notes]

@@ -253,14 +253,16 @@ def stand_upright(result: SequenceResult) -> Array:
     """Return the joints (F, J, 3) in m in the axes of animation and biomechanics: y up, x right, z to the camera.
 
     The origin stays in the camera, and the camera's heading is kept. Up is the mean of the verticals that the
-    result has; where it has none, the camera is taken as level.
+    result has; where none is certain, the camera is taken as level.
     """
-    return np.asarray(result.joints @ rotation_to_level(average_vertical(result.vertical)).T * CAMERA_TO_Y_UP)
+    vertical = average_vertical(result.vertical, result.vertical_std)
+    return np.asarray(result.joints @ rotation_to_level(vertical).T * CAMERA_TO_Y_UP)
 
 
 def _save_bvh(path: Path, reconstruction: ReconstructedSequence) -> None:
     resampled = _resample_at_constant_rate(reconstruction, MAX_BVH_GAP_S)
-    orientation, vertical = resampled.orientation, average_vertical(reconstruction.result.vertical)
+    orientation, result = resampled.orientation, reconstruction.result
+    vertical = average_vertical(result.vertical, result.vertical_std)
     if orientation is not None:
         orientation /= np.maximum(np.linalg.norm(orientation, axis=-1, keepdims=True), SMALLEST_NORM)
         level = np.array(quaternion_from_rotation(rotation_to_level(vertical)))

@@ -10,9 +10,22 @@ some time:
     v_t = normalise(sum_i max(p_i, P) k_i u_i),    k_i = exp(-|t - t_i| / T) dt_i / (1 + (angle(u_i, v) / A)^2)
     s_v = min(S sqrt(C / sum_i p_i k_i), MAX_STD_DEG)
 
-with p_i the share to which the pose stands and dt_i the time to the next frame; live, the sums are over the frames
-before t. Directions of one person within the time C have nearly one error. Each lifted pose y is then turned about
-the horizontal axis of its virtual camera, by phi, the angle about that axis from u to v:
+with p_i the share to which the pose stands and dt_i the time to the next frame; live, the sums are over the
+frames before t alone. Who lies or stands on the hands has straight hips as well, and cameras are mostly level:
+p_i is multiplied by a share that falls from 1 to 0 as the angle from u_i to -y grows from `LEVEL_DEG`[0] to [1].
+Directions of one person within the time C have nearly the same error, so sum_i p_i k_i / C counts the independent
+ones, and s_v is the standard deviation of their mean.
+
+Where hardly anybody stands, the likeliest vertical is that of a level camera that looks down a little, v_0: with n
+the seconds in which somebody is seen and m those in which somebody stands, by the same weights,
+
+    v = normalise((1 - r) v_t + r v_0),    r = clip((n - m / STANDING_SHARE) / n, 0, 1)
+    s = (1 - r) s_v + r (MAX_STD_DEG + q (ASKEW_STD_DEG - MAX_STD_DEG))
+
+with q the share of n in which people have straight hips, but not upright in the image: they lie, or the camera is
+on its side. Where the camera is upside down (`solvers.image_roll`), -y becomes y in all of this.
+
+Each lifted pose y is then turned about the horizontal axis of its virtual camera, as the probabilities demand:
 
     y' = R_x(p g phi / (1 + (phi / B)^2)) y,    g = s_y^2 / (s_y^2 + s_u^2 + s_v^2)
 
@@ -25,7 +38,8 @@ turns: 0.3 better).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +47,8 @@ from numpy.typing import NDArray
 from mocap_ros.config import TrackerConfig
 from mocap_ros.engine import vertical as engine
 from mocap_ros.errors import ConfigError
-from mocap_ros.models.lifter import LiftedPoses, Lifter
-from mocap_ros.models.upward_direction import find_standing, find_upward
+from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.models.upward_direction import Stances, find_standing, find_upward
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.units import NS_PER_S
 
@@ -48,50 +62,126 @@ DIRECTION_STD_DEG = 8.0  # S: of the direction that a lifted pose shows
 CORRELATION_S = 4.0  # s; C: means over so long still differ by almost as much as those of single frames
 MAX_STD_DEG = 25.0  # of a vertical of which next to nothing is known: that of people who sit all the time
 GIVEN_STD_DEG = 1.0  # s_v of a vertical that is given: that of a spirit level or an accelerometer at rest
+LEVEL_DEG = 60.0, 75.0  # between up in the image of a level camera and who stands: cameras look down by up to 45
+LEVEL_PITCH_DEG = 10.0  # by which v_0 looks down, as robots and tripods do; roll and pitch differ by some 10
+STANDING_SHARE = 0.1  # 1; of the time; who stands for less of it still tells more than v_0 does
+ASKEW_STD_DEG = 45.0  # half of the quarter of a turn by which v_0 is wrong if the camera is on its side
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for
 UNIT_TOLERANCE = 0.01  # 1; difference of a given direction's length from 1 that rounding may cause
 
 
+def _measure_levelness(upward: Array, sign: float) -> Array:
+    """Return the shares (N,) to which directions (N, 3) are up for a camera, upside down if the sign is -1."""
+    angle_deg = np.degrees(np.arccos((-sign * upward[:, 1]).clip(-1, 1)))
+    return np.asarray(((LEVEL_DEG[1] - angle_deg) / (LEVEL_DEG[1] - LEVEL_DEG[0])).clip(0, 1))
+
+
+def _measure_standing(stances: Stances, sign: float) -> Array:
+    """Return the shares (N,) to which people stand upright before a camera, upside down if the sign is -1."""
+    return stances.standing * _measure_levelness(stances.upward, sign)
+
+
+def _add_prior(
+    found: Array, std_deg: Array, sign: float, seen: Array, standing: Array, askew: Array
+) -> tuple[Array, Array]:
+    """Return directions (N, 3) and standard deviations (N,) in rad with r of v_0 (formulas of this module).
+
+    Args:
+        found: (N, 3) v_t.
+        std_deg: (N,) degrees, s_v.
+        sign: 1, or -1 for a camera that is upside down.
+        seen: (N,) s, n.
+        standing: (N,) s, m.
+        askew: (N,) s, q n.
+    """
+    n = np.maximum(seen, 1e-12)
+    r = ((n - standing / STANDING_SHARE) / n).clip(0, 1)
+    pitch = math.radians(LEVEL_PITCH_DEG)
+    level = np.array([0.0, -sign * math.cos(pitch), -math.sin(pitch)])
+    direction = np.where(r[:, None] > 0, (1 - r)[:, None] * found + r[:, None] * level, found)
+    length = np.linalg.norm(direction, axis=1, keepdims=True)
+    direction = np.where(r[:, None] > 0, direction / np.maximum(length, 1e-12), found)
+    prior_deg = MAX_STD_DEG + (ASKEW_STD_DEG - MAX_STD_DEG) * askew / n
+    return direction, np.radians(np.where(r > 0, (1 - r) * std_deg + r * prior_deg, std_deg))
+
+
+class _Sums(NamedTuple):
+    """Seconds in which people were seen, stood and lay; those of long ago count less."""
+
+    seen: float = 0.0
+    standing: float = 0.0
+    askew: float = 0.0
+
+
+NO_SUMS = _Sums()
+
+
 @dataclass(frozen=True, eq=False)
 class Vertical:
-    """What is known of the vertical of a camera; it is immutable, and `advance` returns a new one."""
+    """What is known of the vertical of a camera; it is immutable, and `advance` returns a new one.
 
-    direction: Array  # (3,) unit vector upwards in the camera's optical frame
-    # s, for how long people have been seen standing, those of long ago counting less; infinite where it is given
-    seconds: float
-    stamp_ns: int = 0  # ns, stamp of the newest frame that it rests on
-    weight: float = 0.0  # s, the same, in which those who do not stand count at least `MIN_STANDING`
+    Attributes:
+        direction: (3,) unit vector upwards in the camera's optical frame.
+        std: rad, standard deviation of the direction.
+        is_given: whether the direction was given, so that it owes nothing to lifted poses.
+        stamp_ns: ns, stamp of the newest frame that it rests on.
+        found: (3,) the direction that people show alone.
+        seconds: s, for how long people have been seen standing, those of long ago counting less.
+        weight: s, the same, in which those who do not stand count at least `MIN_STANDING`.
+        sums: s, what else people have been seen to do.
+        sign: 1, or -1 where the camera is upside down.
+    """
 
-    @property
-    def std(self) -> float:
-        """Standard deviation of the direction in rad."""
-        if self.is_given:
-            return math.radians(GIVEN_STD_DEG)
-        std_deg = DIRECTION_STD_DEG * math.sqrt(CORRELATION_S / max(self.seconds, 1e-9))
-        return math.radians(min(std_deg, MAX_STD_DEG))
-
-    @property
-    def is_given(self) -> bool:
-        """Whether the direction was given, so that it owes nothing to lifted poses."""
-        return math.isinf(self.seconds)
+    direction: Array
+    std: float
+    is_given: bool = False
+    stamp_ns: int = 0
+    found: Array = field(default_factory=lambda: np.full(3, np.nan))
+    seconds: float = 0.0
+    weight: float = 0.0
+    sums: _Sums = NO_SUMS
+    sign: float = 1.0
 
     @staticmethod
-    def begin(stamp_ns: int, upward: Array) -> Vertical:
-        """Return the vertical that the first poses show; upward (P, 3), P >= 1, stamp in ns."""
-        total = upward.sum(axis=0)
-        return Vertical(total / max(float(np.linalg.norm(total)), 1e-9), 0.0, stamp_ns)
+    def give(direction: Array, stamp_ns: int = 0) -> Vertical:
+        """Return a vertical that is given, (3,) unit vector."""
+        return Vertical(direction, math.radians(GIVEN_STD_DEG), True, stamp_ns)
 
-    def advance(self, stamp_ns: int, upward: Array, standing: Array) -> Vertical:
-        """Return the vertical after a later frame, by directions (P, 3) of people who stand to shares (P,)."""
+    @staticmethod
+    def begin(stamp_ns: int, stances: Stances, sign: float = 1.0) -> Vertical:
+        """Return the vertical that the first poses show; the arguments are those of `advance`."""
+        total = stances.upward.sum(axis=0)
+        found = total / max(float(np.linalg.norm(total)), 1e-9)
+        begun = Vertical(found, 0.0, False, stamp_ns, found, sign=sign).advance(stamp_ns + 1, stances, sign)
+        return replace(begun, stamp_ns=stamp_ns, found=found, seconds=0.0, weight=0.0)
+
+    def advance(self, stamp_ns: int, stances: Stances, sign: float = 1.0) -> Vertical:
+        """Return the vertical after another frame.
+
+        Args:
+            stamp_ns: ns, stamp of the frame, later than those before.
+            stances: what the poses of its P >= 0 people show, directions in the camera's optical frame.
+            sign: 1, or -1 where the camera is upside down.
+        """
         if self.is_given:
             return self
+        if sign != self.sign:
+            return Vertical.begin(stamp_ns, stances, sign)
         age_s = (stamp_ns - self.stamp_ns) / NS_PER_S
-        faded = math.exp(-age_s / MEMORY_S)
-        kept, step_s = faded * self.weight, min(age_s, MAX_STEP_S)
-        direction, weight, seconds = engine.add_frame(
-            self.direction, kept, step_s, np.ascontiguousarray(upward), standing
-        )
-        return Vertical(direction, faded * self.seconds + seconds, stamp_ns, kept + weight)
+        faded, step_s = math.exp(-age_s / MEMORY_S), min(age_s, MAX_STEP_S)
+        stances = stances.select(np.asarray(np.isfinite(stances.upward).all(axis=1)))
+        standing = _measure_standing(stances, sign)
+        added = float(len(standing)), standing.sum(), (stances.standing - standing).sum()
+        sums = _Sums(*(faded * old + step_s * float(new) for old, new in zip(self.sums, added, strict=True)))
+        is_level = _measure_levelness(stances.upward, self.sign) > 0
+        looked = np.ascontiguousarray(stances.upward[is_level]), standing[is_level]
+        found, weight, seconds = engine.add_frame(self.found, faded * self.weight, step_s, *looked)
+        seconds += faded * self.seconds
+        std_deg = min(DIRECTION_STD_DEG * math.sqrt(CORRELATION_S / max(seconds, 1e-9)), MAX_STD_DEG)
+        sums_by_frame = np.array(sums)[:, None]
+        ((direction,), (std,)) = _add_prior(found[None], np.array([std_deg]), self.sign, *sums_by_frame)
+        weight += faded * self.weight
+        return Vertical(direction, float(std), False, stamp_ns, found, seconds, weight, sums, self.sign)
 
     def forget(self) -> Vertical | None:
         """Return what is left when the camera may have changed: a vertical that was given."""
@@ -116,22 +206,7 @@ def read_given_vertical(config: TrackerConfig) -> Vertical | None:
             f'tracker.vertical = {text!r}: expected auto, none, or a unit vector upwards in the optical frame of '
             "the camera, such as '0 -1 0' of a level camera"
         )
-    return Vertical(direction / np.linalg.norm(direction), math.inf)
-
-
-def lift_under_vertical(
-    lifter: Lifter, points: Array, weight: Array, focal: float, vertical: Array | None, std: Array | None
-) -> LiftedPoses:
-    """Lift poses under a vertical that is given, to the share to which the poses without it stand.
-
-    The arguments are those of `Lifter.lift`; the vertical is None where none is given.
-    """
-    plain = lifter.lift(points, weight, focal)
-    if vertical is None:
-        return plain
-    under = lifter.lift(points, weight, focal, vertical, std)
-    share = find_standing(plain.joints)[:, None, None]
-    return LiftedPoses(*(a + share * (b - a) for a, b in ((plain.joints, under.joints), (plain.std, under.std))))
+    return Vertical.give(direction / np.linalg.norm(direction))
 
 
 def turn_towards_vertical(lifted: LiftedPoses, vertical: Array, std: Array) -> LiftedPoses:
@@ -152,20 +227,29 @@ def turn_towards_vertical(lifted: LiftedPoses, vertical: Array, std: Array) -> L
     return LiftedPoses(joints, lifted.std)
 
 
-def find_vertical(times: Array, upward: Array, standing: Array) -> tuple[Array, Array]:
+def find_vertical(times: Array, stances: Stances, sign: float = 1.0) -> tuple[Array, Array]:
     """Return the vertical of a whole sequence, found from all its frames.
 
-    `times` (F,) s, increasing; `upward` (F, 3) directions upwards that the poses of one person show, in the
-    optical frame of the camera, NaN where there is no pose; `standing` (F,) shares to which the poses stand.
-    Returns (F, 3) unit vectors and (F,) rad, their standard deviations; NaN where no frame has a pose.
+    Args:
+        times: (F,) s, increasing.
+        stances: what the F poses of one person show, in the optical frame of the camera; NaN where there is none.
+        sign: 1, or -1 where the camera is upside down.
+
+    Returns:
+        (F, 3) unit vectors and (F,) rad, their standard deviations; NaN where no frame has a pose.
     """
-    known = np.asarray(np.isfinite(upward).all(axis=1))
+    known = np.asarray(np.isfinite(stances.upward).all(axis=1))
     if not known.any():
-        return np.full(upward.shape, np.nan), np.full(len(times), np.nan)
+        return np.full(stances.upward.shape, np.nan), np.full(len(times), np.nan)
+    stances = Stances(np.where(known[:, None], stances.upward, 0.0), np.where(known, stances.standing, 0.0))
     steps = np.minimum(np.diff(times, append=times[-1]), MAX_STEP_S)
     steps[-1] = steps[-2] if len(steps) > 1 else MAX_STEP_S
     weight = np.where(known, np.maximum(steps, 1e-9), 0.0)
-    shares = np.where(known, standing, 0.0)
-    directions, seconds = engine.find_sequence(times, np.where(known[:, None], upward, 0.0), weight, shares)
-    std_deg = DIRECTION_STD_DEG * np.sqrt(CORRELATION_S / np.maximum(seconds, 1e-9))
-    return directions, np.radians(np.minimum(std_deg, MAX_STD_DEG))
+    standing = _measure_standing(stances, sign)
+    is_level = weight * (_measure_levelness(stances.upward, sign) > 0)
+    directions, seconds = engine.find_sequence(times, stances.upward, is_level, standing)
+    std_deg = np.minimum(DIRECTION_STD_DEG * np.sqrt(CORRELATION_S / np.maximum(seconds, 1e-9)), MAX_STD_DEG)
+    same = np.tile([0.0, -1.0, 0.0], (len(times), 1))
+    shares = known.astype(float), standing, np.maximum(stances.standing - standing, 0.0)
+    sums = [engine.find_sequence(times, same, weight, np.ascontiguousarray(s))[1] for s in shares]
+    return _add_prior(directions, std_deg, sign, *sums)

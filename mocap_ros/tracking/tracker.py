@@ -34,19 +34,17 @@ from mocap_ros.keypoints.matching import Detection
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.models.model_file import load_prior_lifter, load_velocity_correction
-from mocap_ros.models.upward_direction import find_standing, find_upward
+from mocap_ros.models.upward_direction import Stances
 from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
 from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.solvers.extremities import ExtremityState
+from mocap_ros.solvers.image_roll import CameraSide, find_roll, lift_turned, turn_upright
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, let_base_poses_lead
-from mocap_ros.solvers.observed_window import RAY_FOCAL
 from mocap_ros.solvers.vertical import AUTO as AUTO_VERTICAL
 from mocap_ros.solvers.vertical import NONE as NO_VERTICAL
 from mocap_ros.solvers.vertical import (
     Vertical,
-    lift_under_vertical,
     read_given_vertical,
-    turn_towards_vertical,
 )
 from mocap_ros.tracking.body_size import BodySize, FloorContact, assume_size, read_body_heights
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, FRAME_BUDGET_WITHOUT_LIFTER, DeferredWork
@@ -169,6 +167,7 @@ class Tracker:
         self._intrinsics: Intrinsics | None = None
         self._at_work: Sequence[Track] = ()  # the people whom a stage works on
         self.pose_memory = KeyPoseMemory()
+        self._side = CameraSide()
         self._vertical = self._vertical and self._vertical.forget()
 
     def update(
@@ -289,6 +288,7 @@ class Tracker:
             for track in self._each((*self.tracks, *self._leaving)):
                 track.change_camera(intrinsics, solver_focal(intrinsics, self.config.tracker.perspective))
             self._vertical = self._vertical and self._vertical.forget()
+            self._side = CameraSide()
         self._intrinsics = intrinsics
 
     def _use_floor(self, stamp_ns: int, floor: Floor | None) -> None:
@@ -299,7 +299,7 @@ class Tracker:
         if self.config.tracker.vertical != AUTO_VERTICAL:
             return
         if floor is not None:
-            self._vertical = Vertical(floor.upward, math.inf, stamp_ns)
+            self._vertical = Vertical.give(floor.upward, stamp_ns)
         elif self._vertical is not None and self._vertical.is_given:
             self._vertical = None
 
@@ -377,31 +377,39 @@ class Tracker:
         counts = [len(own_weight) for _, own_weight in inputs]
         cameras = [t.observed.virtual_camera.rotation for t in tracks]
         known, direction, std = self._vertical, None, None
-        if known is not None:
+        is_used = self.config.tracker.vertical != NO_VERTICAL
+        newest_points = np.array([t.rays[-1] for t in tracks]), np.array([t.weight[-1] for t in tracks])
+        self._side.advance(stamp_ns, *newest_points)
+        roll = math.pi if self._side.is_upside_down else 0.0
+        if known is not None and is_used:
             direction = np.repeat([camera @ known.direction for camera in cameras], counts, axis=0)
             std = np.full(len(direction), known.std)
-        given = (direction, std) if known is not None and known.is_given else (None, None)
-        lifted = lift_under_vertical(self._lifter, points, weight, RAY_FOCAL, *given)
+            roll = find_roll(known.direction) if known.is_given else roll
         ends = np.cumsum(counts)
-        if self.config.tracker.vertical != NO_VERTICAL:
+        given = (direction, std) if known is not None and known.is_given else (None, None)
+        lifted = lift_turned(self._lifter, points, weight, roll, *given)
+        if is_used:
             newest = lifted.joints[ends - 1]
             if direction is not None and std is not None:
-                lifted = turn_towards_vertical(lifted, direction, std)
+                lifted = turn_upright(lifted, roll, direction, std)
             self._find_vertical(stamp_ns, tracks, newest)
         for track, count, end in zip(tracks, counts, ends.tolist(), strict=True):
             track.observed = track.observed.append_lifted(lifted.select_frames(slice(end - count, end)))
 
     def _find_vertical(self, stamp_ns: int, tracks: Sequence[Track], joints: Array) -> None:
         """Find the vertical anew by the newest poses (P, J, 3) of P tracks, in the axes of virtual cameras."""
-        directions = find_upward(joints)
-        known = [p for p, track in enumerate(tracks) if not track.is_tentative and math.isfinite(directions[p, 0])]
+        stances = Stances.of(joints)
+        known = [
+            p for p, track in enumerate(tracks) if not track.is_tentative and math.isfinite(stances.upward[p, 0])
+        ]
         if not known:
             return
-        upward = np.array([directions[p] @ tracks[p].observed.virtual_camera.rotation for p in known])
+        upward = np.array([stances.upward[p] @ tracks[p].observed.virtual_camera.rotation for p in known])
+        seen, sign = Stances(upward, stances.standing[known]), -1.0 if self._side.is_upside_down else 1.0
         if self._vertical is None:
-            self._vertical = Vertical.begin(stamp_ns, upward)
+            self._vertical = Vertical.begin(stamp_ns, seen, sign)
         else:
-            self._vertical = self._vertical.advance(stamp_ns, upward, find_standing(joints[known]))
+            self._vertical = self._vertical.advance(stamp_ns, seen, sign)
 
     def _initialise(self, stamp_ns: int, tracks: Sequence[Track]) -> None:
         """Give the tracks of new people a first solution, all in one batch a model; it is checked soon."""

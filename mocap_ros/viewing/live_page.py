@@ -81,7 +81,7 @@ class LiveScene:
             people: the people of this frame as the frames of one person.
             keypoints: layout and points (Jk, 2) in px of each detection.
             image_size: (width, height) in px.
-            vertical: (3,) upwards in the camera's optical frame; NaN where it is not known.
+            vertical: (3,) upwards in the optical frame; NaN where it is not known with certainty.
             skeleton: skeleton of the people.
         """
         self._skeleton = skeleton if ids else self._skeleton
@@ -115,7 +115,8 @@ class LiveScene:
             self._verticals.append(vertical)
         if len(people.frames):
             self._people.append(people)
-        known = average_vertical(np.array(self._verticals)) if self._verticals else np.full(3, np.nan)
+        verticals = np.array(self._verticals).reshape(-1, 3)
+        known = average_vertical(verticals, np.zeros(len(verticals)))
         intrinsics = people.intrinsics
         scene = Scene(
             '', [0], tuple(self._people), (), (1, 1), intrinsics, skeleton=self._skeleton, vertical=known

@@ -104,6 +104,6 @@ def test_the_vertical_becomes_that_of_a_level_camera_by_the_smallest_turn(pitch:
 def test_the_mean_leaves_out_what_is_not_known() -> None:
     assert (rotation_to_level(np.full(3, np.nan)) == np.eye(3)).all()
     vertical = np.array([[0.6, -0.8, 0], [-0.6, -0.8, 0], [np.nan] * 3])
-    assert average_vertical(vertical) == pytest.approx(LEVEL_UP)
-    assert np.isnan(average_vertical(vertical[2:])).all()
-    assert np.isnan(average_vertical(np.empty((0, 3)))).all()
+    assert average_vertical(vertical, np.zeros(len(vertical))) == pytest.approx(LEVEL_UP)
+    assert np.isnan(average_vertical(vertical, np.ones(len(vertical)))).all()
+    assert np.isnan(average_vertical(np.empty((0, 3)), np.empty(0))).all()

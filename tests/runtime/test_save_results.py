@@ -21,6 +21,7 @@ from mocap_ros.formats.detections import Detections
 from mocap_ros.formats.mocap.joint_maps import map_to_model
 from mocap_ros.formats.mocap.trials import load_trials
 from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
+from mocap_ros.geometry.level import LEVEL_UP, MAX_CERTAIN_STD
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.cdr import decode
@@ -72,7 +73,8 @@ def test_cameras_project_the_joints_to_the_keypoints(results: Path, walker: Keyp
 def load_joints_y_up(folder: Path) -> np.ndarray:
     """Return the joints (F, 26, 3) in m of the .npz file, in the axes of BVH and TRC."""
     result = np.load(folder / 'r.npz')
-    mean = np.nanmean(result['vertical'], axis=0)
+    certain = result['vertical'][result['vertical_std'] <= MAX_CERTAIN_STD]
+    mean = np.append(certain, LEVEL_UP[None] if not len(certain) else certain[:0], axis=0).mean(axis=0)
     turn, _ = Rotation.align_vectors([[0.0, -1.0, 0.0]], [mean / np.linalg.norm(mean)])
     joints = result['joints3d']
     return turn.apply(joints.reshape(-1, 3)).reshape(joints.shape) * np.array([1, -1, -1])

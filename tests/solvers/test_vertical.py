@@ -16,18 +16,19 @@ from mocap_ros.errors import ConfigError
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.model_file import load_prior_lifter
-from mocap_ros.models.upward_direction import find_standing, find_upward
+from mocap_ros.models.upward_direction import Stances, find_standing, find_upward
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers import vertical as module
+from mocap_ros.solvers.image_roll import lift_turned
 from mocap_ros.solvers.vertical import (
     Vertical,
     find_vertical,
-    lift_under_vertical,
     read_given_vertical,
     turn_towards_vertical,
 )
 
 UP = np.array([0.0, -math.cos(0.3), -math.sin(0.3)])  # of a camera that looks down by 17 degrees
+LEVEL = np.array([0.0, -math.cos(math.radians(10)), -math.sin(math.radians(10))])  # where nobody stands
 STEP_NS = 33_333_333  # ns; 30 frames per second
 
 
@@ -43,12 +44,11 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
 def advance(vertical: Vertical | None, upward: np.ndarray, standing: float = 1.0) -> Vertical:
     """Frame by frame, upward (F, P, 3)."""
     for directions in upward:
+        stances = Stances(directions, np.full(len(directions), standing))
         if vertical is None:
-            vertical = Vertical.begin(STEP_NS, directions)
+            vertical = Vertical.begin(STEP_NS, stances)
         else:
-            vertical = vertical.advance(
-                vertical.stamp_ns + STEP_NS, directions, np.full(len(directions), standing)
-            )
+            vertical = vertical.advance(vertical.stamp_ns + STEP_NS, stances)
     assert vertical is not None
     return vertical
 
@@ -56,7 +56,7 @@ def advance(vertical: Vertical | None, upward: np.ndarray, standing: float = 1.0
 def test_several_people_make_the_vertical_more_certain_than_one(rng: np.random.Generator) -> None:
     upward = scatter(rng, 900, 8.0).reshape(300, 3, 3)
     together, alone = advance(None, upward), advance(None, upward[:, :1])
-    later = alone.advance(alone.stamp_ns + 30 * 10**9, scatter(rng, 1, 4.0), np.ones(1))
+    later = alone.advance(alone.stamp_ns + 30 * 10**9, Stances(scatter(rng, 1, 4.0), np.ones(1)))
     assert later.std > alone.std
     assert angle_deg(together.direction, UP) < 2
     assert 0 < together.std < alone.std < advance(None, upward[:3, :1]).std == math.radians(module.MAX_STD_DEG)
@@ -68,7 +68,7 @@ def test_who_lies_does_not_change_the_vertical(rng: np.random.Generator) -> None
     misled = advance(learned, lying[:100, None])
     assert angle_deg(misled.direction, UP) < 3
     both = np.concatenate([lying[:100], upright])
-    directions, _ = find_vertical(np.arange(400) / 30, both, np.ones(400))
+    directions, _ = find_vertical(np.arange(400) / 30, Stances(both, np.ones(400)))
     assert max(angle_deg(d, UP) for d in directions) < 3
 
 
@@ -76,22 +76,36 @@ def test_who_sits_hardly_counts(rng: np.random.Generator) -> None:
     leaning = Rotation.from_rotvec([math.radians(22), 0, 0]).apply(UP)
     seated, upright = scatter(rng, 1800, 4.0, leaning), scatter(rng, 150, 4.0)
     only_seated = advance(None, seated.reshape(450, 4, 3), standing=0.0)
-    assert angle_deg(only_seated.direction, leaning) < 2, 'better than none'
+    assert angle_deg(only_seated.direction, LEVEL) < 2, 'a level camera is likelier'
     assert only_seated.std == math.radians(module.MAX_STD_DEG), 'however many sit, and however long'
     alone = advance(None, seated[:, None], standing=0.0)
     assert angle_deg(advance(alone, upright[:, None]).direction, UP) < 4
     both, standing = np.concatenate([seated, upright]), np.repeat([0.0, 1.0], [1800, 150])
-    directions, std = find_vertical(np.arange(1950) / 30, both, standing)
+    directions, std = find_vertical(np.arange(1950) / 30, Stances(both, standing))
     assert angle_deg(directions[-1], UP) < 4
     assert std[-1] < math.radians(9)
     assert std[0] == math.radians(module.MAX_STD_DEG)
+
+
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+@pytest.mark.parametrize('lying', [(1.0, 0.1, 0.0), (0.1, -0.1, 0.99), (0.1, 0.99, -0.1)])
+def test_where_all_lie_or_stand_on_their_hands_a_level_camera_is_likeliest(
+    rng: np.random.Generator, lying: tuple[float, float, float], sign: float
+) -> None:
+    stances = Stances(scatter(rng, 90, 4.0, np.array(lying) * [1, sign, 1]), np.ones(90))
+    directions, std = find_vertical(np.arange(90) / 30, stances, sign)
+    live = Vertical.begin(0, stances.select(np.arange(90) < 1), sign)
+    live = live.advance(STEP_NS, stances.select(np.arange(90) == 1), sign)
+    for direction, std_rad in ((directions[40], std[40]), (live.direction, live.std)):
+        assert angle_deg(direction, LEVEL * [1, sign, 1]) < 3
+        assert std_rad == pytest.approx(math.radians(module.ASKEW_STD_DEG), rel=0.02)
 
 
 def test_a_camera_that_was_tilted_is_forgotten(rng: np.random.Generator) -> None:
     tilted = np.array([0.0, -math.cos(0.6), -math.sin(0.6)])  # by 17 degrees more
     before, after = scatter(rng, 600, 4.0), scatter(rng, 1800, 4.0, tilted)
     assert angle_deg(advance(advance(None, before[:, None]), after[:, None]).direction, tilted) < 2
-    directions, _ = find_vertical(np.arange(2400) / 30, np.concatenate([before, after]), np.ones(2400))
+    directions, _ = find_vertical(np.arange(2400) / 30, Stances(np.concatenate([before, after]), np.ones(2400)))
     assert angle_deg(directions[0], UP) < 9, 'half of the tilt: later frames count a little'
     assert angle_deg(directions[-1], tilted) < 2
 
@@ -101,17 +115,17 @@ def test_whole_sequences_do_not_depend_on_the_direction_of_time(rng: np.random.G
     upward = scatter(rng, 100, 6.0)
     upward[10:20] = np.nan
     steady = np.arange(100) / 30
-    forward, std = find_vertical(steady, upward, np.ones(100))
-    backward, _ = find_vertical(steady, upward[::-1].copy(), np.ones(100))
+    forward, std = find_vertical(steady, Stances(upward, np.ones(100)))
+    backward, _ = find_vertical(steady, Stances(upward[::-1].copy(), np.ones(100)))
     assert forward == pytest.approx(backward[::-1], abs=1e-6)
     assert np.isfinite(std).all()
-    assert np.isfinite(find_vertical(times, upward, np.ones(100))[0]).all(), (
+    assert np.isfinite(find_vertical(times, Stances(upward, np.ones(100)))[0]).all(), (
         'the vertical is known where the person is not'
     )
-    unknown, unknown_std = find_vertical(times, np.full((100, 3), np.nan), np.full(100, np.nan))
+    unknown, unknown_std = find_vertical(times, Stances(np.full((100, 3), np.nan), np.full(100, np.nan)))
     assert np.isnan(unknown).all()
     assert np.isnan(unknown_std).all()
-    assert np.isfinite(find_vertical(times[:1], upward[:1], np.ones(1))[0]).all(), 'one frame'
+    assert np.isfinite(find_vertical(times[:1], Stances(upward[:1], np.ones(1)))[0]).all(), 'one frame'
 
 
 def make_lifted(rng: np.random.Generator, frames: int, depth_std: float) -> LiftedPoses:
@@ -150,12 +164,12 @@ def test_the_lifter_gets_a_vertical_for_those_who_stand_alone(monkeypatch: pytes
         return LiftedPoses(poses - [0, is_given, 0], np.full_like(poses, 2.0 if is_given else 1.0))
 
     monkeypatch.setattr(Lifter, 'lift', lift)
-    lifter, history = load_prior_lifter('learned', CMU15), (np.zeros((2, 1, 15, 2)), np.ones((2, 1, 15)), 1.0)
+    lifter, history = load_prior_lifter('learned', CMU15), (np.zeros((2, 1, 15, 2)), np.ones((2, 1, 15)), 0.0)
     assert lifter is not None
-    lifted = lift_under_vertical(lifter, *history, np.tile(UP, (2, 1)), np.full(2, 0.02))
+    lifted = lift_turned(lifter, *history, np.tile(UP, (2, 1)), np.full(2, 0.02))
     assert lifted.joints == pytest.approx(np.stack([POSES['standing'] - [0, 1, 0], POSES['seated']]))
     assert lifted.std[:, 0, 0].tolist() == [2, 1]
-    assert lift_under_vertical(lifter, *history, None, None).joints == pytest.approx(poses)
+    assert lift_turned(lifter, *history, None, None).joints == pytest.approx(poses)
 
 
 def test_poses_are_turned_towards_the_vertical_by_how_uncertain_their_depths_are() -> None:
@@ -188,7 +202,7 @@ def test_a_given_vertical_is_never_changed_by_what_people_do(rng: np.random.Gene
     assert given_vertical is not None
     assert given_vertical.direction == pytest.approx([0, -0.8, -0.6])
     assert given_vertical.std == pytest.approx(math.radians(module.GIVEN_STD_DEG))
-    assert given_vertical.advance(10**9, scatter(rng, 3, 5.0), np.ones(3)) is given_vertical
+    assert given_vertical.advance(10**9, Stances(scatter(rng, 3, 5.0), np.ones(3))) is given_vertical
     assert given_vertical.forget() is given_vertical
     assert advance(None, scatter(rng, 3, 5.0)[:, None]).forget() is None
     assert read_given_vertical(TrackerConfig()) is None

@@ -296,5 +296,5 @@ def _build_result(
     camera = observed.virtual_camera
     in_camera = camera.to_real_camera(joints) + camera.root_positions(cameras, translation)[:, None]
     in_camera[~in_sight] = np.nan
-    vertical = choose_vertical(observed.times, in_camera, config)
+    vertical = choose_vertical(observed, in_camera, config)
     return SequenceResult(in_camera, seen, CMU15, category, solution, camera, *vertical)

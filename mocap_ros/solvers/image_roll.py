@@ -1,0 +1,163 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""By how much images of people are turned about the optical axis for the lifter, which knows only upright cameras.
+
+A vertical that is given points up in the turned image. Where none is given, the image is turned by half a turn if
+the camera is upside down, and else not at all. It is upside down if people are so in its image, from the feet to
+the head, and yet have no hand beyond the head, on which they could stand: for more than half the time, and
+`TURNED_FACTOR` times as long as others are upright. Whoever lies may as well stand before a camera on its side, so
+that this is not decided.
+
+Live, the first frame with people decides, and later ones once they say the contrary for `TURNED_S`. What was long
+ago counts less, as for the vertical. The poses are turned back at once: a decision changes the lifted poses of new
+frames alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.models.lifter import LiftedPoses, Lifter
+from mocap_ros.models.upward_direction import find_standing
+from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers.observed_window import RAY_FOCAL
+from mocap_ros.solvers.vertical import MAX_STEP_S, MEMORY_S, turn_towards_vertical
+from mocap_ros.units import NS_PER_S
+
+Array = NDArray[np.float64]
+
+MAX_TILT_DEG = 45.0  # degrees from up or down in the image, within which a body is upright or upside down
+TURNED_S, TURNED_FACTOR = 0.5, 4.0  # s, 1; a somersault is shorter
+MIN_IN_IMAGE = (
+    0.3  # 1; sine of the angle from the optical axis below which a vertical has no direction in the image
+)
+HEAD_SHARE = 0.25  # 1; of the length from legs to head and shoulders, by which the top of the head is above these
+_HANDS = [CMU15.index(name) for name in ('lwrist', 'rwrist')]
+# (3, J) parts of the body: head and shoulders, legs, and the hips for those whose legs are not seen
+_PARTS = np.array([
+    np.isin(CMU15.joints, names)
+    for names in (
+        ('head', 'neck', 'lshoulder', 'rshoulder'), ('lankle', 'rankle', 'lknee', 'rknee'), ('lhip', 'rhip')
+    )
+]).astype(float)  # fmt: skip
+
+
+def find_roll(upward: Array) -> float:
+    """Return the angle in rad by which to turn an image, clockwise, so that a direction (3,) points up in it.
+
+    It is 0 where the direction lies nearly along the optical axis.
+    """
+    if math.hypot(upward[0], upward[1]) < MIN_IN_IMAGE:
+        return 0.0
+    return -math.atan2(float(upward[0]), -float(upward[1]))
+
+
+def find_sides(points: Array, weight: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return whether bodies are upright in the image, and whether they are upside down and not on their hands.
+
+    Both (N,) are False where too little is seen. Points (N, J, 2) are those of `CMU15`, with weights (N, J).
+    """
+    is_seen = weight > 0
+    parts = _PARTS * is_seen[:, None]
+    counts = parts.sum(axis=2)
+    means = (parts @ points) / np.maximum(counts, 1.0)[..., None]
+    up = means[:, 0] - np.where(counts[:, 1:2] > 0, means[:, 1], means[:, 2])
+    length = np.hypot(up[:, 0], up[:, 1])
+    rise = np.where((counts[:, 0] > 0) & (counts[:, 1] + counts[:, 2] > 0), -up[:, 1], 0.0)
+    along = (points[:, _HANDS] - means[:, :1]) @ up[..., None] / np.maximum(length, 1e-9)[:, None, None]
+    is_beyond = is_seen[:, _HANDS] & (along[..., 0] > HEAD_SHARE * length[:, None])
+    has_hands_down = is_seen[:, _HANDS].any(axis=1) & ~is_beyond.any(axis=1)
+    limit = math.cos(math.radians(MAX_TILT_DEG)) * length
+    return (rise > limit), (rise < -limit) & has_hands_down
+
+
+def is_upside_down(points: Array, weight: Array, times: Array) -> bool:
+    """Return whether the camera of a sequence is upside down; points (F, J, 2) and weights (F, J) as above."""
+    steps = np.minimum(np.diff(times, append=times[-1]), MAX_STEP_S)
+    steps[-1] = steps[-2] if len(steps) > 1 else MAX_STEP_S
+    upright_s, turned_s = (float(steps @ side) for side in find_sides(points, weight))
+    seen_s = float(steps @ (weight > 0).any(axis=1))
+    return turned_s > max(TURNED_FACTOR * upright_s, seen_s / 2)
+
+
+@dataclass
+class CameraSide:
+    """Whether a camera is upside down, frame by frame.
+
+    Attributes:
+        is_upside_down: what is known so far.
+        seen_s: s, for which people were seen, those of long ago counting less.
+        upright_s: s, for which they were upright, likewise.
+        turned_s: s, for which they were upside down and did not stand on the hands, likewise.
+        stamp_ns: ns, stamp of the newest frame with people; None before the first.
+    """
+
+    is_upside_down: bool = False
+    seen_s: float = 0.0
+    upright_s: float = 0.0
+    turned_s: float = 0.0
+    stamp_ns: int | None = None
+
+    def advance(self, stamp_ns: int, points: Array, weight: Array) -> None:
+        """Look at the P > 0 people of a new frame, stamp in ns; points (P, J, 2) and weights (P, J) as above."""
+        upright, turned = (int(side.sum()) for side in find_sides(points, weight))
+        if self.stamp_ns is None:
+            self.is_upside_down = turned > max(TURNED_FACTOR * upright, len(points) / 2)
+        age_s = 0.0 if self.stamp_ns is None else (stamp_ns - self.stamp_ns) / NS_PER_S
+        kept, step_s = math.exp(-age_s / MEMORY_S), min(age_s, MAX_STEP_S)
+        self.stamp_ns = stamp_ns
+        self.seen_s = kept * self.seen_s + step_s * len(points)
+        self.upright_s = kept * self.upright_s + step_s * upright
+        self.turned_s = kept * self.turned_s + step_s * turned
+        against_s, for_s = (
+            (self.upright_s, self.turned_s) if self.is_upside_down else (self.turned_s, self.upright_s)
+        )
+        if against_s > max(TURNED_S, TURNED_FACTOR * for_s, self.seen_s / 2):
+            self.is_upside_down = not self.is_upside_down
+
+
+def lift_turned(
+    lifter: Lifter, points: Array, weight: Array, roll: float, vertical: Array | None, std: Array | None
+) -> LiftedPoses:
+    """Lift histories in images that are turned by an angle in rad; the poses are in the axes of the unturned ones.
+
+    The lifter gets a vertical that is given as well, to the share to which the poses without it stand.
+
+    Args:
+        lifter: the lifter.
+        points: (N, T, J, 2) histories in rays, as `Lifter.lift` takes them.
+        weight: (N, T, J) scores.
+        roll: rad, the angle.
+        vertical: (N, 3) vertical in the axes of the camera of the points; None where none is given.
+        std: (N,) rad, its standard deviation; None likewise.
+    """
+    points = _turn(points, roll)
+    lifted = lifter.lift(points, weight, RAY_FOCAL)
+    if vertical is not None and std is not None:
+        under = lifter.lift(points, weight, RAY_FOCAL, _turn(vertical, roll), std)
+        share = find_standing(lifted.joints)[:, None, None]
+        pairs = (lifted.joints, under.joints), (lifted.std, under.std)
+        lifted = LiftedPoses(*(a + share * (b - a) for a, b in pairs))
+    return LiftedPoses(_turn(lifted.joints, -roll), lifted.std)
+
+
+def turn_upright(lifted: LiftedPoses, roll: float, vertical: Array, std: Array) -> LiftedPoses:
+    """Return lifted poses turned towards the vertical in the turned images; arguments as of `lift_turned`."""
+    poses = LiftedPoses(_turn(lifted.joints, roll), lifted.std)
+    turned = turn_towards_vertical(poses, _turn(vertical, roll), std)
+    return LiftedPoses(_turn(turned.joints, -roll), lifted.std)
+
+
+def _turn(vectors: Array, roll: float) -> Array:
+    """Return points (..., 2) or vectors (..., 3) turned clockwise about the optical axis by an angle in rad."""
+    if roll == 0:
+        return vectors
+    turned, x, y = vectors.copy(), vectors[..., 0], vectors[..., 1]
+    turned[..., 0] = math.cos(roll) * x - math.sin(roll) * y
+    turned[..., 1] = math.sin(roll) * x + math.cos(roll) * y
+    return turned
