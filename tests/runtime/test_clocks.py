@@ -29,7 +29,8 @@ from tests.support.keypoint_files import FRAMES, LIMITS, make_walker
 NOW_NS, STEP_NS, HOUR_NS = 1_760_000_000_000_000_000, 40_000_000, 3_600_000_000_000
 REGULAR = [NOW_NS + i * STEP_NS for i in range(FRAMES)]
 QUICK = ['--model', 'walk', '--set', 'solver.max_iterations=2']
-CONFIG = with_values(Config(), {'tracker.model': 'walk', 'tracker.components': 8, 'tracker.iterations': 1})
+QUICKLY = {'tracker.model': 'walk', 'tracker.components': 8, 'tracker.iterations': 1, 'node.camera_info_wait': 0.0}
+CONFIG = with_values(Config(), QUICKLY)
 Edit = Callable[[int, int], int]  # the stamp of an image, of its number and its time in ns
 
 
