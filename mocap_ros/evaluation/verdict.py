@@ -47,7 +47,7 @@ UNIT_CAMERA = Intrinsics(1.0, (0.0, 0.0), is_focal_known=True)  # whose px are r
 
 MAX_UNCERTAINTY = -1.65  # u; above it, points hardly look like a person in that layout
 # 1; residuals over the body height. Sound recordings have at most 0.06, and 0.04 where u is above the limit.
-NEAR_SHARE, FAR_SHARE, WRONG_SHARE = 0.045, 0.065, 0.085
+NEAR_SHARE, FAR_SHARE, WRONG_SHARE = 0.045, 0.075, 0.1
 LAYOUT_MARGIN = 0.35  # u by which another layout must be more certain
 MIN_LAYOUT_UNCERTAINTY = -1.85  # u above which other layouts are considered
 TURN_MARGIN = 0.12  # u by which a turned image must be more certain
@@ -183,7 +183,7 @@ def judge(uncertainty: Mapping[Reading, float], residual_share: float, share_out
     layouts = [reading for reading in uncertainty if reading.layout]
     if layouts and given > MIN_LAYOUT_UNCERTAINTY:
         best = min(layouts, key=uncertainty.__getitem__)
-        if uncertainty[best] < given - LAYOUT_MARGIN:
+        if uncertainty[best] < min(given - LAYOUT_MARGIN, MAX_UNCERTAINTY):
             return Judgement(Grade.WRONG, Fault.LAYOUT, best.layout)
     mirrored = min(MIRRORED, key=uncertainty.__getitem__)
     mirrored_u = uncertainty[mirrored]
