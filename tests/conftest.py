@@ -11,7 +11,6 @@ from mocap_ros.runtime.cpu_setup import configure_process
 configure_process()  # sums then have the same order as in the node
 
 import signal
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -20,7 +19,6 @@ from hypothesis import settings
 
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_poses
-from tests.support.distributions import build_distributions
 from tests.support.evaluation_data import shared
 from tests.support.modules import load_module
 from tests.support.paths import ROOT
@@ -45,14 +43,6 @@ def protocol() -> ModuleType:
 def walk_model() -> BasePoses:
     """Base poses of walks as version 0.1 shipped them: problems made of them stay the same when models do not."""
     return load_base_poses(ROOT / 'tests' / 'data' / 'walk_of_0_1.npz')
-
-
-@pytest.fixture(scope='session')
-def distributions(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with the source distribution, unpacked too, and the wheel that was built from it."""
-    out = tmp_path_factory.mktemp('distributions')
-    build_distributions(tmp_path_factory.mktemp('source'), out)
-    return out
 
 
 @pytest.fixture

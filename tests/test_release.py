@@ -1,19 +1,77 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The distributions hold what users need, and the version stands in package.xml alone."""
+"""The distributions hold what users need, the wheel works without ROS, and the version is that of package.xml."""
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
+import subprocess
+import sys
 import tarfile
+import venv
 import xml.etree.ElementTree as ET
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
+
+import pytest
 
 from tests.support.paths import ROOT
 
 VERSION = ET.parse(ROOT / 'package.xml').findtext('version')
+ROS_VARIABLES = ('PYTHONPATH', 'PYTHONHOME', 'AMENT_PREFIX_PATH', 'LD_LIBRARY_PATH', 'ROS_DISTRO')
+NO_INDEX = ('Temporary failure in name resolution', 'NewConnectionError', 'ProxyError', 'ConnectTimeoutError')
+BUILD_SDIST = 'import sys; from setuptools import build_meta; print(build_meta.build_sdist(sys.argv[1]))'
+
+
+class NoIndexError(Exception):
+    """Pip cannot reach a package index."""
+
+
+def run_without_ros(command: Sequence[object], folder: Path) -> str:
+    """Run a program without ROS, and return its output."""
+    env = {name: value for name, value in os.environ.items() if name not in ROS_VARIABLES}
+    process = subprocess.run(
+        [str(word) for word in command],
+        cwd=folder,
+        env={**env, 'OMP_NUM_THREADS': '1', 'PIP_DISABLE_PIP_VERSION_CHECK': '1'},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    if process.returncode and 'pip' in command and any(reason in process.stdout for reason in NO_INDEX):
+        raise NoIndexError
+    assert process.returncode == 0, process.stdout
+    return process.stdout
+
+
+@pytest.fixture(scope='module')
+def distributions(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the source distribution of what the repository holds, unpacked too, and the wheel made of it.
+
+    The wheel is built in an environment of its own, where pip reaches an index.
+    """
+    source, out = tmp_path_factory.mktemp('source'), tmp_path_factory.mktemp('distributions')
+    for name in ('config', 'examples', 'mocap_ros', 'msg_defs', 'resource'):
+        ignored = shutil.ignore_patterns('__pycache__', 'node_modules', '*.so')
+        shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=ignored)
+    for file in ROOT.iterdir():
+        if file.is_file():
+            shutil.copy(file, source)
+    run_without_ros([sys.executable, '-c', BUILD_SDIST, out], source)
+    (sdist,) = out.glob('*.tar.gz')
+    with tarfile.open(sdist) as archive:
+        archive.extractall(out, filter='data')
+    command = [sys.executable, '-m', 'pip', 'wheel', '--no-deps', '--wheel-dir', out, sdist]
+    try:
+        run_without_ros(command, source)
+    except NoIndexError:
+        run_without_ros([*command, '--no-build-isolation'], source)
+    return out
 
 
 def read_first_version() -> tuple[str, str]:
@@ -65,3 +123,72 @@ def test_the_description_for_package_indexes_has_no_relative_links(distributions
     links = re.findall(r'\]\(([^)\s]+)', metadata.read_text(encoding='utf-8'))
     assert links
     assert [link for link in links if not link.startswith(('https://', '#'))] == []
+
+
+NOTEBOOK = """
+import importlib.util
+import sys
+from importlib.resources import files
+
+import mocap_ros
+
+assert not {'numpy', 'scipy', 'matplotlib', 'rosbags'} & set(sys.modules)
+assert mocap_ros.__file__.startswith(sys.prefix), mocap_ros.__file__
+assert not any(importlib.util.find_spec(name) for name in ('rclpy', 'mocap_ros_msgs'))
+
+import numpy as np
+
+# reconstruct the demo
+sequence = mocap_ros.read(str(files('mocap_ros') / 'demo' / 'demo.npz'))
+result = mocap_ros.reconstruct(
+    sequence.keypoints, sequence.joint_names, sequence.timestamps, image_size=sequence.image_size
+)
+print(sequence, result, sep='\\n')
+assert result.joints.shape == (390, 26, 3)
+whole = mocap_ros.evaluate(result, sequence.truth)
+print(whole)
+assert whole.failed_frames == 0
+assert whole.mpjpe_mm < 45.5, 'measured: 44.3'
+
+# track it frame by frame
+tracker = mocap_ros.Tracker('coco17', image_size=sequence.image_size)
+joints = np.full(result.joints.shape, np.nan)
+for frame, (time_s, keypoints) in enumerate(zip(sequence.timestamps, sequence.keypoints)):
+    people = tracker.update(time_s, [keypoints])
+    assert len(people) == 1
+    joints[frame] = people[0].joints
+live = mocap_ros.evaluate(joints, sequence.truth, times=sequence.timestamps)
+print(people, live, sep='\\n')
+assert live.mpjpe_mm < 51.5, 'measured: 50.1'
+
+# write it and read it back
+for suffix in ('npz', 'csv', 'mcap', 'bvh', 'trc'):
+    mocap_ros.write(f'demo_3d.{suffix}', result)
+stored = np.load('demo_3d.npz')['joints3d']
+assert abs(mocap_ros.evaluate(stored, sequence.truth).mpjpe_mm - whole.mpjpe_mm) < 1e-3
+table = np.loadtxt('demo_3d.csv', delimiter=',', skiprows=1)[:, 1:].reshape(-1, 26, 3)
+assert np.abs(table - result.joints).max() < 1e-6
+again = mocap_ros.read('demo_3d.mcap')
+assert np.nanmax(np.abs(again.keypoints - sequence.keypoints)) < 1e-3
+
+assert 'rclpy' not in sys.modules
+"""
+
+
+@pytest.mark.slow
+def test_the_wheel_works_without_ros(distributions: Path, tmp_path: Path) -> None:
+    (wheel,) = distributions.glob('mocap_ros-*.whl')
+    environment, notebook = tmp_path / 'environment', tmp_path / 'notebook'
+    venv.create(environment)
+    python = environment / 'bin' / 'python'
+    try:
+        install = [sys.executable, '-m', 'pip', '--python', python, 'install', '--no-compile', wheel]
+        run_without_ros(install, tmp_path)
+    except NoIndexError:
+        pytest.skip('pip reaches no package index')
+
+    notebook.mkdir()
+    (notebook / 'notebook.py').write_text(NOTEBOOK, encoding='utf-8')
+    printed = run_without_ros([python, '-W', 'error', 'notebook.py'], notebook)
+    assert 'Evaluation: MPJPE' in printed
+    assert {p.suffix for p in notebook.iterdir()} == {'.py', '.npz', '.csv', '.mcap', '.bvh', '.trc'}
