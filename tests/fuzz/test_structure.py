@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays_of
 
-from mocap_ros.config import Config, parameters, values
+from mocap_ros.config import Config, values
 from mocap_ros.skeleton import CMU15
 from tests.fuzz.examples import EXAMPLES
 from tests.fuzz.targets import ARRAY_KEYS, FILE_SEPARATOR, check, pack_arrays
@@ -122,10 +122,6 @@ def test_metadata(data: st.DataObject, value: object) -> None:
     else:
         place[key] = value
     check('folder', yaml.safe_dump(content).encode() + FILE_SEPARATOR + messages)
-
-
-def test_names_are_those_of_parameters() -> None:
-    assert set(values(Config())) == {parameter.name for parameter in parameters()}
 
 
 @pytest.mark.parametrize('source', ['messages', 'mcap', 'db3', 'ros1', 'recovery', 'folder', 'npz'])
