@@ -30,7 +30,6 @@ FALLBACK_STEP_S = 1 / 30  # s from image to image, where a video gives neither t
 FILM_CODECS = ('libx264', 'mpeg4')  # the first that PyAV has encodes a film
 FILM_TICK = Fraction(1, 90000)  # s; the times of a film are multiples of it
 READ_AHEAD = 4  # images that are decoded while the detector works; more would only take memory
-QUARTER_TURN_DEG = 90  # degrees; videos are stored turned by multiples of it
 MICROSECONDS = 1e6  # in a second; the unit of the times of a container
 MAX_MISSING_S = 1.0  # s; the sound of a video may be longer than its images by less
 POLL_S = 0.1  # s; bounds how long the decoder outlives a reader who has gone, and how long an end goes unnoticed
@@ -58,9 +57,9 @@ def find_camera(name: str) -> Path | None:
 class VideoReader:
     """The images of a video file or a camera in the order of their times; a context manager that closes it.
 
-    The times are those that the file gives, also where they are uneven. A video that is stored turned, as upright
-    videos of telephones are, is turned back. An image that is damaged, or not later than the one before, is left
-    out. A camera is given as the path of its device, with `is_camera`.
+    The times are those that the file gives, also where they are uneven. A video that is stored turned or
+    mirrored, as upright videos of telephones are, is shown as players do. An image that is damaged, or not later
+    than the one before, is left out. A camera is given as the path of its device, with `is_camera`.
 
     Attributes:
         image_count: number of images, about; None where it is not known.
@@ -134,9 +133,8 @@ class VideoReader:
             if max(frame.width, frame.height) > MAX_IMAGE_SIDE_PX:
                 raise InputError(f'{self._path}: images of {frame.width} x {frame.height} px')
             first_s, last_s = time_s if first_s is None else first_s, time_s
-            image = frame.to_ndarray(format='rgb24')
-            turns = round(frame.rotation / QUARTER_TURN_DEG)
-            yield VideoImage(np.ascontiguousarray(np.rot90(image, turns)), time_s - first_s)
+            image = _turn_as_players_do(frame.to_ndarray(format='rgb24'), frame.side_data.get('DISPLAYMATRIX'))
+            yield VideoImage(np.ascontiguousarray(image), time_s - first_s)
         if last_s is None:
             reason = f': all {self.left_out} are damaged' if self.left_out else ''
             raise InputError(f'{self._path}: no image can be decoded{reason}')
@@ -166,6 +164,19 @@ class VideoReader:
                 yield from frames
             except self._errors:
                 self.left_out += 1
+
+
+def _turn_as_players_do(image: NDArray[np.uint8], matrix: Any) -> NDArray[np.uint8]:
+    """Return an image (H, W, 3) turned and mirrored by the display matrix of its video, which may be None.
+
+    Its nine fixed-point numbers a, b, u, c, d, ... show the point (x, y) at (a x + c y, b x + d y).
+    """
+    if matrix is None:
+        return image
+    a, b, _, c, d = np.frombuffer(bytes(matrix), np.int32)[:5].tolist()
+    if abs(a) + abs(d) < abs(b) + abs(c):
+        image, a, d = image.swapaxes(0, 1), c, b
+    return image[:: -1 if d < 0 else 1, :: -1 if a < 0 else 1]
 
 
 def read_ahead(

@@ -22,8 +22,6 @@ pytest.importorskip('av', reason="needs PyAV: pip install 'mocap_ros[video]'")
 
 TIMES_S = [0.0, 0.04, 0.09, 0.2, 0.21, 0.5]  # of a camera that drops images
 ONE = 1 << 16  # 1 in the fixed-point numbers of the matrix in an .mp4
-# The matrix by which an .mp4 turns its images clockwise by a quarter turn, for images of 48 px height.
-CLOCKWISE = (0, ONE, 0, -ONE, 0, 0, 48 * ONE, 0, 1 << 30)
 
 
 def make_images(count: int = len(TIMES_S)) -> list[np.ndarray]:
@@ -52,16 +50,35 @@ def test_uneven_times_are_kept_and_begin_with_0(tmp_path: Path) -> None:
     assert reader.image_count == len(times)
 
 
-def test_a_video_that_is_stored_turned_is_turned_back(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ('matrix', 'is_upright', 'corner'),
+    [
+        ((0, 1, -1, 0), True, 'upper right'),  # a quarter of a turn clockwise
+        ((0, -1, 1, 0), True, 'lower left'),
+        ((-1, 0, 0, -1), False, 'lower right'),
+        ((-1, 0, 0, 1), False, 'upper right'),  # mirrored
+        ((0, 1, 1, 0), True, 'upper left'),  # mirrored and turned
+        ((0, -1, -1, 0), True, 'lower right'),
+    ],
+)
+def test_a_video_that_is_stored_turned_or_mirrored_is_shown_as_players_do(
+    tmp_path: Path, matrix: tuple[int, ...], is_upright: bool, corner: str
+) -> None:
     path = write_video(tmp_path / 'a.mp4', make_images(), TIMES_S, 'libx264', 'yuv420p')
-    content = path.read_bytes()
+    content, (a, b, c, d) = path.read_bytes(), matrix
     start = content.index(struct.pack('>9i', ONE, 0, 0, 0, ONE, 0, 0, 0, 1 << 30), content.index(b'tkhd'))
-    path.write_bytes(content[:start] + struct.pack('>9i', *CLOCKWISE) + content[start + 36 :])
+    path.write_bytes(
+        content[:start]
+        + struct.pack('>9i', *(a * ONE, b * ONE, 0, c * ONE, d * ONE, 0, 0, 0, 1 << 30))
+        + content[start + 36 :]
+    )
     images, _, _ = read_all(path)
-    assert images.shape == (len(TIMES_S), 64, 48, 3)
+    assert images.shape == (len(TIMES_S), *((64, 48) if is_upright else (48, 64)), 3)
     red = images[0, ..., 0] > 128
-    assert np.flatnonzero(red.any(axis=0)).tolist() == list(range(32, 48))  # the corner is at the upper right now
-    assert np.flatnonzero(red.any(axis=1)).tolist() == list(range(16))
+    for axis, first in enumerate(('left', 'upper')):
+        side = red.shape[1 - axis]
+        place = range(16) if first in corner else range(side - 16, side)
+        assert np.flatnonzero(red.any(axis=axis)).tolist() == list(place)
 
 
 @pytest.mark.parametrize('name', ['text.mp4', 'sound.mka', 'none.mp4', 'unknown.mkv'])
