@@ -248,6 +248,7 @@ class RunSummary:
         self._rest_ns = 0  # stamp from which on the next stretch begins
         self._names: tuple[str, ...] = ()
         self._measured: dict[Reading, float] = {}
+        self._uncertainty: dict[Reading, float] = {}  # means over `_parts`
         self._readings: list[Reading] = []  # still to be measured
         self._parts: deque[dict[Reading, float]] = deque(maxlen=MAX_STRETCHES)
 
@@ -314,6 +315,7 @@ class RunSummary:
         if person.joints != self._names:
             self._names, self._residual_share, self.judgement = person.joints, math.nan, NOT_JUDGED
             self._parts.clear()
+            self._uncertainty = {}
         start_ns = self._followed[0][0]
         if stamp_ns - start_ns < STRETCH_S * NS_PER_S:
             return
@@ -336,7 +338,8 @@ class RunSummary:
             self._measured[reading] = u
             if not self._readings:
                 self._parts.append(self._measured)
-        self.judgement = judge(average(self._parts), self._residual_share, self._share_outside)
+                self._uncertainty = average(self._parts)
+        self.judgement = judge(self._uncertainty, self._residual_share, self._share_outside)
 
     @property
     def reason(self) -> str:
