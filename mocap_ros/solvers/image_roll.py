@@ -31,6 +31,7 @@ from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
+LOOK_S = 0.1  # s, after which a tracker looks again
 MAX_TILT_DEG = 45.0  # degrees from up or down in the image, within which a body is upright or upside down
 TURNED_S, TURNED_FACTOR = 0.5, 4.0  # s, 1; a somersault is shorter
 MIN_IN_IMAGE = (
@@ -102,6 +103,10 @@ class CameraSide:
     upright_s: float = 0.0
     turned_s: float = 0.0
     stamp_ns: int | None = None
+
+    def is_due(self, stamp_ns: int) -> bool:
+        """Return whether to look at the people of a frame, stamp in ns."""
+        return self.stamp_ns is None or stamp_ns - self.stamp_ns >= LOOK_S * NS_PER_S
 
     def advance(self, stamp_ns: int, points: Array, weight: Array) -> None:
         """Look at the P > 0 people of a new frame, stamp in ns; points (P, J, 2) and weights (P, J) as above."""

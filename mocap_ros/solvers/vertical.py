@@ -160,7 +160,7 @@ class Vertical:
 
         Args:
             stamp_ns: ns, stamp of the frame, later than those before.
-            stances: what the poses of its P >= 0 people show, directions in the camera's optical frame.
+            stances: what the poses of its P >= 0 people show, directions in the camera's optical frame; finite.
             sign: 1, or -1 where the camera is upside down.
         """
         if self.is_given:
@@ -169,17 +169,18 @@ class Vertical:
             return Vertical.begin(stamp_ns, stances, sign)
         age_s = (stamp_ns - self.stamp_ns) / NS_PER_S
         faded, step_s = math.exp(-age_s / MEMORY_S), min(age_s, MAX_STEP_S)
-        stances = stances.select(np.asarray(np.isfinite(stances.upward).all(axis=1)))
-        standing = _measure_standing(stances, sign)
+        levelness = _measure_levelness(stances.upward, sign)
+        standing, is_level = stances.standing * levelness, levelness > 0
         added = float(len(standing)), standing.sum(), (stances.standing - standing).sum()
         sums = _Sums(*(faded * old + step_s * float(new) for old, new in zip(self.sums, added, strict=True)))
-        is_level = _measure_levelness(stances.upward, self.sign) > 0
         looked = np.ascontiguousarray(stances.upward[is_level]), standing[is_level]
         found, weight, seconds = engine.add_frame(self.found, faded * self.weight, step_s, *looked)
         seconds += faded * self.seconds
         std_deg = min(DIRECTION_STD_DEG * math.sqrt(CORRELATION_S / max(seconds, 1e-9)), MAX_STD_DEG)
-        sums_by_frame = np.array(sums)[:, None]
-        ((direction,), (std,)) = _add_prior(found[None], np.array([std_deg]), self.sign, *sums_by_frame)
+        direction, std = found, math.radians(std_deg)
+        if sums.standing < STANDING_SHARE * sums.seen:
+            sums_by_frame = np.array(sums)[:, None]
+            ((direction,), (std,)) = _add_prior(found[None], np.array([std_deg]), self.sign, *sums_by_frame)
         weight += faded * self.weight
         return Vertical(direction, float(std), False, stamp_ns, found, seconds, weight, sums, self.sign)
 

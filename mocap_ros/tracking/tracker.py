@@ -378,8 +378,9 @@ class Tracker:
         cameras = [t.observed.virtual_camera.rotation for t in tracks]
         known, direction, std = self._vertical, None, None
         is_used = self.config.tracker.vertical != NO_VERTICAL
-        newest_points = np.array([t.rays[-1] for t in tracks]), np.array([t.weight[-1] for t in tracks])
-        self._side.advance(stamp_ns, *newest_points)
+        if self._side.is_due(stamp_ns):
+            rays, scores = np.array([t.rays[-1] for t in tracks]), np.array([t.weight[-1] for t in tracks])
+            self._side.advance(stamp_ns, rays, scores)
         roll = math.pi if self._side.is_upside_down else 0.0
         if known is not None and is_used:
             direction = np.repeat([camera @ known.direction for camera in cameras], counts, axis=0)
