@@ -94,7 +94,7 @@ class Reading(NamedTuple):
 
 
 GIVEN = Reading()
-TURNED = tuple(Reading(turns=turns) for turns in (1, 2, 3))
+TURNED = tuple(Reading(turns=turns) for turns in (1, 2, 3))  # quarter turns clockwise
 MIRRORED = {Reading(turns=turns, is_mirrored=True): fault for turns, fault in enumerate(
     (Fault.MIRRORED, Fault.TURNED, Fault.Y_UP, Fault.AXES))}  # fmt: skip
 
