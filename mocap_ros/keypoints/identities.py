@@ -38,7 +38,7 @@ from mocap_ros.keypoints.matching import (
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.units import NS_PER_S
 
-# What a new person must have been seen for; docs/method.md has what other numbers cost.
+# What a new person must have been seen for.
 MIN_FRAMES = 3  # frames; at a low frame rate a wrong detection is in one or two
 MIN_AGE_S = 0.06  # s; at a high frame rate it lasts for several frames; three frames at 30 Hz last 0.067 s
 TENTATIVE_FORGET_S = 0.2  # s; a detector misses a person for a few frames, and a new one must not be new again

@@ -22,9 +22,9 @@ import numpy as np
 from mocap_ros.tracking.hypotheses import HypothesisChecker, Slices, classify_as_other
 from mocap_ros.tracking.track import Track
 
-FRAME_BUDGET = 75_000  # elements; 2 to 3 ms of a core, so that the next frame does not wait (docs/method.md)
+FRAME_BUDGET = 75_000  # elements; 2 to 3 ms of a core, so that the next frame does not wait
 # The same without a lifter, about 10 ms: only the checks then find the model and the heading, and with a smaller
-# budget they come too late (docs/method.md)
+# budget they come too late
 FRAME_BUDGET_WITHOUT_LIFTER = 300_000
 WINDOW_COST = 20_000  # elements; building the windows of a piece of work, its first slice, takes as long
 

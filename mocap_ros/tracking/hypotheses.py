@@ -97,8 +97,8 @@ MIN_REPETITION = 0.2
 PERIODIC_COST = 2.4  # cost of a piece of the periodic solver over one of the joint solver with as many base poses
 MIN_SECTION_SHARE = 0.9  # share of a section that must be filled before it is classified; stamps vary
 KEY_POSE_STEP_S = 0.25  # s; poses nearer in time look the same to the memory of key poses
-NOISE_RATIO = 0.88  # estimated noise over true image noise, of the base poses alone (CMU walks, docs/method.md)
-NOISE_RATIO_WITH_LIFTER = 0.76  # the same ratio with the lifter's prior (CMU walks, docs/method.md)
+NOISE_RATIO = 0.88  # estimated noise over true image noise, of the base poses alone (CMU walks)
+NOISE_RATIO_WITH_LIFTER = 0.76  # the same ratio with the lifter's prior (CMU walks)
 
 
 def slice_work(work: Stepwise[Result], frames: int, components: int, factor: float = 1.0) -> Slices[Result]:

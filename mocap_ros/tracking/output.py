@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 CORRECTED_STD = 0.7  # 1; f, for two thirds of the errors to be within, of persons in no training as well
-CORRECTION_STD = 0.7  # 1; g, chosen likewise (docs/method.md)
+CORRECTION_STD = 0.7  # 1; g, chosen likewise
 ROOT_SPREAD = 1.3  # 1; h, for errors of the root's velocity are often small and at times large: 95 % are within
 
 _AGO = -np.array(SPANS_S)
