@@ -10,6 +10,8 @@ Sizes: J joints, P people who are expected, D detections. A joint is known or se
 from libc.math cimport INFINITY, NAN, fabs, hypot, log, sqrt
 from libc.stdlib cimport free, malloc
 
+from mocap_ros.engine.median cimport find_median
+
 import numpy as np
 
 ctypedef const double[:, ::1] Points
@@ -41,19 +43,6 @@ cdef Extent measure_one(Points points, Weights weight, double min_size) noexcept
         if weight[j] > 0:
             squares += (points[j, 0] - x) * (points[j, 0] - x) + (points[j, 1] - y) * (points[j, 1] - y)
     return Extent(x, y, sqrt(squares / seen) + min_size)
-
-
-cdef double find_median(double* values, Py_ssize_t n) noexcept nogil:
-    """Median of a few values, which are sorted by insertion."""
-    cdef Py_ssize_t i, position
-    cdef double value
-    for i in range(1, n):
-        value, position = values[i], i
-        while position > 0 and values[position - 1] > value:
-            values[position] = values[position - 1]
-            position -= 1
-        values[position] = value
-    return (values[(n - 1) // 2] + values[n // 2]) / 2
 
 
 cdef Difference compare(

@@ -17,6 +17,7 @@ from mocap_ros.engine.geometry cimport (
     dot, multiply, multiply_transposed, rotate_ray, rotation_from_vector, vector_from_rotation,
 )
 from mocap_ros.engine.joint cimport fit_lifted_pose
+from mocap_ros.engine.median cimport find_median
 
 ctypedef const double[::1] Vector
 ctypedef const double[:, ::1] Rows
@@ -53,19 +54,6 @@ cdef void extrapolate(
         new_theta[k] = theta[last, k] + share * (theta[last, k] - theta[before, k])
     for k in range(3):
         new_root[k] = roots[last, k] + root_share * (roots[last, k] - roots[before, k])
-
-
-cdef double find_median(double* values, Py_ssize_t n) noexcept nogil:
-    """Median of some values, which are sorted by insertion."""
-    cdef Py_ssize_t i, place
-    cdef double value
-    for i in range(1, n):
-        value, place = values[i], i
-        while place > 0 and values[place - 1] > value:
-            values[place] = values[place - 1]
-            place -= 1
-        values[place] = value
-    return (values[(n - 1) // 2] + values[n // 2]) / 2
 
 
 cdef class NewestFrames:

@@ -1,17 +1,17 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Whether something is so for most people over seconds, above all that they contradict a given vertical.
+"""Whether people contradict a given vertical for seconds.
 
-With x_i the share of the people of frame i for whom it is so, and dt_i the time for which that frame stands,
+With x_i the share of the people of frame i who do, and dt_i the time for which that frame stands,
 
     n = sum_i k_i dt_i,    m = sum_i k_i dt_i x_i,    k_i = exp(-(t - t_i) / T)
 
-it is so once n is at least S and m at least the share P of n. Frames without people do not count.
+they do once n is at least S and m at least the share P of n. Frames without people do not count.
 
-The directions upwards that poses show (`models.upward_direction`) are compared with a given vertical in every
-frame. The lifter takes a wrong vertical for a right one, so poses lean towards it, and errors below 60 degrees are
-hardly seen; a wrong sign or axis is. So it is if all people lie.
+The directions upwards that poses show (`models.upward_direction`) are compared with the vertical in every frame.
+The lifter takes a wrong vertical for a right one, so poses lean towards it, and errors below 60 degrees are hardly
+seen; a wrong sign or axis is. So it is if all people lie.
 """
 
 from __future__ import annotations
@@ -33,39 +33,12 @@ MEMORY_S = 20.0  # s; T, as long as a vertical that is found is remembered
 LEAST_S = 5.0  # s; S, longer than it takes to fall or to lie down for an exercise
 
 
-class LastingCondition:
-    """Whether something has been so for most people over the last seconds.
-
-    Args:
-        memory_s: s, T.
-        least_s: s, S.
-    """
-
-    def __init__(self, memory_s: float, least_s: float) -> None:
-        self._memory_s, self._least_s = memory_s, least_s
-        self._seconds = self._is_offed_seconds = 0.0  # n and m of the module
-        self._stamp_ns: int | None = None
-
-    def advance(self, stamp_ns: int, is_so: Sequence[bool]) -> bool:
-        """Return whether it is so after a frame, stamp in ns, in which it is so or not for each person."""
-        age_s = 0.0 if self._stamp_ns is None else (stamp_ns - self._stamp_ns) / NS_PER_S
-        self._stamp_ns = stamp_ns
-        if age_s < 0:  # the stamps began anew
-            self._seconds = self._is_offed_seconds = age_s = 0.0
-        kept, step = math.exp(-age_s / self._memory_s), min(age_s, MAX_STEP_S)
-        self._seconds *= kept
-        self._is_offed_seconds *= kept
-        if is_so:
-            self._seconds += step
-            self._is_offed_seconds += step * sum(is_so) / len(is_so)
-        return self._seconds >= self._least_s and self._is_offed_seconds >= LEAST_SHARE * self._seconds
-
-
 class VerticalCheck:
     """Comparison of a given vertical with how people stand, over successive frames."""
 
     def __init__(self) -> None:
-        self._is_off = LastingCondition(MEMORY_S, LEAST_S)
+        self._seconds = self._seconds_off = 0.0  # n and m of the module
+        self._stamp_ns: int | None = None
         self._angle_deg = 0.0
 
     def advance(self, stamp_ns: int, people: Sequence[Person3D], vertical: NDArray[np.float64]) -> float | None:
@@ -76,4 +49,12 @@ class VerticalCheck:
         is_off = angles > MAX_ANGLE_DEG
         if is_off.any():
             self._angle_deg = float(angles[is_off].mean())
-        return self._angle_deg if self._is_off.advance(stamp_ns, is_off.tolist()) else None
+        age_s = 0.0 if self._stamp_ns is None else (stamp_ns - self._stamp_ns) / NS_PER_S
+        self._stamp_ns = stamp_ns
+        if age_s < 0:  # the stamps began anew
+            self._seconds = self._seconds_off = age_s = 0.0
+        kept, step_s = math.exp(-age_s / MEMORY_S), min(age_s, MAX_STEP_S) if is_off.size else 0.0
+        self._seconds = kept * self._seconds + step_s
+        self._seconds_off = kept * self._seconds_off + step_s * (is_off.mean() if is_off.size else 0.0)
+        lasts = self._seconds >= LEAST_S and self._seconds_off >= LEAST_SHARE * self._seconds
+        return self._angle_deg if lasts else None
