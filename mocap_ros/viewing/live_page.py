@@ -92,7 +92,7 @@ class LiveScene:
             'stampMs': stamp_ns / 1e6,
             'skeleton': self._skeleton.joints,
             'ids': ids,
-            'people': {name: array.reshape(len(ids), -1).tolist() for name, array in arrays.items()},
+            'people': {name: [row.ravel().tolist() for row in array] for name, array in arrays.items()},
             'keypoints': [
                 {
                     'names': layout.joints,

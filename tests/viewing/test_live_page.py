@@ -17,9 +17,9 @@ import pytest
 
 from mocap_ros.errors import MocapError
 from mocap_ros.skeleton import CMU15
-from mocap_ros.viewing.live_page import LiveScene, PageServer
+from mocap_ros.viewing.live_page import LiveScene, PageServer, make_person
 from tests.support.browser import count_colours, open_browser
-from tests.support.scenes import STEP_NS, make_scene_person
+from tests.support.scenes import INTRINSICS, STEP_NS, make_scene_person
 
 PEOPLE = 3
 UP = np.array([0.0, -1.0, 0.0])
@@ -79,6 +79,13 @@ def test_a_slow_browser_gets_the_newest_frame_and_leaves_the_others_out(server: 
     expected[:] += np.arange(PEOPLE)[:, None, None] * [0.8, 0, 0]
     assert joints == pytest.approx(expected, abs=0.001)
     assert server.scene.is_viewed
+
+
+def test_an_image_without_people_is_a_frame_without_people() -> None:
+    scene, nobody = LiveScene('Live'), make_person('', len(CMU15.joints), INTRINSICS)
+    scene.publish(START_NS, [], nobody, [], (640, 480), UP, CMU15)
+    frame = json.loads(scene.wait(0))
+    assert (frame['ids'], set(map(str, frame['people'].values()))) == ([], {'[]'})
 
 
 def test_a_port_that_is_taken_is_named() -> None:
