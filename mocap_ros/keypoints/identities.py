@@ -121,9 +121,9 @@ class Identities(Generic[P]):
         return matches
 
     def restart(self) -> Identities[P]:
-        """Return identities that know of no person, but for the stamp of the newest frame."""
+        """Return identities that know of no person, but give no number a second time."""
         new = Identities[P](self._settings)
-        new.newest_ns = self.newest_ns
+        new.newest_ns, new._name_count = self.newest_ns, self._name_count
         return new
 
     def is_first_tentative(self, stamp_ns: int) -> bool:
