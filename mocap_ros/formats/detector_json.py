@@ -266,7 +266,11 @@ def _iterate_vitpose(content: list[Any], frames: dict[ImageName, list[Person2D]]
 def _add_people(found: _Found, entries: Iterable[_Entry], categories: _Categories) -> None:
     """Add the keypoints of probable people in images; other detections are counted."""
     entries = list(entries)
-    ids = {e.content['category_id'] for e in entries if isinstance(e.content, dict) and 'category_id' in e.content}
+    ids = set()
+    for entry in entries:
+        if isinstance(entry.content, dict) and 'category_id' in entry.content:
+            with naming(entry.place, 'category_id: expected a number or a name'):
+                ids.add(entry.content['category_id'])
     others = categories.others or (ids - {PERSON_ID} if PERSON_ID in ids and not categories.names else set())
     for entry in entries:
         person = entry.content
@@ -376,8 +380,9 @@ def _read_categories(content: Any) -> _Categories:
     categories = [c for c in entries if isinstance(c, dict)] if isinstance(entries, list) else []
     called = [c for c in categories if PERSON_CLASS in (c.get('name'), c.get('supercategory'))]
     people = called or [c for c in categories if is_person_class(c.get('name'))]
-    others = frozenset(c.get('id') for c in categories if c not in people)
-    names = {c.get('id'): _read_names(c.get('keypoints')) for c in people}
+    with naming('categories', 'expected an id that is a number or a name'):
+        others = frozenset(c.get('id') for c in categories if c not in people)
+        names = {c.get('id'): _read_names(c.get('keypoints')) for c in people}
     general = _read_own_names(content) or _read_own_names(content.get('meta_info'))
     return _Categories(names, general or next(filter(None, names.values()), ()), others)
 

@@ -329,6 +329,8 @@ POINTS_3D = [[0.1 * i - 0.8, 0.2, 0.9] for i in range(17)]
         ([[{'name': 'person', 'box': {'x1': 1}, 'confidence': 0.9}]], 'without keypoints, .*-pose'),
         (make_results([50.0, 60.0, 0.0] * 17), 'score of every keypoint is 0'),
         ({'categories': [{'id': 1, 'name': 'cat'}], 'annotations': [PERSON]}, 'no people'),
+        ({'categories': [{'id': [1], 'name': 'person'}], 'annotations': [PERSON]}, 'categories: expected an id'),
+        (make_results(BODY[:51], BODY[:51], category_id=[1]), r'\[0\]: category_id: expected'),
         (make_results([0] * 51), 'no person is seen'),
     ],
 )  # fmt: skip
