@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from mocap_ros.runtime.load_results import holds_result
 from mocap_ros.runtime.load_scene import VIEWED_FORMATS, VIEWED_KINDS, SceneOptions, load_scene
 from mocap_ros.runtime.scene_images import read_images
 from mocap_ros.viewing import plots
-from mocap_ros.viewing.overlay import Overlay, StampedImage, pick_images, reduce_images
+from mocap_ros.viewing.overlay import Overlay, StampedImage, find_frame, pick_images, reduce_images
 from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.scene import Scene
 
@@ -98,7 +98,8 @@ def run(args: argparse.Namespace) -> int:
     for line in lines:
         print_note(line)
     notes: list[str] = []
-    images = read_images(args.video or args.input, config.node, args.topic, notes)
+    video = args.video or args.input
+    images = _check_times(scene, read_images(video, config.node, args.topic, notes), video, notes)
     with replace_output(output, *sources) as unfinished:
         if output.suffix == PAGE_SUFFIX:
             scene = replace(scene, images=reduce_images(scene, images))
@@ -115,6 +116,18 @@ def run(args: argparse.Namespace) -> int:
         print_note(line)
     print_result(output)
     return 0 if summary is None else finish(args.input, summary, is_strict=args.strict)
+
+
+def _check_times(
+    scene: Scene, images: Iterable[StampedImage], path: Path, notes: list[str]
+) -> Iterator[StampedImage]:
+    """Yield the images; `notes` gets a line if there are some, but none at the time of a frame."""
+    are_far = []
+    for image in images:
+        are_far.append(find_frame(scene, image.stamp_ns) < 0)
+        yield image
+    if are_far and all(are_far):
+        notes.append(f'{path}: no image is at the time of a frame, so that none is shown')
 
 
 def _run_live(args: argparse.Namespace) -> int:

@@ -186,7 +186,10 @@ def arrange_frames(people_by_image: Mapping[Any, Sequence[Person2D]], video: Vid
 
 
 def _number_frames(numbers: Sequence[int], fps: float | None) -> tuple[range, list[int]]:
-    """Return the numbers of all frames, also of those that sorted numbers lack, and their times in ns."""
+    """Return the numbers of all frames, also of those that sorted numbers lack, and their times in ns.
+
+    Times count from frame 0; from the first frame where that is 1, or where numbers reach `MAX_FRAMES`.
+    """
     if fps is None:
         raise InputError('the file has no timestamps; give the frame rate (--fps)')
     if fps > MAX_FRAME_RATE_HZ:
@@ -196,7 +199,8 @@ def _number_frames(numbers: Sequence[int], fps: float | None) -> tuple[range, li
     if (last - first) // step >= MAX_FRAMES or (last - first) / fps >= MAX_TIMESTAMP_S:
         raise InputError(f'frames are numbered {first} to {last}: not one video of {fps:g} Hz')
     every = range(first, last + 1, step)
-    return every, [round((number - first) / fps * NS_PER_S) for number in every]
+    start = 0 if first > 1 and last < MAX_FRAMES else first
+    return every, [round((number - start) / fps * NS_PER_S) for number in every]
 
 
 def associate_people(

@@ -60,6 +60,15 @@ def test_people_without_ids_are_associated_by_position() -> None:
     assert sequence.keypoints[0, 0, 0] == 400
 
 
+def test_whoever_comes_after_all_were_forgotten_is_another_person() -> None:
+    """Live, everything is forgotten after a minute without people."""
+    frames = [*range(12), *range(2000, 2020)]
+    people = [[make_standing_person(100 if f < 12 else 400)] for f in frames]
+    stamps = [f * NS_PER_S // 25 for f in frames]
+    tracks, _ = associate_people(Detections(people, stamps, (640, 480)))
+    assert [(t.id, len(t.detection_by_frame)) for t in tracks] == [('person_1', 12), ('person_2', 20)]
+
+
 def test_the_size_that_is_assumed_holds_all_people() -> None:
     """Otherwise people before one camera would have several focal lengths."""
     people = [[make_standing_person(100, 'a'), make_standing_person(1500, 'b')] for _ in range(10)]
@@ -70,11 +79,15 @@ def test_the_size_that_is_assumed_holds_all_people() -> None:
         assert '--image-size' in lines[-1]
 
 
-def test_frames_are_as_far_apart_as_their_numbers_allow() -> None:
-    """Every second image of a video of 50 frames/s, without the fourth of them, is 25 frames/s with a gap."""
-    people = {number: [make_standing_person(100)] for number in (1, 3, 5, 9)}
+@pytest.mark.parametrize(('first', 'start_s'), [(0, 0.0), (1, 0.0), (100, 2.0), (10**6, 0.0)])
+def test_frames_are_as_far_apart_as_their_numbers_allow(first: int, start_s: float) -> None:
+    """Every second image of a video of 50 frames/s, without the fourth of them, is 25 frames/s with a gap.
+
+    Times count from the first image of the video, also where the first person comes later.
+    """
+    people = {first + number: [make_standing_person(100)] for number in (0, 2, 4, 8)}
     arranged = arrange_frames(people, Video(fps=50.0))
-    assert arranged.stamps_ns == [round(t * NS_PER_S) for t in (0, 0.04, 0.08, 0.12, 0.16)]
+    assert arranged.stamps_ns == [round((start_s + t) * NS_PER_S) for t in (0, 0.04, 0.08, 0.12, 0.16)]
     assert [len(frame) for frame in arranged.people] == [1, 1, 1, 0, 1]
 
 

@@ -78,7 +78,9 @@ def test_an_image_belongs_to_the_nearest_frame() -> None:
     assert [find_frame(scene, stamp) for stamp in stamps] == [3, -1, -1]
 
 
-def test_a_film_and_a_picture_show_the_points_in_the_images(tmp_path: Path) -> None:
+def test_a_film_and_a_picture_show_the_points_in_the_images(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     scene = make_scene(FRAMES)
     points = np.concatenate([scene.people[0].image, np.ones((FRAMES, 15, 1), np.float32)], axis=-1)
     save_sequence(tmp_path / 'in.npz', KeypointSequence(points, CMU15.joints, scene.times, (640, 480)))
@@ -90,6 +92,11 @@ def test_a_film_and_a_picture_show_the_points_in_the_images(tmp_path: Path) -> N
     with VideoReader(tmp_path / 'film.mp4') as reader:
         film = list(reader)
     assert [round(30 * time_s) for _, time_s in film] == [*range(FRAMES)]
+    stamps = np.array(scene.times) + 9.0
+    save_sequence(tmp_path / 'late.npz', KeypointSequence(points, CMU15.joints, stamps, (640, 480)))
+    late = ['view', str(tmp_path / 'late.npz'), '--video', str(video), *QUICK_OPTIONS]
+    assert main([*late, '-o', str(tmp_path / 'late.html')]) == 0
+    assert 'in.mkv: no image is at the time of a frame' in capsys.readouterr().err
     for frame in (0, 20, 39):
         image = film[frame].image.astype(int)
         assert image[:20, :20].mean() == pytest.approx(5 * frame, abs=6)
