@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-from mocap_ros.errors import InputError
+from mocap_ros.errors import FrameDropped, InputError
 from mocap_ros.messages.camera_info import CameraInfo
 from mocap_ros.messages.cdr import Header
 from mocap_ros.units import NS_PER_S
@@ -98,13 +98,23 @@ class CalibrationWait:
 
     def __init__(self) -> None:
         self._first_ns: int | None = None
+        self._last_ns: int | None = None
         self._source: FocalSource | None = None
 
     def is_waiting(self, stamp_ns: int, wait_s: float) -> bool:
-        """Return whether an image is left out, for which there is no CameraInfo yet."""
+        """Return whether an image is left out, for which there is no CameraInfo yet.
+
+        Raises:
+            FrameDropped: The stamp repeats that of the image before, so that no time passes by the stamps.
+        """
+        if self._source is not None:
+            return False
+        if stamp_ns == self._last_ns:
+            raise FrameDropped(f'stamp {stamp_ns} ns repeats that of the image before')
+        self._last_ns = stamp_ns
         if self._first_ns is None or stamp_ns < self._first_ns:
             self._first_ns = stamp_ns
-        return self._source is None and stamp_ns - self._first_ns < wait_s * NS_PER_S
+        return stamp_ns - self._first_ns < wait_s * NS_PER_S
 
     def find_restart(self, source: FocalSource) -> str:
         """Note where the focal length of an image is from; return why tracking must be restarted, usually ''."""

@@ -20,6 +20,7 @@ from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import Recorder, choose_partial_path
 from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.bags.topics import (
+    PEOPLE_SOURCES,
     TRANSFORM_SOURCES,
     Source,
     find_people_topics,
@@ -41,7 +42,7 @@ from mocap_ros.runtime.summary import Summary
 
 JOURNAL_TOPIC = '/mocap_replay/journal'  # ends as the journal of a live run, so that a replay can be replayed
 INPUT_TYPE_PARAMETER = 'node.input_type'  # set to the type of the bag's keypoints, whatever the parameters say
-WAIT_PARAMETER = 'node.camera_info_wait'  # 0 where no CameraInfo can come, or the run did not wait
+WAIT_PARAMETER = 'node.camera_info_wait'  # 0 where the recorded run did not know it, or no CameraInfo can come
 PREFIX_PARAMETER = 'node.frame_prefix'  # by which the people of the recorded run are known on /tf
 
 # A function that shows progress while the messages it is given are iterated; its second argument is their number.
@@ -137,7 +138,8 @@ class _Replay:
         if self._repeats_parameters:
             config = self._apply_recorded(config, self._run.parameters)
         config = with_values(config, {INPUT_TYPE_PARAMETER: keypoints_type})
-        if camera_info is None or WAIT_PARAMETER not in (self._run.parameters or [WAIT_PARAMETER]):
+        repeated = self._run.parameters if self._repeats_parameters else {}
+        if WAIT_PARAMETER not in repeated if repeated else camera_info is None:
             config = with_values(config, {WAIT_PARAMETER: 0.0})
         self._inputs |= find_transform_topics(bag, config.node, self._run.input_topics)
         # that of the outputs in the bag, whatever the parameters of the replay say
@@ -158,12 +160,14 @@ class _Replay:
                 if number == 1:
                     self._write_start(message.time_ns)
                 self._repeat_events(number - 1, message.time_ns)
-                if number in self._run.skipped_inputs:
-                    result = pipeline.note_backlog()
-                else:
-                    result = pipeline.feed(self._inputs[message.topic], message.raw, message.topic)
+                source, is_skipped = self._inputs[message.topic], number in self._run.skipped_inputs
+                result = (
+                    pipeline.note_backlog() if is_skipped else pipeline.feed(source, message.raw, message.topic)
+                )
                 self._write_input(message, result)
                 self._report(number, message, result)
+                if is_skipped or source not in PEOPLE_SOURCES:  # as live
+                    continue
                 if error_traceback := pipeline.run_deferred_work():
                     self._tracebacks.setdefault(error_traceback, error_traceback)
         return ReplayResult(

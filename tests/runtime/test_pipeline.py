@@ -232,6 +232,19 @@ def test_people_wait_for_the_first_calibration_unless_a_focal_length_is_given(
     assert len({person.scale_known for person in pipeline.people}) == (published > 0)
 
 
+@pytest.mark.parametrize(
+    ('stamp_ns', 'reason'), [(0, 'header.stamp is not set'), (7_000_000_000, 'stamp 7000000000 ns repeats')]
+)
+def test_a_stamp_that_stands_still_is_reported_while_a_calibration_is_waited_for(
+    stream: list[bytes], stamp_ns: int, reason: str
+) -> None:
+    pipeline = Pipeline(with_values(FAST_CONFIG, {'node.camera_info_wait': 1.0}))
+    assert process(pipeline, with_stamp(stream[0], stamp_ns)) == ()
+    for raw in stream[1:]:
+        assert reason in reject(pipeline, with_stamp(raw, stamp_ns), Verdict.DROPPED)
+    assert process(pipeline, with_stamp(stream[0], stamp_ns + 1_000_000_000))
+
+
 def test_tentative_people_are_flagged_and_have_no_transforms(stream: list[bytes]) -> None:
     pipeline = Pipeline(with_values(FAST_CONFIG, {'node.publish_tf': True}))
     pipeline.set_camera_info(camera_info())

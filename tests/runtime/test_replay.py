@@ -24,6 +24,7 @@ from mocap_ros.bags.journal import (
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.rosbag2 import make_topic
+from mocap_ros.bags.topics import Source
 from mocap_ros.cli.main import main
 from mocap_ros.config import Config, RecorderConfig, Value, values, with_values
 from mocap_ros.errors import ConfigError, InputError, RecordingError
@@ -32,6 +33,7 @@ from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import create_message, decode, encode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.transforms import TRANSFORMS
+from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.camera_infos import camera_info
 from tests.support.paths import ROOT
@@ -256,6 +258,25 @@ def test_parameters_that_no_longer_exist_are_named_once_and_have_no_effect(
         result = replay(bag, tmp_path / 'out')
     assert sum('solver.norm = squared, tracker.refine = 0.2' in line for line in result.notes) == 1
     assert read_parameters(tmp_path / 'out') == [parameters]
+
+
+@pytest.mark.parametrize('version', ['this', 'older', 'unrecorded'])
+def test_a_replay_waits_for_a_calibration_as_the_recorded_run_did(
+    tmp_path: Path, stream: list[bytes], version: str
+) -> None:
+    config, wait = with_values(FAST_CONFIG, {'node.camera_info_wait': 0.1}), 'node.camera_info_wait'
+    live = Pipeline(config if version == 'this' else FAST_CONFIG)
+    results = [live.feed(Source.KEYPOINTS, raw) for raw in stream]
+    expected = [o.data for result in results for o in result.outputs if o.topic == 'skeletons']
+    parameters = {k: v for k, v in values(config).items() if version == 'this' or k != wait}
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        if version != 'unrecorded':
+            recorder.write(*Journal('/mocap_node/journal').make_parameters_record(parameters, START_NS))
+        for number, raw in enumerate(stream):
+            recorder.write('/keypoints', KEYPOINTS, raw, START_NS + number, START_NS + number)
+    options = ReplayOptions(config if version == 'unrecorded' else None)
+    assert len(expected) == FRAMES - 3 * (version == 'this')
+    assert replay_skeletons(tmp_path / 'bag', tmp_path / 'out', options) == expected
 
 
 def test_only_the_user_chooses_files_of_models(tmp_path: Path, stream: list[bytes]) -> None:
