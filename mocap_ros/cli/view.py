@@ -30,6 +30,9 @@ from mocap_ros.viewing.scene import Scene
 
 PAGE_SUFFIX, FILM_SUFFIX = '.html', '.mp4'  # any other suffix is that of a picture
 DEFAULT_PORT, MAX_PORT = 8642, 65535  # of --live
+# Options that apply to no result, and those of the others that apply to one only in a bag
+RECONSTRUCTION_OPTIONS = 'fps', 'image_size', 'layout', 'hfov', 'focal', 'detector', 'model'
+BAG_OPTIONS = 'topic', 'camera_info', 'config', 'set'
 POSES = 8  # frames in a picture; many more would be too small to see
 
 
@@ -68,7 +71,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'browsers of this machine; needs ROS 2 and no IN (default: show IN)',
     )
     parser.add_argument(
-        '--port', type=_parse_port, default=DEFAULT_PORT, metavar='N', help='port of --live (0: any free one)'
+        '--port',
+        type=_parse_port,
+        metavar='N',
+        help=f'port of --live (default: {DEFAULT_PORT}; 0: any free one)',
     )
     add_model_option(parser)
     add_strict_option(parser)
@@ -82,6 +88,8 @@ def run(args: argparse.Namespace) -> int:
         return _run_live(args)
     if args.input is None:
         raise InputError('what is to be shown? Give a file, or --live')
+    if args.port is not None:
+        raise InputError('--port applies only to --live')
     output: Path = args.output or Path(f'{derive_output_stem(args.input)}{PAGE_SUFFIX}')
     is_picture = output.suffix not in (PAGE_SUFFIX, FILM_SUFFIX)
     if is_picture:
@@ -131,15 +139,17 @@ def _check_times(
 
 
 def _run_live(args: argparse.Namespace) -> int:
-    if args.input or args.output:
-        raise InputError(f'--live shows what the node publishes; {args.input or args.output} does not apply')
+    for name in ('input', 'output', 'video', 'person', 'strict', *RECONSTRUCTION_OPTIONS, *BAG_OPTIONS):
+        if getattr(args, name):
+            given = args.input if name == 'input' else _name_option(name)
+            raise InputError(f'--live shows what the node publishes; {given} does not apply')
     try:
         from mocap_ros.ros.live_view import serve
     except ImportError as error:
         raise MocapError(
             f'--live needs ROS 2, which this Python does not have ({error}); `make setup` installs it'
         ) from None
-    serve(args.port, args.live, lambda line: print_result(line, flush=True))
+    serve(DEFAULT_PORT if args.port is None else args.port, args.live, lambda line: print_result(line, flush=True))
     return 0
 
 
@@ -152,13 +162,14 @@ def _parse_port(text: str) -> int:
 def _refuse_unused_options(args: argparse.Namespace) -> None:
     if not holds_result(args.input):
         return
-    unused = ['fps', 'image_size', 'layout', 'hfov', 'focal', 'detector', 'model']
-    if not is_bag(args.input):
-        unused += ['topic', 'camera_info', 'config', 'set']
-    for name in unused:
+    for name in (*RECONSTRUCTION_OPTIONS, *(() if is_bag(args.input) else BAG_OPTIONS)):
         if getattr(args, name):
-            option = name.replace('_', '-')
-            raise InputError(f'{args.input}: holds a result, which is shown as it is; --{option} does not apply')
+            option = _name_option(name)
+            raise InputError(f'{args.input}: holds a result, which is shown as it is; {option} does not apply')
+
+
+def _name_option(name: str) -> str:
+    return f'--{name.replace("_", "-")}'
 
 
 def save_picture(scene: Scene, path: Path, images: Iterable[StampedImage] = ()) -> None:

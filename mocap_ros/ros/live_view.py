@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable
 
 import numpy as np
@@ -26,13 +25,14 @@ from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.topics import subscribe
 from mocap_ros.runtime.load_scene import PERSON_FIELDS, average_core, recover_intrinsics
 from mocap_ros.skeleton import BODY26, skeleton_from_joints
+from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.live_page import LiveScene, PageServer, make_person
 from mocap_ros.viewing.scene import ScenePerson
 
 # Only the newest messages count: a page that is late must not fall behind.
 NEWEST_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 KEYPOINTS_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-WAITING_KEYPOINTS = 30  # messages that wait for the skeletons of their stamp: 1 s at 30 Hz
+WAITING_NS = 6 * NS_PER_S  # for which keypoints wait for their skeletons; `tracker.lag` is at most 5 s
 
 
 class LiveView(Node):
@@ -41,7 +41,7 @@ class LiveView(Node):
     def __init__(self, scene: LiveScene, namespace: str) -> None:
         super().__init__('mocap_view', namespace=namespace)
         self._scene, self._versions, self._limits = scene, MessageVersions(), NodeConfig()
-        self._keypoints: OrderedDict[int, KeypointsFrame] = OrderedDict()  # by stamp in ns
+        self._keypoints: dict[int, KeypointsFrame] = {}  # by stamp in ns
         self._camera: CameraInfo | None = None
         self._size = (640, 480)
         for topic, msgtype, take, qos in (
@@ -68,9 +68,9 @@ class LiveView(Node):
     def _take_keypoints(self, raw: bytes) -> None:
         if self._scene.is_viewed:
             frame = decode_keypoints(raw, self._limits)
-            self._keypoints[frame.header.stamp_ns] = frame
-            if len(self._keypoints) > WAITING_KEYPOINTS:
-                self._keypoints.popitem(last=False)
+            newest_ns = frame.header.stamp_ns
+            self._keypoints = {s: f for s, f in self._keypoints.items() if abs(newest_ns - s) <= WAITING_NS}
+            self._keypoints[newest_ns] = frame
 
     def _take_skeletons(self, raw: bytes) -> None:
         if not self._scene.is_viewed:
@@ -78,8 +78,8 @@ class LiveView(Node):
         array = decode_skeletons(raw)
         frame = self._keypoints.get(array.stamp_ns)
         skeleton = array.people[0].skeleton if array.people else BODY26
-        if self._camera is not None:
-            intrinsics, self._size = self._camera.intrinsics, self._camera.size
+        if self._camera is not None and self._camera.intrinsics.is_focal_known:
+            intrinsics = self._camera.intrinsics
         elif array.people:
             joints, scale, translation = (
                 np.array([getattr(p, n) for p in array.people]) for n in ('joints', 'scale', 'translation')
@@ -87,6 +87,8 @@ class LiveView(Node):
             intrinsics, self._size = recover_intrinsics(average_core(joints, skeleton), scale, translation)
         else:
             intrinsics = Intrinsics.from_image_size(*self._size, 1.0)
+        if self._camera is not None:
+            self._size = self._camera.size
         if frame is not None:
             self._size = resolve_image_size(stated=(frame.image_width, frame.image_height), configured=self._size)
         people = make_person('', len(skeleton.joints), intrinsics)

@@ -22,6 +22,11 @@ from tests.support.quick_options import QUICK_OPTIONS
 
 MAX_WRITTEN_BYTES = 100  # bytes of a file on the disk that is full; fewer than any result has
 
+LIVE_REFUSES = (
+    *(['x.npz'], ['--output', 'x.html'], ['--video', 'x.mp4'], ['--person', '1'], ['--topic', '/x']),
+    *(['--config', 'x.yaml'], ['--set', 'node.hfov=60'], ['--model', 'walk'], ['--strict']),
+)
+
 
 @pytest.mark.parametrize(
     ('arguments', 'place'),
@@ -66,6 +71,8 @@ MAX_WRITTEN_BYTES = 100  # bytes of a file on the disk that is full; fewer than 
         (['view', 'RECORDING', '-o', 'nowhere/x.html'], 'x.html: cannot be written: '),
         (['view', 'RECORDING', '-o', 'x.html', '--person', '7'], 'to which --person does not apply'),
         (['view', 'IMAGE', '-o', 'x.html'], 'walk.jpg: is an image'),
+        (['view', 'RECORDING', '-o', 'x.html', '--port', '1'], '--port applies only to --live'),
+        *((['view', *given, '--live'], f'publishes; {given[0]} does not apply') for given in LIVE_REFUSES),
         (['detect', 'walk.npz'], 'walk.npz: No such file'),
         (['detect', 'RECORDING'], 'demo.npz: is a sequence file'),
         (['detect', '99'], '/dev/video99: no camera ('),

@@ -151,7 +151,8 @@
       for (let after = 0; ;) {
         try {
           const answer = await fetch(`frame?after=${after}`);
-          if (answer.status !== 200) continue;
+          if (answer.status === 204) continue;
+          if (answer.status !== 200) throw new Error(answer.status);
           const frame = await answer.json();
           if (frame.skeleton.join() !== this.joints.join()) return location.reload();
           after = frame.number;
