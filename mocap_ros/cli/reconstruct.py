@@ -90,6 +90,34 @@ def run(args: argparse.Namespace) -> int:
     outputs = args.output or [Path(f'{derive_output_stem(args.input)}_3d.npz')]
     config = load_config(args)
     sources = list_sources(args, config)
+    _check_options(args, outputs, sources)
+    models = load_models(args, config)
+    sequences, endings = load_sequences(args, config, all_people=args.all_people), ['']
+    if args.all_people:
+        endings = choose_endings([sequence.person_id for sequence in sequences])
+    done: list[save_results.ReconstructedSequence] = []
+    is_all_saved = True
+    for index, (sequence, ending) in enumerate(zip(sequences, endings, strict=True)):
+        try:
+            result = _reconstruct(args, sequence, models, config)
+        except InputError as error:  # one who cannot be reconstructed does not stop the others
+            if index == len(sequences) - 1 and not done:
+                raise
+            print_note(f'{error} (person {sequence.person_id!r} is left out)')
+            continue
+        done.append(save_results.ReconstructedSequence(sequence, result, summarise([sequence], [result], config)))
+        try:
+            _save(args, done[-1], [add_ending(path, ending) for path in outputs], sources)
+        except InputError as error:  # nor one whom a format cannot hold
+            if len(sequences) == 1:
+                raise
+            print_note(f'{error} (person {sequence.person_id!r} is not saved)')
+            is_all_saved = False
+    summary = summarise([found.sequence for found in done], [found.result for found in done], config)
+    return finish(args.input, summary, is_strict=args.strict) or int(not is_all_saved)
+
+
+def _check_options(args: argparse.Namespace, outputs: Sequence[Path], sources: Sequence[Path]) -> None:
     for output in outputs:
         if not save_results.find_suffix(output):
             raise InputError(f'{output}: unknown file type; expected {", ".join(save_results.SUFFIXES)}')
@@ -98,37 +126,6 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f'{args.input}: --person and --all-people exclude each other')
     if args.choices is not None and args.method != 'keyframes':
         raise InputError(f'{args.choices}: --choices needs --method keyframes')
-    models = load_models(args, config)
-    sequences, endings = load_sequences(args, config, all_people=args.all_people), ['']
-    if args.all_people:
-        endings = choose_endings([sequence.person_id for sequence in sequences])
-    results = _reconstruct_all(args, sequences, models, config)
-    known = [(sequence, result) for sequence, result in zip(sequences, results, strict=True) if result is not None]
-    summary = summarise([sequence for sequence, _ in known], [result for _, result in known], config)
-    for sequence, ending, result in zip(sequences, endings, results, strict=True):
-        if result is not None:
-            found = save_results.ReconstructedSequence(sequence, result, summary)
-            _save(args, found, [add_ending(path, ending) for path in outputs], sources)
-    return finish(args.input, summary, is_strict=args.strict)
-
-
-def _reconstruct_all(
-    args: argparse.Namespace,
-    sequences: Sequence[KeypointSequence],
-    models: Mapping[str, BasePoses],
-    config: Config,
-) -> list[SequenceResult | None]:
-    """Return the result of each person, None where there is none; InputError if there is none at all."""
-    results: list[SequenceResult | None] = []
-    for sequence in sequences:
-        try:
-            results.append(_reconstruct(args, sequence, models, config))
-        except InputError as error:  # noqa: PERF203 # one who cannot be reconstructed does not stop the others
-            if len(sequences) == 1 or (not any(results) and len(results) == len(sequences) - 1):
-                raise
-            print_note(f'{error} (person {sequence.person_id!r} is left out)')
-            results.append(None)
-    return results
 
 
 def choose_endings(person_ids: Sequence[str]) -> list[str]:

@@ -14,9 +14,11 @@ import pytest
 
 from mocap_ros.cli.main import main
 from mocap_ros.demo.scene import make_recording
+from mocap_ros.errors import InputError
 from mocap_ros.formats.detections import Detections
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS
 from mocap_ros.formats.sequence_file import load_sequence, save_sequence
+from mocap_ros.runtime import save_results
 from mocap_ros.runtime.save_results import save_detections
 from mocap_ros.skeleton import CMU15
 from tests.support.quick_options import QUICK_OPTIONS
@@ -25,7 +27,7 @@ from tests.support.quick_options import QUICK_OPTIONS
 def test_several_files_of_one_reconstruction_agree(short_recording: Path, tmp_path: Path) -> None:
     names = ('r.npz', 'r.angles.csv', 'r.trc', 'r.csv')
     outputs = [word for name in names for word in ('-o', str(tmp_path / name))]
-    options = ['--set', 'solver.method=alternation', *QUICK_OPTIONS]
+    options = ['--set', 'solver.method=alternation', '--set', 'tracker.vertical=0 -0.96 0.28', *QUICK_OPTIONS]
     assert main(['reconstruct', str(short_recording), *outputs, *options]) == 0
     assert {path.name for path in tmp_path.iterdir()} == {short_recording.name, *names}
     with np.load(tmp_path / 'r.npz') as result:
@@ -127,6 +129,26 @@ def test_all_people_are_written_into_files_of_their_own(
     assert line.startswith(f'mocap-ros: {tmp_path / "two.mcap"}: 1 people are left out, ')
     left, right = (np.genfromtxt(tmp_path / f'r_a_b{n}.angles.csv', delimiter=',', names=True) for n in ('', '.2'))
     assert (right['pelvis_tx_m'] > left['pelvis_tx_m'] + 0.5).all()
+
+
+def test_one_who_cannot_be_saved_does_not_stop_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def save(path: Path, found: save_results.ReconstructedSequence) -> None:
+        if found.sequence.person_id == 'b':
+            raise InputError('too long')
+        assert found.summary is not None
+        assert found.summary.people == 1
+        path.touch()
+
+    monkeypatch.setattr(save_results, 'save', save)
+    write_two_people(tmp_path / 'two.mcap', ('a', 'b'))
+    command = ['reconstruct', str(tmp_path / 'two.mcap'), '--all-people', *QUICK_OPTIONS]
+    assert main([*command, '-o', str(tmp_path / 'r.npz')]) == 1
+    assert {path.name for path in tmp_path.iterdir()} == {'two.mcap', 'r_a.npz'}
+    output = capsys.readouterr()
+    assert "two.mcap: too long (person 'b' is not saved)" in output.err
+    assert '2 people in 12 frames' in output.out
 
 
 def test_one_of_whom_too_little_is_seen_does_not_stop_the_others(
