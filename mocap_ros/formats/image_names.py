@@ -7,7 +7,8 @@ Two images never become one frame. In this order,
 
 - names that hold a time give it: seconds, milliseconds, microseconds or nanoseconds since 1970 (`1305031102.1753`,
   `1403636579763555584`), dates with the time of day, or decimal seconds. Times are believed if they differ and are
-  at least `MIN_STEP_S` apart;
+  at least `MIN_STEP_S` apart. Dates with numbers below 60, as in `20240101_000007`, are no times: all would be in
+  the first minute after midnight;
 - a number that stands at the same place in all names, and increases in their natural order, in which 10 follows 9,
   is the number of the frame. Of several such numbers, that with the smallest range is;
 - other names are taken in their natural order, as frames without a gap.
@@ -46,6 +47,7 @@ _NUMBER = re.compile(rf'(\d{{1,{MAX_DIGITS}}})')
 _EPOCH = re.compile(r'(?<!\d)(\d{9,10})([._-])(\d{1,9})(?!\d)')
 _WHOLE_EPOCH = re.compile(r'(?<!\d)(\d{13}|\d{16}|\d{19})(?!\d)')
 _DATE = re.compile(r'(?<!\d)((?:19|20)\d\d)\D?' + r'(\d\d)\D?' * 4 + r'(\d\d)(?:\D?(\d{1,9}))?(?!\d)')
+_COUNTED = re.compile(r'\d\D0000\d\d$')  # a date with a number of six digits that is no later time of day
 _DECIMAL = re.compile(r'(?<![\d.])(\d{1,6})(\.)(\d{1,9})(?![\d.])')
 
 
@@ -147,6 +149,8 @@ def _read_whole(matches: Sequence[re.Match[str]]) -> list[int]:
 
 
 def _read_dates(matches: Sequence[re.Match[str]]) -> list[int]:
+    if all(_COUNTED.search(match[0]) for match in matches):
+        return []
     times = []
     for match in matches:
         fraction = match[7] or ''

@@ -17,7 +17,8 @@ FRAMES = range(0, 60, 2)
 NAMES_WITH_NUMBERS = [
     '{n}', '{n:06d}.jpg', 'frame_{n:04d}_cam0.jpg', '{n:04d}_640x480.png', 'clip2_{n:012d}', 'a/b 1/{n}.jpeg',
     'img{n}', 'f_{n:04d}_1080p.jpg', '2023-05-01_{n:03d}.png', 'frame_{n:04d}_{ms:06d}ms.png', '{n:05d}.rgb.png',
-    '20230501_123005_{n:04d}.png', 'cam{n:04d}.png', 'GX010042_{n:05d}.JPG', 'clip {n:03d} (edited 2).png',
+    '20230501_123005_{n:04d}.png', '20240101_{n:06d}.jpg', 'cam{n:04d}.png', 'GX010042_{n:05d}.JPG',
+    'clip {n:03d} (edited 2).png',
 ]  # fmt: skip
 NAMES_WITH_TIMES = [
     ('{s}.{us:06d}.png', 1_305_031_102), ('{s}.{ms3:03d}.png', 1_341_846_313), ('rgb/{s}.{us:06d}', 1_305_031_102),
