@@ -82,7 +82,8 @@ def decode_frame(raw: bytes, msgtype: str, limits: NodeConfig, size: ImageSize) 
     header = validate_header(message.header, limits)
     entries = getattr(message, field)
     people = read_people(field, entries, lambda entry: read_person(entry, size[0], limits), limits)
-    return KeypointsFrame(header, *size, people, len(entries) - len(people))
+    possible = sum(is_person_class(getattr(entry, 'class_name', None)) for entry in entries)
+    return KeypointsFrame(header, *size, people, possible - len(people))
 
 
 def _read_yolo(detection: Any, image_width: int, limits: NodeConfig) -> Person2D | None:

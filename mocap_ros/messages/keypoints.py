@@ -37,7 +37,7 @@ class KeypointsFrame:
         image_width: px, 0 where unknown.
         image_height: px, 0 where unknown.
         people: people in the order of the message.
-        without_keypoints: number of detections without keypoints, of which models that find boxes have no others.
+        without_keypoints: number of detections of people without keypoints; models that find boxes have no others.
     """
 
     header: Header

@@ -41,6 +41,7 @@ MAX_LENS_ERROR = 0.01  # of half the shorter side; far above the errors of the i
 MAX_DISTORTED_SHARE = 0.2  # 1; part of the middle of the image, in all of which lenses have an inverse
 MAX_CACHED_LENSES = 4  # lenses of the cameras of one node
 MAX_CACHED_NAMES = 64  # lists of joint names; guards memory against messages that name ever new ones
+MIN_BOX_IMAGES = 10  # images; models for poses leave out keypoints of a low score, at times all of a person
 # Why messages of detections show no people.
 WITHOUT_KEYPOINTS = (
     'the detections have no keypoints, as those of a model that finds boxes; '
@@ -66,6 +67,8 @@ class InputChecks:
 
     def __init__(self) -> None:
         self._last_ns = 0  # stamp of the last image
+        self._has_keypoints = False  # whether any detection so far had some
+        self._box_images = 0  # images so far with detections of people without any
         self.reset()
 
     def reset(self) -> None:
@@ -104,6 +107,7 @@ class InputChecks:
             self._newest_seen_ns = stamp_ns
         elif self._last_ns - self._newest_seen_ns > find_absence(config.tracker) * NS_PER_S:
             self.reset()
+            self._newest_seen_ns = stamp_ns
         self._last_ns = stamp_ns
         found = (
             self._check_vertical(people, tracker, config, has_floor=floor[0] is not None),
@@ -114,7 +118,9 @@ class InputChecks:
         self.warnings = tuple(filter(None, found))
         ids = EXCHANGED_IDS if tracker.are_ids_ignored else ''
         notes = [floor[1], self._check_calibration(stamp_ns, intrinsics, config), ids] if frame.people else []
-        if frame.without_keypoints and not frame.people:
+        self._has_keypoints |= bool(frame.people)
+        self._box_images += bool(frame.without_keypoints)
+        if self._box_images >= MIN_BOX_IMAGES and not self._has_keypoints:
             notes.append(WITHOUT_KEYPOINTS)
         new = []
         for words in filter(None, (*notes, *self.warnings)):

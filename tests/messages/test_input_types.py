@@ -17,6 +17,7 @@ from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.messages.cdr import decode, encode
 from mocap_ros.messages.foreign_types import HRI_SKELETON, OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS
 from mocap_ros.messages.input_types import ZED38, decode_body, decode_frame
+from mocap_ros.runtime.input_checks import MIN_BOX_IMAGES
 from mocap_ros.runtime.pipeline import Pipeline
 from tests.support.foreign_messages import (
     IMAGE_SIZE,
@@ -134,6 +135,19 @@ def test_detections_that_are_no_people_are_counted() -> None:
         message.detections[1].keypoints.data = []
 
     frame = decode_frame(edit_message(YOLO_DETECTIONS, edit), YOLO_DETECTIONS, LIMITS, IMAGE_SIZE)
-    assert (frame.people, frame.without_keypoints) == ((), 3)  # a third one has none
-    pipeline = Pipeline(make_config(YOLO_DETECTIONS))
-    assert 'no keypoints' in pipeline.feed(Source.KEYPOINTS, edit_message(YOLO_DETECTIONS, edit)).reason
+    assert (frame.people, frame.without_keypoints) == ((), 2)  # a third one has none
+
+
+@pytest.mark.parametrize(('first', 'count'), [(0, 1), (1, 0)])
+def test_a_model_without_keypoints_is_known_by_many_images_and_never_one_that_had_some(
+    first: int, count: int
+) -> None:
+    pipeline, reasons = Pipeline(make_config(YOLO_DETECTIONS)), []
+    for image in range(3 * MIN_BOX_IMAGES):
+        message = decode(make_inputs(YOLO_DETECTIONS, image)[0][1], YOLO_DETECTIONS)
+        message.header.stamp.sec += 1_700_000_000
+        for detection in message.detections if image >= first else ():
+            detection.keypoints.data = []
+        reasons.append(pipeline.feed(Source.KEYPOINTS, encode(message, YOLO_DETECTIONS)).reason)
+    assert sum('no keypoints' in reason for reason in reasons[MIN_BOX_IMAGES - 1 :]) == count
+    assert not any('no keypoints' in reason for reason in reasons[: MIN_BOX_IMAGES - 1])
