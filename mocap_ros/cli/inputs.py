@@ -104,7 +104,7 @@ def add_video_options(parser: argparse.ArgumentParser) -> None:
         '--image-size',
         type=_parse_image_size,
         metavar='WxH',
-        help='px, size of the image if JSON does not give it (default: a common size that contains all points)',
+        help='px, size of the image if the input gives none (default: a common size that contains all points)',
     )
     add_lens_options(parser)
     parser.add_argument(

@@ -186,12 +186,12 @@ def choose_pairs(Points cost):
             for k in range(left):
                 j = remaining[k]
                 reduced = reached + (cost[j, i] if transposed else cost[i, j]) - u[i] - v[j]
+                if not fabs(reduced) < INFINITY:
+                    raise ValueError('a cost is not finite')
                 if reduced < shortest[j]:
                     path[j], shortest[j] = i, reduced
                 if shortest[j] < lowest or (shortest[j] == lowest and row_of[j] < 0):
                     lowest, index = shortest[j], k
-            if index < 0:
-                raise ValueError('a cost is not finite')
             reached, j = lowest, remaining[index]
             if row_of[j] < 0:
                 sink = j

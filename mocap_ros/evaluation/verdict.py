@@ -156,6 +156,8 @@ def measure_uncertainty(
     camera = VirtualCamera.look_at_person(core, weight, stretch.times, VIEW_SMOOTHING_S, UNIT_CAMERA)
     body, body_weight = join_body(core, weight, extremities)
     frames = np.flatnonzero((weight > 0).sum(axis=1) >= MIN_SEEN_JOINTS)
+    if not len(frames):
+        return math.inf
     frames = frames[np.unique(np.linspace(len(frames) // 2, len(frames) - 1, LIFTED_FRAMES).astype(int))]
     view = camera.view_rays(body, body_weight, 1.0)
     poses = lifter.lift(*sample_histories(view, body_weight, stretch.times, frames), 1.0)

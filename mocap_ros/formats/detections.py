@@ -137,7 +137,9 @@ def create_person(
         SkeletonError: the layout is unknown, or too few of its joints are known.
     """
     if not layout_name and not joint_names and len(keypoints) not in LAYOUT_BY_KEYPOINT_COUNT:
-        raise InputError(f'{len(keypoints)} keypoints: no layout known; give it by --layout')
+        raise InputError(
+            f'{len(keypoints)} keypoints: no layout known; name them (keypoint_names) in the file or give --layout'
+        )
     if not layout_name and 0 < len(joint_names) != len(keypoints):
         raise InputError(f'{len(keypoints)} keypoints, but names of {len(joint_names)}')
     joints = tuple(joint_names)

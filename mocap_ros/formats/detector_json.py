@@ -283,7 +283,7 @@ def _add_people(found: _Found, entries: Iterable[_Entry], categories: _Categorie
             found.others += 1
         elif key is None and 'people[' in entry.place:
             raise InputError(f'{entry.place}: no {KEYPOINT_KEYS[1]}')
-        elif key is None or person[key] == []:
+        elif key is None or _has_no_keypoints(person[key]):
             found.without_keypoints += 1
         else:
             score = next((person[k] for k in SCORE_KEYS if k in person), 1.0)
@@ -293,6 +293,10 @@ def _add_people(found: _Found, entries: Iterable[_Entry], categories: _Categorie
                 keypoints = _read_keypoints(person[key], person)
             names = _read_own_names(person) or categories.names.get(category) or categories.general
             found.entries.append((entry, keypoints, names))
+
+
+def _has_no_keypoints(raw: Any) -> bool:
+    return raw is None or raw in ([], {}) or (isinstance(raw, dict) and raw.get('x') == [])
 
 
 def _refuse_landmarks(entry: Any) -> None:

@@ -46,7 +46,7 @@ _SUFFIX = re.compile(r'\.[A-Za-z][A-Za-z0-9]{0,4}$')
 _NUMBER = re.compile(rf'(\d{{1,{MAX_DIGITS}}})')
 _EPOCH = re.compile(r'(?<!\d)(\d{9,10})([._-])(\d{1,9})(?!\d)')
 _WHOLE_EPOCH = re.compile(r'(?<!\d)(\d{13}|\d{16}|\d{19})(?!\d)')
-_DATE = re.compile(r'(?<!\d)((?:19|20)\d\d)\D?' + r'(\d\d)\D?' * 4 + r'(\d\d)(?:\D?(\d{1,9}))?(?!\d)')
+_DATE = re.compile(r'(?<!\d)((?:19|20)\d\d)\D?' + r'(\d\d)\D?' * 4 + r'(\d\d)(?:(\D?)(\d{1,9}))?(?!\d)')
 _COUNTED = re.compile(r'\d\D0000\d\d$')  # a date with a number of six digits that is no later time of day
 _DECIMAL = re.compile(r'(?<![\d.])(\d{1,6})(\.)(\d{1,9})(?![\d.])')
 
@@ -132,16 +132,18 @@ def _read_times(stems: Sequence[str]) -> list[int]:
 
 def _read_seconds(matches: Sequence[re.Match[str]]) -> list[int]:
     """Read seconds and their fraction: decimals after a point, else milli-, micro- or nanoseconds."""
-    width = max(len(match[3]) for match in matches)
-    if any(match[2] != '.' for match in matches):
-        digits = [width] * len(matches)
-        if width not in FRACTION_DIGITS:
-            return []
-    else:
-        digits = [len(match[3]) for match in matches]
-    return [
-        int(match[1]) * NS_PER_S + int(match[3]) * 10 ** (9 - d) for match, d in zip(matches, digits, strict=True)
-    ]
+    fractions = _read_fractions([(match[2], match[3]) for match in matches])
+    if fractions is None:
+        return []
+    return [int(match[1]) * NS_PER_S + fraction for match, fraction in zip(matches, fractions, strict=True)]
+
+
+def _read_fractions(texts: Sequence[tuple[str, str]]) -> list[int] | None:
+    """Return the ns of separators and the digits behind them; None if the digits are a counter."""
+    width = max(len(digits) for _, digits in texts)
+    if all(separator == '.' or not digits for separator, digits in texts):
+        return [int(digits.ljust(9, '0')) for _, digits in texts]
+    return [int(digits or 0) * 10 ** (9 - width) for _, digits in texts] if width in FRACTION_DIGITS else None
 
 
 def _read_whole(matches: Sequence[re.Match[str]]) -> list[int]:
@@ -151,12 +153,9 @@ def _read_whole(matches: Sequence[re.Match[str]]) -> list[int]:
 def _read_dates(matches: Sequence[re.Match[str]]) -> list[int]:
     if all(_COUNTED.search(match[0]) for match in matches):
         return []
-    times = []
-    for match in matches:
-        fraction = match[7] or ''
-        try:
-            date = datetime(*map(int, match.groups()[:6]), tzinfo=timezone.utc)  # type: ignore[misc, arg-type]
-        except ValueError:
-            return []
-        times.append(round(date.timestamp()) * NS_PER_S + int(fraction.ljust(9, '0')))
-    return times
+    try:
+        dates = [datetime(*map(int, match.groups()[:6]), tzinfo=timezone.utc) for match in matches]  # type: ignore[misc, arg-type]
+    except ValueError:
+        return []
+    fractions = _read_fractions([(match[7] or '', match[8] or '') for match in matches]) or [0] * len(dates)
+    return [round(date.timestamp()) * NS_PER_S + ns for date, ns in zip(dates, fractions, strict=True)]

@@ -30,7 +30,10 @@ from mocap_ros.messages.plain import encode_plain
 Array = NDArray[np.float64]
 
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
+MIN_FOCAL_SHARE = 0.04  # image widths; less than any lens has: drivers without a calibration send the unit matrix
 MAX_COEFFICIENT = 1e6  # 1; rational polynomials that are poorly determined reach thousands; keeps results finite
+# Shares of the image between which a principal point lies; that of a matrix for half or twice the size does not
+CENTRE_RANGE = 0.3, 0.7
 NO_DISTORTION_COEFFICIENTS = (0.0,) * 5  # with which drivers of cameras say that a lens does not distort
 
 
@@ -43,7 +46,7 @@ class CameraInfo:
         intrinsics: focal length, principal point and distortion. Where the camera is not calibrated, its focal
             length is not known, and whoever uses it has to choose one.
         frame_id: name of the camera's optical frame; empty where unknown. It is not compared.
-        note: why a field is not used, or empty.
+        note: why a field is not used or may be wrong, or empty.
     """
 
     size: ImageSize
@@ -102,14 +105,26 @@ def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
             check_coefficients(distortion, 'd')
         except InputError as error:
             distortion, note = Distortion(), f'{error}; it is not used'
+    full = message.width, message.height
+    if all(full) and not all(
+        CENTRE_RANGE[0] <= c / s <= CENTRE_RANGE[1] for c, s in zip(matrix[:2, 2], full, strict=True)
+    ):
+        centre = f'principal point {matrix[0, 2]:g}, {matrix[1, 2]:g} px in an image of {full[0]} x {full[1]} px'
+        note = '; '.join(
+            filter(None, (note, f'{name}: {centre}; check that it is not calibrated for another size'))
+        )
     size, matrix = _select_region(message, matrix)
     try:
         intrinsics = Intrinsics.from_matrix(matrix, distortion, size if all(size) else None)
+        if intrinsics.focal < MIN_FOCAL_SHARE * size[0]:
+            raise InputError(f'focal length of {intrinsics.focal:g} px in an image {size[0]} px wide')
     except InputError as error:
         reason = error if matrix[[0, 1], [0, 1]].any() else 'is 0'
         fault = f'{name}: {reason}; the camera is not calibrated'
         if not all(size):
-            raise InputError(f'{fault}, and width and height are 0') from None
+            raise InputError(
+                f'{fault}, and width and height are 0: set node.image_width and node.image_height'
+            ) from None
         note = f'{fault}: its image size of {size[0]} x {size[1]} px is used, with a nominal focal length'
         intrinsics = Intrinsics.from_image_size(*size, focal_in_sides=1.0)
     return CameraInfo(size, intrinsics, message.header.frame_id, note)

@@ -48,7 +48,7 @@ class InputCamera:
         self._rival: tuple[str, int] | None = None  # another camera, and its first stamp since the last image used
 
     def add_calibration(self, given: Calibration) -> None:
-        """Use a CameraInfo for all following images.
+        """Use a CameraInfo for all following images, unless only the one in use is calibrated, for the same size.
 
         Raises:
             InputError: It is of another camera than the images, whose own is known.
@@ -59,7 +59,9 @@ class InputCamera:
                 f'header.frame_id: {other!r}, but the people of {name!r} are being tracked, whose CameraInfo is '
                 'known; run a node for each camera'
             )
-        self.calibration = given
+        is_calibrated, was_calibrated = (c.info.intrinsics.is_focal_known if c else False for c in (given, held))
+        if is_calibrated or not was_calibrated or (held and held.info.size != given.info.size):
+            self.calibration = given
 
     def check(self, header: Header) -> tuple[str, Calibration | None]:
         """Return why tracking must be restarted for an image, usually '', and the CameraInfo to use with it.

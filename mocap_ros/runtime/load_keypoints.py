@@ -48,7 +48,7 @@ MIN_FRAMES = 10  # frames; of all people, those who are seen in less are mostly 
 # Options that apply to a kind of input; those of the focal length apply to all.
 OPTIONS_BY_KIND = {
     InputKind.SEQUENCE: (),
-    InputKind.BAG: ('--person', '--topic', '--camera-info'),
+    InputKind.BAG: ('--person', '--topic', '--camera-info', '--image-size'),
     InputKind.VIDEO: ('--person', '--detector'),
     InputKind.OPENPOSE: ('--person', '--fps', '--image-size', '--layout'),
     InputKind.JSON: ('--person', '--fps', '--image-size', '--layout'),
@@ -159,7 +159,9 @@ def _describe_gap(sequence: KeypointSequence) -> str:
 def _load_detections(path: Path, kind: InputKind, options: InputOptions) -> Detections:
     video = options.video
     if kind is InputKind.BAG:
-        return load_bag(path, options.node, options.topic, options.camera_info)
+        width, height = video.image_size or (options.node.image_width, options.node.image_height)
+        node = replace(options.node, image_width=width, image_height=height)
+        return load_bag(path, node, options.topic, options.camera_info)
     if kind is InputKind.VIDEO:
         found = detect_in_video(path, video.detector, show_progress=options.show_detection)
         return replace(found, intrinsics=None) if video.hfov or video.focal else found

@@ -113,9 +113,12 @@ class Summary:
         if math.isfinite(self.residual_px):
             parts.append(f'residual {self.residual_px:.1f} px ({self.residual_share:.1%} of the body height)')
         if math.isfinite(self.focal_px):
-            distance = f'{self.distance_m:.1f} m away' if math.isfinite(self.distance_m) else 'distances'
-            proportional = f': {distance}, proportional to it' if self.focal_source != 'known' else f', {distance}'
-            parts.append(f'focal length {self.focal_px:.0f} px, {self.focal_source}{proportional}')
+            focal = f'focal length {self.focal_px:.0f} px, {self.focal_source}'
+            if math.isfinite(self.distance_m):
+                is_known = self.focal_source == 'known'
+                focal += f'{"," if is_known else ":"} {self.distance_m:.1f} m away'
+                focal += '' if is_known else ', proportional to it'
+            parts.append(focal)
         std = f' (± {self.vertical_std_deg:.0f}°)' if math.isfinite(self.vertical_std_deg) else ''
         parts.append(f'vertical {self.vertical}{std}')
         return '; '.join(parts)

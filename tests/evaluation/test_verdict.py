@@ -69,6 +69,7 @@ def judge_sequence(sequence: KeypointSequence, share: float = SOUND_SHARE, turns
         (edit(), SOUND_SHARE, GOOD),
         (edit(rows=slice(0, None, 4)), SOUND_SHARE, GOOD),
         (edit(rows=slice(60)), SOUND_SHARE, GOOD),
+        (edit(WALK.keypoints * np.array([1e4, 1e4, 1])), SOUND_SHARE, GOOD),
         (edit(rows=slice(4)), SOUND_SHARE, Judgement(Grade.GOOD, Fault.UNKNOWN)),
         (edit(joint_names=H36M17.joints), 0.08, Judgement(Grade.WRONG, Fault.LAYOUT, 'coco17')),
         (edit(WALK.keypoints[:, ::-1]), 0.15, Judgement(Grade.WRONG, Fault.MISFIT)),

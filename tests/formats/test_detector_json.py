@@ -327,6 +327,7 @@ POINTS_3D = [[0.1 * i - 0.8, 0.2, 0.9] for i in range(17)]
         ({'pose_landmarks': [[LANDMARK] * 33]}, 'landmarks of MediaPipe'),
         ([{'image_id': 1, 'category_id': 1, 'bbox': [1, 2, 3, 4], 'score': 0.9}], 'without keypoints, .*-pose'),
         ([[{'name': 'person', 'box': {'x1': 1}, 'confidence': 0.9}]], 'without keypoints, .*-pose'),
+        (make_results(None, [], {}, {'x': [], 'y': [], 'visible': []}), '4 detections without keypoints'),
         (make_results([50.0, 60.0, 0.0] * 17), 'score of every keypoint is 0'),
         ({'categories': [{'id': 1, 'name': 'cat'}], 'annotations': [PERSON]}, 'no people'),
         ({'categories': [{'id': [1], 'name': 'person'}], 'annotations': [PERSON]}, 'categories: expected an id'),

@@ -58,6 +58,7 @@ def test_names_with_times(pattern: str, start: int) -> None:
         ['00_58', '00_59', '01_00', '01_01'],
         ['frame9.png', 'frame9b.png', 'frame10.png'],
         ['a.png', 'b.png', 'c.png'],
+        [f'IMG_20240305_1459{s}_{n:02d}.jpg' for s in (58, 59) for n in range(9)],
         ['1.png', '01.png', '2.png'],
         ['1.0001.png', '1.0002.png', '2.0001.png', '2.0002.png'],
         [f'{"9" * 30}.png', f'{"9" * 31}.png', 'a.png'],

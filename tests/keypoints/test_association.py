@@ -123,3 +123,6 @@ def test_the_pairs_are_those_of_the_least_sum(seed: int, detections: int, people
     for row, column in zip(*linear_sum_assignment(cost), strict=True):
         expected[row] = column
     assert choose_pairs(cost, np.ones_like(cost, bool)) == expected
+    cost[-1, 0] = [math.nan, math.inf][seed % 2]
+    with pytest.raises(ValueError, match='not finite'):
+        choose_pairs(cost, np.ones_like(cost, bool))

@@ -73,7 +73,9 @@ def test_models_of_lenses_have_several_names(model: str, d: tuple[float, ...], u
         ({'d': (math.nan, 0, 0, 0, 0)}, (640, 480, 600.0), 'not finite'),
         ({'d': (1.0, -1e300, 0, 0)}, (640, 480, 600.0), r'^d: -1e\+300, more than a lens has'),
         ({'focal': 0.0}, (640, 480, None), 'k: .*not calibrated: its image size of 640 x 480 px'),
+        ({'centre': 1.0}, (640, 480, 600.0), 'k: principal point 640, 480 px .* for another size'),
         ({'focal': math.nan}, (640, 480, None), 'k: .*not calibrated'),
+        ({'focal': 1.0}, (640, 480, None), 'k: focal length of 1 px in an image 640 px wide; .*not calibrated'),
         ({'focal': 0.0, 'binning': (2, 2), 'd': OPENCV[:5]}, (320, 240, None), '320 x 240 px'),
     ],
 )

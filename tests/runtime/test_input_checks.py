@@ -226,3 +226,6 @@ def test_each_camera_is_used_with_its_own_camera_info() -> None:
     for calibration in (calibrate('', 501.0), back):
         camera.add_calibration(calibration)
         assert camera.calibration is calibration, 'what has no name, or another one, may be of any camera'
+    uncalibrated = Intrinsics(480.0, (320.0, 240.0), is_focal_known=False)
+    camera.add_calibration(Calibration(CameraInfo((640, 480), uncalibrated, 'back'), b''))
+    assert camera.calibration is back

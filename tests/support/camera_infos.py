@@ -21,6 +21,7 @@ def camera_info(
     p: tuple[float, ...] = (0.0,) * 12,
     binning: tuple[int, int] = (0, 0),
     region: tuple[int, int, int, int] = (0, 0, 0, 0),  # x, y, width and height in px
+    centre: float = 0.5,  # principal point as a share of width and height
 ) -> bytes:
     x, y, region_width, region_height = region
     message = {
@@ -29,7 +30,7 @@ def camera_info(
         'width': width,
         'distortion_model': model,
         'd': d,
-        'k': (focal, 0, width / 2, 0, focal, height / 2, 0, 0, 1),
+        'k': (focal, 0, width * centre, 0, focal, height * centre, 0, 0, 1),
         'r': np.eye(3),
         'p': p,
         'binning_x': binning[0],
