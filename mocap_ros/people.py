@@ -49,10 +49,14 @@ class Motion:
 
 
 class CameraVertical(NamedTuple):
-    """The vertical of a camera: (3,) unit vector upwards in its optical frame, and the standard deviation, rad."""
+    """The vertical of a camera: (3,) unit vector upwards in its optical frame, and the standard deviation, rad.
+
+    `is_given`: whether a parameter or the floor gives it, so that it owes nothing to people.
+    """
 
     direction: Array
     std: float
+    is_given: bool = False
 
 
 def _unknown(*shape: int) -> Array:

@@ -140,9 +140,9 @@ def add_lens_options(parser: argparse.ArgumentParser) -> None:
 
 
 def read_lens_parameters(args: argparse.Namespace) -> dict[str, Value]:
-    """Return the parameters of a replay that the options of `add_lens_options` state."""
+    """Return the parameters of a replay that the options of `add_lens_options` state; both if one is given."""
     given = {'node.hfov': args.hfov, 'node.focal': args.focal}
-    return {name: value for name, value in given.items() if value is not None}
+    return {name: value or 0.0 for name, value in given.items()} if any(given.values()) else {}
 
 
 def read_video_options(args: argparse.Namespace) -> Video:

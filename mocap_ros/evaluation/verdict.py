@@ -180,6 +180,8 @@ def judge(uncertainty: Mapping[Reading, float], residual_share: float, share_out
     if share_outside > MAX_SHARE_OUTSIDE:
         return Judgement(Grade.WRONG, Fault.OUTSIDE)
     if not uncertainty:
+        if residual_share > FAR_SHARE:
+            return Judgement(Grade.WRONG if residual_share > WRONG_SHARE else Grade.DOUBTFUL, Fault.MISFIT)
         return Judgement(Grade.GOOD, Fault.UNKNOWN)
     given, upright = min(uncertainty[reading] for reading in (GIVEN, *TURNED)), uncertainty[GIVEN]
     layouts = [reading for reading in uncertainty if reading.layout]

@@ -73,11 +73,11 @@ class Video:
     hfov: float | None = None
     focal: float | None = None
 
-    def find_focal_length(self, image_width: int) -> float | None:
+    def find_focal_length(self, image_width: int, name: str = '--focal') -> float | None:
         """Return the focal length in px, in images of this width in px; None where neither it nor hfov is given.
 
         Raises:
-            InputError: it is no focal length in px in an image of this width.
+            InputError: it is no focal length in px in an image of this width; the error gives it this name.
         """
         if self.hfov is not None:
             return image_width / 2 / math.tan(math.radians(self.hfov / 2))
@@ -85,7 +85,7 @@ class Video:
             hfov = math.degrees(2 * math.atan2(image_width / 2, self.focal))
             if not HFOV_RANGE_DEG[0] <= hfov <= HFOV_RANGE_DEG[1]:
                 raise InputError(
-                    f'--focal: {self.focal:g} px in an image {image_width} px wide are {hfov:.3g} degrees; '
+                    f'{name}: {self.focal:g} px in an image {image_width} px wide are {hfov:.3g} degrees; '
                     f'{HFOV_RANGE_DEG[0]:g} to {HFOV_RANGE_DEG[1]:g} expected, and px, not mm'
                 )
         return self.focal

@@ -90,4 +90,4 @@ class CameraPlacement(NamedTuple):
         """Return the vertical in the frame of the outputs."""
         if vertical is None or self.pose is None:
             return vertical
-        return CameraVertical(self.pose.rotate(vertical.direction), vertical.std)
+        return vertical._replace(direction=self.pose.rotate(vertical.direction))

@@ -45,7 +45,7 @@ def encode_skeletons(
 
     People and vertical are in the frame of the header; `camera` is None where that is the camera's.
     """
-    direction, std = (None, math.nan) if vertical is None else vertical
+    direction, std = (None, math.nan) if vertical is None else (vertical.direction, vertical.std)
     placement = camera or CameraPlacement(header.frame_id)
     pose = placement.pose
     message = {

@@ -109,7 +109,7 @@ class DiagnosticsReporter:
             'swapped frames': pipeline.swapped_frames,
             'detections that were no person': counts['unusable'],
             'summary': str(pipeline.summary.summarise()),
-            'camera': 'from CameraInfo' if pipeline.camera_info is not None else 'nominal focal length',
+            'focal length': pipeline.focal_source,
             'frame of people': make_printable(pipeline.output_header.frame_id),
             'recorder': recorder,
         }

@@ -16,9 +16,11 @@ from mocap_ros.messages.camera_info import CameraInfo
 from mocap_ros.messages.cdr import Header
 from mocap_ros.units import NS_PER_S
 
-FocalSource = Literal['known', 'given', 'nominal']  # by a calibration, by the user, or assumed
+# By a calibration, by the user, by what a telephone writes into a video, or assumed
+FocalSource = Literal['known', 'given', 'from the video', 'nominal']
 KNOWN: FocalSource = 'known'
 GIVEN: FocalSource = 'given'
+FROM_VIDEO: FocalSource = 'from the video'
 NOMINAL: FocalSource = 'nominal'
 SILENCE_S = 1.0  # s; without images of one camera, before those of another are taken as a move of the input
 

@@ -35,7 +35,7 @@ from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.offline.whole_sequence import MAX_GAP_S
 from mocap_ros.runtime.detection import ShowProgress, detect_in_video
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
-from mocap_ros.runtime.input_camera import GIVEN
+from mocap_ros.runtime.input_camera import FROM_VIDEO, GIVEN
 from mocap_ros.runtime.input_checks import WITHOUT_KEYPOINTS, describe_unusable_distortion
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 from mocap_ros.units import NS_PER_S
@@ -133,6 +133,8 @@ def _finish(
             outside = outside or describe_points_outside(*keypoints)
             if kind is not InputKind.SEQUENCE and (fault := describe_transposed_size(*keypoints)):
                 raise InputError(f'{"--image-size" if size == video.image_size else "image size"}: {fault}')
+        if kind is InputKind.VIDEO and sequences[0].is_camera_known:
+            sequences = [replace(s, focal_source=FROM_VIDEO) for s in sequences]
         sequences, lens_lines = give_focal_length(sequences, video)
     # Any focal length will do, because only cameras that are known have a distortion.
     lens = describe_unusable_distortion(sequences[0].intrinsics(1.0))

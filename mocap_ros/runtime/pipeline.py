@@ -18,7 +18,7 @@ from typing import Any
 from mocap_ros.bags.journal import Verdict
 from mocap_ros.bags.topics import PEOPLE_SOURCES, TRANSFORM_SOURCES, Source
 from mocap_ros.config import Config
-from mocap_ros.errors import FrameDropped, InputError
+from mocap_ros.errors import ConfigError, FrameDropped, InputError
 from mocap_ros.formats.detections import Video
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.image_size import resolve_image_size
@@ -121,8 +121,9 @@ class Pipeline:
         summary: What the people rest on, and whether the input is sound, since the pipeline was created or reset.
 
     Raises:
-        ConfigError: The camera or the floor in the output frame are wrong (`OutputFrame`),
-            `node.prediction_times` are no times up to a second, or people are to be predicted with `tracker.lag`.
+        ConfigError: The camera or the floor in the output frame are wrong (`OutputFrame`), `node.hfov` and
+            `node.focal` are both given, `node.prediction_times` are no times up to a second, or people are to be
+            predicted with `tracker.lag`.
         ModelError: The base poses cannot be loaded.
     """
 
@@ -136,6 +137,7 @@ class Pipeline:
         self.counters = Counters()
         self._output_frame = OutputFrame(config.node)
         self._prediction_times = read_prediction_times(config)
+        _check_lens(config)
         self.models = models or load_base_pose_models(config.tracker.model)
         self._make_tracker = make_tracker
         self._tracker: Tracker = make_tracker(self.models, config)
@@ -154,6 +156,14 @@ class Pipeline:
     def camera_info(self) -> bytes | None:
         """The CameraInfo message in use as CDR, or None."""
         return self._camera.calibration and self._camera.calibration.raw
+
+    @property
+    def focal_source(self) -> FocalSource:
+        """Where the focal length of the next image is from."""
+        calibration, node = self._camera.calibration, self.config.node
+        if calibration is not None and calibration.info.intrinsics.is_focal_known:
+            return KNOWN
+        return GIVEN if node.hfov or node.focal else NOMINAL
 
     @property
     def transforms(self) -> TransformTree:
@@ -254,6 +264,7 @@ class Pipeline:
 
     def check(self, config: Config) -> Tracker | None:
         """Return the tracker that other parameters need, or None if they need none; errors as `reconfigure`."""
+        _check_lens(config)
         read_prediction_times(config)
         if all(getattr(self.config, group) == getattr(config, group) for group in TRACKER_GROUPS):
             return None
@@ -337,7 +348,8 @@ class Pipeline:
                 'node.image_width and node.image_height give the size of the image'
             )
         if node.hfov or node.focal:
-            focal = Video(hfov=node.hfov or None, focal=node.focal or None).find_focal_length(size[0])
+            lens = Video(hfov=node.hfov or None, focal=node.focal or None)
+            focal = lens.find_focal_length(size[0], 'node.focal')
             return Intrinsics(float(focal or 0), (size[0] / 2, size[1] / 2), True, image_size=size), GIVEN
         return Intrinsics.from_image_size(*size, self.config.tracker.nominal_focal_length), NOMINAL
 
@@ -350,3 +362,8 @@ class Pipeline:
             self.counters.invalid += 1
         if source in PEOPLE_SOURCES and (result.outputs or result.verdict is Verdict.ACCEPTED):
             self.counters.accepted += 1
+
+
+def _check_lens(config: Config) -> None:
+    if config.node.hfov and config.node.focal:
+        raise ConfigError('node.focal: node.hfov is given as well; set one of them to 0')

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from mocap_ros.config import Config
 from mocap_ros.evaluation.verdict import (
     MAX_STRETCHES,
+    MIN_FRAMES,
     MIN_SEEN_JOINTS,
     STRETCH_S,
     Fault,
@@ -46,7 +47,7 @@ from mocap_ros.models.model_file import load_shipped_lifter
 from mocap_ros.offline.whole_sequence import SequenceResult
 from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.skeleton import skeleton_from_joints
-from mocap_ros.solvers.vertical import AUTO, NONE, read_given_vertical
+from mocap_ros.solvers.vertical import read_given_vertical
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -55,11 +56,12 @@ NOT_JUDGED = Judgement(Grade.GOOD, Fault.UNKNOWN)
 MAX_JUDGED_PEOPLE = 3  # of a recording; those who come first in the input
 MAX_FOUND_STD_DEG = 20.0  # degrees; a vertical that is less certain than this counts as uncertain
 MAX_STEP = 0.5  # of the person's size in the image; of a person from one image to the next
+MAX_IDS = 10_000  # people; live, one who comes back after so many others counts anew
 MEMORY_S = 5.0  # s; live, the residual is averaged over about this time, and after it points are judged anew
 
 # What to say of a fault, but for those that name layouts.
 WORDS = {
-    Fault.UNKNOWN: f'too few images show {MIN_SEEN_JOINTS} joints',
+    Fault.UNKNOWN: f'no {STRETCH_S:g} s have {MIN_FRAMES} images that show {MIN_SEEN_JOINTS} joints',
     Fault.AXES: 'x and y look exchanged',
     Fault.Y_UP: 'y looks as if it pointed upwards: expected is y = 0 at the top of the image',
     Fault.MIRRORED: 'left and right look exchanged: the names of the joints, or the image is mirrored',
@@ -78,9 +80,10 @@ class Summary:
         seen: 1, share of the detector's points that were seen, in images with people; NaN without any.
         residual_px: px, mean RMS reprojection error; NaN if unknown.
         residual_share: 1, the same over the height of the body in the image.
-        distance_m: m, median distance along the optical axis; NaN if unknown.
+        distance_m: m, distance along the optical axis, the median over joints and frames, or live the mean of the
+            first joint; NaN if unknown.
         focal_px: px, focal length; NaN if unknown.
-        focal_source: `known` by a calibration, `given` by the user, or `nominal`.
+        focal_source: `known` by a calibration, `given` by the user, `from the video`, or `nominal`.
         vertical: `given`, `found`, `uncertain` or `none`.
         vertical_std_deg: degrees, standard deviation of the vertical; NaN if there is none.
         grade: `good`, `doubtful` or `wrong`; `not judged` if too little was seen.
@@ -157,14 +160,15 @@ def summarise(sequences: Sequence[KeypointSequence], results: Sequence[SequenceR
     tracker, lifter = config.tracker, load_shipped_lifter()
     given, outside = read_given_vertical(tracker), ''
     measured: list[dict[Reading, float]] = []
-    turns = count_upright_turns(None if given is None else CameraVertical(given.direction, given.std))
+    turns = 0 if given is None else count_upright_turns(given.direction)
     rows, seen, shares = [], [], []
     for sequence, result in zip(sequences, results, strict=True):
         intrinsics = result.virtual_camera.intrinsics
         depth = float(np.nanmedian(result.joints[..., 2]))
         residual = float(np.nanmean(result.solution.residual))
         share = residual * depth / intrinsics.focal / tracker.body_height
-        rows.append((residual, share, depth, float(np.nanmedian(result.vertical_std))))
+        std = result.vertical_std[np.isfinite(result.vertical_std)]
+        rows.append((residual, share, depth, float(np.median(std)) if len(std) else math.nan))
         score = np.where(sequence.keypoints[..., 2] >= tracker.min_score, sequence.keypoints[..., 2], 0.0)
         keypoints = np.concatenate([sequence.keypoints[..., :2], score[..., None]], axis=-1)
         seen.append(float((score > 0)[(score > 0).any(axis=1)].mean()))
@@ -189,7 +193,7 @@ def summarise(sequences: Sequence[KeypointSequence], results: Sequence[SequenceR
         distance_m=depth,
         focal_px=intrinsics.focal,
         focal_source=sequence.focal_source or ('known' if intrinsics.is_focal_known else 'nominal'),
-        vertical=describe_vertical(tracker.vertical, math.degrees(std)),
+        vertical=describe_vertical(math.degrees(std), is_given=given is not None),
         vertical_std_deg=math.degrees(std),
         grade=describe_grade(judgement),
         reason=describe_fault(judgement, sequence.joint_names, outside),
@@ -202,20 +206,18 @@ def describe_outside(points: Array, score: Array, image_size: tuple[int, int]) -
     return describe_transposed_size(*keypoints) or describe_points_outside(*keypoints)
 
 
-def describe_vertical(parameter: str, std_deg: float) -> str:
-    """Return how the vertical is known, by the parameter `tracker.vertical` and its standard deviation."""
-    if parameter not in (AUTO, NONE):
+def describe_vertical(std_deg: float, *, is_given: bool) -> str:
+    """Return how the vertical is known, of which the standard deviation is NaN where nothing is known."""
+    if is_given:
         return 'given'
     if not math.isfinite(std_deg):
         return 'none'
     return 'found' if std_deg <= MAX_FOUND_STD_DEG else 'uncertain'
 
 
-def count_upright_turns(vertical: CameraVertical | None) -> int:
-    """Return the quarter turns clockwise after which up is up in the image of a camera; 0 if it is not known."""
-    if vertical is None:
-        return 0
-    x, y = vertical.direction[:2].tolist()
+def count_upright_turns(upward: Array) -> int:
+    """Return the quarter turns clockwise after which a direction (3,) upwards is up in the image of its camera."""
+    x, y = upward[:2].tolist()
     return int(np.argmin([y, x, -y, -x]))
 
 
@@ -240,19 +242,21 @@ class RunSummary:
 
     def __init__(self) -> None:
         self.judgement = NOT_JUDGED
-        self._people: set[str] = set()
-        self._frames = self._counted = 0
+        self._ids: dict[str, None] = {}  # of the last `MAX_IDS` people
+        self._people = self._frames = self._counted = 0
         self._sums = np.zeros(4)  # over people seen: share of points, residual in px, its share, distance
         self._residual_share, self._share_outside = math.nan, 0.0  # averaged over `MEMORY_S`
         self._outside = ''
         self._last_ns = 0
-        self._focal, self._focal_source, self._vertical_std_deg, self._vertical = math.nan, '', math.nan, AUTO
+        self._focal, self._focal_source = math.nan, ''
+        self._vertical: CameraVertical | None = None
         self._followed: list[tuple[int, Person2D]] = []  # one person's points, by stamp in ns
         self._rest_ns = 0  # stamp from which on the next stretch begins
         self._names: tuple[str, ...] = ()
         self._measured: dict[Reading, float] = {}
         self._uncertainty: dict[Reading, float] = {}  # means over `_parts`
         self._readings: list[Reading] = []  # still to be measured
+        self._is_sparse = False  # whether the last stretch had too few images to be measured
         self._parts: deque[dict[Reading, float]] = deque(maxlen=MAX_STRETCHES)
 
     def add(
@@ -267,10 +271,15 @@ class RunSummary:
     ) -> None:
         """Add an image: what the detector saw, and the people who were reconstructed up to it."""
         self._frames += 1
-        self._focal, self._focal_source, self._vertical = intrinsics.focal, focal_source, config.tracker.vertical
-        self._vertical_std_deg = math.nan if vertical is None else math.degrees(vertical.std)
+        self._focal, self._focal_source, self._vertical = intrinsics.focal, focal_source, vertical
+        if stamp_ns < self._last_ns:  # a clock that was set, or a bag that begins again
+            self._rest_ns = 0
         seen = [p for p in people if not p.tentative]
-        self._people.update(p.id for p in seen if p.id not in self._people)
+        for name in (p.id for p in seen if p.id not in self._ids):
+            self._people += 1
+            self._ids[name] = None
+            if len(self._ids) > MAX_IDS:
+                del self._ids[next(iter(self._ids))]
         fits = [
             (p.residual, p.residual / p.scale / config.tracker.body_height, p.joints[0, 2])
             for p in seen
@@ -328,9 +337,11 @@ class RunSummary:
         times = np.array([(ns - start_ns) / NS_PER_S for ns, _ in self._followed])
         stretch = make_stretch(keypoints, person.joints, times, intrinsics)
         self._followed, self._rest_ns = [], stamp_ns + round(MEMORY_S * NS_PER_S)
+        self._is_sparse = stretch is None
         if stretch is not None:
-            given = None if read_given_vertical(config.tracker) is None else vertical
-            self._turns, self._stretch, self._measured = count_upright_turns(given), stretch, {}
+            # One that was found rests on these points: for it, a y axis upwards is a camera that is upside down.
+            self._turns = count_upright_turns(vertical.direction) if vertical and vertical.is_given else 0
+            self._stretch, self._measured = stretch, {}
             self._readings = list_readings(stretch.names)
 
     def advance_judgement(self, config: Config) -> None:
@@ -342,7 +353,9 @@ class RunSummary:
             if not self._readings:
                 self._parts.append(self._measured)
                 self._uncertainty = average(self._parts)
-        self.judgement = judge(self._uncertainty, self._residual_share, self._share_outside)
+        is_known = self._is_sparse or bool(self._uncertainty)  # a new fit of moving people is still bad
+        residual_share = self._residual_share if is_known else math.nan
+        self.judgement = judge(self._uncertainty, residual_share, self._share_outside)
 
     @property
     def reason(self) -> str:
@@ -355,8 +368,10 @@ class RunSummary:
         seen, residual, share, depth = (
             self._sums / self._counted if self._counted else np.full(4, math.nan)
         ).tolist()
+        vertical = self._vertical
+        std_deg = math.nan if vertical is None else math.degrees(vertical.std)
         return Summary(
-            people=len(self._people),
+            people=self._people,
             frames=self._frames,
             seen=seen,
             residual_px=residual,
@@ -364,8 +379,8 @@ class RunSummary:
             distance_m=depth,
             focal_px=self._focal,
             focal_source=self._focal_source,
-            vertical=describe_vertical(self._vertical, self._vertical_std_deg),
-            vertical_std_deg=self._vertical_std_deg,
+            vertical=describe_vertical(std_deg, is_given=vertical is not None and vertical.is_given),
+            vertical_std_deg=std_deg,
             grade=describe_grade(self.judgement),
             reason=describe_fault(self.judgement, self._names, self._outside),
         )

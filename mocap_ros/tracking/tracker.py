@@ -145,7 +145,7 @@ class Tracker:
     def vertical(self) -> CameraVertical | None:
         """What is known of the camera's vertical; None if nothing is."""
         known = self._vertical
-        return None if known is None else CameraVertical(known.direction, known.std)
+        return None if known is None else CameraVertical(known.direction, known.std, known.is_given)
 
     @property
     def are_ids_ignored(self) -> bool:

@@ -71,6 +71,8 @@ def judge_sequence(sequence: KeypointSequence, share: float = SOUND_SHARE, turns
         (edit(rows=slice(60)), SOUND_SHARE, GOOD),
         (edit(WALK.keypoints * np.array([1e4, 1e4, 1])), SOUND_SHARE, GOOD),
         (edit(rows=slice(4)), SOUND_SHARE, Judgement(Grade.GOOD, Fault.UNKNOWN)),
+        (edit(rows=slice(4)), 0.08, Judgement(Grade.DOUBTFUL, Fault.MISFIT)),
+        (edit(rows=slice(4)), 0.12, Judgement(Grade.WRONG, Fault.MISFIT)),
         (edit(joint_names=H36M17.joints), 0.08, Judgement(Grade.WRONG, Fault.LAYOUT, 'coco17')),
         (edit(WALK.keypoints[:, ::-1]), 0.15, Judgement(Grade.WRONG, Fault.MISFIT)),
         (edit(np.roll(WALK.keypoints, 1, axis=1)), 0.12, Judgement(Grade.WRONG, Fault.MISFIT)),

@@ -159,8 +159,8 @@ def test_the_values_are_those_of_the_run() -> None:
         abs=0.1,
         nan_ok=True,
     )
-    names = 'people', 'category', 'camera', 'recorder', 'lost before the node', 'dropped: queue full'
-    assert [run.values[name] for name in names] == ['1', 'walk', 'nominal focal length', 'off', '3', '7']
+    names = 'people', 'category', 'focal length', 'recorder', 'lost before the node', 'dropped: queue full'
+    assert [run.values[name] for name in names] == ['1', 'walk', 'nominal', 'off', '3', '7']
     run.pipeline.reset()
     run.report()
     emptied = 'people', 'category', 'residual (px)', 'age of newest frame (s)'

@@ -89,7 +89,7 @@ def test_yolo_detections_with_transforms(
     peer.wait_until(info.get_subscription_count)
     wait_until_discovered(peer.node, peer.executor, 'mocap_node')
     info.publish(camera_info())
-    peer.wait_for_diagnostics('camera', 'from CameraInfo')
+    peer.wait_for_diagnostics('focal length', 'known')
     frames: list[Any] = [[(f + 1) * 10**8, place_people(f, 'anna', 'b/ob')] for f in range(8)]
     transforms = json.loads(run_detector(env, 'yolo', frames, 'tf', 'map'))
     peer.wait_for_frames(len(frames))

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from mocap_ros.bags.topics import Source
+from mocap_ros.config import with_values
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -64,6 +65,10 @@ def enlarge(person: Any) -> None:
     person.x, person.y = person.x * 3, person.y * 3
 
 
+def turn_around(person: Any) -> None:
+    person.x, person.y = 640 - person.x, 480 - person.y
+
+
 def list_reasons(pipeline: Pipeline, frames: list[bytes]) -> list[str]:
     if pipeline.camera_info is None:  # which would be a problem of its own
         pipeline.set_camera_info(camera_info())
@@ -107,6 +112,30 @@ def test_a_mistake_is_described_once_and_kept_until_it_is_mended(
 
 def test_nothing_is_reported_on_right_points(stream: list[bytes]) -> None:
     assert not any(list_reasons(Pipeline(FAST_CONFIG), stream))
+
+
+@pytest.mark.parametrize(
+    ('edit', 'step_s', 'values', 'problem'),
+    [
+        (reverse_joints, 0.5, {}, 'people: the points do not fit'),  # too slow for the lifter
+        (turn_around, STEP_S, {}, 'people: people lie or are upside down'),
+        (turn_around, STEP_S, {'node.output_frame': 'map', 'node.camera_pose': '0 0 1 3.1416 0 0'}, ''),
+    ],
+)
+def test_points_are_judged_at_any_rate_and_by_a_vertical_that_is_given(
+    stream: list[bytes], edit: Callable[[Any], None], step_s: float, values: dict[str, object], problem: str
+) -> None:
+    frames = [with_stamp(edit_people(raw, edit), round((1 + i * step_s) * 1e9)) for i, raw in enumerate(stream)]
+    reasons = filter(None, list_reasons(Pipeline(with_values(FAST_CONFIG, values)), frames))
+    assert [reason.startswith(problem) for reason in reasons] == [True] * bool(problem)
+
+
+def test_points_are_judged_after_the_clock_went_back(stream: list[bytes]) -> None:
+    pipeline = Pipeline(FAST_CONFIG)
+    late = [with_stamp(raw, round((900 + i * STEP_S) * 1e9)) for i, raw in enumerate(stream[:10])]
+    assert not any(list_reasons(pipeline, late))
+    reasons = list_reasons(pipeline, [edit_people(raw, reverse_joints) for raw in stream])
+    assert 'people: these look like coco17' in ' '.join(reasons)
 
 
 @pytest.mark.parametrize(

@@ -188,6 +188,7 @@ def test_without_transforms_people_are_in_the_frame_of_the_camera_and_the_reason
             r"node\.floor_height = 'low': expected a number",
         ),
         ({'node.floor_height': 'nan', 'node.output_frame': 'map'}, r'such as 0'),
+        ({'node.hfov': 60.0, 'node.focal': 600.0}, r'node\.focal: node\.hfov is given as well'),
         ({'node.prediction_times': '2', 'node.publish_predictions': True}, r'node\.prediction_times'),
         (
             {'node.floor_height': 2, 'node.output_frame': 'map', 'node.camera_pose': '0 0 1.5 0 0 0'},
@@ -195,7 +196,7 @@ def test_without_transforms_people_are_in_the_frame_of_the_camera_and_the_reason
         ),
     ],
 )
-def test_a_wrong_pose_or_height_is_refused(values: dict[str, object], message: str) -> None:
+def test_parameters_that_cannot_be_used_are_refused(values: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         Pipeline(with_values(PLAIN_CONFIG, values))
 

@@ -136,6 +136,11 @@ def test_a_nominal_focal_length_is_named_once_after_seconds_of_people(
     assert [s for s, reason in reasons.items() if 'no CameraInfo' in reason] == ([3.5] if is_named else [])
 
 
+def test_a_focal_length_that_is_none_in_px_is_named_by_its_parameter(stream: list[bytes]) -> None:
+    pipeline = Pipeline(with_values(FAST_CONFIG, {'node.focal': 4.0}))
+    assert reject(pipeline, stream[0], Verdict.INVALID).startswith('node.focal: 4 px in an image 640 px wide')
+
+
 def test_a_camera_info_that_does_not_fit_is_rejected(stream: list[bytes]) -> None:
     pipeline = Pipeline(FAST_CONFIG)
     with pytest.raises(InputError, match='not calibrated, and width and height are 0'):

@@ -198,7 +198,12 @@ def test_a_bag_that_fails_does_not_stop_the_others(
         assert read_messages(tmp_path / 'out' / name, '/skeletons') == skeletons
 
 
-RECORDED = {**FAST_VALUES, 'tracker.window': 1.2, 'tracker.lag': 0.1}  # parameters of a recorded run
+RECORDED = {
+    **FAST_VALUES,
+    'tracker.window': 1.2,
+    'tracker.lag': 0.1,
+    'node.hfov': 60.0,
+}  # parameters of a recorded run
 CHANGED_AFTER = 6  # inputs after which it was given others
 CHANGED = {**RECORDED, 'tracker.lag': 0.0, 'tracker.min_score': 0.2}
 
@@ -229,14 +234,16 @@ def read_parameters(path: Path) -> list[dict[str, Value]]:
 def test_set_changes_single_parameters_of_the_recorded_run(
     tmp_path: Path, stream: list[bytes], with_file: bool
 ) -> None:
-    """They stay where the recorded run changed its parameters; a parameter file replaces all of the run."""
+    """They stay where the run changed its parameters; a file replaces all; --focal replaces node.hfov."""
     write_recorded_run(tmp_path / 'bag', stream, RECORDED)
-    arguments = ['--set', 'tracker.lag=0.3', '--set', 'recorder.split_seconds=0.1']
-    expected = [{**RECORDED, 'tracker.lag': 0.3}, {**CHANGED, 'tracker.lag': 0.3}]
+    arguments = ['--set', 'tracker.lag=0.3', '--set', 'recorder.split_seconds=0.1', '--focal', '800']
+    given = {'tracker.lag': 0.3, 'node.hfov': 0.0, 'node.focal': 800.0}
+    expected = [{**RECORDED, **given}, {**CHANGED, **given}]
     if with_file:
-        (tmp_path / 'file.yaml').write_text('tracker: {model: walk, components: 8, iterations: 2, lag: 0.2}')
+        text = 'tracker: {model: walk, components: 8, iterations: 2, lag: 0.2}\nnode: {hfov: 50}'
+        (tmp_path / 'file.yaml').write_text(text)
         arguments += ['--config', str(tmp_path / 'file.yaml')]
-        expected = [{**FAST_VALUES, 'tracker.iterations': 2, 'tracker.lag': 0.3}]
+        expected = [{**FAST_VALUES, 'tracker.iterations': 2, **given}]
     assert main(['replay', str(tmp_path / 'bag'), '-o', str(tmp_path / 'out'), *arguments]) == 0
     found = read_parameters(tmp_path / 'out')
     split = {'recorder.split_seconds': 0.1}
