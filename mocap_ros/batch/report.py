@@ -66,11 +66,13 @@ def summarise(outcomes: Sequence[Outcome], wall_seconds: float) -> list[str]:
         f'{len(seen)} appearances of people: {shown["periodic"]:.0f} s walking or running, '
         f'{shown["non_periodic"]:.0f} s in other motion, {shown["unknown"]:.0f} s not classified'
     )
-    grades = Counter(outcome.rows[0].get('grade') for outcome in outcomes if outcome.rows)
+    grades = Counter(
+        outcome.rows[0]['grade'] for outcome in outcomes if outcome.rows and outcome.rows[0].get('grade')
+    )
     return [
         ', '.join(f'{count} {status.value}' for status, count in sorted(counts.items())),
         people,
-        'input: ' + ', '.join(f'{count} {grade}' for grade, count in sorted(grades.items()) if grade),
+        'input: ' + ', '.join(f'{count} {grade}' for grade, count in sorted(grades.items())),
         f'{work:.0f} CPU seconds of work in {wall_seconds:.0f} s',
     ]
 
