@@ -66,9 +66,8 @@ LIVE = (
 
 
 def load_demo() -> dict[str, Any]:
-    """Return the arrays of the demo without its camera, so that the nominal focal length is assumed."""
-    with np.load(DEMO) as archive:
-        return {key: archive[key] for key in archive if key != 'camera_matrix'}
+    """Return the demo without its camera, so that the nominal focal length is assumed."""
+    return {key: value for key, value in np.load(DEMO).items() if key != 'camera_matrix'}
 
 
 def list_views() -> Iterator[tuple[str, dict[str, Any]]]:
@@ -156,14 +155,12 @@ def list_numbers(place: str, value: Any) -> Iterator[tuple[str, float]]:
 
 
 def run_all() -> Numbers:
-    """Run all of it."""
     found: Numbers = {}
     sequences = {name: read_sequence(view) for name, view in list_views()}
     for name, sequence in tqdm(sequences.items(), 'runs', disable=not sys.stderr.isatty()):
         found |= run_whole(name, sequence) | run_live(name, [sequence])
     found |= run_whole('demo', sequences['demo'], 'keyframes')
-    three = [sequences[f'{trial}_openpose'] for trial in MOTIONS]
-    return found | run_live('three_people', three) | run_replay()
+    return found | run_live('three_people', [sequences[f'{t}_openpose'] for t in MOTIONS]) | run_replay()
 
 
 def compare(found: Numbers, expected: Mapping[str, Array]) -> bool:
@@ -176,10 +173,7 @@ def compare(found: Numbers, expected: Mapping[str, Array]) -> bool:
             continue
         new, old = found[name], expected[name]
         if new.shape != old.shape or not np.array_equal(np.isnan(new), np.isnan(old)):
-            unknown = np.isnan(new).sum(), np.isnan(old).sum()
-            first = (
-                first or f'{name}: shape {new.shape}, before {old.shape}; NaN {unknown[0]}, before {unknown[1]}'
-            )
+            first = first or f'{name}: shape {new.shape}, before {old.shape}, or other values are NaN'
             continue
         difference = np.nan_to_num(np.abs(new - old))
         place = f'{name}{list(map(int, np.unravel_index(int(difference.argmax()), difference.shape)))}'
