@@ -146,11 +146,9 @@ def measure_uncertainty(
         score: least score of a point that counts as seen.
     """
     points, names = stretch.keypoints[..., :2], stretch.names
-    for _ in range(upright_turns):
-        points = points[..., ::-1] * [-1.0, 1.0]
+    points = _turn(points, upright_turns)
     points = points * [-1.0, 1.0] if reading.is_mirrored else points
-    for _ in range(reading.turns):
-        points = points[..., ::-1] * [-1.0, 1.0]
+    points = _turn(points, reading.turns)
     names = keypoint_layout(reading.layout).joints if reading.layout else names
     core, weight, extremities = convert_body_to_rays(points, stretch.keypoints[..., 2], names, UNIT_CAMERA, score)
     camera = VirtualCamera.look_at_person(core, weight, stretch.times, VIEW_SMOOTHING_S, UNIT_CAMERA)
@@ -167,6 +165,13 @@ def measure_uncertainty(
         return math.inf
     share = poses.std[known, :CORE_COUNT] / radius[known, None, None]
     return float(np.median(np.log(share).mean(axis=(1, 2))))
+
+
+def _turn(points: Array, quarters: int) -> Array:
+    """Return points (..., 2) turned clockwise by quarters of a turn."""
+    for _ in range(quarters):
+        points = points[..., ::-1] * [-1.0, 1.0]
+    return points
 
 
 def judge(uncertainty: Mapping[Reading, float], residual_share: float, share_outside: float = 0.0) -> Judgement:

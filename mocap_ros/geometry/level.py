@@ -23,7 +23,7 @@ from mocap_ros.geometry.rotations import MIN_SINE, rotation_from_vector
 Array = NDArray[np.float64]
 
 LEVEL_UP = np.array([0.0, -1.0, 0.0])  # upwards in the optical frame of a level camera
-MAX_CERTAIN_STD = math.radians(20.0)  # rad; nobody is turned by a vertical that is less certain
+MAX_CERTAIN_STD = math.radians(20.0)  # rad; no person is turned by a vertical that is less certain
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])  # about the optical axis
 # Last parts of the names of frames whose z axis is up: those of REP 105, and the usual one of a robot cell. The
 # frames of a robot itself tilt with it.

@@ -100,8 +100,8 @@ class Identities(Generic[P]):
         for person in people:
             age_ns = stamp_ns - person.stamps_ns[-1]
             was_missed = person.stamps_ns[-1] != self.newest_ns
-            is_nobody = person.is_tentative and was_missed and age_ns > TENTATIVE_FORGET_S * NS_PER_S
-            if age_ns > longest_ns or is_nobody:
+            is_misdetection = person.is_tentative and was_missed and age_ns > TENTATIVE_FORGET_S * NS_PER_S
+            if age_ns > longest_ns or is_misdetection:
                 lost.append(person)
                 if not (person.is_tentative and was_missed):
                     gate = GATE + GATE_GROWTH_PER_S * self._settings.forget_after

@@ -36,6 +36,7 @@ from mocap_ros.evaluation.verdict import (
 )
 from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.level import MAX_CERTAIN_STD
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import (
     MAX_SHARE_OUTSIDE,
@@ -54,7 +55,6 @@ Array = NDArray[np.float64]
 
 NOT_JUDGED = Judgement(Grade.GOOD, Fault.UNKNOWN)
 MAX_JUDGED_PEOPLE = 3  # of a recording; those who come first in the input
-MAX_FOUND_STD_DEG = 20.0  # degrees; a vertical that is less certain than this counts as uncertain
 MAX_STEP = 0.5  # of the person's size in the image; of a person from one image to the next
 MAX_IDS = 10_000  # people; live, one who comes back after so many others counts anew
 MEMORY_S = 5.0  # s; live, the residual is averaged over about this time, and after it points are judged anew
@@ -193,7 +193,7 @@ def summarise(sequences: Sequence[KeypointSequence], results: Sequence[SequenceR
         distance_m=depth,
         focal_px=intrinsics.focal,
         focal_source=sequence.focal_source or ('known' if intrinsics.is_focal_known else 'nominal'),
-        vertical=describe_vertical(math.degrees(std), is_given=given is not None),
+        vertical=describe_vertical(std, is_given=given is not None),
         vertical_std_deg=math.degrees(std),
         grade=describe_grade(judgement),
         reason=describe_fault(judgement, sequence.joint_names, outside),
@@ -206,13 +206,13 @@ def describe_outside(points: Array, score: Array, image_size: tuple[int, int]) -
     return describe_transposed_size(*keypoints) or describe_points_outside(*keypoints)
 
 
-def describe_vertical(std_deg: float, *, is_given: bool) -> str:
-    """Return how the vertical is known, of which the standard deviation is NaN where nothing is known."""
+def describe_vertical(std: float, *, is_given: bool) -> str:
+    """Return how the vertical is known, by its standard deviation in rad, which is NaN where nothing is known."""
     if is_given:
         return 'given'
-    if not math.isfinite(std_deg):
+    if not math.isfinite(std):
         return 'none'
-    return 'found' if std_deg <= MAX_FOUND_STD_DEG else 'uncertain'
+    return 'found' if std <= MAX_CERTAIN_STD else 'uncertain'
 
 
 def count_upright_turns(upward: Array) -> int:
@@ -369,7 +369,7 @@ class RunSummary:
             self._sums / self._counted if self._counted else np.full(4, math.nan)
         ).tolist()
         vertical = self._vertical
-        std_deg = math.nan if vertical is None else math.degrees(vertical.std)
+        std = math.nan if vertical is None else vertical.std
         return Summary(
             people=self._people,
             frames=self._frames,
@@ -379,8 +379,8 @@ class RunSummary:
             distance_m=depth,
             focal_px=self._focal,
             focal_source=self._focal_source,
-            vertical=describe_vertical(std_deg, is_given=vertical is not None and vertical.is_given),
-            vertical_std_deg=std_deg,
+            vertical=describe_vertical(std, is_given=vertical is not None and vertical.is_given),
+            vertical_std_deg=math.degrees(std),
             grade=describe_grade(self.judgement),
             reason=describe_fault(self.judgement, self._names, self._outside),
         )

@@ -17,7 +17,7 @@ Directions of one person within the time C have nearly the same error, so sum_i 
 ones, and s_v is the standard deviation of their mean.
 
 Where hardly anybody stands, the likeliest vertical is that of a level camera that looks down a little, v_0: with n
-the seconds in which somebody is seen and m those in which somebody stands, by the same weights,
+the seconds in which people are seen and m those in which people stand, by the same weights,
 
     v = normalise((1 - r) v_t + r v_0),    r = clip((n - m / STANDING_SHARE) / n, 0, 1)
     s = (1 - r) s_v + r (MAX_STD_DEG + q (ASKEW_STD_DEG - MAX_STD_DEG))
@@ -64,7 +64,7 @@ MAX_STD_DEG = 25.0  # of a vertical of which next to nothing is known: that of p
 GIVEN_STD_DEG = 1.0  # s_v of a vertical that is given: that of a spirit level or an accelerometer at rest
 LEVEL_DEG = 60.0, 75.0  # between up in the image of a level camera and who stands: cameras look down by up to 45
 LEVEL_PITCH_DEG = 10.0  # by which v_0 looks down, as robots and tripods do; roll and pitch differ by some 10
-STANDING_SHARE = 0.1  # 1; of the time; who stands for less of it still tells more than v_0 does
+STANDING_SHARE = 0.1  # 1; of the time; who stands for less of it still shows more than v_0 does
 ASKEW_STD_DEG = 45.0  # half of the quarter of a turn by which v_0 is wrong if the camera is on its side
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for
 UNIT_TOLERANCE = 0.01  # 1; difference of a given direction's length from 1 that rounding may cause

@@ -51,14 +51,6 @@ class InitialValues:
 
 
 @dataclass(frozen=True, eq=False)
-class EarlierFrames:
-    """Summary of the frames of the same person that precede a window; it keeps the bone lengths consistent."""
-
-    count: int
-    mean_bone_lengths: Array  # (B,) m, mean length of each bone over these frames
-
-
-@dataclass(frozen=True, eq=False)
 class Window:
     """Image points of one person over consecutive frames, with what is known about them in advance.
 
@@ -80,10 +72,6 @@ class Window:
     # px, focal length of a virtual camera that faces the person; `points` are relative to its optical axis.
     # Infinity selects weak perspective
     focal: float = math.inf
-    # number of frames at the beginning of the window that keep their initial values; these must then be given by
-    # `start`
-    fixed_frames: int = 0
-    earlier_frames: EarlierFrames | None = None  # summary of the frames before the window; None if there are none
     # 3D poses of the frames as estimated by the lifter, in px, used as a prior; None uses the prior of the base
     # poses alone
     lifted: LiftedPoses | None = None

@@ -46,9 +46,8 @@ def refine(
 ) -> list[TrackSolution]:
     """Return the solutions of P tracks whose newest frame is not solved yet.
 
-    `tracks` the tracks, with solutions under the same model; `parts` index of the first frame of each that is
-    solved, and how many frames from there keep their state; `config` weights of the terms, and when the solver
-    stops.
+    The solutions so far are under the same model. `parts` has for each track the index of the first frame that is
+    solved, and how many frames from there keep their state.
     """
     newest = collect_newest_frames(tracks, parts, model)
     batch = Batch(

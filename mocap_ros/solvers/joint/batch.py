@@ -62,7 +62,7 @@ class Batch:
 
     @staticmethod
     def build(windows: Sequence[Window], units: Array, model: BasePoses) -> Batch:
-        """Return the batch of these windows with their units (P,) px/m.
+        """Return the batch of these windows, of which all frames are free, with their units (P,) px/m.
 
         Raises:
             InputError: only some of the windows have lifted poses.
@@ -80,7 +80,6 @@ class Batch:
             lifted = np.where(is_known, joints, 0.0) / per_frame[:, None, None]
             precision = is_known / np.maximum(std / per_frame[:, None, None], MIN_STD_M) ** 2
             precision[~is_known] = 0.0
-        mean_lengths, earlier = arrange_model(model).mean_bone_lengths, [w.earlier_frames for w in windows]
         return Batch(
             times=np.concatenate([w.times for w in windows]),
             starts=np.cumsum(counts) - counts,
@@ -88,11 +87,11 @@ class Batch:
             image=np.concatenate([w.points for w in windows]) / per_frame[:, None, None],
             score=np.concatenate([w.weight for w in windows]),
             focal=np.repeat([w.focal for w in windows], counts) / per_frame,
-            is_free=np.concatenate([np.arange(len(w.times)) >= w.fixed_frames for w in windows]),
+            is_free=np.ones(counts.sum(), bool),
             lifted=lifted,
             precision=precision,
-            earlier_lengths=np.array([mean_lengths if e is None else e.mean_bone_lengths for e in earlier]),
-            earlier_frames=np.array([0 if e is None else e.count for e in earlier]),
+            earlier_lengths=np.tile(arrange_model(model).mean_bone_lengths, (len(windows), 1)),
+            earlier_frames=np.zeros(len(windows), np.int64),
         )
 
     @property

@@ -111,7 +111,7 @@ def solve_stepwise(
     all_poses = initial or [None] * len(windows)
     results = []
     for window, poses in zip(windows, all_poses, strict=True):
-        alone = replace(window, lifted=None, fixed_frames=0, earlier_frames=None)
+        alone = replace(window, lifted=None)
         work = _solve_window(alone, poses, model, config)
         result = yield from ignore_overflow(work)  # numbers that overflow are found in the result
         results.append(result)

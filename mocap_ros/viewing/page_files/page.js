@@ -653,7 +653,7 @@
       const { scene } = this;
       this.begin = scene.seconds[0] ?? 0;
       this.end = Math.max(scene.seconds[scene.frameCount - 1] ?? 0, this.begin + 1e-3);
-      // What is known of nobody is left out.
+      // What is known of no person is left out.
       const isKnown = (key) => scene.people.some((person) => person[key].some((value) => value !== NOT_A_NUMBER));
       this.curves = [['residual, px', 'residual', scene.residualPerStep, 46], ['cadence, Hz', 'cadence', scene.cadencePerStep, 30]]
         .filter(([, key]) => isKnown(key));
@@ -796,7 +796,7 @@
 
   // ---- the page ---------------------------------------------------------------------------------------------------
 
-  // The first time at which somebody is seen and not tentative: a better first sight than a pale person.
+  // The first time at which a person is seen and not tentative: a better first sight than a pale person.
   function findFirstCertainTime(scene) {
     let first = Infinity;
     for (const person of scene.people) {

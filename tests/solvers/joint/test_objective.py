@@ -32,7 +32,7 @@ from mocap_ros.solvers.joint.reference import (
     compute_costs,
     compute_residuals,
 )
-from mocap_ros.solvers.window import EarlierFrames, Window, initialise_from_mean_pose
+from mocap_ros.solvers.window import Window, initialise_from_mean_pose
 from tests.support.synthetic_walk import make_walk
 
 COMPONENTS, FRAMES = 6, (7, 5)
@@ -68,13 +68,12 @@ def make_objective(
         window = Window(points, weight, times + rng.uniform(0, 0.01, frames), focal=focal)
         if lifted:
             window = replace(window, lifted=LiftedPoses(poses, rng.uniform(5, 50, poses.shape)))
-        if frames == FRAMES[0]:
-            lengths = 1.1 * model.skeleton.bone_lengths(model.mean)
-            window = replace(window, earlier_frames=EarlierFrames(4, lengths))
         windows.append(window)
     starts = [initialise_from_mean_pose(w, model, 1.0) for w in windows]
     units = np.array([np.median(s.cameras.scale) for s in starts])
     batch = Batch.build(windows, units, model)
+    batch.earlier_lengths[0] *= 1.1
+    batch.earlier_frames[0] = 4
     objective = JointObjective.build(batch, model, config, NOISE)
     step = 0.05 * rng.normal(size=(sum(FRAMES), UNKNOWNS))
     state = advance(batch.initial_state(starts, units), step)
