@@ -1,0 +1,65 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+import numpy as np
+import pytest
+
+from mocap_ros.skeleton import BODY26
+from mocap_ros.solvers.contacts import HEELS_AND_TOES, find_contacts
+
+UPWARD = np.array([0.0, -1.0, 0.0])
+FEET = ('lheel', 'ltoe', 'rheel', 'rtoe')
+
+
+def walk(rate_hz=30.0, seconds=4.5):
+    """Joints (F, 26, 3) m, 4 m away: the right foot stands, the left one stands for 1 s and swings for 0.5 s."""
+    times = np.arange(round(seconds * rate_hz)) / rate_hz
+    joints = np.zeros((len(times), 26, 3)) + [0.0, 0.0, 4.0]
+    time = times % 1.5
+    phase = (time - 1.0).clip(0) * 2
+    swung = np.floor(times / 1.5) + phase
+    for joint, x in (('lankle', 0.0), ('lheel', -0.05), ('ltoe', 0.2)):
+        lift = -0.15 * np.sin(np.pi * phase)
+        joints[:, BODY26.index(joint)] = np.stack([x + 0.6 * swung, 1.0 + lift, 0 * times + 4], axis=1)
+    for joint, x in (('rankle', 0.3), ('rheel', 0.25), ('rtoe', 0.5)):
+        joints[:, BODY26.index(joint)] = [x, 1.0, 4.0]
+    return joints, times, (phase > 0.2) & (phase < 0.8), (time > 0.2) & (time < 0.8)
+
+
+@pytest.mark.parametrize('rate_hz', [10.0, 30.0, 120.0])
+@pytest.mark.parametrize('count', [26, 15])
+def test_a_foot_that_swings_does_not_stand(rate_hz, count):
+    joints, times, swings, stands = walk(rate_hz)
+    joints = joints[:, :count]
+    contact = find_contacts(joints[..., :2] / joints[..., 2:], np.ones(joints.shape[:2]), joints, UPWARD, times)
+    assert contact.shape == (len(times), 4)
+    assert contact[:, 2:].min() > 0.7
+    assert contact[swings, :2].max() < 0.3
+    assert contact[stands, :2].min() > 0.7
+
+
+def test_points_of_detectors_and_points_that_are_not_seen():
+    joints, times, swings, stands = walk()
+    rays = joints[..., :2] / joints[..., 2:]
+    rays = rays + np.random.default_rng(0).normal(0, 0.01, rays.shape) / 4  # 1 cm at the body
+    weight = np.ones(joints.shape[:2])
+    weight[40:50, HEELS_AND_TOES[2]] = 0  # the heel of the foot that stands is hidden
+    contact = find_contacts(rays, weight, joints, UPWARD, times)
+    assert contact[40:50, 2].min() > 0.7
+    assert contact[swings, :2].mean() < 0.3
+    assert contact[stands, :2].mean() > 0.7
+
+
+def test_nothing_is_known_of_a_person_who_is_not_seen():
+    joints, times, _, _ = walk()
+    contact = find_contacts(0 * joints[..., :2], 0 * joints[..., 0], joints * np.nan, UPWARD * np.nan, times)
+    assert contact == pytest.approx(0.5)
+    single = find_contacts(np.zeros((1, 26, 2)), np.ones((1, 26)), joints[:1], UPWARD, times[:1])
+    assert single == pytest.approx(0.5)
+
+
+def test_without_the_vertical_the_speed_alone_counts():
+    joints, times, swings, stands = walk()
+    rays, weight = joints[..., :2] / joints[..., 2:], np.ones(joints.shape[:2])
+    contact = find_contacts(rays, weight, joints, np.full(3, np.nan), times)
+    assert contact[swings, :2].max() < 0.3 < 0.7 < contact[stands, :2].min()
