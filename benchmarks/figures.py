@@ -42,7 +42,7 @@ BENCHMARKS: Mapping[str, Sequence[str]] = {
     'engine': (),
     'faults': (),
     'stream': (),
-    'corpora': (),
+    'feet': (),
     'readme': (),
 }
 
