@@ -11,6 +11,7 @@ Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
 
 def collect_frame(
+    p: int,
     frame: int,
     core: Array,
     camera: Array,
@@ -20,7 +21,11 @@ def collect_frame(
     weight: Array,
     other_rays: Array | None,
     other_weight: Array | None,
-) -> tuple[Array, Array, Array, Array]: ...
+    out_lifted: Array,
+    out_std: Array,
+    out_rays: Array,
+    out_weight: Array,
+) -> None: ...
 
 class Body:
     def __init__(
@@ -40,15 +45,15 @@ class Body:
     ) -> None: ...
     def follow(
         self,
-        state: Array,
+        states: Array,
         core: Array,
         lifted: Array,
         lifted_std: Array,
         rays: Array,
         weight: Array,
-        noise: float,
-        stature: float,
-        step_s: float,
+        noise: Array,
+        stature: Array,
+        steps: Array,
     ) -> None: ...
     def smooth(
         self,

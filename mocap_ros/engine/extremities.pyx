@@ -300,14 +300,16 @@ cdef void add_estimate(
 
 
 def collect_frame(
-    Py_ssize_t frame, Rows core, Rows camera, Stack lifted, Stack std, Stack rays, Rows weight, Stack other_rays,
-    Rows other_weight,
+    Py_ssize_t p, Py_ssize_t frame, Stack core, Rows camera, Stack lifted, Stack std, Stack rays, Rows weight,
+    Stack other_rays, Rows other_weight, double[:, :, ::1] out_lifted, double[:, :, ::1] out_std,
+    double[:, :, ::1] out_rays, double[:, ::1] out_weight,
 ):
-    """Return what one of F frames of a window says: the attributes of `ExtremityEvidence` from `lifted` to `weight`.
+    """Write what one of F frames of a window says of person p: attributes of `ExtremityEvidence` of P people.
 
     Args:
-        frame: its index.
-        core: (15, 3) m.
+        p: index of the person.
+        frame: index of the frame.
+        core: (P, 15, 3) m.
         camera: (3, 3) rotation from the real to the virtual camera.
         lifted: (F, 26, 3) in the unit of rays; None without a lifter.
         std: likewise.
@@ -315,25 +317,26 @@ def collect_frame(
         weight: (F, 15).
         other_rays: (F, 11, 2) of the extremities; None if none were seen.
         other_weight: (F, 11).
+        out_lifted: (P, 26, 3), NaN before; written only with a lifter.
+        out_std: likewise.
+        out_rays: (P, 26, 2), 0 before.
+        out_weight: (P, 26), 0 before.
     """
-    cdef Py_ssize_t j, i, known = core.shape[0], joints = known + POINTS
+    cdef Py_ssize_t j, i, known = core.shape[1]
     cdef double depth = 0
-    arrays = np.full((joints, 3), np.nan), np.full((joints, 3), np.nan), np.zeros((joints, 2)), np.zeros(joints)
-    cdef double[:, ::1] out_lifted = arrays[0], out_std = arrays[1], out_rays = arrays[2]
-    cdef double[::1] out_weight = arrays[3]
     for j in range(known):
         for i in range(3):
-            depth += camera[2, i] * core[j, i] / known
-    for j in range(joints):
+            depth += camera[2, i] * core[p, j, i] / known
+    for j in range(known + POINTS):
         if lifted is not None:
             for i in range(3):
-                out_lifted[j, i], out_std[j, i] = depth * lifted[frame, j, i], depth * std[frame, j, i]
+                out_lifted[p, j, i], out_std[p, j, i] = depth * lifted[frame, j, i], depth * std[frame, j, i]
         if j < known:
-            out_rays[j, 0], out_rays[j, 1], out_weight[j] = rays[frame, j, 0], rays[frame, j, 1], weight[frame, j]
+            out_rays[p, j, 0], out_rays[p, j, 1] = rays[frame, j, 0], rays[frame, j, 1]
+            out_weight[p, j] = weight[frame, j]
         elif other_rays is not None:
-            out_rays[j, 0], out_rays[j, 1] = other_rays[frame, j - known, 0], other_rays[frame, j - known, 1]
-            out_weight[j] = other_weight[frame, j - known]
-    return arrays
+            out_rays[p, j, 0], out_rays[p, j, 1] = other_rays[frame, j - known, 0], other_rays[frame, j - known, 1]
+            out_weight[p, j] = other_weight[frame, j - known]
 
 
 cdef class Body:
@@ -586,32 +589,38 @@ cdef class Body:
         self.write_orientations(state, weight, is_part_known)
 
     def follow(
-        self, double[::1] state, Rows core, Rows lifted, Rows lifted_std, Rows rays, Vector weight, double noise,
-        double stature, double step_s,
+        self, double[:, ::1] states, Stack core, Stack lifted, Stack lifted_std, Stack rays, Rows weight, Vector noise,
+        Vector stature, Vector steps,
     ):
-        """Overwrite the state of a person by that of the next frame, which is `step_s` later; infinite: the first.
+        """Overwrite the states (P, N) of people by those of the next frame.
 
-        The evidence in this frame is the attributes of `ExtremityEvidence`; stature in m.
+        The evidence in this frame is the attributes of `ExtremityEvidence`; statures (P,) in m; steps (P,) s since
+        the frame before, infinite for the first, and nothing changes where they are not positive.
         """
-        cdef State* person = <State*> &state[0]
-        cdef Evidence seen = Evidence(
-            &core[0, 0], &lifted[0, 0], &lifted_std[0, 0], &rays[0, 0], &weight[0], noise, stature
-        )
+        cdef State* person
+        cdef Evidence seen
         cdef double[POINTS][3] old
         cdef double share
+        cdef Py_ssize_t n
         cdef int p, i
-        memcpy(old, person.offsets, sizeof(old))
-        self.advance(person, &seen, step_s, True, NULL, NULL)
-        self.write_result(person, &weight[0], stature)
-        if not isfinite(step_s):
-            memset(person.velocity, 0, sizeof(person.velocity))
-            return
-        share = 1 - exp(-step_s / VELOCITY_MEMORY_S)
-        for p in range(POINTS):
-            for i in range(3):
-                person.velocity[p][i] += share * (
-                    (person.offsets[p][i] - old[p][i]) / step_s - person.velocity[p][i]
-                )
+        for n in range(states.shape[0]):
+            if steps[n] <= 0:
+                continue
+            person = <State*> &states[n, 0]
+            seen = Evidence(&core[n, 0, 0], &lifted[n, 0, 0], &lifted_std[n, 0, 0], &rays[n, 0, 0], &weight[n, 0],
+                            noise[n], stature[n])
+            memcpy(old, person.offsets, sizeof(old))
+            self.advance(person, &seen, steps[n], True, NULL, NULL)
+            self.write_result(person, &weight[n, 0], stature[n])
+            if not isfinite(steps[n]):
+                memset(person.velocity, 0, sizeof(person.velocity))
+                continue
+            share = 1 - exp(-steps[n] / VELOCITY_MEMORY_S)
+            for p in range(POINTS):
+                for i in range(3):
+                    person.velocity[p][i] += share * (
+                        (person.offsets[p][i] - old[p][i]) / steps[n] - person.velocity[p][i]
+                    )
 
     cdef void smooth_part(
         self, State* state, Py_ssize_t part, const double* backward_turn, const double* backward_covariance

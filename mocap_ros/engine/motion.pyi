@@ -10,22 +10,9 @@ Array: TypeAlias = NDArray[np.float64]
 Array32: TypeAlias = NDArray[np.float32]
 Indices: TypeAlias = NDArray[np.int64]
 
-def add_correction(
-    velocity: Array,
-    std: Array,
-    covariance: Array,
-    correction: Array,
-    left_hip: int,
-    right_hip: int,
-    std_factor: float,
-    correction_factor: float,
-    root_factor: float,
-) -> tuple[Array, Array, Array] | None: ...
-def locate_joints(
-    theta: Array, rotation: Array, root: Array, mean: Array, components: Array, size: float
-) -> Array: ...
 def sample_joints(
-    wanted: Array,
+    ago: Array,
+    frame: int,
     times: Array,
     theta: Array,
     rotation: Array,
@@ -34,9 +21,10 @@ def sample_joints(
     components: Array,
     size: float,
 ) -> Array: ...
-def split_centre(joints: Array) -> Array: ...
-def read_motion(state: Array, left_hip: int, right_hip: int) -> tuple[Array, Array, Array, Array]: ...
-def advance_motion(state: Array, recent: Array, times: Array, max_jitter: float) -> Array: ...
+def filter_motion(filters: Array, times: Array, joints: Array, image_noise: Array) -> None: ...
+def read_motion(
+    filters: Array, times: Array, located: Array, left_hip: int, right_hip: int
+) -> tuple[Array, Array, Array, Array]: ...
 def build_inputs(
     velocity: Array, joints: Array, earlier: Array, axes: Array, spans: Array, mirror: Indices, hips: Indices
 ) -> Array: ...
@@ -46,6 +34,7 @@ def correct_velocity(
     joints: Array,
     earlier: Array,
     axes: Array,
+    needed: int,
     spans: Array,
     mirror: Indices,
     hips: Indices,
@@ -56,3 +45,13 @@ def correct_velocity(
     weight_1: Array32,
     bias_1: Array32,
 ) -> Array: ...
+def add_correction(
+    velocity: Array,
+    std: Array,
+    covariance: Array,
+    correction: Array,
+    hips: Indices,
+    std_factor: float,
+    correction_factor: float,
+    root_factor: float,
+) -> None: ...

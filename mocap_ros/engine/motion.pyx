@@ -8,8 +8,9 @@ The formulas are in `tracking.solution`, `tracking.motion_filter` and `models.ve
 F frames, K base poses, T spans of time, I inputs and H hidden units of the network.
 """
 
-from libc.math cimport M_PI, cos, exp, expf, fabs, isfinite, pow, sqrt
+from libc.math cimport M_PI, NAN, cos, exp, expf, fabs, isfinite, pow, sqrt
 from libc.stdlib cimport free, malloc
+from libc.string cimport memcpy, memmove
 
 import numpy as np
 
@@ -48,6 +49,12 @@ cdef extern from *:
     #define MAX_RISE 6.0          /* mean squares; a single squared difference counts at most so much */
     #define MIN_JITTER_M 1e-4     /* far below what is seen, keeps the stiffness finite */
     #define SQUARES 6.0           /* sum of the squared coefficients of a second difference at even times: 1, -2, 1 */
+    #define INITIAL_JITTER_M 0.005  /* until it is estimated */
+    #define INITIAL_SPEED_M_S 1.0   /* that of a walker */
+    #define MAX_NOISE_SHARE 0.5     /* of the image noise; a joint rests on several frames and points */
+    #define MAX_STEP_S 0.200001     /* over a gap of more than 0.2 s the differences say nothing of the jitter */
+    #define MAX_SPEED_M_S 10.0      /* of a sprinter */
+    #define MAX_DEPTH_CHANGE 0.3    /* of the depth; a larger one from frame to frame is another solution */
 
     #define INPUT_LIMIT 4.0       /* standard deviations; there is next to nothing beyond in training */
     #define MAX_CORRECTION 1.5    /* standard deviations of the filter's velocity; one in 40 would be larger */
@@ -59,7 +66,8 @@ cdef extern from *:
         double[3] jitter_factors, speed_factors
     const Spring JOINT, CENTRE
     const double SPEED_POWER, JITTER_POWER, JITTER_UNIT_M, SPEED_MEMORY_S, JITTER_MEMORY_S, MAX_RISE
-    const double MIN_JITTER_M, SQUARES, INPUT_LIMIT, MAX_CORRECTION
+    const double MIN_JITTER_M, SQUARES, INPUT_LIMIT, MAX_CORRECTION, INITIAL_JITTER_M, INITIAL_SPEED_M_S
+    const double MAX_NOISE_SHARE, MAX_STEP_S, MAX_SPEED_M_S, MAX_DEPTH_CHANGE
     const int LIMIT_FIRST, LIMIT_LAST
 
 cdef enum:  # rows of the filter's state: x, v, mean squares of the second differences and of v, variance of v
@@ -86,42 +94,39 @@ cdef void pose(
             out[3 * j + i] = size * (dot(rotation + 3 * i, point) + root[i])
 
 
-def locate_joints(Vector theta, Rows rotation, Vector root, Rows mean, Stack components, double size):
-    """Return the joints (J, 3) m of a pose: size (R (Q_0 + sum_k theta_k Q_k) + root).
+def sample_joints(
+    Vector ago, Py_ssize_t frame, Vector times, Rows theta, Stack rotation, Rows roots, Rows mean, Stack components,
+    double size,
+):
+    """Return the joints (T, J, 3) m of poses size (R (Q_0 + sum_k theta_k Q_k) + root); NaN before the first frame.
 
     Args:
-        theta: (K,) m.
-        rotation: (3, 3) R.
-        root: (3,) m.
+        ago: (T,) s, not negative, times before a frame; positions are interpolated between those of the frames.
+        frame: index of the frame.
+        times: (F,) s.
+        theta: (F, K) m.
+        rotation: (F, 3, 3) R.
+        roots: (F, 3) m.
         mean: (J, 3) m, Q_0.
         components: (K or more, J, 3), Q_k.
         size: of the person over that of the solution.
     """
-    result = np.empty((mean.shape[0], 3))
-    cdef double[:, ::1] out = result
-    pose(&theta[0], theta.shape[0], &rotation[0, 0], &root[0], mean, components, size, &out[0, 0])
-    return result
-
-
-def sample_joints(
-    Vector wanted, Vector times, Rows theta, Stack rotation, Rows roots, Rows mean, Stack components, double size
-):
-    """Return the joints (T, J, 3) m at some times (T,) s, interpolated between those of F frames; NaN before them."""
-    cdef Py_ssize_t n, f, k, first, values = 3 * mean.shape[0], count = theta.shape[1]
-    cdef double share
-    result = np.full((wanted.shape[0], mean.shape[0], 3), np.nan)
+    cdef Py_ssize_t n, k, first, values = 3 * mean.shape[0], count = theta.shape[1]
+    cdef double share, wanted
+    result = np.full((ago.shape[0], mean.shape[0], 3), np.nan)
     cdef double[:, :, ::1] out = result
     cdef double* after = <double*> malloc(values * sizeof(double))
     cdef double* before
-    for n in range(wanted.shape[0]):
-        if not wanted[n] >= times[0]:
+    for n in range(ago.shape[0]):
+        wanted, before, first = times[frame] - ago[n], &out[n, 0, 0], frame
+        if not wanted >= times[0]:
             continue
-        first = 0
-        while first < times.shape[0] - 2 and times[first + 1] < wanted[n]:
-            first += 1
-        before = &out[n, 0, 0]
-        share = (wanted[n] - times[first]) / (times[first + 1] - times[first])
+        while first > 0 and times[first] > wanted:
+            first -= 1
         pose(&theta[first, 0], count, &rotation[first, 0, 0], &roots[first, 0], mean, components, size, before)
+        if first == frame:
+            continue
+        share = (wanted - times[first]) / (times[first + 1] - times[first])
         pose(&theta[first + 1, 0], count, &rotation[first + 1, 0, 0], &roots[first + 1, 0], mean, components, size,
              after)
         for k in range(values):
@@ -130,49 +135,7 @@ def sample_joints(
     return result
 
 
-def split_centre(Rows joints):
-    """Return joints (J, 3) about their centre, followed by the centre: (J + 1, 3)."""
-    cdef Py_ssize_t j, i, count = joints.shape[0]
-    result = np.zeros((count + 1, 3))
-    cdef double[:, ::1] out = result
-    for j in range(count):
-        for i in range(3):
-            out[count, i] += joints[j, i] / count
-    for j in range(count):
-        for i in range(3):
-            out[j, i] = joints[j, i] - out[count, i]
-    return result
-
-
-def read_motion(Stack state, Py_ssize_t left_hip, Py_ssize_t right_hip):
-    """Return joints, velocities (J, 3), deviations (J,) and the covariance (3, 3) of the velocity between the hips.
-
-    The errors of both hips are mostly the same, so the variance of the point between them is their mean.
-
-    Args:
-        state: (5, J + 1, 3) of the filter.
-        left_hip: index of the joint.
-        right_hip: likewise.
-    """
-    cdef Py_ssize_t j, i, count = state.shape[1] - 1
-    cdef double variance
-    arrays = np.empty((count, 3)), np.empty((count, 3)), np.empty(count), np.zeros((3, 3))
-    cdef double[:, ::1] joints = arrays[0], velocity = arrays[1], covariance = arrays[3]
-    cdef double[::1] std = arrays[2]
-    for j in range(count):
-        variance = 0
-        for i in range(3):
-            joints[j, i] = state[X, j, i] + state[X, count, i]
-            velocity[j, i] = state[V, j, i] + state[V, count, i]
-            variance += state[VARIANCE, j, i] + state[VARIANCE, count, i]
-        std[j] = sqrt(variance)
-    for i in range(3):
-        covariance[i, i] = (state[VARIANCE, left_hip, i] + state[VARIANCE, right_hip, i]) / 2
-        covariance[i, i] += state[VARIANCE, count, i]
-    return arrays
-
-
-cdef void write_difference(Vector times, double* out) noexcept nogil:
+cdef void write_difference(const double* times, double* out) noexcept nogil:
     """Write the coefficients of the divided second difference at three times, scaled as at even times."""
     cdef int i, j
     cdef double product, squares = 0
@@ -187,41 +150,51 @@ cdef void write_difference(Vector times, double* out) noexcept nogil:
         out[i] *= sqrt(SQUARES / squares)
 
 
-def advance_motion(Stack state, Stack recent, Vector times, double max_jitter):
-    """Return the state (5, N, 3) of the filter after the newest frame.
+cdef void begin_filter(double* state, const double* points, Py_ssize_t count) noexcept nogil:
+    cdef Py_ssize_t k
+    for k in range(3 * count):
+        state[3 * count * X + k], state[3 * count * V + k] = points[k], 0.0
+        state[3 * count * SECOND + k] = SQUARES * square(INITIAL_JITTER_M)
+        state[3 * count * SPEED + k] = square(INITIAL_SPEED_M_S) / 3
+        state[3 * count * VARIANCE + k] = square(INITIAL_SPEED_M_S)
 
-    Args:
-        state: (5, N, 3) of the frame before.
-        recent: (n, N, 3) m, unfiltered points of the newest frames, up to 3; the last of the N points is the centre.
-        times: (n,) s, their times.
-        max_jitter: m, largest standard deviation of the jitter of a joint.
-    """
-    cdef Py_ssize_t p, c, i, newest = times.shape[0] - 1, points = state.shape[1]
-    cdef double step = times[newest] - times[newest - 1], difference, squared_speed, second, jitter, omega, rho
+
+cdef void advance_filter(
+    double* state, const double* recent, const double* times, Py_ssize_t points, double max_jitter
+) noexcept nogil:
+    """Advance the state (5, N, 3) to the last of three times, of which the first may be NaN."""
+    cdef Py_ssize_t p, c, i, at
+    cdef bint has_difference = isfinite(times[0])
+    cdef double step = times[2] - times[1], difference, squared_speed, second, jitter, omega, rho
     cdef double turn, kept, x, innovation
     cdef double jitter_forgotten = 1 - exp(-step / JITTER_MEMORY_S), speed_forgotten = 1 - exp(-step / SPEED_MEMORY_S)
     cdef double[3] coefficients
     cdef const Spring* spring
-    result = np.array(state)
-    cdef double[:, :, ::1] out = result
-    if newest == 2:
+    cdef double* positions = state + 3 * points * X
+    cdef double* velocities = state + 3 * points * V
+    cdef double* seconds = state + 3 * points * SECOND
+    cdef double* speeds = state + 3 * points * SPEED
+    cdef double* variances = state + 3 * points * VARIANCE
+    if has_difference:
         write_difference(times, coefficients)
     for p in range(points):
         spring = &CENTRE if p == points - 1 else &JOINT
         squared_speed, second = square(spring.speed_floor), 0.0
         for c in range(3):
-            if newest == 2:
+            at = 3 * p + c
+            if has_difference:
                 difference = 0
                 for i in range(3):
-                    difference += coefficients[i] * recent[i, p, c]
-                x = state[SECOND, p, c]
-                out[SECOND, p, c] += jitter_forgotten * (min(difference * difference, MAX_RISE * x) - x)
-            out[SPEED, p, c] += speed_forgotten * (square(state[V, p, c]) - state[SPEED, p, c])
-            squared_speed += out[SPEED, p, c]
-            second += out[SECOND, p, c] / 3
+                    difference += coefficients[i] * recent[3 * points * i + at]
+                x = seconds[at]
+                seconds[at] += jitter_forgotten * (min(difference * difference, MAX_RISE * x) - x)
+            speeds[at] += speed_forgotten * (square(velocities[at]) - speeds[at])
+            squared_speed += speeds[at]
+            second += seconds[at] / 3
         for c in range(3):
+            at = 3 * p + c
             if p == points - 1:
-                jitter = sqrt(out[SECOND, p, c] / SQUARES)
+                jitter = sqrt(seconds[at] / SQUARES)
             else:
                 jitter = min(sqrt(second / SQUARES), max_jitter)
             jitter = max(jitter, MIN_JITTER_M)
@@ -229,19 +202,101 @@ def advance_motion(Stack state, Stack recent, Vector times, double max_jitter):
             rho = exp(-spring.damping * omega * step)
             turn = min(sqrt(1 - square(spring.damping)) * omega * step, M_PI / 2)  # at most a quarter turn
             kept = exp(-spring.fade * step)
-            x = state[X, p, c] + (1 - kept) / spring.fade * state[V, p, c]
-            innovation = recent[newest, p, c] - x
-            out[X, p, c] = x + (1 - rho * rho) * innovation
-            out[V, p, c] = kept * state[V, p, c] + (square(1 - rho) + 2 * rho * (1 - cos(turn))) / step * innovation
-            out[VARIANCE, p, c] = (
+            x = positions[at] + (1 - kept) / spring.fade * velocities[at]
+            innovation = recent[3 * points * 2 + at] - x
+            positions[at] = x + (1 - rho * rho) * innovation
+            velocities[at] = kept * velocities[at] + (square(1 - rho) + 2 * rho * (1 - cos(turn))) / step * innovation
+            variances[at] = (
                 square(spring.jitter_factors[c] * jitter * omega)
                 + square(spring.speed_factors[c]) * squared_speed + square(spring.velocity_floor)
             )
-    return result
 
 
-def build_inputs(Rows velocity, Rows joints, Stack earlier, Rows axes, Vector spans, Indices mirror, Indices hips):
-    """Return the inputs x (2, I) of a person and of the mirror image, neither centred nor scaled.
+def filter_motion(double[:, ::1] filters, Vector times, Stack joints, Vector image_noise):
+    """Advance the filters of P people in place.
+
+    Args:
+        filters: (P, R), each as `tracking.motion_filter.FILTER`, with N = J + 1; NaN before the first frame.
+        times: (P,) s; a frame that is not newer than the last changes nothing.
+        joints: (P, J, 3) m.
+        image_noise: (P,) m, at the body.
+    """
+    cdef Py_ssize_t p, j, i, count = joints.shape[1], size = 3 * (count + 1)
+    cdef double squared, moved
+    cdef double* row
+    cdef double* points
+    cdef double* state
+    cdef double* centre
+    for p in range(filters.shape[0]):
+        row = &filters[p, 0]
+        if times[p] <= row[2]:
+            continue
+        memmove(row, row + 1, 2 * sizeof(double))
+        memmove(row + 3, row + 3 + size, 2 * size * sizeof(double))
+        row[2], points, state = times[p], row + 3 + 2 * size, row + 3 + 3 * size
+        centre = points + 3 * count
+        for i in range(3):
+            centre[i] = 0
+            for j in range(count):
+                centre[i] += joints[p, j, i] / count
+            for j in range(count):
+                points[3 * j + i] = joints[p, j, i] - centre[i]
+        squared = 0
+        for i in range(3):
+            squared += square(state[size - 3 + i] - centre[i])
+        moved = MAX_DEPTH_CHANGE * fabs(state[size - 1]) + MAX_SPEED_M_S * (row[2] - row[1])
+        if not sqrt(squared) <= moved:  # NaN before the first frame
+            row[0] = row[1] = NAN
+            begin_filter(state, points, count + 1)
+            continue
+        if row[2] - row[1] > MAX_STEP_S:
+            row[0] = NAN
+        advance_filter(state, row + 3, row, count + 1, MAX_NOISE_SHARE * image_noise[p])
+
+
+def read_motion(Rows filters, Vector times, Stack located, Py_ssize_t left_hip, Py_ssize_t right_hip):
+    """Return joints, velocities (P, J, 3), deviations (P, J) and covariances (P, 3, 3) of velocities between hips.
+
+    The errors of both hips are mostly the same, so the variance of the point between them is their mean.
+
+    Args:
+        filters: (P, R) as of `filter_motion`.
+        times: (P,) s; where a filter is not at this time, the joints are those located, and all else is NaN.
+        located: (P, J, 3) m.
+        left_hip: index of the joint.
+        right_hip: likewise.
+    """
+    cdef Py_ssize_t p, j, i, people = located.shape[0], count = located.shape[1], size = 3 * (count + 1)
+    cdef double variance
+    arrays = (np.array(located), np.full((people, count, 3), np.nan), np.full((people, count), np.nan),
+              np.full((people, 3, 3), np.nan))
+    cdef double[:, :, ::1] joints = arrays[0], velocity = arrays[1], covariance = arrays[3]
+    cdef double[:, ::1] std = arrays[2]
+    cdef const double* state
+    cdef const double* variances
+    for p in range(people):
+        if filters[p, 2] != times[p]:
+            continue
+        state = &filters[p, 3 + 3 * size]
+        variances = state + size * VARIANCE
+        for j in range(count):
+            variance = 0
+            for i in range(3):
+                joints[p, j, i] = state[3 * j + i] + state[3 * count + i]
+                velocity[p, j, i] = state[size * V + 3 * j + i] + state[size * V + 3 * count + i]
+                variance += variances[3 * j + i] + variances[3 * count + i]
+            std[p, j] = sqrt(variance)
+        covariance[p, :, :] = 0.0
+        for i in range(3):
+            covariance[p, i, i] = (variances[3 * left_hip + i] + variances[3 * right_hip + i]) / 2
+            covariance[p, i, i] += variances[3 * count + i]
+    return arrays
+
+
+def build_inputs(
+    Stack velocity, Stack joints, const double[:, :, :, ::1] earlier, Stack axes, Vector spans, Indices mirror, Indices hips
+):
+    """Return the inputs x (P, 2, I) of people and of the mirror images, neither centred nor scaled.
 
     Args:
         velocity: this and the next three are attributes of `VelocityPast`.
@@ -252,105 +307,67 @@ def build_inputs(Rows velocity, Rows joints, Stack earlier, Rows axes, Vector sp
         mirror: (J + 1,) counterparts of the joints and of the root.
         hips: (2,) indices.
     """
-    cdef Py_ssize_t k, j, i, a, own, other, count = joints.shape[0], times = spans.shape[0]
-    cdef double length = 0, value
+    cdef Py_ssize_t p, k, j, i, a, own, other, count = joints.shape[1], times = spans.shape[0]
+    cdef double length, value
     cdef double[:, :, ::1] points = np.empty((times + 2, count + 1, 3))  # the root is last
-    result = np.zeros((2, (times + 2) * (count + 1) * 3))
-    cdef double[:, ::1] out = result
-    for j in range(count):
-        for i in range(3):
-            points[0, j, i], points[times + 1, j, i] = velocity[j, i], joints[j, i]
-            for k in range(times):  # what is not known of the past is as if the person had moved as now
-                value = (joints[j, i] - earlier[k, j, i]) / spans[k] - velocity[j, i]
-                points[1 + k, j, i] = 0.0 if earlier[k, j, 0] != earlier[k, j, 0] else value
-    for k in range(times + 2):
-        for i in range(3):
-            points[k, count, i] = (points[k, hips[0], i] + points[k, hips[1], i]) / 2
-            for j in range(count):
-                points[k, j, i] -= points[k, count, i]
-    length = sqrt(dot(&points[times + 1, count, 0], &points[times + 1, count, 0]))
-    for i in range(3):
-        points[times + 1, count, i] /= length
-    for k in range(times + 2):
-        for j in range(count + 1):
-            own, other = 3 * (k * (count + 1) + j), 3 * (k * (count + 1) + mirror[j])
+    result = np.zeros((joints.shape[0], 2, (times + 2) * (count + 1) * 3))
+    cdef double[:, :, ::1] out = result
+    for p in range(joints.shape[0]):
+        for j in range(count):
             for i in range(3):
-                for a in range(3):
-                    out[0, own + i] += axes[a, i] * points[k, j, a]
-                out[1, other + i] = -out[0, own + i] if i == LEFT else out[0, own + i]
+                points[0, j, i], points[times + 1, j, i] = velocity[p, j, i], joints[p, j, i]
+                for k in range(times):  # what is not known of the past is as if the person had moved as now
+                    value = (joints[p, j, i] - earlier[p, k, j, i]) / spans[k] - velocity[p, j, i]
+                    points[1 + k, j, i] = 0.0 if earlier[p, k, j, 0] != earlier[p, k, j, 0] else value
+        for k in range(times + 2):
+            for i in range(3):
+                points[k, count, i] = (points[k, hips[0], i] + points[k, hips[1], i]) / 2
+                for j in range(count):
+                    points[k, j, i] -= points[k, count, i]
+        length = sqrt(dot(&points[times + 1, count, 0], &points[times + 1, count, 0]))
+        for i in range(3):
+            points[times + 1, count, i] /= length
+        for k in range(times + 2):
+            for j in range(count + 1):
+                own, other = 3 * (k * (count + 1) + j), 3 * (k * (count + 1) + mirror[j])
+                for i in range(3):
+                    for a in range(3):
+                        out[p, 0, own + i] += axes[p, a, i] * points[k, j, a]
+                    out[p, 1, other + i] = -out[p, 0, own + i] if i == LEFT else out[p, 0, own + i]
     return result
 
 
 cdef void evaluate(
-    const double* inputs, Floats centre, Floats scale, const float[:, ::1] weight_0, Floats bias_0,
+    const double* inputs, Py_ssize_t rows, Floats centre, Floats scale, const float[:, ::1] weight_0, Floats bias_0,
     const float[:, ::1] weight_1, Floats bias_1, float* hidden, float* found,
 ) noexcept nogil:
-    """Write what the network says of inputs (I,): `found` (3 (J + 1),)."""
-    cdef Py_ssize_t i, n, units = bias_0.shape[0], outputs = bias_1.shape[0]
+    """Write what the network says of inputs (N, I): `found` (N, 3 (J + 1)); each weight is read once for all rows."""
+    cdef Py_ssize_t r, i, n, width = centre.shape[0], units = bias_0.shape[0], outputs = bias_1.shape[0]
     cdef float factor
-    for n in range(units):
-        hidden[n] = bias_0[n]
-    for n in range(outputs):
-        found[n] = bias_1[n]
-    for i in range(centre.shape[0]):
-        factor = <float> min(max((inputs[i] - centre[i]) / scale[i], -INPUT_LIMIT), INPUT_LIMIT)
-        for n in range(units):
-            hidden[n] += factor * weight_0[i, n]
-    for i in range(units):
-        factor = hidden[i] / (1 + expf(-hidden[i]))
-        for n in range(outputs):
-            found[n] += factor * weight_1[i, n]
-
-
-def add_correction(
-    Rows velocity, Vector std, Rows covariance, Rows correction, Py_ssize_t left_hip, Py_ssize_t right_hip,
-    double std_factor, double correction_factor, double root_factor,
-):
-    """Return corrected velocities (J, 3), their deviations (J,) and covariance (3, 3); None where none is corrected.
-
-    The formulas are in `tracking.output`.
-
-    Args:
-        velocity: (J, 3) of the filter.
-        std: (J,) likewise.
-        covariance: (3, 3) likewise, of the velocity between the hips.
-        correction: (J, 3).
-        left_hip: index of the joint.
-        right_hip: likewise.
-        std_factor: f.
-        correction_factor: g.
-        root_factor: h.
-    """
-    cdef Py_ssize_t j, i, k, count = velocity.shape[0]
-    cdef double squared
-    cdef bint is_corrected = False
-    cdef double[3] at_root
-    arrays = np.empty((count, 3)), np.empty(count), np.empty((3, 3))
-    cdef double[:, ::1] new_velocity = arrays[0], new_covariance = arrays[2]
-    cdef double[::1] new_std = arrays[1]
-    for j in range(count):
-        squared = dot(&correction[j, 0], &correction[j, 0])
-        is_corrected = is_corrected or squared > 0
-        new_std[j] = sqrt(square(std_factor * std[j]) + square(correction_factor) * squared)
-        for i in range(3):
-            new_velocity[j, i] = velocity[j, i] + correction[j, i]
-    if not is_corrected:
-        return None
-    for i in range(3):
-        at_root[i] = (correction[left_hip, i] + correction[right_hip, i]) / 2
-    for i in range(3):
-        for k in range(3):
-            new_covariance[i, k] = square(root_factor * std_factor) * covariance[i, k]
-            new_covariance[i, k] += square(root_factor * correction_factor) * at_root[i] * at_root[k]
-    return arrays
+    cdef float* sums
+    for r in range(rows):
+        memcpy(hidden + r * units, &bias_0[0], units * sizeof(float))
+        memcpy(found + r * outputs, &bias_1[0], outputs * sizeof(float))
+    for i in range(width):
+        for r in range(rows):
+            sums = hidden + r * units
+            factor = <float> min(max((inputs[r * width + i] - centre[i]) / scale[i], -INPUT_LIMIT), INPUT_LIMIT)
+            for n in range(units):
+                sums[n] += factor * weight_0[i, n]
+    for r in range(rows):
+        sums = found + r * outputs
+        for i in range(units):
+            factor = hidden[r * units + i] / (1 + expf(-hidden[r * units + i]))
+            for n in range(outputs):
+                sums[n] += factor * weight_1[i, n]
 
 
 def correct_velocity(
-    Rows velocity, Vector std, Rows joints, Stack earlier, Rows axes, Vector spans, Indices mirror, Indices hips,
-    Floats centre, Floats scale, const float[:, ::1] weight_0, Floats bias_0, const float[:, ::1] weight_1,
-    Floats bias_1,
+    Stack velocity, Rows std, Stack joints, const double[:, :, :, ::1] earlier, Stack axes, Py_ssize_t needed, Vector spans,
+    Indices mirror, Indices hips, Floats centre, Floats scale, const float[:, ::1] weight_0, Floats bias_0,
+    const float[:, ::1] weight_1, Floats bias_1,
 ):
-    """Return what is to be added to the velocities (J, 3) m/s, limited (the l_j).
+    """Return what is to be added to the velocities (P, J, 3) m/s, limited (the l_j).
 
     Args:
         velocity: this and the next four are the attributes of `VelocityPast`.
@@ -358,6 +375,7 @@ def correct_velocity(
         joints: likewise.
         earlier: likewise.
         axes: likewise.
+        needed: index of the span without which nothing is corrected.
         spans: with the next two as of `build_inputs`.
         mirror: likewise.
         hips: likewise.
@@ -368,53 +386,96 @@ def correct_velocity(
         weight_1: likewise.
         bias_1: likewise.
     """
-    cdef Py_ssize_t j, i, a, k, n, count = joints.shape[0]
-    cdef const double[:, ::1] inputs = build_inputs(velocity, joints, earlier, axes, spans, mirror, hips)
+    cdef Py_ssize_t p, j, i, a, k, n, people = joints.shape[0], count = joints.shape[1], outputs = bias_1.shape[0]
+    cdef const double[:, :, ::1] inputs = build_inputs(velocity, joints, earlier, axes, spans, mirror, hips)
     cdef double[:, ::1] said = np.zeros((count + 1, 3))
-    cdef float[::1] hidden = np.empty(bias_0.shape[0], np.float32), found = np.empty(bias_1.shape[0], np.float32)
+    cdef float[::1] hidden = np.empty(2 * people * bias_0.shape[0], np.float32)
+    cdef float[::1] found = np.empty(2 * people * outputs, np.float32)
     cdef double along, apart_along, most_along, most_across, squared, length
     cdef double[3] sight, apart
-    result = np.zeros((count, 3))
-    cdef double[:, ::1] out = result
-    for n in range(2):  # the mean of the person and of the mirror image
-        evaluate(&inputs[n, 0], centre, scale, weight_0, bias_0, weight_1, bias_1, &hidden[0], &found[0])
-        for j in range(count + 1):
-            for i in range(3):
-                length = found[3 * (mirror[j] if n else j) + i] / 2
-                said[j, i] += -length if n and i == LEFT else length
-    for i in range(3):
-        sight[i] = joints[hips[0], i] + joints[hips[1], i]
-    length = sqrt(dot(sight, sight))
-    for i in range(3):
-        sight[i] /= length
-    for j in range(count):
+    result = np.zeros((people, count, 3))
+    cdef double[:, :, ::1] out = result
+    evaluate(&inputs[0, 0, 0], 2 * people, centre, scale, weight_0, bias_0, weight_1, bias_1, &hidden[0], &found[0])
+    for p in range(people):
+        if not isfinite(earlier[p, needed, 0, 0]):
+            continue
+        said[:, :] = 0.0
+        for n in range(2):  # the mean of the person and of the mirror image
+            for j in range(count + 1):
+                for i in range(3):
+                    length = found[(2 * p + n) * outputs + 3 * (mirror[j] if n else j) + i] / 2
+                    said[j, i] += -length if n and i == LEFT else length
         for i in range(3):
-            for a in range(3):
-                out[j, i] += axes[i, a] * (said[j, a] + said[count, a])
-        along, most_along, most_across = dot(&out[j, 0], sight), 0.0, 0.0
-        for k in range(LIMIT_FIRST, LIMIT_LAST):
-            for i in range(3):
-                apart[i] = (joints[j, i] - earlier[k, j, i]) / spans[k] - velocity[j, i]
-            apart_along = dot(apart, sight)
-            for i in range(3):
-                apart[i] -= apart_along * sight[i]
-            squared = sqrt(dot(apart, apart))
-            if fabs(apart_along) > most_along:  # not with NaN, which is not larger
-                most_along = fabs(apart_along)
-            if squared > most_across:
-                most_across = squared
+            sight[i] = joints[p, hips[0], i] + joints[p, hips[1], i]
+        length = sqrt(dot(sight, sight))
         for i in range(3):
-            out[j, i] -= along * sight[i]
-        squared = dot(&out[j, 0], &out[j, 0])
-        length = most_across / sqrt(squared) if squared > most_across * most_across else 1.0
-        along = min(max(along, -most_along), most_along)
-        for i in range(3):
-            out[j, i] = length * out[j, i] + along * sight[i]
-        length = sqrt(dot(&out[j, 0], &out[j, 0]))
-        most_along = MAX_CORRECTION * std[j]
-        if not (isfinite(length) and isfinite(most_along)):
-            out[j, 0] = out[j, 1] = out[j, 2] = 0.0
-        elif length > most_along:
+            sight[i] /= length
+        for j in range(count):
             for i in range(3):
-                out[j, i] *= most_along / length
+                for a in range(3):
+                    out[p, j, i] += axes[p, i, a] * (said[j, a] + said[count, a])
+            along, most_along, most_across = dot(&out[p, j, 0], sight), 0.0, 0.0
+            for k in range(LIMIT_FIRST, LIMIT_LAST):
+                for i in range(3):
+                    apart[i] = (joints[p, j, i] - earlier[p, k, j, i]) / spans[k] - velocity[p, j, i]
+                apart_along = dot(apart, sight)
+                for i in range(3):
+                    apart[i] -= apart_along * sight[i]
+                squared = sqrt(dot(apart, apart))
+                if fabs(apart_along) > most_along:  # not with NaN, which is not larger
+                    most_along = fabs(apart_along)
+                if squared > most_across:
+                    most_across = squared
+            for i in range(3):
+                out[p, j, i] -= along * sight[i]
+            squared = dot(&out[p, j, 0], &out[p, j, 0])
+            length = most_across / sqrt(squared) if squared > most_across * most_across else 1.0
+            along = min(max(along, -most_along), most_along)
+            for i in range(3):
+                out[p, j, i] = length * out[p, j, i] + along * sight[i]
+            length = sqrt(dot(&out[p, j, 0], &out[p, j, 0]))
+            most_along = MAX_CORRECTION * std[p, j]
+            if not (isfinite(length) and isfinite(most_along)):
+                out[p, j, 0] = out[p, j, 1] = out[p, j, 2] = 0.0
+            elif length > most_along:
+                for i in range(3):
+                    out[p, j, i] *= most_along / length
     return result
+
+
+def add_correction(
+    double[:, :, ::1] velocity, double[:, ::1] std, double[:, :, ::1] covariance, Stack correction, Indices hips,
+    double std_factor, double correction_factor, double root_factor,
+):
+    """Correct velocities (P, J, 3), their deviations (P, J) and covariances (P, 3, 3) in place (`tracking.output`).
+
+    Args:
+        velocity: of the filter.
+        std: likewise.
+        covariance: likewise, of the velocity between the hips.
+        correction: (P, J, 3); 0 where nothing is corrected.
+        hips: (2,) indices.
+        std_factor: f.
+        correction_factor: g.
+        root_factor: h.
+    """
+    cdef Py_ssize_t p, j, i, k, count = velocity.shape[1]
+    cdef double total, squared
+    cdef double[3] at_root
+    for p in range(velocity.shape[0]):
+        total = 0
+        for j in range(count):
+            total += dot(&correction[p, j, 0], &correction[p, j, 0])
+        if total == 0:
+            continue
+        for j in range(count):
+            squared = dot(&correction[p, j, 0], &correction[p, j, 0])
+            std[p, j] = sqrt(square(std_factor * std[p, j]) + square(correction_factor) * squared)
+            for i in range(3):
+                velocity[p, j, i] += correction[p, j, i]
+        for i in range(3):
+            at_root[i] = (correction[p, hips[0], i] + correction[p, hips[1], i]) / 2
+        for i in range(3):
+            for k in range(3):
+                covariance[p, i, k] *= square(root_factor * std_factor)
+                covariance[p, i, k] += square(root_factor * correction_factor) * at_root[i] * at_root[k]

@@ -35,22 +35,18 @@ def estimate_joint_std(
     inferred: NDArray[np.bool_],
     lifter_std: Array | None = None,
     noise: float | Array = 0.0,
-    *,
-    size: float | Array = 1.0,
-    depth: float | Array = 1.0,
 ) -> Array:
     """Estimate the standard deviation in m of each joint position (..., J), relative to the body's origin.
 
-    `posterior_std` (..., J) in m is that of the solver; `lifter_std` (..., J or more, 3) in units of `depth` m,
-    NaN for frames that were not lifted; `noise` in m that of the image at the body; `size` the person's over that
-    of these.
+    `posterior_std` (..., J) in m is that of the solver; `lifter_std` (..., J or more, 3) in m, NaN for frames that
+    were not lifted; `noise` in m that of the image at the body.
     """
     factor = np.where(inferred, POSTERIOR_FACTOR_INFERRED, POSTERIOR_FACTOR_SEEN)
-    posterior = np.sqrt((factor * size * posterior_std) ** 2 + POSTERIOR_FLOOR_M**2)
+    posterior = np.sqrt((factor * posterior_std) ** 2 + POSTERIOR_FLOOR_M**2)
     if lifter_std is None:
         return np.asarray(posterior)
-    length = depth * np.sqrt((lifter_std[..., : posterior_std.shape[-1], :] ** 2).sum(axis=-1))
-    seen = np.sqrt((LIFTER_FACTOR_SEEN * length) ** 2 + (NOISE_FACTOR_SEEN * size * noise) ** 2)
+    length = np.sqrt((lifter_std[..., : posterior_std.shape[-1], :] ** 2).sum(axis=-1))
+    seen = np.sqrt((LIFTER_FACTOR_SEEN * length) ** 2 + (NOISE_FACTOR_SEEN * noise) ** 2)
     lifted = np.where(inferred, LIFTER_FACTOR_INFERRED * length, seen)
     return np.where(np.isfinite(length), lifted, posterior)
 

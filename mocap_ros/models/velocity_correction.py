@@ -47,13 +47,13 @@ _HIPS = np.array(HIPS)
 
 
 class VelocityPast(NamedTuple):
-    """What the correction rests on, in m, m/s and the camera's optical frame."""
+    """What the corrections of P people rest on, in m, m/s and the camera's optical frame."""
 
-    velocity: Array  # (J, 3) of the motion filter, in the order of `skeleton.CMU15`
-    std: Array  # (J,) m/s, standard deviations of it
-    joints: Array  # (J, 3) of the solution at the newest frame
-    earlier: Array  # (5, J, 3) of the solution at each of the `SPANS_S` before; NaN where not known
-    axes: Array  # (3, 3) axes of the body, in columns
+    velocity: Array  # (P, J, 3) of the motion filter, in the order of `skeleton.CMU15`; NaN if not known
+    std: Array  # (P, J) m/s, standard deviations of it
+    joints: Array  # (P, J, 3) of the solution at the newest frame
+    earlier: Array  # (P, 5, J, 3) of the solution at each of the `SPANS_S` before; NaN where not known
+    axes: Array  # (P, 3, 3) axes of the body, in columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +68,11 @@ class VelocityCorrection:
     bias_1: Array32
 
     def correct(self, past: VelocityPast) -> Array:
-        """Return what is to be added to the velocities (J, 3) m/s; 0 where too little is known."""
-        if np.isnan(past.earlier[_NEEDED, 0, 0]):
-            return np.zeros_like(past.velocity)
+        """Return what is to be added to the velocities (P, J, 3) m/s; 0 where too little is known."""
         network = self.centre, self.scale, self.weight_0, self.bias_0, self.weight_1, self.bias_1
-        return engine.correct_velocity(*past, _SPANS, _MIRROR, _HIPS, *network)
+        return engine.correct_velocity(*past, _NEEDED, _SPANS, _MIRROR, _HIPS, *network)
 
 
 def build_inputs(past: VelocityPast) -> Array:
-    """Return the inputs x (2, I) of a person and of the mirror image, neither centred nor scaled."""
+    """Return the inputs x (P, 2, I) of people and of the mirror images, neither centred nor scaled."""
     return engine.build_inputs(past.velocity, past.joints, past.earlier, past.axes, _SPANS, _MIRROR, _HIPS)

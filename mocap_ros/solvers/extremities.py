@@ -35,7 +35,6 @@ The constants and the code are in `engine/extremities.pyx`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -130,9 +129,10 @@ STATE = np.dtype(
         ),  # 1 where the image says how a segment is turned about itself
     ]
 )
-_START = np.zeros(1, STATE)
+_start = np.zeros(1, STATE)
 for _name in ('segments', 'turns', 'covariances'):
-    _START[_name] = np.eye(3)
+    _start[_name] = np.eye(3)
+START = _start.view(float)  # (N,) state of a person before the first frame
 
 
 def attach(core: Array, offsets: Array) -> Array:
@@ -141,112 +141,63 @@ def attach(core: Array, offsets: Array) -> Array:
 
 
 class ExtremityEvidence(NamedTuple):
-    """What is known of the extremities in one frame, or in F with arrays (F, ...), in the optical frame."""
+    """What is known of the extremities of P people in one frame, or of one in P frames, in the optical frame."""
 
-    core: Array  # (15, 3) m, solved core joints
-    lifted: Array  # (26, 3) m, lifted joints about any origin; NaN without a lifter
-    lifted_std: Array  # (26, 3) m, their standard deviations across (twice) and along the line of sight
-    rays: Array  # (26, 2) rays of all joints
-    weight: Array  # (26,) confidence scores of all joints; 0 where not seen
-    noise: float  # m, image noise at the body
-
-    def select_frame(self, frame: int) -> ExtremityEvidence:
-        """Return that of one frame of a sequence."""
-        core, lifted, lifted_std, rays, weight = (a[frame] for a in self[:5])
-        return ExtremityEvidence(core, lifted, lifted_std, rays, weight, self.noise)
+    core: Array  # (P, 15, 3) m, solved core joints
+    lifted: Array  # (P, 26, 3) m, lifted joints about any origin; NaN without a lifter
+    lifted_std: Array  # (P, 26, 3) m, their standard deviations across (twice) and along the line of sight
+    rays: Array  # (P, 26, 2) rays of all joints
+    weight: Array  # (P, 26) confidence scores of all joints; 0 where not seen
+    noise: Array  # (P,) m, image noise at the body
 
     @staticmethod
     def without_image(core: Array) -> ExtremityEvidence:
-        """Return the evidence of a frame of which only the core (15, 3) m is known."""
-        joints = CORE_COUNT + EXTREMITY_COUNT
-        unknown = np.full((joints, 3), np.nan)
-        return ExtremityEvidence(core, unknown, unknown, np.zeros((joints, 2)), np.zeros(joints), 0.0)
-
-    def arrays(self) -> tuple[Array, Array, Array, Array, Array, float]:
-        """Return the attributes as the engine takes them."""
-        core, lifted, lifted_std, rays, weight = (np.ascontiguousarray(a, float) for a in self[:5])
-        return core, lifted, lifted_std, rays, weight, float(self.noise)
+        """Return the evidence of people of whom only the core (P, 15, 3) m is known."""
+        shape = len(core), len(BODY26.joints)
+        lifted = np.full((2, *shape, 3), np.nan)
+        seen = np.zeros((*shape, 2)), np.zeros(shape)
+        return ExtremityEvidence(np.ascontiguousarray(core), *lifted, *seen, np.zeros(len(core)))
 
 
-def collect_evidence(
-    core: Array, observed: ObservedWindow, noise: float, frames: slice = slice(None)
-) -> ExtremityEvidence:
-    """Return what F frames of a window say of the extremities, of core joints (F, 15, 3) m and noise in m."""
-    depth = observed.virtual_camera.select_frames(frames).measure_depth(core.mean(axis=1))[:, None, None]
-    lifted = std = np.full((len(core), len(BODY26.joints), 3), np.nan)
+def collect_evidence(core: Array, observed: ObservedWindow, noise: float) -> ExtremityEvidence:
+    """Return what the F frames of a window say of the extremities, of core joints (F, 15, 3) m and noise in m."""
+    found = ExtremityEvidence.without_image(core)
+    found.noise[:] = noise
     if observed.lifted is not None:
-        lifted, std = depth * observed.lifted.joints[frames], depth * observed.lifted.std[frames]
-    rays, weight = np.zeros((len(core), len(BODY26.joints), 2)), np.zeros((len(core), len(BODY26.joints)))
-    rays[:, :CORE_COUNT], weight[:, :CORE_COUNT] = observed.rays[frames], observed.weight[frames]
+        depth = observed.virtual_camera.measure_depth(core.mean(axis=1))[:, None, None]
+        found.lifted[:], found.lifted_std[:] = depth * observed.lifted.joints, depth * observed.lifted.std
+    found.rays[:, :CORE_COUNT], found.weight[:, :CORE_COUNT] = observed.rays, observed.weight
     if observed.extremities is not None:
-        rays[:, CORE_COUNT:] = observed.extremities.rays[frames]
-        weight[:, CORE_COUNT:] = observed.extremities.weight[frames]
-    return ExtremityEvidence(core, lifted, std, rays, weight, noise)
+        found.rays[:, CORE_COUNT:], found.weight[:, CORE_COUNT:] = observed.extremities
+    return found
 
 
-def collect_frame_evidence(core: Array, observed: ObservedWindow, noise: float, frame: int) -> ExtremityEvidence:
-    """Return that of one frame of a window with one virtual camera; core (15, 3), else as `collect_evidence`."""
-    lifted, others = observed.lifted, observed.extremities
-    poses = (None, None) if lifted is None else (lifted.joints, lifted.std)
-    seen = observed.rays, observed.weight, *((None, None) if others is None else others)
-    found = engine.collect_frame(frame, core, observed.virtual_camera.rotation, *poses, *seen)
-    return ExtremityEvidence(core, *found, noise)
+def collect_frame_evidence(
+    core: Array, observed: Sequence[ObservedWindow], noise: Array, frames: Sequence[int]
+) -> ExtremityEvidence:
+    """Return that of one frame of each of P windows with one virtual camera; core (P, 15, 3) m, noise (P,) m."""
+    found = ExtremityEvidence.without_image(core)._replace(noise=noise)
+    for p, (own, frame) in enumerate(zip(observed, frames, strict=True)):
+        poses = (None, None) if own.lifted is None else (own.lifted.joints, own.lifted.std)
+        seen = own.rays, own.weight, *((None, None) if own.extremities is None else own.extremities)
+        engine.collect_frame(p, frame, core, own.virtual_camera.rotation, *poses, *seen, *found[1:5])
+    return found
 
 
-class ExtremityState:
-    """The extremities of a person in one frame; it does not change, and `advance` returns those of the next.
+def follow_extremities(states: Array, steps_s: Array, evidence: ExtremityEvidence, statures: Array) -> Array:
+    """Return the states (P, N) of people after another frame, P rows of `START` before the first.
 
-    Attributes:
-        values: the fields of `STATE`, in their order.
+    `steps_s` (P,) s since the frame before, infinite for the first, and nothing changes where it is not positive;
+    `statures` (P,) m.
     """
-
-    def __init__(self, values: Array) -> None:
-        self.values = values
-
-    @staticmethod
-    def begin(evidence: ExtremityEvidence, stature: float) -> ExtremityState:
-        """Return the extremities of a person who is seen for the first time; `stature` in m."""
-        return ExtremityState(_START.view(float)).advance(math.inf, evidence, stature)
-
-    def advance(self, step_s: float, evidence: ExtremityEvidence, stature: float) -> ExtremityState:
-        """Return the extremities `step_s` s later, by what is known of them and the stature in m."""
-        values = self.values.copy()
-        _BODY.follow(values, *evidence.arrays(), stature, step_s)
-        return ExtremityState(values)
-
-    def read(self, name: str) -> Array:
-        """Return a field of `STATE`."""
-        return np.asarray(self.values.view(STATE)[name][0])
-
-    @property
-    def offsets(self) -> Array:
-        """(11, 3) m, points less the core joints on which they hang."""
-        return self.read('offsets')
-
-    @property
-    def offset_std(self) -> Array:
-        """(11,) m, standard deviation of each of them."""
-        return self.read('offset_std')
-
-    @property
-    def velocity(self) -> Array:
-        """(11, 3) m/s, velocity of the offsets."""
-        return self.read('velocity')
-
-    @property
-    def quaternions(self) -> Array:
-        """(15, 4) x, y, z, w, orientations of the segments."""
-        return self.read('quaternions')
-
-    @property
-    def is_turn_seen(self) -> Bools:
-        """(15,) whether the image says how a segment is turned about its own axis."""
-        return self.read('is_turn_seen') > 0
+    states = np.array(states)
+    _BODY.follow(states, *evidence, statures, steps_s)
+    return states
 
 
-def read_states(states: Sequence[ExtremityState]) -> NDArray[Any]:
-    """Return the fields of `STATE` of P people, each (P, ...)."""
-    return np.array([state.values for state in states]).view(STATE)[:, 0]
+def read_states(states: Array) -> NDArray[Any]:
+    """Return the fields of `STATE` of P people, each (P, ...), from the states (P, N)."""
+    return states.view(STATE)[:, 0]
 
 
 class ExtremitySequence(NamedTuple):
@@ -261,6 +212,6 @@ class ExtremitySequence(NamedTuple):
 def smooth_extremities(times: Array, evidence: ExtremityEvidence, stature: float) -> ExtremitySequence:
     """Estimate the extremities of a person over times (F,) s (formulas of the module)."""
     steps = np.append(np.inf, np.diff(times))
-    states = _BODY.smooth(_START.view(float), *evidence.arrays(), stature, steps).view(STATE)[:, 0]
+    states = read_states(_BODY.smooth(START, *evidence[:5], float(evidence.noise[0]), stature, steps))
     offsets, std, quaternions = (np.ascontiguousarray(states[n]) for n in ('offsets', 'offset_std', 'quaternions'))
     return ExtremitySequence(offsets, std, quaternions, states['is_turn_seen'] > 0)

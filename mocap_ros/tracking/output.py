@@ -25,95 +25,107 @@ from mocap_ros.models.joint_std import estimate_joint_std
 from mocap_ros.models.model_file import load_velocity_correction
 from mocap_ros.models.velocity_correction import SPANS_S, VelocityPast
 from mocap_ros.people import HIPS, Motion, Person3D
-from mocap_ros.skeleton import CMU15, Skeleton
+from mocap_ros.skeleton import CMU15, CORE_COUNT, Skeleton
 from mocap_ros.solvers.extremities import (
     ANGULAR_SPEED_STD,
     SEGMENT_OF,
-    ExtremityState,
+    ExtremityEvidence,
     attach,
     collect_frame_evidence,
+    follow_extremities,
     read_states,
 )
 from mocap_ros.tracking.body_size import BodySize, estimate_root_covariance
-from mocap_ros.tracking.motion_filter import CoreMotion, MotionFilter
+from mocap_ros.tracking.motion_filter import CoreMotion, filter_motion, read_motion
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 CORRECTED_STD = 0.7  # 1; f, for two thirds of the errors to be within, of persons in no training as well
 CORRECTION_STD = 0.7  # 1; g, chosen likewise
 ROOT_SPREAD = 1.3  # 1; h, for errors of the root's velocity are often small and at times large: 95 % are within
 
-_AGO = -np.array(SPANS_S)
-_ANCHORS = SEGMENT_OF[len(CMU15.joints) :]  # core joints on which the extremities hang
+_AGO = np.array([0.0, *SPANS_S])
+_NOW = np.array([0.0])
+_HIPS = np.array(HIPS)
+_ANCHORS = SEGMENT_OF[CORE_COUNT:]  # core joints on which the extremities hang
 
 
-def filter_motion(track: Track, stamp_ns: int, frame: int) -> None:
-    """Filter the motion of a solved track up to a frame with a stamp in ns."""
-    joints = track.solved.locate_joints(frame)
-    if track.motion_filter is None:
-        track.motion_filter = MotionFilter(stamp_ns, joints)
-    elif stamp_ns > track.motion_filter.stamps_ns[-1]:  # else, with a lag, this frame was shown before
-        track.motion_filter.advance(stamp_ns, joints, track.solved.noise / track.solved.stature_ratio)
+def advance_filters(tracks: Sequence[Track], frames: Sequence[int], located: Array) -> None:
+    """Filter the motion of P >= 1 people up to a frame of each, with joints (P, J, 3) m."""
+    filters = [t.motion_filter for t in tracks]
+    filters = filter_motion(filters, find_times(tracks, frames), located, measure_noise(tracks))
+    for track, own in zip(tracks, filters, strict=True):
+        track.motion_filter = own
 
 
-def follow_extremities(track: Track, stamp_ns: int, frame: int, core: Array) -> ExtremityState:
-    """Follow the extremities of a track up to a frame with a core (J, 3) m, stamp in ns, and return them."""
-    before, age_ns, solution = track.extremity_state, stamp_ns - track.extremities_ns, track.solved
-    if before is not None and age_ns <= 0:  # with a lag, this frame was shown before
-        return before
-    noise = solution.noise / solution.stature_ratio
-    evidence = collect_frame_evidence(core, track.observed, noise, frame)
-    if before is None:
-        followed = ExtremityState.begin(evidence, solution.model.stature)
-    else:
-        followed = before.advance(age_ns / NS_PER_S, evidence, solution.model.stature)
-    track.extremity_state, track.extremities_ns = followed, stamp_ns
-    return followed
+def advance_extremities(tracks: Sequence[Track], frames: Sequence[int], seen: ExtremityEvidence) -> None:
+    """Follow the extremities of P >= 1 people up to a frame of each."""
+    times, before = find_times(tracks, frames), np.array([t.extremities_s for t in tracks])
+    statures = np.array([t.solved.model.stature for t in tracks])
+    states = follow_extremities([t.extremity_state for t in tracks], times - before, seen, statures)
+    for track, state, time in zip(tracks, states, np.maximum(times, before).tolist(), strict=True):
+        track.extremity_state, track.extremities_s = state, time
 
 
-def find_motion(track: Track, frame: int) -> CoreMotion:
-    """Return the core of a person of the assumed size in one solved frame, filtered if there is a filter."""
-    motion_filter, stamps_ns = track.motion_filter, track.stamps_ns
-    if motion_filter is not None and motion_filter.stamps_ns[-1] == stamps_ns[frame]:
-        return motion_filter.motion
-    solution, joints = track.solved, track.solved.locate_joints(frame)
-    velocity = np.full(joints.shape, np.nan)
-    if 0 < frame < len(solution.theta) - 1:
-        frames = np.arange(frame - 1, frame + 2)
-        times = np.array([stamps_ns[i] - stamps_ns[frame] for i in frames]) / NS_PER_S
-        positions = solution.compute_joints(frames) + solution.roots[frames, None]
-        velocity = central_velocity(times, positions / solution.stature_ratio)[1]
-    return CoreMotion(joints, velocity, np.full(len(joints), np.nan), np.full((3, 3), np.nan))
+def find_times(tracks: Sequence[Track], frames: Sequence[int]) -> Array:
+    """Return the times (P,) s of a frame of each of P people, since the person's first frame."""
+    ages = [t.stamps_ns[f] - t.first_ns for t, f in zip(tracks, frames, strict=True)]
+    return np.array(ages) / NS_PER_S
 
 
-def find_published_motion(track: Track, frame: int) -> CoreMotion:
-    """Return what `find_motion` does, with the velocity corrected where that is learned (module)."""
-    found = find_motion(track, frame)
-    past = sample_velocity_past(track, found) if frame == track.newest else None
-    if past is None:
-        return found
-    correction, factors = load_velocity_correction().correct(past), (CORRECTED_STD, CORRECTION_STD, ROOT_SPREAD)
-    filtered = found.velocity, found.velocity_std, found.root_velocity_covariance
-    corrected = engine.add_correction(*filtered, correction, *HIPS, *factors)
-    return found if corrected is None else CoreMotion(found.joints, *corrected)
+def measure_noise(tracks: Sequence[Track]) -> Array:
+    """Return the image noise (P,) m at people of the assumed size."""
+    return np.array([t.solved.noise / t.solved.stature_ratio for t in tracks])
 
 
-def sample_velocity_past(track: Track, filtered: CoreMotion) -> VelocityPast | None:
-    """Return what the correction of the newest velocities rests on; None where it is not trained for."""
-    solution = track.solved
-    is_filtered = track.motion_filter is not None and filtered is track.motion_filter.motion
-    if track.observed.lifted is None or not is_filtered or solution.model.skeleton.joints != CMU15.joints:
-        return None
-    return VelocityPast(
-        filtered.velocity,
-        filtered.velocity_std,
-        solution.locate_joints(track.newest),
-        solution.sample_joints(track.observed.times, track.observed.times[-1] + _AGO),
-        solution.rotation[track.newest],
-    )
+def locate_joints(tracks: Sequence[Track], frames: Sequence[int], ago: Array = _NOW) -> Array:
+    """Return solved joints (P, T, J, 3) m of people of the assumed size, times (T,) s before a frame of each."""
+    shown = zip(tracks, frames, strict=True)
+    return np.array([t.solved.sample_joints(t.observed.times, f, ago) for t, f in shown])
+
+
+def find_motion(tracks: Sequence[Track], frames: Sequence[int], located: Array) -> CoreMotion:
+    """Return the motion of P >= 1 people in a frame of each, filtered where the filter is there.
+
+    `located` (P, J, 3) m are the solved joints.
+    """
+    motion = read_motion([t.motion_filter for t in tracks], find_times(tracks, frames), located)
+    for p, (track, frame) in enumerate(zip(tracks, frames, strict=True)):
+        if 0 < frame < track.newest and np.isnan(motion.velocity[p, 0, 0]):
+            solution, near = track.solved, np.arange(frame - 1, frame + 2)
+            positions = solution.compute_joints(near) + solution.roots[near, None]
+            times = track.observed.times[near] - track.observed.times[frame]
+            motion.velocity[p] = central_velocity(times, positions / solution.stature_ratio)[1]
+    return motion
+
+
+def locate_past(tracks: Sequence[Track], frames: Sequence[int]) -> tuple[Array, Array]:
+    """Return solved joints (P, J, 3) m of a frame of each of P >= 1 people, and (P, T, J, 3) of before the newest."""
+    can_correct = tracks[0].observed.lifted is not None
+    located = locate_joints(tracks, frames, _AGO if can_correct else _NOW)
+    earlier = np.ascontiguousarray(located[:, 1:])
+    earlier[[f != t.newest for t, f in zip(tracks, frames, strict=True)]] = np.nan
+    return np.ascontiguousarray(located[:, 0]), earlier
+
+
+def find_published_motion(tracks: Sequence[Track], frames: Sequence[int], now: Array, earlier: Array) -> CoreMotion:
+    """Return what `find_motion` does, with the velocity corrected where that is learned (module).
+
+    The joints are those of `locate_past`.
+    """
+    motion = find_motion(tracks, frames, now)
+    if earlier.shape[1]:
+        correction = load_velocity_correction().correct(describe_past(tracks, motion, now, earlier))
+        engine.add_correction(*motion[1:], correction, _HIPS, CORRECTED_STD, CORRECTION_STD, ROOT_SPREAD)
+    return motion
+
+
+def describe_past(tracks: Sequence[Track], filtered: CoreMotion, now: Array, earlier: Array) -> VelocityPast:
+    """Return what the correction of the newest velocities rests on; the joints are those of `locate_past`."""
+    axes = np.array([t.solved.rotation[t.newest] for t in tracks])
+    return VelocityPast(filtered.velocity, filtered.velocity_std, now, earlier, axes)
 
 
 class Cores(NamedTuple):
@@ -127,69 +139,56 @@ class Cores(NamedTuple):
     root_velocity_covariance: Array  # (P, 3, 3) m^2/s^2
 
     @staticmethod
-    def of_tracks(
-        tracks: Sequence[Track], frames: Sequence[int], motions: Sequence[CoreMotion], sizes: Sequence[BodySize]
+    def of_people(
+        tracks: Sequence[Track], motion: CoreMotion, seen: ExtremityEvidence, sizes: Sequence[BodySize]
     ) -> Cores:
-        """Return the cores of P >= 1 tracks, each in a frame of its window, enlarged to the people's sizes."""
-        joints, velocity, velocity_std, covariance = (np.array(values) for values in zip(*motions, strict=True))
-        std, ratio = find_joint_std(tracks, frames, joints), np.array([[size.ratio] for size in sizes])
-        squared, wide = ratio[..., None] ** 2, ratio[..., None]
+        """Return the cores of P >= 1 people, enlarged to their sizes."""
+        std, ratio = find_joint_std(tracks, seen), np.array([[size.ratio] for size in sizes])
+        wide = ratio[..., None]
         return Cores(
-            joints * wide,
+            motion.joints * wide,
             std * ratio,
-            velocity * wide,
-            velocity_std * ratio,
-            estimate_root_covariance(joints, std, sizes),
-            covariance * squared,
+            motion.velocity * wide,
+            motion.velocity_std * ratio,
+            estimate_root_covariance(motion.joints, std, sizes),
+            motion.root_velocity_covariance * wide**2,
         )
 
 
-def find_joint_std(tracks: Sequence[Track], frames: Sequence[int], joints: Array) -> Array:
-    """Return the standard deviations (P, J) m of joints (P, J, 3) m of P people of the assumed size."""
-    values = [(t.solved.joint_std, t.solved.noise, t.solved.stature_ratio) for t in tracks]
-    posterior, noise, stature_ratio = (np.array(column) for column in zip(*values, strict=True))
-    lifted = [
-        t.observed.lifted.std[f] for t, f in zip(tracks, frames, strict=True) if t.observed.lifted is not None
-    ]
-    axes = np.array([t.observed.virtual_camera.rotation[2] for t in tracks])
-    return estimate_joint_std(
-        posterior,
-        _find_inferred(tracks, frames, CMU15),
-        np.array(lifted) if lifted else None,
-        noise[:, None],
-        size=1 / stature_ratio[:, None],
-        depth=(axes * joints.mean(axis=1)).sum(axis=1)[:, None],
-    )
+def collect_seen(tracks: Sequence[Track], frames: Sequence[int], core: Array) -> ExtremityEvidence:
+    """Return what a frame of each of P >= 1 people with cores (P, J, 3) m of the assumed size shows."""
+    return collect_frame_evidence(core, [t.observed for t in tracks], measure_noise(tracks), frames)
 
 
-def _find_inferred(tracks: Sequence[Track], frames: Sequence[int], skeleton: Skeleton) -> Bools:
-    inferred = np.ones((len(tracks), len(skeleton.joints)), bool)
-    for row, track, frame in zip(inferred, tracks, frames, strict=True):
-        core, others = track.observed.weight[frame], track.observed.extremities
-        row[: len(core)] = core == 0
-        if len(row) > len(core) and others is not None:
-            row[len(core) :] = others.weight[frame] == 0
-    return inferred
+def find_joint_std(tracks: Sequence[Track], seen: ExtremityEvidence) -> Array:
+    """Return the standard deviations (P, J) m of the core joints of P people of the assumed size."""
+    posterior = np.array([t.solved.joint_std for t in tracks])
+    size = np.array([[1 / t.solved.stature_ratio] for t in tracks])
+    inferred = seen.weight[:, :CORE_COUNT] == 0
+    return estimate_joint_std(size * posterior, inferred, seen.lifted_std, seen.noise[:, None])
 
 
 def make_people(
     tracks: Sequence[Track],
     frames: Sequence[int],
     cores: Cores,
-    extremities: Sequence[ExtremityState],
+    weight: Array,
     sizes: Sequence[BodySize],
     skeleton: Skeleton,
+    extremities: Array,
     unseen_for: Sequence[float] | None = None,
 ) -> list[Person3D]:
-    """Return P >= 1 people, of cores enlarged to their sizes, extremities of the assumed size, each in a frame."""
+    """Return P >= 1 people, each in a frame.
+
+    `cores` are enlarged to their sizes, and `extremities`, states (P, N), are of the assumed size; `weight` (P, 26)
+    are the scores of the joints; `unseen_for` (P,) s of people who are predicted.
+    """
     intrinsics, roots = tracks[0].intrinsics, cores.joints.mean(axis=1)
     scales, translations = (intrinsics.focal / roots[:, 2]).tolist(), intrinsics.project(roots)
     states = read_states(extremities)
     quaternions, turn_inferred = states['quaternions'], ~(states['is_turn_seen'] > 0)
     joints, std, velocity, velocity_std, root_covariance, root_velocity_covariance = cores
-    inferred = np.ones((len(tracks), len(skeleton.joints)), bool)
-    if unseen_for is None:
-        inferred = _find_inferred(tracks, frames, skeleton)
+    inferred = weight[:, : len(skeleton.joints)] == 0
     if skeleton != CMU15:
         ratio = np.array([[size.ratio] for size in sizes])
         offsets = states['offsets'] * ratio[..., None]

@@ -18,9 +18,18 @@ from mocap_ros.models.model_file import load_motion_predictor
 from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past
 from mocap_ros.people import Person3D, PredictedPerson
 from mocap_ros.skeleton import Skeleton
-from mocap_ros.solvers.extremities import ExtremityEvidence, ExtremityState
+from mocap_ros.solvers.extremities import ExtremityEvidence, follow_extremities
 from mocap_ros.tracking.body_size import BodySize, estimate_root_covariance
-from mocap_ros.tracking.output import Cores, find_joint_std, find_motion, find_published_motion, make_people
+from mocap_ros.tracking.output import (
+    Cores,
+    collect_seen,
+    find_joint_std,
+    find_motion,
+    find_published_motion,
+    locate_joints,
+    locate_past,
+    make_people,
+)
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
@@ -44,7 +53,8 @@ def predict_people(
     times = np.array(ages)[:, None] + [0.0, VELOCITY_SPAN_S]
     _, ahead = _predict(tracks, times, upward, sizes)
     frames = [t.newest for t in tracks]
-    last = Cores.of_tracks(tracks, frames, [find_published_motion(t, t.newest) for t in tracks], sizes)
+    motion = find_published_motion(tracks, frames, *locate_past(tracks, frames))
+    last = Cores.of_people(tracks, motion, collect_seen(tracks, frames, motion.joints), sizes)
     cores = Cores(
         last.joints + ahead.joints[:, 0],
         ahead.std[:, 0],
@@ -53,14 +63,11 @@ def predict_people(
         last.root_covariance + ahead.root_covariance[:, 0],
         last.root_velocity_covariance + VELOCITY_STD_M_S**2 / 3 * np.eye(3),
     )
-    extremities = []
-    for track, core, size in zip(tracks, cores.joints, sizes, strict=True):
-        known, step_s = track.extremity_state, (stamp_ns - track.extremities_ns) / NS_PER_S
-        evidence, stature = ExtremityEvidence.without_image(core / size.ratio), track.solved.model.stature
-        extremities.append(
-            ExtremityState.begin(evidence, stature) if known is None else known.advance(step_s, evidence, stature)
-        )
-    return make_people(tracks, frames, cores, extremities, sizes, skeleton, ages)
+    unseen = ExtremityEvidence.without_image(cores.joints / np.array([[[size.ratio]] for size in sizes]))
+    steps_s = np.array([(stamp_ns - t.first_ns) / NS_PER_S - t.extremities_s for t in tracks])
+    statures = np.array([t.solved.model.stature for t in tracks])
+    extremities = follow_extremities([t.extremity_state for t in tracks], steps_s, unseen, statures)
+    return make_people(tracks, frames, cores, unseen.weight, sizes, skeleton, extremities, ages)
 
 
 def predict_ahead(
@@ -86,18 +93,22 @@ def predict_ahead(
     ]
 
 
-def sample_past(track: Track, upward: Array | None = None) -> Past:
-    """Return the motion of the core of a person of the assumed size up to the newest frame."""
-    frame = track.newest
-    last = find_motion(track, frame)
-    newest, velocity = last.joints, last.velocity
-    positions = track.solved.sample_joints(track.times_s, -_AGO)
-    is_known = ~np.isnan(positions[:, 0, 0])
-    if not np.isfinite(velocity).all():  # without a filter, or in the first frame
-        velocity = (newest - positions[0]) / _AGO[0] if is_known[0] else np.zeros_like(newest)
-    earlier = np.where(is_known[:, None, None], positions, newest - _AGO[:, None, None] * velocity)
-    heading, std = track.solved.rotation[frame, :, 0], find_joint_std([track], [frame], last.joints[None])[0]
-    return Past(newest, velocity, std, earlier, heading, UPRIGHT_CAMERA if upward is None else upward)
+def sample_pasts(tracks: Sequence[Track], upward: Array | None = None) -> list[Past]:
+    """Return the motions of the cores of people of the assumed size up to their newest frames."""
+    frames = [t.newest for t in tracks]
+    located = locate_joints(tracks, frames, np.array([0.0, *PAST_S]))
+    motion = find_motion(tracks, frames, np.ascontiguousarray(located[:, 0]))
+    std = find_joint_std(tracks, collect_seen(tracks, frames, motion.joints))
+    pasts = []
+    for p, track in enumerate(tracks):
+        newest, velocity, positions = motion.joints[p], motion.velocity[p], located[p, 1:]
+        is_known = ~np.isnan(positions[:, 0, 0])
+        if not np.isfinite(velocity).all():  # without a filter, or in the first frame
+            velocity = (newest - positions[0]) / PAST_S[0] if is_known[0] else np.zeros_like(newest)
+        earlier = np.where(is_known[:, None, None], positions, newest - _AGO[:, None, None] * velocity)
+        heading = track.solved.rotation[track.newest, :, 0]
+        pasts.append(Past(newest, velocity, std[p], earlier, heading, UPRIGHT_CAMERA if upward is None else upward))
+    return pasts
 
 
 def _predict(
@@ -111,7 +122,7 @@ def _predict(
     Predictions are enlarged to the persons' sizes. Who is not nearer already stays `MIN_CLEARANCE_M` before the
     camera.
     """
-    pasts = [sample_past(t, upward) for t in tracks]
+    pasts = sample_pasts(tracks, upward)
     ahead = load_motion_predictor().predict_all(pasts, times)
     depths = np.array([past.joints[:, 2] for past in pasts])[:, None]
     ratio = np.array([size.ratio for size in sizes])[:, None, None]

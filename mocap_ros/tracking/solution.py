@@ -146,16 +146,13 @@ class TrackSolution:
         poses = self.model.poses(self.theta[frames])
         return np.asarray(poses @ np.swapaxes(self.rotation[frames], -1, -2))
 
-    def locate_joints(self, frame: int) -> Array:
-        """Return the joints (J, 3) m of a person of the assumed size in the real camera's frame."""
-        state = self.theta[frame], self.rotation[frame], self.roots[frame]
-        return engine.locate_joints(*state, self.model.mean, self.model.components, 1 / self.stature_ratio)
+    def sample_joints(self, times: Array, frame: int, ago: Array) -> Array:
+        """Return joints (T, J, 3) m of the assumed size at some times (T,) s before a frame, stamps (F,) s.
 
-    def sample_joints(self, times: Array, wanted: Array) -> Array:
-        """Return joints (T, J, 3) m of the assumed size, interpolated in time; NaN before the first frame."""
-        theta, rotation, roots = (np.ascontiguousarray(v) for v in (self.theta, self.rotation, self.roots))
-        basis = self.model.mean, self.model.components
-        return engine.sample_joints(wanted, times, theta, rotation, roots, *basis, 1 / self.stature_ratio)
+        They are interpolated in time, and NaN before the first frame.
+        """
+        states, basis = (self.theta, self.rotation, self.roots), (self.model.mean, self.model.components)
+        return engine.sample_joints(ago, frame, times, *states, *basis, 1 / self.stature_ratio)
 
 
 def _finish(

@@ -10,6 +10,7 @@ frames. These frames are then corrected anew, and the lifted poses from the firs
 from __future__ import annotations
 
 import copy
+import math
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
 
@@ -23,11 +24,11 @@ from mocap_ros.keypoints.identities import is_new
 from mocap_ros.keypoints.left_right import SwapFilter
 from mocap_ros.keypoints.matching import Detection
 from mocap_ros.models.lifter import LiftedPoses
-from mocap_ros.solvers.extremities import ExtremityState
+from mocap_ros.solvers.extremities import START
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.tracking.body_size import FloorContact
 from mocap_ros.tracking.delayed_output import find_oldest_needed_ns
-from mocap_ros.tracking.motion_filter import MotionFilter
+from mocap_ros.tracking.motion_filter import UNFILTERED
 from mocap_ros.tracking.schedule import CheckSchedule
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.units import NS_PER_S
@@ -64,11 +65,11 @@ class Track:
     # solution; None before the first solution
     solution: TrackSolution | None = None
     schedule: CheckSchedule = field(default_factory=CheckSchedule)  # the checks of the solution that are due
-    # filter of the output; None before the first output, or if nothing is filtered
-    motion_filter: MotionFilter | None = None
-    # face, feet and hands in the frame that was shown last; None before the first output
-    extremity_state: ExtremityState | None = None
-    extremities_ns: int = 0  # ns, stamp of this frame
+    # filter of the output; `UNFILTERED` before the first output, or if nothing is filtered
+    motion_filter: Array = field(default_factory=UNFILTERED.copy)
+    # face, feet and hands in the frame that was shown last
+    extremity_state: Array = field(default_factory=START.copy)
+    extremities_s: float = -math.inf  # s, time of this frame since the person's first
     contact: FloorContact | None = None  # what feet on the floor say of the person's size; None if nothing
 
     @staticmethod
@@ -182,7 +183,7 @@ class Track:
             directions = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
             return intrinsics.pixels_to_rays(old.project(directions))
 
-        self.intrinsics, self.focal, self.motion_filter = intrinsics, focal, None
+        self.intrinsics, self.focal, self.motion_filter = intrinsics, focal, UNFILTERED
         self.rays, self.swap_filter = convert(self.rays), self.swap_filter.convert_points(convert)
         self.extremities = Extremities(convert(self.extremities.rays), self.extremities.weight)
         self._correct_sides(None)

@@ -37,7 +37,7 @@ from mocap_ros.models.model_file import load_prior_lifter, load_velocity_correct
 from mocap_ros.models.upward_direction import Stances
 from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
 from mocap_ros.skeleton import keypoint_layout
-from mocap_ros.solvers.extremities import ExtremityState
+from mocap_ros.solvers.extremities import ExtremityEvidence
 from mocap_ros.solvers.image_roll import CameraSide, find_roll, lift_turned, turn_upright
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, let_base_poses_lead
 from mocap_ros.solvers.vertical import AUTO as AUTO_VERTICAL
@@ -51,7 +51,15 @@ from mocap_ros.tracking.deferred_work import FRAME_BUDGET, FRAME_BUDGET_WITHOUT_
 from mocap_ros.tracking.delayed_output import find_delayed_frame
 from mocap_ros.tracking.hypotheses import HypothesisChecker
 from mocap_ros.tracking.motion_filter import CoreMotion
-from mocap_ros.tracking.output import Cores, filter_motion, find_published_motion, follow_extremities, make_people
+from mocap_ros.tracking.output import (
+    Cores,
+    advance_extremities,
+    advance_filters,
+    collect_seen,
+    find_published_motion,
+    locate_past,
+    make_people,
+)
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.prediction import predict_ahead, predict_people
 from mocap_ros.tracking.refinement import refine
@@ -212,8 +220,7 @@ class Tracker:
             self._initialise(stamp_ns, [t for t in tracks if t.solution is None])
             self._refine([t for t in tracks if t.has_unsolved_frame])
             shown = self._choose_shown(stamp_ns, tracks)
-            filtered = self._filter(shown)
-            output = self._make_people(shown, filtered, floor) + self._predict_missing(stamp_ns)
+            output = self._make_people(shown, floor) + self._predict_missing(stamp_ns)
         except Exception:
             self._forget_concerned()
             raise
@@ -468,33 +475,33 @@ class Tracker:
         people = sorted((*self._leaving, *self.tracks), key=lambda t: t.first_ns)
         return [(t, t.stamps_ns.index(shown_ns)) for t in people if shown_ns in t.stamps_ns]
 
-    def _filter(self, shown: Shown) -> list[tuple[CoreMotion, ExtremityState]]:
+    def _filter(self, shown: Shown) -> tuple[CoreMotion, ExtremityEvidence]:
         """Filter the motion of people, and follow their extremities, up to the frame that is shown."""
-        frames, found = dict(shown), []
-        for track in self._each(frames):
-            if self.config.tracker.steady_output and self._is_newest_shown:
-                filter_motion(track, self.output_stamp_ns, frames[track])
-            motion = find_published_motion(track, frames[track])
-            extremities = follow_extremities(track, self.output_stamp_ns, frames[track], motion.joints)
-            found.append((motion, extremities))
-        return found
+        tracks, frames = self._at_work, [frame for _, frame in shown]
+        now, earlier = locate_past(tracks, frames)
+        if self.config.tracker.steady_output and self._is_newest_shown:
+            advance_filters(tracks, frames, now)
+        motion = find_published_motion(tracks, frames, now, earlier)
+        seen = collect_seen(tracks, frames, motion.joints)
+        advance_extremities(tracks, frames, seen)
+        return motion, seen
 
-    def _make_people(
-        self, shown: Shown, filtered: Sequence[tuple[CoreMotion, ExtremityState]], floor: Floor | None
-    ) -> list[Person3D]:
+    def _make_people(self, shown: Shown, floor: Floor | None) -> list[Person3D]:
         """Return the people who are shown, of the sizes that the floor, if it is known, shows."""
         if not shown:
             return []
-        (tracks, frames), (motions, extremities) = zip(*shown, strict=True), zip(*filtered, strict=True)
-        self._at_work = tracks
+        self._at_work, frames = [track for track, _ in shown], [frame for _, frame in shown]
+        motion, seen = self._filter(shown)
+        tracks = self._at_work
         if floor is not None:
-            for track, motion in zip(tracks, motions, strict=True):
+            for p, track in enumerate(tracks):
                 if track.intrinsics.is_focal_known and not track.is_tentative:
-                    seen = motion.joints, motion.velocity, floor, self.config.tracker.body_height
-                    track.contact = FloorContact.advance(track.contact, self.output_stamp_ns, *seen)
+                    known = motion.joints[p], motion.velocity[p], floor, self.config.tracker.body_height
+                    track.contact = FloorContact.advance(track.contact, self.output_stamp_ns, *known)
         sizes = [*map(self._find_size, tracks)]
-        cores = Cores.of_tracks(tracks, frames, motions, sizes)
-        return make_people(tracks, frames, cores, extremities, sizes, self._skeleton)
+        cores = Cores.of_people(tracks, motion, seen, sizes)
+        extremities = np.array([t.extremity_state for t in tracks])
+        return make_people(tracks, frames, cores, seen.weight, sizes, self._skeleton, extremities)
 
     def _find_size(self, track: Track) -> BodySize:
         """Return what is known of a person's size; the detector may say who it is when the track has a name."""
