@@ -29,7 +29,7 @@ from mocap_ros.models.motion_predictor import INPUT_LIMIT
 from mocap_ros.models.velocity_correction import SPANS_S, VelocityCorrection, VelocityPast, build_inputs
 from mocap_ros.npz_file import write_npz
 from mocap_ros.skeleton import CMU15
-from mocap_ros.tracking.output import find_motion, sample_velocity_past
+from mocap_ros.tracking.output import describe_past, find_motion, locate_past
 
 Array = NDArray[np.float64]
 
@@ -67,9 +67,11 @@ def collect(frames: int) -> tuple[list[VelocityPast], Array]:
             if person.predicted or frame < WARM_UP or frame + 1 == scene.view.frames:
                 continue
             (track,) = tracker.tracks
-            past = sample_velocity_past(track, find_motion(track, track.newest))
-            if past is not None and np.isfinite(past.std).all():
-                pasts.append(past)
+            one, newest = [track], [track.newest]
+            now, earlier = locate_past(one, newest)
+            past = describe_past(one, find_motion(one, newest, now), now, earlier)
+            if np.isfinite(past.std).all():
+                pasts.append(VelocityPast(*(values[0] for values in past)))
                 velocities.append(truth[frame])
         done += len(range(0, scene.view.frames - 1, step))
     return pasts, np.array(velocities)
@@ -82,7 +84,7 @@ def fit(pasts: list[VelocityPast], velocity: Array, seed: int = 0) -> VelocityCo
     for n in rng.choice(len(pasts), round(MOVED_SHARE * len(pasts)), replace=False):
         pasts.append(_move(pasts[n], rng))
         missing.append(missing[n])
-    inputs = np.concatenate(np.stack([build_inputs(past) for past in pasts], axis=1))
+    inputs = np.concatenate(build_inputs(VelocityPast(*map(np.array, zip(*pasts, strict=True)))).swapaxes(0, 1))
     targets = np.array([own @ past.axes for past, own in zip(pasts, missing, strict=True)])
     targets = np.concatenate([targets, targets[:, list(CMU15.mirror)] * MIRRORED])
     centre, scale = inputs.mean(axis=0), inputs.std(axis=0) + LEAST_SCALE

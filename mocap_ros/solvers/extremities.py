@@ -154,9 +154,9 @@ class ExtremityEvidence(NamedTuple):
     def without_image(core: Array) -> ExtremityEvidence:
         """Return the evidence of people of whom only the core (P, 15, 3) m is known."""
         shape = len(core), len(BODY26.joints)
-        lifted = np.full((2, *shape, 3), np.nan)
-        seen = np.zeros((*shape, 2)), np.zeros(shape)
-        return ExtremityEvidence(np.ascontiguousarray(core), *lifted, *seen, np.zeros(len(core)))
+        lifted, std = np.full((2, *shape, 3), np.nan)
+        seen = np.zeros((*shape, 2)), np.zeros(shape), np.zeros(len(core))
+        return ExtremityEvidence(np.ascontiguousarray(core), lifted, std, *seen)
 
 
 def collect_evidence(core: Array, observed: ObservedWindow, noise: float) -> ExtremityEvidence:
@@ -177,22 +177,25 @@ def collect_frame_evidence(
 ) -> ExtremityEvidence:
     """Return that of one frame of each of P windows with one virtual camera; core (P, 15, 3) m, noise (P,) m."""
     found = ExtremityEvidence.without_image(core)._replace(noise=noise)
+    arrays = found.lifted, found.lifted_std, found.rays, found.weight
     for p, (own, frame) in enumerate(zip(observed, frames, strict=True)):
         poses = (None, None) if own.lifted is None else (own.lifted.joints, own.lifted.std)
         seen = own.rays, own.weight, *((None, None) if own.extremities is None else own.extremities)
-        engine.collect_frame(p, frame, core, own.virtual_camera.rotation, *poses, *seen, *found[1:5])
+        engine.collect_frame(p, frame, core, own.virtual_camera.rotation, *poses, *seen, *arrays)
     return found
 
 
-def follow_extremities(states: Array, steps_s: Array, evidence: ExtremityEvidence, statures: Array) -> Array:
+def follow_extremities(
+    states: Sequence[Array] | Array, steps_s: Array, evidence: ExtremityEvidence, statures: Array
+) -> Array:
     """Return the states (P, N) of people after another frame, P rows of `START` before the first.
 
     `steps_s` (P,) s since the frame before, infinite for the first, and nothing changes where it is not positive;
     `statures` (P,) m.
     """
-    states = np.array(states)
-    _BODY.follow(states, *evidence, statures, steps_s)
-    return states
+    result = np.array(states)
+    _BODY.follow(result, *evidence, statures, steps_s)
+    return result
 
 
 def read_states(states: Array) -> NDArray[Any]:

@@ -25,8 +25,8 @@ coordinate of v is
 
     (f_w w omega)^2 + f_s^2 (s^2 + s_0^2) + f_0^2
 
-Where they are too far away for a person to have moved there, the filter begins anew. The constants and the code are
-in `engine/motion.pyx`.
+Where they are too far away for a person to have moved there, the filter begins anew. The constants and the code
+are in `engine/motion.pyx`.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class CoreMotion(NamedTuple):
     root_velocity_covariance: Array
 
 
-def filter_motion(filters: Sequence[Array], times: Array, joints: Array, image_noise: Array) -> Array:
+def filter_motion(filters: Sequence[Array] | Array, times: Array, joints: Array, image_noise: Array) -> Array:
     """Return the filters (P, R) of people after a frame at times (P,) s with joints (P, J, 3) m.
 
     `image_noise` (P,) m is at the body. A frame that is not newer than the last changes nothing.
@@ -76,6 +76,6 @@ def filter_motion(filters: Sequence[Array], times: Array, joints: Array, image_n
     return result
 
 
-def read_motion(filters: Sequence[Array], times: Array, located: Array) -> CoreMotion:
+def read_motion(filters: Sequence[Array] | Array, times: Array, located: Array) -> CoreMotion:
     """Return the motion of people whose filters are at times (P,) s, and else joints (P, J, 3) m as located."""
     return CoreMotion(*engine.read_motion(np.array(filters), times, located, *HIPS))

@@ -54,8 +54,8 @@ _ANCHORS = SEGMENT_OF[CORE_COUNT:]  # core joints on which the extremities hang
 
 def advance_filters(tracks: Sequence[Track], frames: Sequence[int], located: Array) -> None:
     """Filter the motion of P >= 1 people up to a frame of each, with joints (P, J, 3) m."""
-    filters = [t.motion_filter for t in tracks]
-    filters = filter_motion(filters, find_times(tracks, frames), located, measure_noise(tracks))
+    before, times = [t.motion_filter for t in tracks], find_times(tracks, frames)
+    filters = filter_motion(before, times, located, measure_noise(tracks))
     for track, own in zip(tracks, filters, strict=True):
         track.motion_filter = own
 
@@ -102,7 +102,7 @@ def find_motion(tracks: Sequence[Track], frames: Sequence[int], located: Array) 
 
 
 def locate_past(tracks: Sequence[Track], frames: Sequence[int]) -> tuple[Array, Array]:
-    """Return solved joints (P, J, 3) m of a frame of each of P >= 1 people, and (P, T, J, 3) of before the newest."""
+    """Return solved joints (P, J, 3) m of a frame of each of P people, and (P, T, J, 3) of before the newest."""
     can_correct = tracks[0].observed.lifted is not None
     located = locate_joints(tracks, frames, _AGO if can_correct else _NOW)
     earlier = np.ascontiguousarray(located[:, 1:])
@@ -110,7 +110,9 @@ def locate_past(tracks: Sequence[Track], frames: Sequence[int]) -> tuple[Array, 
     return np.ascontiguousarray(located[:, 0]), earlier
 
 
-def find_published_motion(tracks: Sequence[Track], frames: Sequence[int], now: Array, earlier: Array) -> CoreMotion:
+def find_published_motion(
+    tracks: Sequence[Track], frames: Sequence[int], now: Array, earlier: Array
+) -> CoreMotion:
     """Return what `find_motion` does, with the velocity corrected where that is learned (module).
 
     The joints are those of `locate_past`.
@@ -180,7 +182,7 @@ def make_people(
 ) -> list[Person3D]:
     """Return P >= 1 people, each in a frame.
 
-    `cores` are enlarged to their sizes, and `extremities`, states (P, N), are of the assumed size; `weight` (P, 26)
+    `cores` are enlarged to the sizes, and `extremities`, states (P, N), are of the assumed size; `weight` (P, 26)
     are the scores of the joints; `unseen_for` (P,) s of people who are predicted.
     """
     intrinsics, roots = tracks[0].intrinsics, cores.joints.mean(axis=1)

@@ -95,7 +95,7 @@ def predict_ahead(
 
 def sample_pasts(tracks: Sequence[Track], upward: Array | None = None) -> list[Past]:
     """Return the motions of the cores of people of the assumed size up to their newest frames."""
-    frames = [t.newest for t in tracks]
+    frames, upward = [t.newest for t in tracks], UPRIGHT_CAMERA if upward is None else upward
     located = locate_joints(tracks, frames, np.array([0.0, *PAST_S]))
     motion = find_motion(tracks, frames, np.ascontiguousarray(located[:, 0]))
     std = find_joint_std(tracks, collect_seen(tracks, frames, motion.joints))
@@ -107,7 +107,9 @@ def sample_pasts(tracks: Sequence[Track], upward: Array | None = None) -> list[P
             velocity = (newest - positions[0]) / PAST_S[0] if is_known[0] else np.zeros_like(newest)
         earlier = np.where(is_known[:, None, None], positions, newest - _AGO[:, None, None] * velocity)
         heading = track.solved.rotation[track.newest, :, 0]
-        pasts.append(Past(newest, velocity, std[p], earlier, heading, UPRIGHT_CAMERA if upward is None else upward))
+        pasts.append(
+            Past(newest, velocity, std[p], earlier, heading, UPRIGHT_CAMERA if upward is None else upward)
+        )
     return pasts
 
 

@@ -25,7 +25,8 @@ def make_past(seed: int, jitter_m: float = 0.02) -> VelocityPast:
     velocity = rng.normal(0, 1, 3) + rng.normal(0, 0.3, (15, 3))
     earlier = joints - SPANS[:, None, None] * velocity + rng.normal(0, jitter_m, (len(SPANS), 15, 3))
     axes = Rotation.random(random_state=rng).as_matrix()
-    return VelocityPast(velocity, rng.uniform(0.1, 0.8, 15), joints, earlier, axes)
+    past = velocity, rng.uniform(0.1, 0.8, 15), joints, earlier, axes
+    return VelocityPast(*(values[None] for values in past))
 
 
 @given(st.integers(0, 2**31))
@@ -45,17 +46,17 @@ def test_without_a_past_nothing_is_corrected() -> None:
     assert network.correct(past).any()
     for n, span in enumerate(SPANS):
         earlier = past.earlier.copy()
-        earlier[n:] = np.nan
+        earlier[:, n:] = np.nan
         correction = network.correct(past._replace(earlier=earlier))
         assert np.isfinite(correction).all()
         assert bool(correction.any()) == (span > LEAST_PAST_S)
-    unknown = np.full((15, 3), np.nan)
-    assert not network.correct(past._replace(velocity=unknown, std=unknown[:, 0].copy())).any()
+    unknown = np.full((1, 15, 3), np.nan)
+    assert not network.correct(past._replace(velocity=unknown, std=unknown[..., 0].copy())).any()
 
 
 @pytest.mark.parametrize('jitter', [0.05, 1e30])
 def test_a_correction_is_limited_by_what_the_filter_does_not_know(jitter: float) -> None:
     for seed in range(20):
         past = make_past(seed, jitter)
-        correction = np.linalg.norm(load_velocity_correction().correct(past), axis=1)
+        correction = np.linalg.norm(load_velocity_correction().correct(past), axis=2)
         assert (correction <= MAX_CORRECTION * past.std * (1 + 1e-9)).all()

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -25,10 +25,12 @@ from mocap_ros.solvers.extremities import (
     PARTS,
     SIZE_OF,
     SIZE_STD,
+    START,
     TEMPLATE,
     ExtremityEvidence,
-    ExtremityState,
     attach,
+    follow_extremities,
+    read_states,
     smooth_extremities,
 )
 from tests.support.upright_body import UPRIGHT
@@ -75,20 +77,19 @@ def look_around(seed: int, sizes: tuple[float, float, float] = (1.0, 1.0, 1.0), 
     rays = rays + (0.008 * rng.normal(size=(JOINTS, 2)) + 0.005 * rng.normal(size=rays.shape)) / 4.0
     std = np.tile([0.025, 0.025, 0.04], (frames, JOINTS, 1))
     evidence = ExtremityEvidence(
-        core, attach(core, lifted_offsets), std, rays, np.full((frames, JOINTS), 0.8), 0.008
+        core, attach(core, lifted_offsets), std, rays, np.full((frames, JOINTS), 0.8), np.full(frames, 0.008)
     )
     return Body(joints, evidence)
 
 
-def follow(evidence: ExtremityEvidence, step_s: float = STEP_S) -> list[ExtremityState]:
-    states = [ExtremityState.begin(evidence.select_frame(0), STATURE_M)]
-    for frame in range(1, len(evidence.core)):
-        states.append(states[-1].advance(step_s, evidence.select_frame(frame), STATURE_M))
-    return states
-
-
-def offsets_of(states: list[ExtremityState]) -> Array:
-    return np.array([s.offsets for s in states])
+def follow(evidence: ExtremityEvidence, step_s: float = STEP_S) -> NDArray[Any]:
+    """Return the fields of the states (F,) of a person."""
+    states = [START[None]]
+    for frame in range(len(evidence.core)):
+        seen = ExtremityEvidence(*(np.ascontiguousarray(values[frame : frame + 1]) for values in evidence))
+        step = np.array([step_s if frame else np.inf])
+        states.append(follow_extremities(states[-1], step, seen, np.array([STATURE_M])))
+    return read_states(np.concatenate(states[1:]))
 
 
 def hide(evidence: ExtremityEvidence, joints: list[int], frames: slice = slice(None)) -> ExtremityEvidence:
@@ -127,11 +128,11 @@ def test_head_and_feet_are_truer_and_steadier_than_the_lifted_pose() -> None:
         body = look_around(seed)
         states = follow(body.evidence)
         smooth = attach(body.evidence.core, smooth_extremities(TIMES, body.evidence, STATURE_M).offsets)
-        found = (body.evidence.lifted, attach(body.evidence.core, offsets_of(states)), smooth)
+        found = (body.evidence.lifted, attach(body.evidence.core, states['offsets']), smooth)
         off.append([float(np.median(angles_deg(directions(j), directions(body.joints))[15:])) for j in found])
         jitter.append([jitter_deg(joints) for joints in found])
         error = np.linalg.norm(found[1][:, CORE_COUNT:] - body.joints[:, CORE_COUNT:], axis=-1)
-        within.append((error < np.array([s.offset_std for s in states]))[15:].mean())
+        within.append((error < states['offset_std'])[15:].mean())
     lifted, live, whole = np.mean(off, axis=0)
     assert whole < 0.95 * live < 0.95**2 * lifted
     lifted, live, whole = np.mean(jitter, axis=0)
@@ -142,14 +143,14 @@ def test_head_and_feet_are_truer_and_steadier_than_the_lifted_pose() -> None:
 def test_parts_are_rigid_and_sizes_are_learnt_and_kept() -> None:
     body = look_around(5, sizes=(1.05, 1.2, 0.85), frames=400)
     states = follow(body.evidence)
-    found = np.exp(states[-1].read('sizes')[:, 0])
+    found = np.exp(states[-1]['sizes'][:, 0])
     assert found == pytest.approx([1.05, 1.2, 0.85], rel=0.06)
-    late = attach(body.evidence.core, offsets_of(states))[-60:]
+    late = attach(body.evidence.core, states['offsets'])[-60:]
     for first, second in (('lankle', 'ltoe'), ('ltoe', 'lheel'), ('nose', 'rear'), ('rwrist', 'rhand')):
         length = np.linalg.norm(late[:, at(first)] - late[:, at(second)], axis=1)
         assert np.ptp(length) < 0.01 * length.mean()
     hidden = hide(body.evidence, list(range(CORE_COUNT, JOINTS)), slice(300, None))
-    assert np.exp(follow(hidden)[-1].read('sizes')[:, 0]) == pytest.approx(found, rel=0.06)
+    assert np.exp(follow(hidden)[-1]['sizes'][:, 0]) == pytest.approx(found, rel=0.06)
 
 
 def test_unseen_parts_are_where_the_core_has_them_with_larger_deviations_and_flagged() -> None:
@@ -158,13 +159,13 @@ def test_unseen_parts_are_where_the_core_has_them_with_larger_deviations_and_fla
     hidden = hide(body.evidence, [*face, at('ltoe'), at('lheel')])
     seen, unseen = follow(body.evidence)[-1], follow(hidden)[-1]
     points = [j - CORE_COUNT for j in (*face, at('ltoe'), at('lheel'))]
-    assert (unseen.offset_std[points] > 1.3 * seen.offset_std[points]).all()
-    is_seen = dict(zip(BODY26.joints, unseen.is_turn_seen, strict=False))
+    assert (unseen['offset_std'][points] > 1.3 * seen['offset_std'][points]).all()
+    is_seen = dict(zip(BODY26.joints, unseen['is_turn_seen'], strict=False))
     assert not is_seen['head']
     assert not is_seen['lankle']
     assert is_seen['rankle']
-    assert seen.is_turn_seen[at('head')]
-    nose = unseen.offsets[at('nose') - CORE_COUNT] @ FACING
+    assert seen['is_turn_seen'][at('head')]
+    nose = unseen['offsets'][at('nose') - CORE_COUNT] @ FACING
     shoulders = (hidden.core[-1, at('lshoulder')] - hidden.core[-1, at('rshoulder')]) @ FACING
     assert nose @ np.cross(shoulders, [0, 0, 1]) > 0.9 * np.linalg.norm(nose[:2]) * np.linalg.norm(shoulders)
 
@@ -181,16 +182,18 @@ def test_any_evidence_gives_finite_points_and_rotations(
 ) -> None:
     lifted = numbers[1] if is_lifted else np.full_like(numbers[1], np.nan)
     std = 0.001 + np.abs(numbers[2])
-    evidence = ExtremityEvidence(numbers[0, :, :CORE_COUNT], lifted, std, numbers[2, ..., :2], weight, 0.01)
+    evidence = ExtremityEvidence(
+        numbers[0, :, :CORE_COUNT], lifted, std, numbers[2, ..., :2], weight, np.full(5, 0.01)
+    )
     for state in follow(evidence, step_s):
-        assert np.isfinite(state.values).all()
-        assert np.linalg.norm(state.quaternions, axis=1) == pytest.approx(np.ones(CORE_COUNT))
-        segments = state.read('segments')
+        assert all(np.isfinite(state[name]).all() for name in state.dtype.names)
+        assert np.linalg.norm(state['quaternions'], axis=1) == pytest.approx(np.ones(CORE_COUNT))
+        segments = state['segments']
         square = segments @ np.swapaxes(segments, -1, -2)
         assert square == pytest.approx(np.broadcast_to(np.eye(3), square.shape), abs=1e-6)
         assert (np.linalg.det(segments) > 0).all()
-        assert (state.offset_std > 0).all()
-        assert (np.abs(state.read('sizes')[:, 0]) <= 5 * SIZE_STD).all()
+        assert (state['offset_std'] > 0).all()
+        assert (np.abs(state['sizes'][:, 0]) <= 5 * SIZE_STD).all()
 
 
 @pytest.mark.parametrize('kind', ['lifted', 'ray'])
@@ -216,18 +219,9 @@ def test_the_gradients_are_those_of_the_sums(kind: str) -> None:
     assert (np.linalg.eigvalsh(hessian) > -1e-9).all()
 
 
-def follow_core(poses: Array) -> list[ExtremityState]:
-    """Return the states of a body of which the core (F, 15, 3) alone is known."""
-    evidence = [ExtremityEvidence.without_image(pose) for pose in poses]
-    states = [ExtremityState.begin(evidence[0], STATURE_M)]
-    for known in evidence[1:]:
-        states.append(states[-1].advance(STEP_S, known, STATURE_M))
-    return states
-
-
 def find_segments(poses: Array) -> Array:
-    """Return the segments (F, 15, 3, 3) as the core has them."""
-    return np.array([state.read('segments') for state in follow_core(poses)])
+    """Return the segments (F, 15, 3, 3) as the core (F, 15, 3) alone has them."""
+    return np.asarray(follow(ExtremityEvidence.without_image(poses))['segments'])
 
 
 @pytest.mark.parametrize('seed', range(5))
@@ -277,27 +271,24 @@ def test_feet_turn_straight_legs_and_unseen_limbs_are_flagged() -> None:
     weight = np.ones(len(BODY26.joints))
     weight[[BODY26.index(n) for n in ('lshoulder', 'ltoe', 'lheel', 'lhand', 'rhand')]] = 0
     unknown = np.full(joints.shape, np.nan)
-    evidence = ExtremityEvidence(upright, unknown, unknown, joints[:, :2] / joints[:, 2:], weight, 0.003)
-    state = ExtremityState.begin(evidence, STATURE_M)
-    for _ in range(60):
-        state = state.advance(STEP_S, evidence, STATURE_M)
-    turns = FACING.T @ Rotation.from_quat(state.quaternions).as_matrix()
+    frame = upright, unknown, unknown, joints[:, :2] / joints[:, 2:], weight, np.array(0.003)
+    state = follow(ExtremityEvidence(*(np.array([values] * 61) for values in frame)))[-1]
+    turns = FACING.T @ Rotation.from_quat(state['quaternions']).as_matrix()
     heading = np.degrees(Rotation.from_matrix(turns).as_rotvec())[:, 2]
     assert 5 < heading[at('rknee')] < heading[at('rankle')]  # between the pelvis and the foot
     assert abs(heading[at('lknee')]) < 5
-    names = {name for name, is_seen in zip(CMU15.joints, state.is_turn_seen, strict=True) if is_seen}
+    names = {name for name, is_seen in zip(CMU15.joints, state['is_turn_seen'], strict=True) if is_seen}
     assert names == {'head', 'pelvis', 'rankle', 'rknee', 'rhip'}
 
 
 @pytest.mark.parametrize('seed', range(3))
 def test_quaternions_are_those_of_the_segments_and_do_not_jump(seed: int) -> None:
     axis = np.random.default_rng(seed).normal(size=3)
-    states = follow_core(
-        np.array([Rotation.from_rotvec(0.2 * frame * axis).apply(UPRIGHT) for frame in range(60)])
-    )
+    poses = np.array([Rotation.from_rotvec(0.2 * frame * axis).apply(UPRIGHT) for frame in range(60)])
+    states = follow(ExtremityEvidence.without_image(poses))
     core = [at(name) for name in ('pelvis', 'neck', 'lshoulder', 'relbow')]
-    quaternions = np.array([state.quaternions[core] for state in states])
-    segments = np.array([state.read('segments')[core] for state in states])
+    quaternions = states['quaternions'][:, core]
+    segments = states['segments'][:, core]
     found = Rotation.from_quat(quaternions.reshape(-1, 4)).as_matrix()
     assert found == pytest.approx(segments.reshape(-1, 3, 3), abs=1e-9)
     assert (np.abs(np.diff(quaternions, axis=0)) < 0.9).all()

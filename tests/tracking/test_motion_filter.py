@@ -11,14 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocap_ros.config import Config, with_settings
-from mocap_ros.engine.motion import advance_motion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15
-from mocap_ros.tracking.motion_filter import MotionFilter
+from mocap_ros.tracking.motion_filter import FILTER, UNFILTERED, filter_motion, read_motion
 from mocap_ros.tracking.tracker import Tracker
-from mocap_ros.units import NS_PER_S
 from tests.support.synthetic_walk import make_walk
 
 JOINTS = 15
@@ -27,15 +25,17 @@ CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
 CONFIG = with_settings(Config(), {'solver.components': 8, 'solver.prior': 'pca'})
 
 
+def filter_states(times: np.ndarray, joints: np.ndarray, image_noise: float = np.inf) -> np.ndarray:
+    """Return the filters (F, R) of all frames of a person, with an image noise in m at the body."""
+    filters = [UNFILTERED[None]]
+    for time, pose in zip(times, joints, strict=True):
+        filters.append(filter_motion(filters[-1], np.array([time]), pose[None], np.array([image_noise])))
+    return np.concatenate(filters[1:])
+
+
 def filter_all(times: np.ndarray, joints: np.ndarray, image_noise: float = np.inf) -> np.ndarray:
     """Return the filtered joints of all frames, with an image noise in m at the body."""
-    stamps = [round(t * NS_PER_S) for t in times]
-    motion = MotionFilter(stamps[0], joints[0])
-    out = [motion.motion.joints]
-    for stamp, pose in zip(stamps[1:], joints[1:], strict=True):
-        motion.advance(stamp, pose, image_noise)
-        out.append(motion.motion.joints)
-    return np.array(out)
+    return read_motion(filter_states(times, joints, image_noise), times, joints).joints
 
 
 def swing_joints(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -79,16 +79,23 @@ def advance_plainly(
 
 @pytest.mark.parametrize('max_jitter', [0.002, 1.0])
 def test_a_step_is_that_of_the_formulas(rng: np.random.Generator, max_jitter: float) -> None:
-    times = np.array([-0.07, -0.04, 0.0])
-    state = rng.uniform(0.5, 1, (5, 3, 3))
-    state[2] = rng.uniform(1e-5, 1e-3, (3, 3))
-    state[1] = rng.uniform(-0.3, 0.3, (3, 3))  # m/s; slow enough for springs that turn by less than a right angle
+    before = np.zeros(1, FILTER)
+    state, before['times'] = before['state'][0], [np.nan, 1.0, 1.03]
+    state[:] = rng.uniform(0.5, 1, (5, 16, 3))
+    state[2] = rng.uniform(1e-5, 1e-3, (16, 3))
+    state[1] = rng.uniform(-0.3, 0.3, (16, 3))  # m/s; slow enough for springs that turn by less than a right angle
     state[3] = state[1] ** 2
-    recent = rng.normal(0, 0.02, (3, 3, 3)) + state[0]
-    found = advance_motion(state, recent, times, max_jitter)
-    for p in range(3):
-        expected = advance_plainly(state[:, p], recent[:, p], times, max_jitter, is_centre=p == 2)
-        np.testing.assert_allclose(found[:, p], expected, rtol=1e-9)
+    state[0] -= [*[state[0, :-1].mean(axis=0)] * 15, [0, 0, -2]]
+    before['recent'] = rng.normal(0, 0.02, (3, 16, 3)) + state[0]
+    state = state.copy()
+    joints = state[0, :-1] + state[0, -1] + rng.normal(0, 0.02, (15, 3))
+    after = filter_motion(before.view(float)[None], np.array([1.07]), joints[None], np.array([2 * max_jitter]))
+    found, centre = after.view(FILTER)[0, 0], joints.mean(axis=0)
+    np.testing.assert_allclose(found['recent'][2], [*(joints - centre), centre], atol=1e-12)
+    for p in range(16):
+        points = state[:, p], found['recent'][:, p], np.array([-0.07, -0.04, 0.0])
+        expected = advance_plainly(*points, max_jitter, is_centre=p == 15)
+        np.testing.assert_allclose(found['state'][:, p], expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize('rate', [30.0, 100.0])
@@ -131,11 +138,9 @@ def test_the_filter_begins_anew_where_another_solution_is_found(rng: np.random.G
 def test_joints_stay_finite_and_variances_positive(steps: list[float], size: float) -> None:
     times = np.concatenate([[0.0], np.cumsum(steps)])
     poses = np.random.default_rng(0).normal(0, size, (len(times), JOINTS, 3))
-    motion = MotionFilter(0, poses[0])
-    for time, pose in zip(times[1:], poses[1:], strict=True):
-        motion.advance(max(round(time * NS_PER_S), motion.stamps_ns[-1] + 1), pose, 0.02)
-        assert np.isfinite(motion.state).all()
-        assert (motion.state[2:] >= 0).all(), 'mean squares and variances'
+    states = filter_states(times, poses, 0.02).view(FILTER)['state'][:, 0]
+    assert np.isfinite(states).all()
+    assert (states[:, 2:] >= 0).all(), 'mean squares and variances'
 
 
 def test_the_tracker_filters_its_output_and_nothing_else(walk_model: BasePoses, rng: np.random.Generator) -> None:

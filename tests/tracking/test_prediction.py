@@ -19,7 +19,7 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15, CORE_COUNT
 from mocap_ros.tracking.body_size import BodySize
-from mocap_ros.tracking.output import find_motion
+from mocap_ros.tracking.motion_filter import UNFILTERED
 from mocap_ros.tracking.prediction import MIN_CLEARANCE_M, predict_people
 from mocap_ros.tracking.track import Track
 from mocap_ros.tracking.tracker import Tracker
@@ -89,9 +89,9 @@ def test_a_person_who_reaches_the_camera_stays_there(walk_model: BasePoses) -> N
     tracker = track_walk(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, -2.5])
     (track,) = tracker.tracks
     solution = track.solved
-    depth = find_motion(track, FRAMES - 1).joints[:, 2]
+    depth = solution.sample_joints(track.observed.times, FRAMES - 1, np.zeros(1))[0, :, 2]
     nearer = [0.0, 0.0, depth.max() - 2 * depth.mean() + 0.6]  # m; then some of the way is left
-    near = change(track, solution=replace(solution, roots=solution.roots + nearer), motion_filter=None)
+    near = change(track, solution=replace(solution, roots=solution.roots + nearer), motion_filter=UNFILTERED)
     predicted = [predict(near, (FRAMES + gap) * STEP_NS) for gap in range(20)]
     depth = predicted[-1].joints[:CORE_COUNT, 2]
     assert 2 * depth.mean() - depth.max() == pytest.approx(MIN_CLEARANCE_M, abs=0.01)
