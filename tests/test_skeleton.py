@@ -1,14 +1,17 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Keypoint layouts are consistent forests, and other spellings of joint names are understood."""
+"""The vocabulary: keypoint layouts, spellings of joint names, and errors of one printable line."""
 
+from __future__ import annotations
+
+import pickle
 import re
 
 import numpy as np
 import pytest
 
-from mocap_ros.errors import SkeletonError
+from mocap_ros.errors import MAX_MESSAGE_CHARACTERS, InputError, SkeletonError
 from mocap_ros.skeleton import (
     CMU15,
     LAYOUT_NAMES,
@@ -71,3 +74,25 @@ def test_the_stature_follows_from_the_mean_lengths_of_the_bones(rng: np.random.G
     assert mean_lengths @ CMU15.stature_per_bone == pytest.approx(estimate_stature(poses, CMU15))
     with pytest.raises(SkeletonError, match="layout '' has no bone from lhip to lknee"):
         _ = skeleton_from_joints(CMU15.joints[::-1]).stature_per_bone
+
+
+@pytest.mark.parametrize(
+    ('message', 'shown'),
+    [
+        ('a.npz: Zoë: 5 px', 'a.npz: Zoë: 5 px'),
+        ('a\n  b\tc', 'a b c'),
+        ('\x1b[2Ja\x07\u202eb\ud800', r'\x1b[2Ja\x07\u202eb\ud800'),
+    ],
+)
+def test_a_message_is_one_printable_line(message: str, shown: str) -> None:
+    error = InputError(message)
+    assert str(error) == shown
+    assert str(pickle.loads(pickle.dumps(error))) == shown
+
+
+def test_a_long_message_keeps_its_beginning_and_its_end() -> None:
+    for fill in ('x', '\x00'):
+        text = str(InputError(f'a.json: {fill * 10**6} is no name'))
+        assert len(text) <= MAX_MESSAGE_CHARACTERS
+        assert text.startswith('a.json: ')
+    assert str(InputError(f'a.json: {"x" * 10**6} is no name')).endswith('x is no name')

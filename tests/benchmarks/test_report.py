@@ -1,18 +1,28 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What benchmarks share: tables of records, what a run leaves, and the scale by which poses are compared."""
+"""What benchmarks share, the record of the figures, and the rivals, which reconstruct what their models can."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import subprocess
 from pathlib import Path
 
 import common
+import figures
 import numpy as np
 import pytest
+import rivals
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from readme import find_numbers
 from report import Report, cross, group
+
+from mocap_ros.geometry.rotations import rotation_from_vector
+from tests.support.paths import ROOT
 
 RECORDS = [
     {'detector': 'a', 'way': 'live', 'error': 1.0},
@@ -58,3 +68,152 @@ def test_poses_are_compared_with_one_scale_of_the_frames_that_were_found(rng: np
     known = np.arange(5) != 2
     np.testing.assert_allclose(aligned[known], centred[known], atol=1e-12)
     assert np.isnan(aligned[2]).all()
+
+
+TABLE = '| method | fixed: walk |\n| --- | --- |\n| this project | 0.25 / 5 |\n| another | - |'
+PAGE = 'Before.\n\n<!-- table: one -->\n<!-- end of table -->\n\nAfter.\n'
+
+
+def leave_run(root: Path, name: str, text: str, date: str = '2026-11-27', *, quick: bool = False) -> None:
+    """Leave what a benchmark leaves."""
+    about = {'command': f'benchmarks/{name}.py', 'commit': 'abc', 'date': date, 'machine': 'm', 'quick': quick}
+    folder = root / figures.BUILD
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f'{name}.json').write_text(json.dumps({**about, 'tables': {'one': text}, 'results': {}}))
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """A repository with a page, and a run of a benchmark."""
+    for folder in ('benchmarks', 'docs'):
+        (tmp_path / folder).mkdir()
+    (tmp_path / 'README.md').write_text('No table here.\n')
+    (tmp_path / 'docs' / 'page.md').write_text(PAGE)
+    leave_run(tmp_path, 'a', TABLE)
+    return tmp_path
+
+
+def test_a_whole_run_is_written_into_its_page_and_the_newest_one_counts(root: Path) -> None:
+    leave_run(root, 'b', 'a short one', quick=True)
+    leave_run(root, 'c', 'an old one', date='2026-11-26')
+    figures.take_in(root)
+    figures.write(root)
+    page = (root / 'docs' / 'page.md').read_text()
+    assert TABLE in page
+    assert '`benchmarks/a.py`, 2026-11-27, commit abc' in page
+    assert list(figures.find_differences(root)) == []
+
+
+@pytest.mark.parametrize(
+    ('before', 'after', 'words'),
+    [
+        ('0.25', '0.24', 'differs'),
+        ('<!-- end of table -->', '', 'no partner'),
+        ('table: one', 'table: two', 'not in the record'),
+        ('After.', PAGE, 'also in'),
+    ],
+)
+def test_a_page_that_was_edited_is_found(root: Path, before: str, after: str, words: str) -> None:
+    figures.take_in(root)
+    figures.write(root)
+    page = root / 'docs' / 'page.md'
+    page.write_text(page.read_text().replace(before, after))
+    assert any(words in line and 'docs/page.md' in line for line in figures.find_differences(root))
+
+
+def test_tables_that_were_measured_before_a_change_of_the_package_are_listed(root: Path) -> None:
+    def git(*words: str) -> str:
+        who = ('-c', 'user.name=n', '-c', 'user.email=e')
+        return subprocess.run(['git', *who, *words], cwd=root, capture_output=True, text=True, check=True).stdout
+
+    (root / 'mocap_ros').mkdir()
+    (root / 'mocap_ros' / 'code.py').write_text('1')
+    git('init', '-q')
+    git('add', '.')
+    git('commit', '-qm', 'one')
+    figures.take_in(root)
+    record = figures.load_record(root)
+    commit = git('rev-parse', '--short', 'HEAD').strip()
+    (root / figures.RECORD).write_text(json.dumps({'one': {**record['one'], 'commit': commit}}))
+    assert list(figures.find_old(root)) == []
+    (root / 'mocap_ros' / 'code.py').write_text('2')
+    assert [line.partition(':')[0] for line in figures.find_old(root)] == ['one']
+
+
+def test_numbers_of_the_readme_are_those_of_a_cell(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    figures.take_in(root)
+    monkeypatch.setattr('common.ROOT', root)
+    assert find_numbers('one', 'this project', 'fixed: walk') == [0.25, 5.0]
+    for cell in (
+        ('two', 'this project', 'fixed: walk'),
+        ('one', 'nobody', 'fixed: walk'),
+        ('one', 'another', 'fixed: walk'),
+    ):
+        with pytest.raises(ValueError, match=f'table {cell[0]}, row {cell[1]}'):
+            find_numbers(*cell)
+
+
+def test_every_benchmark_has_a_file_and_every_table_a_command() -> None:
+    assert all((ROOT / 'benchmarks' / f'{name}.py').is_file() for name in figures.BENCHMARKS)
+    for table in figures.load_record(ROOT).values():
+        script = table['command'].split()[0]
+        assert (ROOT / script).is_file(), script
+
+
+Array = NDArray[np.float64]
+
+FRAMES = 60
+JOINTS = 15
+
+
+def make_orbit(frames: int = FRAMES) -> Array:
+    """Cameras (F, 3, 3) that turn about the body and nod."""
+    t = np.linspace(0, 1, frames)
+    about_y = rotation_from_vector(np.stack([0 * t, 5 * t, 0 * t], axis=1))
+    nod = rotation_from_vector(np.stack([0.5 * np.sin(7 * t), 0 * t, 0.3 * np.cos(5 * t)], axis=1))
+    return nod @ about_y
+
+
+def make_shapes(coefficients: Array) -> Array:
+    """Shapes (F, J, 3) m: a rigid one plus deformations with these coefficients (F, K - 1)."""
+    basis = np.random.default_rng(0).standard_normal((1 + coefficients.shape[1], JOINTS, 3)) * 0.3
+    basis -= basis.mean(axis=1, keepdims=True)
+    return np.asarray(basis[0] + 0.4 * np.einsum('fk,kjc->fjc', coefficients, basis[1:]))
+
+
+def compute_error(found: Array, truth: Array) -> float:
+    """Return the mean distance of the joints in m, of the poses or of their mirror images in depth."""
+    return min(float(np.linalg.norm(p - truth, axis=-1).mean()) for p in (found, rivals.reflect_in_depth(found)))
+
+
+def make_motion(shapes: int) -> Array:
+    """Poses (F, J, 3) m of so many basis shapes, whose coefficients are cosines of time."""
+    phase = np.pi * (np.arange(FRAMES) + 0.5)[:, None] * np.arange(1, shapes) / FRAMES
+    return rivals.turn_to_camera(make_shapes(np.sqrt(2) * np.cos(phase)), make_orbit())
+
+
+def test_the_factorisation_reconstructs_rigid_and_deforming_bodies() -> None:
+    for shapes in (1, 2):
+        truth = make_motion(shapes)
+        assert compute_error(rivals.factorise_points(truth[..., :2], shapes), truth) < 1e-6  # m
+
+
+def test_sparse_representation_finds_a_pose_of_the_dictionary() -> None:
+    rng = np.random.default_rng(0)
+    dictionary = rng.standard_normal((30, JOINTS, 3))
+    dictionary -= dictionary.mean(axis=1, keepdims=True)
+    cameras = make_orbit()[::4]
+    truth = rivals.turn_to_camera(dictionary[rng.integers(30, size=len(cameras))], cameras)
+    found = rivals.represent_sparsely(truth[..., :2], dictionary, 1e-3)
+    assert np.linalg.norm(found - truth, axis=-1).mean(axis=1).max() < 1e-4  # m, of poses of 1.6 m
+
+
+@settings(max_examples=50)
+@given(seed=st.integers(0, 10**6), amount=st.floats(0, 5))
+def test_the_spectral_norm_is_shrunk_as_by_singular_values(seed: int, amount: float) -> None:
+    matrix = np.random.default_rng(seed).standard_normal((2, 3))
+    u, s, vt = np.linalg.svd(matrix, full_matrices=False)
+    # s less its projection on the l1 ball: lower the larger one first, then both alike
+    level = max(s[0] - amount, (s.sum() - amount) / 2, 0.0) if amount < s.sum() else 0.0
+    expected = u @ np.diag(np.minimum(s, level)) @ vt
+    np.testing.assert_allclose(rivals.shrink_spectral_norm(matrix, amount), expected, atol=1e-9)

@@ -83,17 +83,6 @@ def test_the_distances_of_all_pairs_are_those_of_the_formula(seed: int, hidden: 
     assert growths == pytest.approx(expected[..., 1], abs=1e-5)
 
 
-def test_people_who_cross_are_distinguished_by_their_poses(rng: np.random.Generator) -> None:
-    poses = [make_body(rng), make_body(rng)]
-    poses = [p - p.mean(axis=0) for p in poses]
-    poses = [p / np.sqrt((p**2).sum(axis=1).mean()) for p in poses]
-    people = [ExpectedPerson(p, np.ones(JOINTS)) for p in poses]
-    seen = [(p + rng.normal(0, 0.05, p.shape), np.ones(JOINTS)) for p in poses]
-    for order in ([0, 1], [1, 0]):
-        distances, _ = measure_distances(people, [seen[i] for i in order], MIRROR)
-        assert choose_pairs(distances, distances < 1.0) == order
-
-
 def test_a_person_is_expected_where_the_movement_goes(rng: np.random.Generator) -> None:
     body, step_s = make_body(rng), 1 / 30
     frames = np.stack([body + [0.02 * i, -0.01 * i] for i in range(6)])

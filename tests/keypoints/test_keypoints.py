@@ -1,16 +1,24 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Joints that a detector lacks, keypoints that are faulty or not seen, and the size of the image."""
+"""Keypoints: joints that a detector lacks, faults, points that are not seen, rays, and the size of the image."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from mocap_ros.errors import SkeletonError
+from mocap_ros.geometry.distortion import Distortion
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.extremities import convert_body_to_rays, exchange_body_sides, join_body, split_body
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, resolve_image_size
-from mocap_ros.keypoints.joint_map import build_joint_map
+from mocap_ros.keypoints.joint_map import JointMap, build_joint_map
+from mocap_ros.keypoints.left_right import PARTS
+from mocap_ros.keypoints.rays import convert_to_rays
 from mocap_ros.keypoints.validation import find_first_fault, mark_unseen
-from mocap_ros.skeleton import CMU15, LAYOUT_NAMES, keypoint_layout
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, LAYOUT_NAMES, keypoint_layout
 
 
 @pytest.mark.parametrize('name', LAYOUT_NAMES)
@@ -150,3 +158,139 @@ def test_the_smallest_common_size_that_holds_the_seen_keypoints_is_assumed(
     point: tuple[float, float], size: tuple[int, int]
 ) -> None:
     assert resolve_image_size(keypoints=make_keypoints(point)) == size
+
+
+Array = NDArray[np.float64]
+
+NAMES = keypoint_layout('coco17').joints
+MIN_SCORE = 0.3
+MAX_POINT_PX = 1e7  # coordinates beyond it count as not seen
+LENSES = [
+    Distortion(),
+    Distortion('plumb_bob', (-0.28, 0.07, 0.0002, 0.00002)),
+    Distortion('equidistant', (-0.01, 0.02, -0.02, 0.005)),
+]
+
+
+def draw_keypoints(rng: np.random.Generator, frames: tuple[int, ...]) -> tuple[Array, Array]:
+    """Return points (..., 17, 2) px and scores (..., 17); some are missing, not numbers or far out of range."""
+    points, score = rng.uniform(0, 640, (*frames, 17, 2)), rng.uniform(0, 1.5, (*frames, 17))
+    for array, value in ((points, np.nan), (points, 2 * MAX_POINT_PX), (score, np.nan), (score, 0.0)):
+        array[rng.random(array.shape) < 0.05] = value
+    return points, score
+
+
+def map_plainly(joint_map: JointMap, points: Array, score: Array) -> tuple[Array, Array]:
+    """Return points (Jt, D), NaN where no alternative can be used, and scores (Jt,) of one frame."""
+    out, out_score = np.full((len(joint_map.target.joints), points.shape[-1]), np.nan), np.zeros(15)
+    seen = (score > 0) & np.isfinite(points).all(axis=-1)
+    for joint in range(len(out)):
+        for weights, factor in zip(joint_map.weights[:, joint], joint_map.score_factor[:, joint], strict=True):
+            used = weights != 0
+            if factor > 0 and seen[used].all():
+                out[joint], out_score[joint] = weights[used] @ points[used], factor * score[used].min()
+                break
+    return out, out_score
+
+
+@pytest.mark.parametrize('dimensions', [2, 3])
+def test_joints_are_mapped_as_the_formula_says(dimensions: int, rng: np.random.Generator) -> None:
+    joint_map = build_joint_map(NAMES)
+    points, score = rng.normal(size=(4, 25, 17, dimensions)), rng.random((4, 25, 17))
+    score[rng.random(score.shape) < 0.2] = 0
+    points[rng.random(points.shape) < 0.05] = np.nan
+    found, found_score = joint_map.apply(points, score)
+    assert (found.shape, found_score.shape) == ((4, 25, 15, dimensions), (4, 25, 15))
+    for index in np.ndindex(4, 25):
+        expected, expected_score = map_plainly(joint_map, points[index], score[index])
+        np.testing.assert_allclose(found[index], expected, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(found_score[index], expected_score, rtol=1e-12)
+    assert 0.1 < np.isnan(found).mean() < 0.6, 'some joints are seen and some are not'
+
+
+@pytest.mark.parametrize('lens', LENSES, ids=['pinhole', 'plumb_bob', 'equidistant'])
+def test_rays_are_those_of_the_formula(lens: Distortion, rng: np.random.Generator) -> None:
+    camera = Intrinsics(640.0, (310.0, 250.0), True, 1.1, lens)
+    points, score = draw_keypoints(rng, (3, 20))
+    points.flags.writeable = score.flags.writeable = False
+    rays, weight = convert_to_rays(points, score, NAMES, camera, MIN_SCORE)
+    assert (rays.shape, weight.shape) == ((3, 20, 15, 2), (3, 20, 15))
+    joint_map, seen_count = build_joint_map(NAMES), 0
+    for index in np.ndindex(3, 20):
+        with np.errstate(invalid='ignore'):
+            is_used = (np.abs(points[index]) < MAX_POINT_PX).all(axis=-1) & (score[index] >= MIN_SCORE)
+        expected, expected_weight = map_plainly(
+            joint_map, points[index], np.where(is_used, np.minimum(score[index], 1), 0)
+        )
+        seen = expected_weight > 0
+        seen_count += int(seen.sum())
+        assert weight[index] == pytest.approx(expected_weight)
+        assert (rays[index][~seen] == 0).all()
+        assert rays[index][seen] == pytest.approx(camera.pixels_to_rays(expected[seen]), abs=1e-12)
+    assert 200 < seen_count < 800, 'some joints are seen and some are not'
+
+
+PINHOLE = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
+
+
+def make_body(rng: np.random.Generator, frames: int) -> tuple[np.ndarray, np.ndarray]:
+    return rng.normal(size=(frames, len(BODY26.joints), 2)), rng.uniform(0.1, 1, (frames, len(BODY26.joints)))
+
+
+@pytest.mark.parametrize(
+    ('part', 'exchanged'),
+    [
+        ('legs', {'lhip', 'lknee', 'lankle', 'ltoe', 'lheel'}),
+        ('arms', {'lelbow', 'lwrist', 'lhand'}),
+        ('shoulders', {'lshoulder', 'leye', 'lear'}),
+    ],
+)
+def test_feet_go_with_legs_hands_with_arms_and_the_face_with_the_shoulders(
+    part: str, exchanged: set[str], rng: np.random.Generator
+) -> None:
+    points, weight = make_body(rng, 3)
+    is_swapped = np.zeros((3, len(PARTS)), bool)
+    is_swapped[1, PARTS.index(part)] = True
+    new_points, new_weight = join_body(*exchange_body_sides(*split_body(points, weight), is_swapped))
+    assert (new_points[[0, 2]] == points[[0, 2]]).all()
+    for i, (joint, twin) in enumerate(zip(BODY26.joints, BODY26.mirror, strict=True)):
+        source = twin if 'l' + joint[1:] in exchanged and joint[0] in 'lr' else i
+        assert (new_points[1, i] == points[1, source]).all(), joint
+        assert new_weight[1, i] == weight[1, source]
+
+
+@pytest.mark.parametrize(
+    ('layout', 'toe', 'hand'), [('body25', 'lbigtoe', None), ('mediapipe33', 'lfoot_index', ('lindex', 'lpinky'))]
+)
+def test_detectors_name_feet_and_hands_differently(
+    layout: str, toe: str, hand: tuple[str, str] | None, rng: np.random.Generator
+) -> None:
+    names = keypoint_layout(layout).joints
+    points = rng.uniform(280, 320, (len(names), 2))
+    points[names.index('rhip')] = 0  # px; the person is large
+    _, _, found = convert_body_to_rays(points, np.ones(len(names)), names, PINHOLE, 0.1)
+    rays = dict(zip(BODY26.joints[CORE_COUNT:], found.rays, strict=True))
+    seen = dict(zip(BODY26.joints[CORE_COUNT:], found.weight > 0, strict=True))
+    assert rays['ltoe'] == pytest.approx((points[names.index(toe)] - [320, 240]) / 500)
+    assert seen['nose']
+    assert seen['rear']
+    assert seen['lhand'] == (hand is not None)
+    if hand is not None:
+        middle = (points[names.index(hand[0])] + points[names.index(hand[1])]) / 2
+        assert rays['lhand'] == pytest.approx((middle - [320, 240]) / 500)
+
+
+@pytest.mark.parametrize(
+    ('name', 'joint'), [('lbigtoe', 'ltoe'), ('rheel', 'rheel'), ('nose', 'nose'), ('lear', 'lear')]
+)
+def test_a_point_far_from_its_body_does_not_count_as_seen(name: str, joint: str, rng: np.random.Generator) -> None:
+    names = keypoint_layout('body25').joints
+    points = 300 + 10 * rng.standard_normal((len(names), 2))
+    points[names.index('neck'), 1], points[names.index('pelvis'), 1] = 240, 400  # px; how large the person is
+    index, wrong = BODY26.index(joint) - CORE_COUNT, names.index(name)
+    _, _, near = convert_body_to_rays(points, np.ones(len(names)), names, PINHOLE, 0.1)
+    points[wrong] = 0
+    _, _, far = convert_body_to_rays(points, np.ones(len(names)), names, PINHOLE, 0.1)
+    assert near.weight[index] > 0
+    assert far.weight[index] == 0
+    assert (np.delete(far.weight, index) == np.delete(near.weight, index)).all()

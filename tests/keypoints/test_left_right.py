@@ -101,15 +101,6 @@ def test_a_wrong_decision_is_corrected_within_half_a_second(walk: np.ndarray, pa
     assert not newest[-1].any()
 
 
-def test_a_person_seen_from_the_side_is_not_swapped(rng: np.random.Generator) -> None:
-    """Where left and right coincide but for the noise of the image, the order in which they lie says nothing."""
-    body = np.stack([np.zeros(15), np.linspace(0, 200, 15)], axis=1)
-    middle = (body + body[SIDES.mirror]) / 2
-    points = middle + rng.normal(0, 2.0, (FRAMES, 15, 2))
-    assert not run_filter(SwapFilter(SIDES), points).is_swapped.any()
-    assert not any(run_filter(SwapFilter(SIDES), points[:n]).is_swapped[-1].any() for n in range(1, FRAMES))
-
-
 @pytest.mark.parametrize('enabled', [True, False])
 def test_frames_that_are_dropped_leave_the_decisions_about_later_ones(walk: np.ndarray, enabled: bool) -> None:
     before = run_filter(SwapFilter(SIDES, enabled), swap(walk, swap_frames(np.array([5, 40, 41]))))

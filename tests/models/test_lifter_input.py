@@ -1,9 +1,11 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Histories and features: agreement with the formulas in plain NumPy, gaps, and joints that were not seen."""
+"""Histories, features and the network of the lifter agree with the formulas in plain NumPy."""
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,9 +14,9 @@ from numpy.typing import NDArray
 from mocap_ros.models.lifter_input import (
     JOINT_COUNT,
     encode_features,
-    encode_histories,
     sample_histories,
 )
+from mocap_ros.models.network import RoundedNetwork
 from tests.support import plain_lifter
 
 Array = NDArray[np.float64]
@@ -46,25 +48,6 @@ def test_histories_agree_with_the_formula(rng: np.random.Generator, rate_hz: flo
     assert (weight > 0).any()
 
 
-@pytest.mark.parametrize('focal', [np.inf, 1.5])
-def test_features_agree_with_the_formula(rng: np.random.Generator, focal: float) -> None:
-    points, weight = sample_histories(*make_sequence(rng, 30.0), np.array([3, 20, 59]))
-    weight[1, 0] = 0  # no person was seen in the newest frame
-    vertical, std = np.array([[0.0, -1, 0], [0.6, -0.8, 0], [np.nan] * 3]), np.array([0.02, 0.3, 0.02])
-    encoded = encode_histories(points, weight, focal, vertical, std)
-    for n in range(len(points)):
-        seen, rotation = points[n], np.eye(3)
-        if np.isfinite(focal):
-            seen, rotation = plain_lifter.face_newest_points(points[n], weight[n], focal)
-        upward = np.nan_to_num(plain_lifter.weigh_vertical(rotation @ vertical[n], std[n]))
-        features, newest, size = plain_lifter.encode_features(seen, weight[n], focal, upward)
-        assert encoded.features[n, 0] == pytest.approx(features, abs=1e-6)
-        assert encoded.features[n, 1] == pytest.approx(plain_lifter.mirror_features(features), abs=1e-6)
-        assert encoded.newest[n] == pytest.approx(newest, abs=1e-12)
-        assert encoded.size[n] == pytest.approx(size, rel=1e-12)
-        assert encoded.rotation[n] == pytest.approx(rotation, abs=1e-12)
-
-
 def test_features_of_examples_are_those_of_histories(rng: np.random.Generator) -> None:
     points, weight = sample_histories(*make_sequence(rng, 30.0, outlier=9.0), np.array([3, 20, 59]))
     focal = np.array([np.inf, 0.7, 40.0])
@@ -77,3 +60,43 @@ def test_features_of_examples_are_those_of_histories(rng: np.random.Generator) -
         assert features[n] == pytest.approx(expected, abs=1e-5)
         assert newest[n] == pytest.approx(expected_newest, abs=1e-5)
         assert size[n] == pytest.approx(expected_size, rel=1e-5)
+
+
+Array32 = NDArray[np.float32]
+Layers = list[tuple[Array32, Array32]]
+
+
+def make_layers(rng: np.random.Generator, sizes: list[int], scale: float = 1.0) -> Layers:
+    """Return layers of these sizes, the first being that of the inputs."""
+
+    def draw(*shape: int) -> Array32:
+        return (scale * rng.normal(size=shape) / np.sqrt(shape[0])).astype(np.float32)
+
+    return [(draw(inputs, outputs), draw(outputs)) for inputs, outputs in pairwise(sizes)]
+
+
+def make_features(rng: np.random.Generator, pairs: int, size: int) -> Array32:
+    """Return features of which a third are 0, as those of joints that were not seen are."""
+    return (rng.normal(size=(pairs, 2, size)) * (rng.random((pairs, 2, size)) > 1 / 3)).astype(np.float32)
+
+
+@pytest.mark.parametrize('blocks', [0, 1, 3])
+@pytest.mark.parametrize('scale', [1e-3, 1.0, 10.0])
+def test_it_agrees_with_the_formula(rng: np.random.Generator, blocks: int, scale: float) -> None:
+    layers = make_layers(rng, [37, *[26] * (1 + 2 * blocks), 11], scale)
+    features = make_features(rng, 5, 37)
+    layers[0][0][3] = layers[-1][0][5] = 0  # an input without weights has no scale
+    expected = plain_lifter.evaluate(plain_lifter.round_layers(layers), features)
+    found = RoundedNetwork.from_layers(layers).evaluate(features)
+    assert found == pytest.approx(expected, abs=2e-6 * np.abs(expected).max())
+
+
+def test_a_row_does_not_depend_on_the_others(rng: np.random.Generator) -> None:
+    network = RoundedNetwork.from_layers(make_layers(rng, [37, 26, 26, 26, 11]))
+    features = make_features(rng, 6, 37)
+    together = network.evaluate(features)
+    for pair in range(len(features)):
+        assert (network.evaluate(features[pair : pair + 1]) == together[pair]).all()
+        assert (network.evaluate(features[pair : pair + 1, ::-1].copy()) == together[pair, ::-1]).all()
+        with_another = np.stack([features[pair, 0], features[pair - 1, 1]])[None]
+        assert (network.evaluate(with_another)[0, 0] == together[pair, 0]).all()

@@ -72,20 +72,6 @@ def test_rays_are_those_of_the_joints_with_the_right_sides() -> None:
     assert as_given.rays[22] == pytest.approx(observed.rays[22][MIRROR])
 
 
-def test_the_sides_of_each_shot_are_put_right_on_their_own() -> None:
-    keypoints, times, _ = make_person()
-    keypoints[40:] = keypoints[40:][:, MIRROR]  # after a cut, the person may face the other way
-    whole = observe_sequence(keypoints, CMU15.joints, times, CAMERA, CONFIG)
-
-    def find_shots(rays: Array, weight: Array, shot_times: Array) -> list[slice]:
-        assert (rays.shape, weight.shape, shot_times.shape) == ((FRAMES, 15, 2), (FRAMES, 15), (FRAMES,))
-        return [slice(0, 40), slice(40, FRAMES)]
-
-    in_shots = observe_sequence(keypoints, CMU15.joints, times, CAMERA, CONFIG, find_shots=find_shots)
-    assert (in_shots.rays[:40] == whole.rays[:40]).all()
-    assert (in_shots.rays[40:] == whole.rays[40:][:, MIRROR]).all()
-
-
 def make_unusable(kind: str) -> tuple[Array, Array]:
     keypoints, times, _ = make_person()
     if kind == 'too few':

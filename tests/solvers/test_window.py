@@ -1,10 +1,11 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How solvers end, Algorithm 1, and windows that cannot be solved."""
+"""How solvers end and go on in pieces, Algorithm 1, block matrices, and windows that cannot be solved."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,8 +13,10 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy.linalg import LinAlgError
 
 from mocap_ros.config import SolverConfig
+from mocap_ros.engine.block_banded import BlockCholesky
 from mocap_ros.errors import InputError
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint, periodic
@@ -21,6 +24,7 @@ from mocap_ros.solvers.alternation import reconstruct
 from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.joint.reference import compute_cost
+from mocap_ros.solvers.stepwise import Stepwise, ignore_overflow, run_to_end
 from mocap_ros.solvers.window import (
     InitialValues,
     Reconstruction,
@@ -116,10 +120,10 @@ def test_objective_never_rises(
     walk_model: BasePoses, seed: int, bone: float, prior: float, flip: float, missing: float
 ) -> None:
     config = SolverConfig(bone_weight=bone, prior_weight=prior, flip_weight=flip, components=8, max_iterations=6)
-    result = reconstruct(make_noisy_window(walk_model, seed, missing), walk_model, config)
-    steps = np.diff(result.history)
-    assert (steps <= 1e-9 * np.abs(result.history[0])).all()
-    assert np.isfinite(result.joints).all()
+    for solve in (reconstruct, solve_jointly):
+        result = solve(make_noisy_window(walk_model, seed, missing), walk_model, config)
+        assert (np.diff(result.history) <= 1e-9 * np.abs(result.history[0])).all()
+        assert np.isfinite(result.joints).all()
 
 
 @pytest.mark.parametrize(('kept', 'seen', 'message'), [(39, 1, 'do not fit'), (40, 0, 'nothing to reconstruct')])
@@ -129,3 +133,73 @@ def test_windows_that_cannot_be_solved_are_refused(
     _, _, points, times = make_walk(walk_model)
     with pytest.raises(InputError, match=message):
         Window(points[:kept], np.full((40, 15), float(seen)), times)
+
+
+def overflow_twice() -> Stepwise[float]:
+    large = np.array([1e308])
+    first = large * 10
+    yield
+    return float((first * large)[0])
+
+
+def test_results_errors_and_overflows_are_those_of_the_work() -> None:
+    def fail() -> Stepwise[int]:
+        yield
+        raise ValueError('in the second piece')
+
+    assert run_to_end(ignore_overflow(overflow_twice())) == np.inf
+    for work in (fail(), ignore_overflow(fail())):
+        next(work)
+        with pytest.raises(ValueError, match='in the second piece'):
+            next(work)
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        next(ignore_overflow(overflow_twice()))
+        with pytest.raises(RuntimeWarning, match='overflow'):  # between the pieces
+            np.array([1e308]) * 10
+
+
+FRAMES, UNKNOWNS, CORNER = 7, 5, 2
+
+
+def make_system(rng: np.random.Generator, distances: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Blocks, coupling and the dense matrix; frames 3 and 4 are not coupled."""
+    a = rng.normal(size=(FRAMES, UNKNOWNS, UNKNOWNS))
+    blocks = a @ np.swapaxes(a, 1, 2) + 20 * np.eye(UNKNOWNS)
+    diagonal = rng.normal(size=(FRAMES, distances, UNKNOWNS))
+    corners = rng.normal(size=(FRAMES, distances, CORNER, CORNER))
+    dense = np.zeros((FRAMES, UNKNOWNS, FRAMES, UNKNOWNS))
+    for t in range(FRAMES):
+        dense[t, :, t] = blocks[t]
+        for d in range(distances):
+            if t <= 3 < t + d + 1:
+                diagonal[t, d] = corners[t, d] = 0
+            if t + d + 1 < FRAMES:
+                block = np.diag(diagonal[t, d])
+                block[-CORNER:, -CORNER:] += corners[t, d]
+                dense[t + d + 1, :, t], dense[t, :, t + d + 1] = block, block.T
+    return blocks, diagonal, corners, dense.reshape(FRAMES * UNKNOWNS, -1)
+
+
+@pytest.mark.parametrize('distances', [1, 2, 3])
+@pytest.mark.parametrize('held', [(), (0, 3, 4)])
+def test_solution_equals_the_dense_one(rng: np.random.Generator, distances: int, held: tuple[int, ...]) -> None:
+    blocks, diagonal, corners, dense = make_system(rng, distances)
+    is_free = ~np.isin(np.arange(FRAMES), held)
+    factor = BlockCholesky(np.tril(blocks), diagonal, corners, is_free)
+    free = np.repeat(is_free, UNKNOWNS)
+    lower = np.zeros_like(dense)
+    lower[np.ix_(free, free)] = np.linalg.cholesky(dense[np.ix_(free, free)])
+    right = rng.normal(size=(FRAMES, UNKNOWNS, 4))
+    found = factor.solve_lower(right.copy()).reshape(-1, 4)
+    assert lower @ found == pytest.approx(np.where(free[:, None], right.reshape(-1, 4), 0.0), abs=1e-12)
+    found = factor.solve_lower_transposed(right[..., 0])
+    assert lower.T @ found.ravel() == pytest.approx(np.where(free, right[..., 0].ravel(), 0.0), abs=1e-12)
+    assert factor.log_determinant() == pytest.approx(np.linalg.slogdet(dense[np.ix_(free, free)])[1], rel=1e-12)
+
+
+def test_a_matrix_that_is_not_positive_definite_has_no_factor(rng: np.random.Generator) -> None:
+    blocks, diagonal, corners, _ = make_system(rng, 1)
+    for system in ((-blocks, diagonal, corners), (blocks, 100 * diagonal, corners)):
+        with pytest.raises(LinAlgError):
+            BlockCholesky(*system)

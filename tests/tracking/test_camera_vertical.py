@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The vertical of the camera in the tracker and in whole sequences: found, given, forgotten, and of use."""
+"""The vertical of the camera: found, given, contradicted, forgotten, and of use."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import ConfigError
@@ -18,9 +21,13 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequence
+from mocap_ros.people import Person3D
 from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.tracking.vertical_check import LEAST_S, VerticalCheck
 from mocap_ros.units import NS_PER_S
 from tests.support.paths import ROOT
+from tests.support.people import make_person_3d
+from tests.support.upright_body import UPRIGHT
 
 SEQUENCE = load_sequence(ROOT / 'mocap_ros' / 'demo' / 'demo.npz')
 CAMERA = SEQUENCE.intrinsics(1.0)
@@ -108,3 +115,50 @@ def test_a_given_vertical_stays_and_turns_people() -> None:
     assert np.array_equal(given.vertical, np.tile([0.0, -1.0, 0.0], (10, 1)))
     assert given.vertical_std == pytest.approx(np.full(10, math.radians(1)))
     assert np.isnan(none.vertical).all()
+
+
+UP = np.array([0.0, 0.0, 1.0])
+STEP_NS = 100_000_000
+
+
+def make_leaning(angle_deg: float) -> Person3D:
+    """Return a person who leans to the side by an angle."""
+    turn = Rotation.from_rotvec([np.radians(angle_deg), 0, 0])
+    return replace(make_person_3d('anna'), joints=turn.apply(UPRIGHT))
+
+
+def advance(check: VerticalCheck, people: list[Person3D], seconds: float, first: int = 0) -> float | None:
+    found = None
+    for frame in range(first, first + round(seconds * 10)):
+        found = check.advance(frame * STEP_NS, people, UP)
+    return found
+
+
+@given(st.floats(0, 180))
+@settings(max_examples=30)
+def test_the_angle_between_people_and_the_vertical_decides(angle_deg: float) -> None:
+    found = advance(VerticalCheck(), [make_leaning(angle_deg)], LEAST_S + 3)
+    if angle_deg < 33:
+        assert found is None
+    if angle_deg > 47:
+        assert found == pytest.approx(angle_deg, abs=6)  # as the body stands a little behind its feet
+
+
+def test_it_takes_a_while_and_who_stands_among_people_who_lie_confirms_it() -> None:
+    assert advance(VerticalCheck(), [make_leaning(180)], LEAST_S - 0.5) is None
+    assert advance(VerticalCheck(), [make_leaning(90), make_leaning(0)], 20) is None
+    unsure = replace(make_leaning(180), tentative=True), replace(make_leaning(180), predicted=True)
+    assert advance(VerticalCheck(), [*unsure], 20) is None
+    check = VerticalCheck()
+    assert advance(check, [make_leaning(0)], 10) is None
+    assert advance(check, [make_leaning(90)], 5, 100) is None, 'a person who lies down'
+    assert advance(check, [make_leaning(90)], 60, 150) is not None
+
+
+def test_it_holds_at_any_rate_and_begins_anew_with_the_stamps() -> None:
+    lying = [make_leaning(180)]
+    for hz in (1, 2, 5, 200):
+        check = VerticalCheck()
+        assert [check.advance(i * 10**9 // hz, lying, UP) for i in range(10 * hz)][-1] is not None
+    assert check.advance(0, lying, UP) is None, 'the stamps began anew'
+    assert not any(VerticalCheck().advance(t, lying, UP) for t in range(0, 10**12, 60 * 10**9))

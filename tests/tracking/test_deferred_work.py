@@ -105,17 +105,6 @@ def test_the_work_that_is_latest_in_proportion_to_its_interval_begins(
     assert choose(new, later, ('moving', LATE, NOW - S, 0.1)) == ('moving', False), 'two of half a second'
 
 
-def test_only_certain_people_of_the_newest_frame_are_checked(
-    known: Track, track: Track, models: dict[str, BasePoses]
-) -> None:
-    work, due = (
-        DeferredWork(HypothesisChecker(models, CONFIG), ('jump', 'walk'), 0.5),
-        with_schedule(known, 'b', 0, 0),
-    )
-    work.advance([track, change(due, stamps_ns=(0, NOW - STEP_NS)), change(due, is_tentative=True)], NOW)
-    assert work.begun is None
-
-
 def test_a_frame_is_followed_by_as_many_slices_as_the_budget_allows(known: Track) -> None:
     checker = IdleChecker({}, CONFIG)
     work, track = DeferredWork(checker, ('walk',), 0.5), with_schedule(known, 'ann', 0, LATE)

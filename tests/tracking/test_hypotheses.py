@@ -3,7 +3,6 @@
 
 """Tests of the hypothesis checks: what replaces a solution, and what does not."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 
 import mocap_ros.tracking.hypotheses as hypotheses_module
 from mocap_ros.config import Config, with_settings
-from mocap_ros.errors import InputError
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
@@ -176,26 +174,3 @@ def test_a_short_section_is_enough_for_who_has_walked_before(track: Track, check
     assert (classification.motion.kind, classification.periodic_model_name) == (MotionKind.PERIODIC, 'walk')
     assert checker.still_repeats(walked, classification)
     assert checker.still_repeats(walked, other), 'other motion need not repeat itself'
-
-
-@pytest.mark.parametrize(('speed_up', 'likeliest'), [(1.0, 'walk'), (3.0, 'run')])
-def test_the_model_of_people_who_move_as_fast_is_fitted_first(
-    track: Track, checker: HypothesisChecker, monkeypatch: pytest.MonkeyPatch, speed_up: float, likeliest: str
-) -> None:
-    fitted: list[str] = []
-
-    def refuse(_window: object, models: Mapping[str, BasePoses], *_: object) -> None:
-        fitted.extend(models)
-        raise InputError('not to be fitted')
-
-    monkeypatch.setattr(hypotheses_module, 'fit_periodic_stepwise', refuse)
-    walk = checker.models['walk']
-    config = with_settings(CONFIG, {'classifier.section': 1.2})
-    checker = HypothesisChecker({'run': walk, 'walk': walk, 'all': walk}, config)
-    solution = replace(track.solved, model_name='all', theta=speed_up * track.solved.theta)
-    for count in range(8):
-        classified = change(track, solution=solution)
-        classified.schedule.classification_count = count
-        finish(checker.classify_motion(classified))
-    assert fitted.count(likeliest) == 6, 'the other one in one of four classifications'
-    assert len(fitted) == 8

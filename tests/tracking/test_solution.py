@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Solutions of a track: states in the real camera, kept frames and other models."""
+"""Solutions of a track: interpolated, of another model, moved on, and refined in their newest frames."""
 
 from dataclasses import replace
 
@@ -10,20 +10,28 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from mocap_ros.config import SolverConfig
+from mocap_ros.engine.refinement import NewestFrames
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.joint import JointReconstruction
 from mocap_ros.solvers.observed_window import ObservedWindow
-from mocap_ros.solvers.window import SolverStatus
-from mocap_ros.tracking.solution import (
-    TrackSolution,
-    select_start,
+from mocap_ros.solvers.window import Array, SolverStatus
+from mocap_ros.tracking.refinement import (
+    EXTRAPOLATION_SHARE,
+    MAX_EXTRAPOLATION_STEPS,
+    collect_newest_frames,
+    refine,
 )
+from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
 from tests.support.synthetic_walk import BODY_TO_OPTICAL
-from tests.support.tracks import CAMERA, make_track
+from tests.support.tracks import CAMERA, STEP_NS, make_track
 
 FRAMES, COMPONENTS = 9, 3
+FIRST, FIXED = 5, 1  # frame that a refinement begins with, and how many of its frames stay
+STATES = 'theta', 'rotation', 'roots', 'bone_lengths', 'frame_residuals'
 ALL = np.arange(FRAMES)
 
 
@@ -37,31 +45,24 @@ def truth(model: BasePoses) -> TrackSolution:
     """A person off the optical axis, who moves, turns and bends at constant rates."""
     number = np.arange(float(FRAMES))
     theta = 0.1 * number[:, None] * model.std
-    return TrackSolution(
-        model_name='walk',
-        model=model,
-        theta=theta,
-        rotation=Rotation.from_rotvec(number[:, None] * [0.01, 0.04, 0.0]).as_matrix() @ BODY_TO_OPTICAL,
-        roots=np.array([1.5, -0.3, 4.0]) + number[:, None] * [0.02, 0.01, 0.05],
-        bone_lengths=model.skeleton.bone_lengths(model.poses(theta)),
-        noise=0.01,
-        stature_ratio=1.0,
-        joint_std=np.full(15, 0.02),
-        residual=0.01,
-        frame_residuals=np.full(len(number), 2.0),
-    )
+    rotation = Rotation.from_rotvec(number[:, None] * [0.01, 0.04, 0.0]).as_matrix() @ BODY_TO_OPTICAL
+    roots = np.array([1.5, -0.3, 4.0]) + number[:, None] * [0.02, 0.01, 0.05]
+    lengths, residuals = model.skeleton.bone_lengths(model.poses(theta)), np.full(FRAMES, 2.0)
+    fit = 0.01, 1.0, np.full(15, 0.02), 0.01
+    return TrackSolution('walk', model, theta, rotation, roots, lengths, residuals, *fit)
 
 
-@pytest.fixture(scope='module')
+@pytest.fixture
 def track(truth: TrackSolution) -> Track:
-    """The track of this person's image, without a solution."""
-    return make_track(CAMERA.project(truth.compute_joints(ALL) + truth.roots[:, None]))
+    """The track of this person's image, of which all frames but the newest are solved."""
+    track = make_track(CAMERA.project(truth.compute_joints(ALL) + truth.roots[:, None]))
+    track.solution = keep(truth, FRAMES - 1)
+    return track
 
 
 def keep(truth: TrackSolution, frames: int) -> TrackSolution:
     """Return the solution of the first frames."""
-    names = ('theta', 'rotation', 'roots', 'bone_lengths', 'frame_residuals')
-    return replace(truth, **{name: getattr(truth, name)[:frames] for name in names})
+    return replace(truth, **{name: getattr(truth, name)[:frames] for name in STATES})
 
 
 def reconstruct(
@@ -69,7 +70,6 @@ def reconstruct(
     model: BasePoses,
     observed: ObservedWindow,
     frames: NDArray[np.intp] | slice,
-    noise: float = 0.03,
 ) -> JointReconstruction:
     """Return the true states of some frames as a solver returns them, in the image of the virtual camera."""
     to_virtual = observed.virtual_camera.rotation
@@ -85,13 +85,13 @@ def reconstruct(
         status=SolverStatus.CONVERGED,
         history=(2e-4, 1e-4),
         iterations=1,
-        noise=noise,
+        noise=0.03,
         joint_std=np.full(15, 0.04),
     )
 
 
 def assert_states(solution: TrackSolution, truth: TrackSolution, frames: slice = slice(None)) -> None:
-    for name in ('theta', 'rotation', 'roots', 'bone_lengths'):
+    for name in STATES[:4]:
         assert getattr(solution, name)[frames] == pytest.approx(getattr(truth, name)[frames], abs=1e-9), name
 
 
@@ -157,12 +157,111 @@ def test_newer_frames_move_as_the_person_has_moved(truth: TrackSolution, walk_mo
     )
 
 
-def test_a_check_gets_the_solution_in_the_virtual_camera(
+def collect(track: Track, fixed_frames: int = FIXED) -> NewestFrames:
+    return collect_newest_frames([track], [(FIRST, fixed_frames)], track.solved.model)
+
+
+def predict(track: Track) -> tuple[Array, Array, float]:
+    """Return theta (K,), rotation (3, 3) and depth in m that are predicted for the newest frame."""
+    found = collect_newest_frames([track], [(len(track.solved.theta), 0)], track.solved.model)
+    rotation = track.observed.virtual_camera.rotation.T @ found.rotation[-1]
+    return found.theta[-1], rotation, float(CAMERA.focal / (found.units[0] * np.exp(found.log_scale[-1])))
+
+
+@pytest.mark.parametrize('step', [0.5, 1.0, 1.5, 5.0])
+def test_a_new_frame_starts_where_the_last_movement_leads(
+    step: float, truth: TrackSolution, model: BasePoses, track: Track
+) -> None:
+    track.stamps_ns = *track.stamps_ns[:-1], track.stamps_ns[-2] + round(step * STEP_NS)
+    theta, rotation, depth = predict(track)
+    share = EXTRAPOLATION_SHARE * min(step, MAX_EXTRAPOLATION_STEPS)
+    root = truth.roots[-2] + share * np.array([0.02, 0.01, 0.05])
+    assert theta == pytest.approx(truth.theta[-2] + share * 0.1 * model.std, abs=1e-8)
+    assert depth == pytest.approx(track.observed.virtual_camera.rotation[2] @ root)
+    turned = Rotation.from_matrix(rotation @ truth.rotation[-2].T).as_rotvec()
+    assert turned == pytest.approx(share * np.array([0.01, 0.04, 0.0]), abs=1e-8)
+
+
+def test_no_person_is_expected_behind_the_camera(truth: TrackSolution, track: Track) -> None:
+    """At a few frames a second somebody who comes towards the camera and stops would be."""
+    roots = np.array([[0.3, 0.1, 2.0], [0.1, 0.1, 0.8]])
+    track.solution, track.stamps_ns = replace(keep(truth, 2), roots=roots), (0, STEP_NS, 2 * STEP_NS)
+    root = roots[1] + (roots[1] - roots[0]) / 3
+    assert predict(track)[2] == pytest.approx(track.observed.virtual_camera.rotation[2] @ root)
+
+
+def test_after_a_single_solved_frame_the_person_stays(truth: TrackSolution, track: Track) -> None:
+    track.solution = keep(truth, 1)
+    theta, rotation, depth = predict(track)
+    np.testing.assert_array_equal(theta, truth.theta[0])
+    assert rotation == pytest.approx(truth.rotation[0], abs=1e-12)
+    assert depth == pytest.approx(track.observed.virtual_camera.rotation[2] @ truth.roots[0])
+
+
+def test_with_a_lifter_a_new_frame_starts_from_its_lifted_pose(model: BasePoses, track: Track) -> None:
+    depth, turn = track.solved.roots[-1, 2], Rotation.from_rotvec([0.0, 1.0, 0.0]).as_matrix()
+    pose = 0.7 * model.poses(track.solved.theta[-1] + 0.2 * model.std) @ turn.T / depth
+    lifted, plain = np.zeros((FRAMES, 15, 3)), collect(track)
+    lifted[-1] = pose - pose.mean(axis=0)
+    # along the real camera's axes, in the units of rays
+    track.observed = replace(track.observed, lifted=LiftedPoses(lifted, np.full_like(lifted, 0.001)))
+    started = collect(track)
+    joints = model.poses(started.theta[-1]) @ started.rotation[-1].T
+    size = np.linalg.norm(started.lifted[-1]) / np.linalg.norm(joints)
+    assert np.abs(size * joints - started.lifted[-1]).max() < 0.05 * np.abs(started.lifted[-1]).max()
+    np.testing.assert_array_equal(started.log_scale, plain.log_scale)
+    np.testing.assert_array_equal(started.theta[:-1], plain.theta[:-1])
+    assert started.precision == pytest.approx(np.full_like(started.precision, 0.01**-2))
+    lifted[-1, 3, 1] = np.nan  # too few joints were seen for the lifter
+    without = collect(track)
+    np.testing.assert_array_equal(without.theta, plain.theta)
+    np.testing.assert_array_equal(without.rotation, plain.rotation)
+    assert (without.precision[-1, 3, 1], without.lifted[-1, 3, 1]) == (0, 0)
+
+
+def test_a_solver_gets_the_solution_in_the_virtual_camera(
     truth: TrackSolution, model: BasePoses, track: Track
 ) -> None:
-    frames = np.array([1, 4, 8])
-    _, start = select_start(track.observed, truth, frames)
-    expected = reconstruct(truth, model, track.observed, frames)
-    assert start.theta == pytest.approx(expected.theta)
-    assert start.cameras.scale == pytest.approx(expected.cameras.scale)
-    assert start.cameras.rotation == pytest.approx(expected.cameras.rotation)
+    found, to_virtual, solved = collect(track), track.observed.virtual_camera.rotation, slice(FIRST, FRAMES - 1)
+    roots = truth.roots @ to_virtual.T
+    np.testing.assert_array_equal(found.theta[:-1], truth.theta[solved])
+    assert found.units[0] * np.exp(found.log_scale[:-1]) == pytest.approx(CAMERA.focal / roots[solved, 2])
+    assert found.rotation[:-1] == pytest.approx(to_virtual @ truth.rotation[solved])
+    assert found.image == pytest.approx(track.observed.points[FIRST:] / found.units[0])
+    assert found.focal == pytest.approx(np.full(FRAMES - FIRST, CAMERA.focal / found.units[0]))
+    assert found.times == pytest.approx(np.arange(FIRST, FRAMES) / 30)
+    assert (found.is_free.tolist(), found.earlier_frames.tolist()) == ([False, True, True, True], [FIRST])
+    lengths = model.skeleton.bone_lengths(model.poses(truth.theta[:FIRST])).mean(axis=0)
+    assert found.earlier_lengths[0] == pytest.approx(lengths)
+    free = collect(track, fixed_frames=0)
+    assert (free.is_free.tolist(), free.earlier_frames.tolist()) == ([True] * 4, [0])
+
+
+def test_a_refinement_replaces_the_newest_states_and_no_others(
+    truth: TrackSolution, model: BasePoses, track: Track
+) -> None:
+    """What the solver found is the truth, in the image of the virtual camera; before, all was wrong."""
+    newest, to_virtual, old = collect(track), track.observed.virtual_camera.rotation, track.solved
+    rotation, roots = to_virtual @ truth.rotation[FIRST:], truth.roots[FIRST:] @ to_virtual.T
+    joints, scale = model.poses(truth.theta[FIRST:]) @ np.swapaxes(rotation, 1, 2), CAMERA.focal / roots[:, 2]
+    wrong = old.theta + 1, old.rotation[::-1].copy(), old.roots + 2, old.bone_lengths + 3, old.frame_residuals
+    translation = CAMERA.focal * roots[:, :2] / roots[:, 2:]
+    body_px = np.sqrt((joints[-1, :, :2] ** 2).sum(axis=1).mean()) * scale[-1]
+    for residual, rms in (([np.nan, 3.0, np.nan, 4.0], np.sqrt(12.5)), ([np.nan] * 4, np.nan)):
+        found = truth.theta[FIRST:], rotation, joints, scale, translation, np.array(residual)
+        camera, per_bone = (CAMERA.focal, to_virtual), model.skeleton.stature_per_bone
+        *states, stature, fit = newest.finish(0, FIXED, *camera, *wrong, *found, per_bone)
+        for name, value, before in zip(STATES[:4], states, wrong, strict=False):
+            assert value[FIRST + 1 :] == pytest.approx(getattr(truth, name)[FIRST + 1 :], abs=1e-9), name
+            np.testing.assert_array_equal(value[: FIRST + 1], before[: FIRST + 1])
+        np.testing.assert_array_equal(states[4], [2.0] * FIRST + residual)
+        assert stature == pytest.approx((states[3] @ per_bone).mean(), rel=1e-12)
+        assert fit == pytest.approx(rms / body_px, nan_ok=True)
+
+
+def test_the_noise_is_averaged_over_the_window(model: BasePoses, track: Track) -> None:
+    config = replace(SolverConfig(), max_iterations=2)
+    noise = {n: refine([track], [(FIRST, n)], model, config)[0].noise ** 2 for n in (0, FIXED)}
+    share = np.exp(-4 / 9)  # of the old noise: 4 of 9 frames were solved
+    assert noise[FIXED] - share * track.solved.noise**2 < (1 - share) * 0.01**2
+    assert noise[0] < noise[FIXED]

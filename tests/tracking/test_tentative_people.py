@@ -47,17 +47,6 @@ def describe(people: tuple[Person3D, ...]) -> list[tuple[str, str]]:
     return [(p.id, 'tentative' if p.tentative else 'predicted' if p.predicted else 'seen') for p in people]
 
 
-@pytest.mark.parametrize('step_s', [1 / 30, 0.2, 1.0])
-def test_a_new_person_is_tentative_under_the_id_that_stays(tracker: Tracker, points: Array, step_s: float) -> None:
-    seen = [describe(tracker.update(round(f * step_s * 1e9), [see(points[0])], CAMERA)) for f in range(4)]
-    assert seen == [[('person_1', 'tentative')]] * 2 + [[('person_1', 'seen')]] * 2
-
-
-def test_where_frames_are_too_rare_people_are_not_tentative(tracker: Tracker, points: Array) -> None:
-    seen = [describe(tracker.update(f * 1_500_000_000, [see(points[0])], CAMERA)) for f in range(3)]
-    assert seen == [[('person_1', 'tentative')], [('person_1', 'seen')], [('person_1', 'seen')]]
-
-
 def test_a_tentative_person_is_never_predicted_and_costs_no_deferred_work(tracker: Tracker, points: Array) -> None:
     ghosts = 0
     for frame in range(12):
@@ -114,25 +103,3 @@ def test_fragments_and_new_ids_make_no_people(tracker: Tracker, points: Array, n
         detections, people = detections + len(seen), people + len(published)
     assert detections > 1.1 * people
     assert tracker.unusable_people == detections - people
-
-
-def test_an_id_given_anew_in_every_frame_is_one_person(tracker: Tracker, points: Array) -> None:
-    for frame in range(30):
-        moved = points[frame] + [4.0 * frame, 0]
-        (person,) = tracker.update(frame * STEP_NS, [see(moved, f'new_{frame}')], CAMERA)
-        assert (person.id, person.tentative) == ('new_0', frame < 2)
-
-
-@pytest.mark.parametrize('ids', [('', ''), ('ann', 'bob')])
-def test_people_who_cross_keep_their_ids(tracker: Tracker, points: Array, ids: tuple[str, str]) -> None:
-    """Two people of one size in different poses walk through each other, one of them hidden for a while."""
-    other = points[::-1] * [-1, 1] + [640, 0]
-    for frame in range(FRAMES):
-        x = 6.0 * (frame - FRAMES / 2)
-        bodies = {'ann': points[frame] + [x, 0], 'bob': other[frame] - [x, 0]}
-        present = ['ann', 'bob'] if frame not in range(26, 34) else ['ann']
-        seen = [see(bodies[n], i) for n, i in zip(('ann', 'bob'), ids, strict=True) if n in present]
-        people = tracker.update(frame * STEP_NS, seen, CAMERA)
-        known = ids if ids[0] else ('person_1', 'person_2')
-        assert [p.id for p in people] == list(known), frame
-        assert [p.predicted for p in people] == [False, len(present) == 1]

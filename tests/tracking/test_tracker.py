@@ -61,18 +61,6 @@ def test_a_walk_is_reconstructed(walk_model: BasePoses, walk: Walk) -> None:
     assert person.core.mean(axis=0)[:2] == pytest.approx([0, 0], abs=0.05)
 
 
-def test_two_people_keep_their_ids_when_the_detector_reorders_them(walk_model: BasePoses, walk: Walk) -> None:
-    tracker, points = Tracker(walk_model, CONFIG), walk[2] + np.random.default_rng(0).normal(0, 2, walk[2].shape)
-    for frame, stamp_ns in enumerate((0, 1_000_000, 35_000_000, 68_000_000)):  # the first two are 1 ms apart
-        order = slice(None, None, -1 if frame % 2 else 1)
-        out = tracker.update(stamp_ns, people(points, frame, ('', ''))[order], CAMERA)
-        assert [p.id for p in out] == ['person_1', 'person_2'][order]
-    for frame in range(4, 8):
-        ids = ('ann', 'bob')[:: -1 if frame % 2 else 1]
-        named = tracker.update(10**10 + frame * STEP_NS, people(points, frame, ids, apart=0.0), CAMERA)
-        assert tuple(p.id for p in named) == ids, 'also at one position'
-
-
 def test_old_and_repeated_stamps_are_dropped_and_change_nothing(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     plain, disturbed = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
@@ -197,21 +185,6 @@ def test_with_a_lag_every_visit_is_output_once_in_order_to_its_end(
     assert stamps_ns == sorted(stamps_ns)
     assert list(shown) == [*range(5, 25), *range(30, 60)]
     assert {frame - first for first, frame in shown.items()} <= {delay - 1, delay, delay + 1}
-
-
-def test_an_id_given_to_another_person_hides_no_frame_that_waits(walk_model: BasePoses, walk: Walk) -> None:
-    _, _, points, _ = walk
-    tracker = Tracker(walk_model, with_settings(CONFIG, {'tracker.lag': 0.5}))
-    shown_x = {}
-    for frame in range(60):
-        shift = 4000.0 if frame >= 30 else 0.0
-        seen = [Person2D('1', CMU15.joints, points[frame % 40] + [shift, 0], np.ones(15))]
-        out = tracker.update(frame * STEP_NS, seen, CAMERA)
-        if out:
-            assert [p.id for p in out] == ['1']
-            shown_x[tracker.output_stamp_ns // STEP_NS] = out[0].translation[0] - CAMERA.center[0]
-    assert sorted(shown_x) == list(range(45))
-    assert all((x > 2000) == (frame >= 30) for frame, x in shown_x.items())
 
 
 @pytest.mark.parametrize('lens', [Distortion(), Distortion('plumb_bob', (-0.2, 0.05, 0.001, -0.002, 0.0))])

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Training examples: offsets of a detector are fixed to the trunk, and the target knows nothing of them."""
+"""Training examples: synthetic postures, errors of synthetic detectors, and targets that know nothing of them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.skeleton import BODY26, CORE_COUNT
+from mocap_ros.models.lifter_input import HISTORY_SLOTS_S, JOINT_COUNT, MIRROR_PERMUTATION
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 from mocap_ros.training import synthesis
+from mocap_ros.training.detector_errors import SWAP_SHARE, DetectorErrors
 from mocap_ros.training.motion_library import MotionLibrary, balance_trials
+from mocap_ros.training.postures import POSTURES, joint_indices, take_postures
+from mocap_ros.training.random_arrays import Array, RandomArrays
 from mocap_ros.training.synthesis import ExampleSynthesiser
 
 EXAMPLES = 64
@@ -76,3 +80,99 @@ def test_shares_follow_the_formula() -> None:
     shares = balance_trials(['golf', 'golf', 'golf', 'dance'], ['a', 'a', 'b', 'a'], [100, 300, 900, 2500])
     expected = np.array([20 / 4, 20 * 3 / 4, 30, 50])
     assert shares == pytest.approx(expected / expected.sum())
+
+
+DRAWN_POSTURES = 2000
+KNEELING = 2  # index in `POSTURES`
+
+
+@pytest.fixture(scope='module')
+def standing(walk_model: BasePoses) -> Array:
+    """Bone vectors of the same standing person in all examples."""
+    root = BODY26.parents.index(-1)
+    parents = [root if p < 0 else p for p in BODY26.parents]
+    body = np.pad(walk_model.mean, [(0, len(parents) - CORE_COUNT), (0, 0)])
+    for side in 'lr':
+        body[BODY26.index(side + 'toe')] = body[BODY26.index(side + 'ankle')] + [0.15, 0, -0.05]
+        body[BODY26.index(side + 'hand')] = body[BODY26.index(side + 'wrist')] + [0, 0, -0.08]
+    vectors = (body - body[parents]).astype(np.float32)
+    return np.broadcast_to(vectors, (DRAWN_POSTURES, len(HISTORY_SLOTS_S), *vectors.shape)).copy()
+
+
+@pytest.fixture(scope='module')
+def taken(standing: Array) -> Array:
+    return take_postures(standing, RandomArrays(3))
+
+
+def find_shanks(vectors: Array) -> Array:
+    """Directions (N, 2, 3) of the shanks in the newest frame."""
+    shanks = vectors[:, 0, joint_indices('lankle', 'rankle')]
+    return np.asarray(shanks / np.linalg.norm(shanks, axis=-1, keepdims=True))
+
+
+def test_bones_keep_their_lengths(standing: Array, taken: Array) -> None:
+    longer = np.linalg.norm(taken, axis=-1) - np.linalg.norm(standing, axis=-1)
+    assert np.abs(longer).max() < 1e-5
+
+
+def test_people_kneel_with_shanks_on_the_floor_behind_them(standing: Array, taken: Array) -> None:
+    shares = np.array([p.share for p in POSTURES])
+    assert POSTURES[KNEELING].shank[1] < -60
+    level = find_shanks(taken)[..., 2].mean(axis=1) > -np.sin(np.radians(35))
+    kneeling = level & (taken != standing).any(axis=(1, 2, 3))
+    low = shares[KNEELING:].sum()  # these and those who sit on their heels or are on all fours
+    assert kneeling.mean() == pytest.approx(low, abs=0.25 * low)
+    assert (find_shanks(taken[kneeling])[..., 0] < 0).mean() > 0.95, 'behind the knee'
+    toes = taken[kneeling][:, 0, joint_indices('ltoe', 'rtoe')]
+    assert (toes[..., 2] < 0.1).all(), 'm, not above the ankle'
+
+
+DETECTIONS = 400
+SLOTS = len(HISTORY_SLOTS_S)
+ALWAYS = np.ones((DETECTIONS, SLOTS), bool)
+NEVER_PRECISE = np.zeros(DETECTIONS, bool)
+NO_DEPTH = np.zeros((DETECTIONS, JOINT_COUNT), np.float32)
+ALL_JOINTS = np.ones((DETECTIONS, JOINT_COUNT), bool)
+LIMBS = tuple(name for name in CMU15.joints if name not in ('head', 'neck', 'pelvis'))
+
+
+@pytest.fixture
+def errors() -> DetectorErrors:
+    return DetectorErrors(RandomArrays(0))
+
+
+def make_image() -> Array:
+    return np.zeros((DETECTIONS, SLOTS, JOINT_COUNT, 2), np.float32)
+
+
+def test_a_swap_exchanges_points_with_their_scores(errors: DetectorErrors) -> None:
+    number = np.broadcast_to(np.arange(JOINT_COUNT, dtype=np.float32), (DETECTIONS, SLOTS, JOINT_COUNT))
+    image, score = errors._swap_sides(np.stack([number, -number], axis=-1), number / np.float32(100))
+    np.testing.assert_array_equal(image[..., 0], -image[..., 1])
+    np.testing.assert_allclose(score, image[..., 0] / 100, rtol=1e-6)
+    swapped = image[..., 0] != number
+    assert np.isin(image[..., 0], number).all()
+    np.testing.assert_array_equal(
+        image[..., 0][swapped], np.broadcast_to(MIRROR_PERMUTATION, swapped.shape)[swapped]
+    )
+    share = swapped.any(axis=(1, 2)).mean()
+    assert 0.75 * SWAP_SHARE < share < 1.25 * SWAP_SHARE
+
+
+def test_detections_are_near_the_truth_where_they_are_seen(errors: DetectorErrors) -> None:
+    found, score = errors.detect(make_image(), NO_DEPTH, ALWAYS, ALL_JOINTS, NEVER_PRECISE)
+    seen = score > 0
+    assert found.shape == (DETECTIONS, SLOTS, JOINT_COUNT, 2)
+    assert ((score >= 0) & (score <= 1)).all()
+    assert 0.6 < seen[..., joint_indices(*LIMBS)].mean() < 0.95
+    assert 0.01 < np.median(np.abs(found[seen])) < 0.03, 'm'
+
+
+def test_a_state_is_kept_from_slot_to_slot(errors: DetectorErrors) -> None:
+    share, length = 0.3, 0.5
+    shares = np.full((20 * DETECTIONS, JOINT_COUNT), share, np.float32)
+    inside = errors._draw_times(shares, np.full((20 * DETECTIONS, 1), length, np.float32))
+    newer, older = inside[:, 0], inside[:, -1]
+    keep = np.exp(-HISTORY_SLOTS_S[-1] / (length * (1 - share)))
+    assert older[newer].mean() == pytest.approx(share + (1 - share) * keep, abs=0.01)
+    assert older[~newer].mean() == pytest.approx(share - share * keep, abs=0.01)

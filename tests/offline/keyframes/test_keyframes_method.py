@@ -14,12 +14,11 @@ from mocap_ros.bags.reader import is_bag
 from mocap_ros.cli.main import main
 from mocap_ros.config import Config, with_settings
 from mocap_ros.demo.scene import make_recording
-from mocap_ros.formats.sequence_file import load_sequence, save_sequence
+from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.keyframes.keyframe_method import reconstruct
 from mocap_ros.skeleton import CMU15
-from tests.support.evaluation_data import shared
 from tests.support.swinging_body import make_swinging_body
 
 CAMERA = Intrinsics(900.0, (640.0, 360.0), is_focal_known=True)
@@ -152,18 +151,3 @@ def test_bad_input_is_one_line(
     assert main([str(bag) if a == 'BAG' else a for a in arguments]) == 1
     error = capsys.readouterr().err.splitlines()[-1]
     assert message in error
-
-
-def test_real_detections_are_reconstructed() -> None:
-    """Reconstruct real detections of one camera, and compare them with the measured 3D joints."""
-    one = load_sequence(shared('data/detections/balance_openpose_cam1.npz'))
-    result = reconstruct(
-        one.keypoints, one.joint_names, one.timestamps, one.intrinsics(1.0), MODELS, CONFIG
-    ).result
-    assert np.isfinite(result.joints).all()
-    assert one.truth is not None
-    names = [n for n in one.truth.joint_names if n in CMU15.joints and n not in ('head', 'neck', 'pelvis')]
-    mine = [CMU15.index(n) for n in names]
-    theirs = [one.truth.joint_names.index(n) for n in names]
-    known = np.isfinite(one.truth.joints[:, theirs]).all(axis=(1, 2))
-    assert compute_mpjpe(result.joints[known][:, mine], one.truth.joints[known][:, theirs]) < 1.1 * 82.1  # mm

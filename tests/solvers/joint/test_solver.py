@@ -7,8 +7,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocap_ros.config import SolverConfig
@@ -70,32 +68,6 @@ def test_lifted_poses_give_their_weights_and_cameras(
     assert found.scale == pytest.approx(np.full(30, scale), rel=0.01)
     assert found.theta == pytest.approx(theta, abs=0.02)
     assert found.rotation == pytest.approx(rotation, abs=0.02)
-
-
-@settings(max_examples=25)
-@given(
-    weights=st.fixed_dictionaries(
-        {
-            'bone_weight': st.floats(0, 100),
-            'prior_weight': st.floats(0, 1e-2),
-            'flip_weight': st.floats(0, 1),
-            'smooth_weight': st.floats(0, 1e-2),
-            'robust_scale': st.sampled_from([0.0, 0.01, 0.1]),
-        }
-    ),
-    seed=st.integers(0, 1000),
-    noise=st.floats(0, 300),
-)
-def test_objective_never_rises(
-    walk_model: BasePoses,
-    weights: dict[str, float],
-    seed: int,
-    noise: float,
-) -> None:
-    config = SolverConfig(components=8, max_iterations=15, **weights)  # type: ignore[arg-type]
-    (result,) = joint.solve([window(walk_model, 12, seed, noise)], walk_model, config)
-    assert (np.diff(result.history) <= 0).all()
-    assert np.isfinite(result.joints).all()
 
 
 def test_a_batch_gives_what_each_sequence_gives_alone(walk_model: BasePoses) -> None:

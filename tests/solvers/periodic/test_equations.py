@@ -138,15 +138,6 @@ def test_matrix_of_the_cameras_is_that_of_the_squares(unseen: tuple[PeriodicObje
     assert found == pytest.approx(expected, abs=1e-8 * np.abs(expected).max())
 
 
-def test_a_point_stays_when_another_one_is_measured(
-    seen: tuple[PeriodicObjective, Point], rng: np.random.Generator
-) -> None:
-    objective, point = seen
-    before = [np.copy(values) for values in (*point.cameras, *point.body)]
-    objective.measure(point.series, point.cameras._replace(translation=rng.normal(size=(FRAMES, 2))))
-    assert all(map(np.array_equal, (*point.cameras, *point.body), before))
-
-
 @pytest.mark.parametrize('damping', [0.0, 0.3])
 def test_step_solves_the_equations_in_which_the_cameras_are_not_eliminated(
     seen: tuple[PeriodicObjective, Point], damping: float
