@@ -44,7 +44,7 @@ def test_message_definitions_in_the_package_link_to_their_only_home() -> None:
 
 @pytest.mark.ros
 @pytest.mark.slow
-def test_colcon_builds_both_packages(tmp_path: Path) -> None:
+def test_colcon_builds_both_packages(tmp_path: Path, quick_compiler: dict[str, str]) -> None:
     tools = Path(sys.executable).parent
     path = os.pathsep.join([str(tools), os.environ['PATH']])
     if not shutil.which('colcon', path=path):
@@ -55,7 +55,7 @@ def test_colcon_builds_both_packages(tmp_path: Path) -> None:
     workspace = tmp_path / 'workspace'
     shutil.copytree(ROOT, workspace, symlinks=True, ignore=ignore_what_is_not_built)
     prefixes = os.environ.get('AMENT_PREFIX_PATH', sys.prefix)
-    env = {**os.environ, 'PATH': path, 'AMENT_PREFIX_PATH': prefixes, 'HOME': str(tmp_path)}
+    env = {**os.environ, **quick_compiler, 'PATH': path, 'AMENT_PREFIX_PATH': prefixes, 'HOME': str(tmp_path)}
     build = subprocess.run(
         ['colcon', 'build'],
         cwd=workspace,

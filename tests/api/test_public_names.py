@@ -111,16 +111,6 @@ def test_type_checkers_know_the_same_names_from_the_same_modules() -> None:
     assert {node.module: tuple(alias.name for alias in node.names) for node in imports} == mocap_ros._MODULES
 
 
-@pytest.mark.parametrize('name', [n for n in PUBLIC if inspect.isclass(getattr(mocap_ros, n))])
-def test_public_members_are_documented(name: str) -> None:
-    value = getattr(mocap_ros, name)
-    documentation = inspect.getdoc(value) or ''
-    assert documentation
-    for member in () if issubclass(value, enum.Enum | Exception) else list_members(name):
-        is_field = member in getattr(value, '__dataclass_fields__', {})
-        assert f' {member}: ' in documentation if is_field else inspect.getdoc(getattr(value, member)), member
-
-
 def test_importing_the_package_imports_no_library_and_using_it_no_matplotlib() -> None:
     code = (
         'import mocap_ros, sys; dir(mocap_ros); print(*sys.modules);'

@@ -58,10 +58,7 @@ def test_a_repeated_time_drops_the_frame(keypoints: np.ndarray) -> None:
     ('arguments', 'kind', 'place'),
     [
         ({'joint_names': 'coco'}, mocap_ros.SkeletonError, 'joint_names: unknown'),
-        ({'joint_names': ['a', 'b']}, mocap_ros.SkeletonError, 'joint_names: '),
-        ({'joint_names': 5}, mocap_ros.InputError, 'joint_names: 5, expected names'),
         ({'image_size': (0, 480)}, mocap_ros.InputError, 'image_size: 0 x 480 px'),
-        ({'camera_matrix': np.eye(4)}, mocap_ros.InputError, 'camera_matrix: shape'),
         ({'distortion': [0.1] * 4}, mocap_ros.InputError, 'distortion: needs a camera_matrix'),
         ({'model': 'dance'}, mocap_ros.ModelError, 'model: '),
         ({'parameters': {'tracker.lag': 'long'}}, mocap_ros.ConfigError, 'parameters: tracker.lag'),
@@ -79,11 +76,8 @@ def test_a_wrong_argument_of_the_tracker_is_one_error_that_names_it(
     ('change', 'place'),
     [
         ({'time_s': -1.0}, r'time_s: -1\.0'),
-        ({'time_s': np.nan}, 'time_s: nan'),
         ({'time_s': 1.7e12}, 'time_s: 1700000000000'),
         ({'time_s': 'now'}, "time_s: 'now'"),
-        ({'time_s': True}, 'time_s: True'),
-        ({'people': np.zeros((17, 3))}, r'people: shape \(17, 3\), expected \(17, 17, 3\)'),
         ({'people': np.zeros((1, 18, 3))}, r'people: shape \(1, 18, 3\), expected \(1, 17, 3\)'),
         ({'people': [np.zeros((17, 3)), np.zeros((18, 3))]}, 'people: rows of different lengths'),
         ({'people': np.full((1, 17, 3), 0.5)}, r'people\[0\]: x, y: looks normalised'),

@@ -10,17 +10,13 @@ from pathlib import Path
 from mocap_ros.bags.journal import Entry, Journal, Verdict, decode_entry, encode_entry, read_run
 from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import Recorder
-from mocap_ros.bags.recovery import recover
 from mocap_ros.bags.rosbag2 import make_topic
-from mocap_ros.bags.topics import Source, make_repeat_keys
 from mocap_ros.config import RecorderConfig
 from mocap_ros.config.defaults import Value
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.messages.transforms import TRANSFORMS
 from tests.support.bag_writing import START_NS, STEP_NS, make_keypoints
 from tests.support.camera_infos import camera_info
-from tests.support.transforms import make_transforms
 
 INPUTS = ('/camera_info', '/keypoints')
 FRAMES, SKIPPED, RESET_AFTER = 30, 14, 24  # images, and the images that are skipped and before a reset
@@ -77,21 +73,6 @@ def test_a_split_bag_has_the_inputs_and_events_of_the_run(tmp_path: Path) -> Non
     assert {n: [e.kind for e in events] for n, events in run.events.items()} == {1 + RESET_AFTER + 1: ['reset']}
 
 
-def test_a_recovered_split_bag_has_the_inputs_and_events_of_the_run(tmp_path: Path) -> None:
-    """Together, and each file alone, which begins with what the recorder repeated."""
-    folder = record_split_run(tmp_path / 'bag')
-    assert recover(folder, tmp_path / 'out').losses == []
-    files = {
-        folder / f.name: tmp_path / 'out' / f'out_{n}.mcap' for n, f in enumerate(sorted(folder.glob('*.mcap')))
-    }
-    for path, recovered_path in {folder: tmp_path / 'out', **files}.items():
-        with Bag(path) as bag, Bag(recovered_path) as recovered:
-            assert list(recovered.messages(recovered.topics)) == list(bag.messages(bag.topics))
-            assert read_run(recovered) == read_run(bag)
-            assert number_inputs(recovered) == number_inputs(bag)
-    assert len(list((tmp_path / 'out').glob('*.mcap'))) == len(files)
-
-
 def test_a_further_file_alone_has_its_inputs_after_the_repeated_ones(tmp_path: Path) -> None:
     folder = record_split_run(tmp_path / 'bag')
     with Bag(folder / 'bag_1.mcap') as bag:
@@ -104,45 +85,3 @@ def test_a_further_file_alone_has_its_inputs_after_the_repeated_ones(tmp_path: P
         run, inputs = read_run(bag), number_inputs(bag)
     ((last_before_reset, (event,)),) = run.events.items()
     assert (event.kind, inputs[last_before_reset].raw) == ('reset', make_keypoints(RESET_AFTER + 1))
-
-
-def test_a_further_file_alone_has_the_transforms_of_every_publisher(tmp_path: Path) -> None:
-    """The last of each set of frames, also if a publisher has sent it again, in their order."""
-    journal = Journal('/mocap_node/journal')
-    arm, base, later_arm = (
-        make_transforms(('base', child, 0, (x, 0, 0))) for child, x in (('arm', 1), ('camera', 2), ('arm', 3))
-    )
-    inputs = [('/tf_static', TRANSFORMS, raw) for raw in (arm, base, later_arm)]
-    inputs += [('/keypoints', KEYPOINTS, make_keypoints(i)) for i in range(FRAMES)]
-    with Recorder(
-        tmp_path / 'bag', RecorderConfig(min_free_mb=0, split_seconds=FRAMES / 3 * STEP_NS / 1e9)
-    ) as bag:
-        bag.declare_topic('/tf_static', TRANSFORMS, latched=True)
-        for i, (topic, msgtype, raw) in enumerate(inputs):
-            times_ns = (START_NS + i * STEP_NS,) * 2
-            source = Source.STATIC_TRANSFORMS if msgtype == TRANSFORMS else Source.KEYPOINTS
-            keys = make_repeat_keys(source, raw)
-            for record in journal.make_input_records(topic, msgtype, raw, times_ns, Verdict.ACCEPTED, '', keys):
-                bag.write(*record)
-    for name, expected in (('bag', [arm, base, later_arm]), ('bag/bag_1.mcap', [base, later_arm])):
-        with Bag(tmp_path / name) as opened:
-            read = [*read_run(opened).leave_out_repeated(opened.messages(['/tf_static', '/keypoints']))]
-        assert [m.raw for m in read if m.type == TRANSFORMS] == expected
-        assert [m.raw for m in read[: len(expected)]] == expected
-
-
-def test_inputs_that_are_lost_at_the_end_are_told(tmp_path: Path) -> None:
-    journal = Journal('/mocap_node/journal')
-    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
-        for i in range(4):
-            times_ns = (START_NS + i * STEP_NS,) * 2
-            records = journal.make_input_records('/keypoints', KEYPOINTS, b'', times_ns, Verdict.ACCEPTED)
-            if i:
-                journal.mark_last_input_lost()
-            else:
-                for record in records:
-                    recorder.write(*record)
-        for record in [*journal.make_lost_records(), *journal.make_lost_records()]:
-            recorder.write(*record)
-    with Bag(tmp_path / 'bag') as bag:
-        assert read_run(bag).lost_count == 3

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Bags that cannot be read are refused with an error that names the cause."""
+"""Bags that cannot be read are refused with the cause, and the topics of people are found in the others."""
 
 from __future__ import annotations
 
@@ -11,23 +11,30 @@ from pathlib import Path
 
 import pytest
 import yaml
-from mcap.writer import Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.recovery import recover
-from mocap_ros.bags.rosbag2 import BAG_INFORMATION, METADATA, make_topic
+from mocap_ros.bags.recorder import Recorder
+from mocap_ros.bags.rosbag2 import BAG_INFORMATION, METADATA
+from mocap_ros.bags.topics import Source, find_people_topics, list_input_types
 from mocap_ros.config import RecorderConfig
-from mocap_ros.errors import InputError
+from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.messages.cdr import typestore
-from mocap_ros.messages.foreign_types import YOLO_DETECTIONS
+from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON, YOLO_DETECTIONS
 from mocap_ros.messages.input_types import decode_frame
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.versions import make_converter
 from tests.support.bag_writing import START_NS, make_keypoints, write_bag
-from tests.support.foreign_messages import IMAGE_SIZE, LIMITS, encode_yolo
+from tests.support.foreign_messages import (
+    HRI_IDS_TOPIC,
+    IMAGE_SIZE,
+    LIMITS,
+    encode_yolo,
+    make_hri_inputs,
+    make_inputs,
+)
 
 
 @pytest.mark.parametrize(
@@ -89,24 +96,6 @@ def test_all_versions_of_metadata_are_read(tmp_path: Path, version: int) -> None
         assert depths == {'/skeleton_definition': [1] * (version >= 4), '/keypoints': [10] * (version >= 4)}
 
 
-def test_a_recovered_bag_with_any_time_is_read(tmp_path: Path) -> None:
-    """A time of an MCAP file is any number of 64 bits without a sign."""
-    times = [START_NS, (1 << 63) + 5, (1 << 64) - 1]
-    with (tmp_path / 'damaged.mcap').open('wb') as file:
-        writer = Writer(file)
-        writer.start('ros2', '')
-        schema = writer.register_schema(
-            KEYPOINTS, 'ros2msg', make_topic('/keypoints', KEYPOINTS).definition.encode()
-        )
-        channel = writer.register_channel('/keypoints', 'cdr', schema)
-        for time_ns in times:
-            writer.add_message(channel, time_ns, make_keypoints(0), time_ns)
-        writer.finish()  # type: ignore[no-untyped-call]
-    recover(tmp_path / 'damaged.mcap', tmp_path / 'whole')
-    with Bag(tmp_path / 'whole') as bag:
-        assert [message.time_ns for message in bag.messages(bag.topics)] == times
-
-
 def test_paths_that_are_no_bags_are_refused(tmp_path: Path) -> None:
     for name in ('x.mcap', 'x.txt'):
         (tmp_path / name).write_bytes(b'no bag')
@@ -164,3 +153,44 @@ def test_messages_of_a_package_by_another_name_are_read(
         raws = [message.raw for message in bag.messages(found)]
     frames = [decode_frame(raw, YOLO_DETECTIONS, LIMITS, IMAGE_SIZE) for raw in raws]
     assert [len(frame.people) for frame in frames] == [2] * len(raws)
+
+
+EMPTY_IDS = bytes([0, 1, 0, 0]) + bytes(24)  # an hri_msgs/IdsList with nobody in it
+
+
+def test_a_bag_of_several_detectors_requires_a_choice(tmp_path: Path) -> None:
+    other_topic = '/other/bodies/tracked'
+    other_inputs = [(source, raw, topic.replace('/humans', '/other')) for source, raw, topic in make_hri_inputs(0)]
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        for msgtype, inputs in (
+            (YOLO_DETECTIONS, make_inputs(YOLO_DETECTIONS, 0)),
+            (HRI_SKELETON, make_hri_inputs(0)),
+            (HRI_SKELETON, other_inputs),
+        ):
+            for source, raw, topic in inputs:
+                recorder.write(topic, list_input_types(msgtype)[source], raw, 1, 1)
+    with Bag(tmp_path / 'bag') as bag:
+        with pytest.raises(InputError, match=f'choose one: /keypoints, {HRI_IDS_TOPIC}, {other_topic}$'):
+            find_people_topics(bag)
+        assert find_people_topics(bag, '/keypoints') == {'/keypoints': Source.KEYPOINTS}
+        assert find_people_topics(bag, other_topic) == {topic: source for source, _, topic in other_inputs}
+        with pytest.raises(
+            InputError, match=r'no topic /yolo of .*hri_msgs/msg/Skeleton2D; the bag has /keypoints'
+        ):
+            find_people_topics(bag, '/yolo')
+
+
+def test_bodies_that_the_package_published_itself_are_no_input(tmp_path: Path) -> None:
+    """`mocap_bridge` publishes a list of bodies, but no keypoints of theirs."""
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS, START_NS)
+        recorder.write('/humans/bodies/tracked', HRI_IDS, EMPTY_IDS, START_NS, START_NS)
+    with Bag(tmp_path / 'bag') as bag:
+        assert find_people_topics(bag) == {'/keypoints': Source.KEYPOINTS}
+        tracked = '/humans/bodies/tracked'
+        assert find_people_topics(bag, tracked) == {tracked: Source.TRACKED_BODIES}
+
+
+def test_an_unknown_type_is_refused() -> None:
+    with pytest.raises(ConfigError, match='yolo_msgs/msg/DetectionArray'):
+        list_input_types('std_msgs/msg/String')

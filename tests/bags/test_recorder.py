@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recorder: bags survive crashes, full disks and removed folders, and continue in further files."""
+"""Recorder: other libraries read its bags, which survive crashes, full disks and removed folders."""
 
 from __future__ import annotations
 
@@ -9,27 +9,36 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader
 
+from mocap_ros.bags.background import BackgroundRecorder, start_recorder
 from mocap_ros.bags.mcap_file import Attachment
 from mocap_ros.bags.mcap_scan import MAGIC
 from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.recorder import Recorder
+from mocap_ros.bags.recorder import RecordedMessage, Recorder
 from mocap_ros.bags.recovery import recover
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError, RecordingError
+from mocap_ros.messages.cdr import decode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION
 from mocap_ros.units import NS_PER_S
-from tests.support.bag_writing import DEFINITION, FRAMES, START_NS, STEP_NS, make_keypoints
+from tests.support.bag_writing import DEFINITION, FRAMES, START_NS, STEP_NS, Message, make_keypoints, write_bag
 from tests.support.paths import ROOT
 
 # Imports of the code that `run_in_subprocess` runs.
@@ -214,3 +223,109 @@ def test_a_file_begins_only_with_a_message_that_may_begin_it(tmp_path: Path) -> 
     with Bag(tmp_path / 'bag' / 'bag_1.mcap') as bag:
         assert [m.raw for m in bag.messages(bag.topics)] == [make_keypoints(3), make_keypoints(4)]
     assert not (tmp_path / 'bag' / 'bag_2.mcap').exists()
+
+
+@pytest.fixture(scope='module', params=['zstd', 'lz4', 'none'])
+def recorded(request: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Message]]:
+    """Return the folder and the messages of a bag, for each compression."""
+    folder = tmp_path_factory.mktemp('bags') / request.param
+    return folder, write_bag(folder, RecorderConfig(compression=request.param))
+
+
+def test_rosbags_reads_the_folder_and_the_bare_file(recorded: tuple[Path, list[Message]]) -> None:
+    folder, written = recorded
+    expected = [(topic, log_time_ns, data) for topic, log_time_ns, _, data in written]
+    for path in (folder, folder / f'{folder.name}_0.mcap'):
+        with Reader(path) as reader:
+            assert [(c.topic, t, bytes(raw)) for c, t, raw in reader.messages()] == expected
+            assert reader.message_count == FRAMES + 1
+            durability = {}
+            for connection in reader.connections:
+                assert isinstance(connection.ext, ConnectionExtRosbag2)
+                durability[connection.topic] = connection.ext.offered_qos_profiles[0].durability.name
+            assert durability == {'/keypoints': 'VOLATILE', '/skeleton_definition': 'TRANSIENT_LOCAL'}
+        with AnyReader([path]) as any_reader:  # checks the type hashes of metadata.yaml against the definitions
+            for connection, _, raw in any_reader.messages():
+                message = any_reader.deserialize(raw, connection.msgtype)
+                assert repr(message) == repr(decode(bytes(raw), connection.msgtype))
+
+
+def test_mcap_reads_the_file_by_its_index(recorded: tuple[Path, list[Message]]) -> None:
+    folder, written = recorded
+    with (folder / f'{folder.name}_0.mcap').open('rb') as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == FRAMES + 1
+        assert len(summary.chunk_indexes) >= FRAMES * STEP_NS / 1.1e9
+        read = [(c.topic, m.log_time, m.publish_time, m.data) for _, c, m in reader.iter_messages()]
+        assert read == written
+        assert reader.get_header().profile == 'ros2'
+        for channel in summary.channels.values():
+            schema = summary.schemas[channel.schema_id]
+            assert (schema.encoding, channel.message_encoding) == ('ros2msg', 'cdr')
+            assert channel.metadata['topic_type_hash'] == typestore().hash_rihs01(schema.name)
+            assert yaml.safe_load(channel.metadata['offered_qos_profiles'])[0]['history'] == 'keep_last'
+        (metadata,) = [m for m in reader.iter_metadata() if m.name == 'rosbag2']
+        inside = yaml.safe_load(metadata.metadata['serialized_metadata'])
+    beside = yaml.safe_load((folder / 'metadata.yaml').read_text())
+    assert beside == {'rosbag2_bagfile_information': inside}
+    assert inside['version'] == 9
+    assert inside['storage_identifier'] == 'mcap'
+    assert inside['relative_file_paths'] == [f'{folder.name}_0.mcap']
+    assert inside['starting_time']['nanoseconds_since_epoch'] == START_NS
+    assert inside['duration']['nanoseconds'] == (FRAMES - 1) * STEP_NS
+
+
+def test_mcap_ros2_decodes_the_messages(recorded: tuple[Path, list[Message]]) -> None:
+    folder, written = recorded
+    with (folder / f'{folder.name}_0.mcap').open('rb') as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        read = [(m.log_time, message) for _, _, m, message in reader.iter_decoded_messages(['/keypoints'])]
+    assert len(read) == FRAMES
+    for (time_ns, decoded), (_, log_time_ns, _, data) in zip(read, written[1:], strict=True):
+        expected = decode(data, KEYPOINTS)
+        assert time_ns == log_time_ns
+        assert decoded.header.stamp.nanosec == expected.header.stamp.nanosec
+        np.testing.assert_array_equal(decoded.people[0].x, expected.people[0].x)
+
+
+def test_recorders_that_start_at_once_have_folders_of_their_own(tmp_path: Path) -> None:
+    config, together = RecorderConfig(folder=str(tmp_path)), threading.Barrier(8)
+
+    def start(_: int) -> str:
+        together.wait()
+        with closing(start_recorder(START_NS, config)) as recorder:
+            return recorder.folder.name
+
+    with ThreadPoolExecutor(8) as pool:
+        names = list(pool.map(start, range(8)))
+    assert sorted(names) == sorted(folder.name for folder in tmp_path.iterdir())
+    assert len(set(names)) == 8
+
+
+def test_what_comes_while_the_disk_is_checked_is_written_before_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The thread has just seen that nothing waits, when the last message and the end come."""
+    is_checking, may_continue = threading.Event(), threading.Event()
+    check_disk = Recorder.flush
+
+    def wait_and_check(recorder: Recorder) -> None:
+        is_checking.set()
+        assert may_continue.wait(10)
+        check_disk(recorder)
+
+    monkeypatch.setattr(Recorder, 'flush', wait_and_check)
+    background = BackgroundRecorder(tmp_path / 'bag', RecorderConfig())
+    assert is_checking.wait(10)
+    background.put([RecordedMessage('/a', KEYPOINTS, make_keypoints(1), START_NS, START_NS)])
+    closing = threading.Thread(target=background.close)
+    closing.start()
+    closing.join(0.01)
+    assert closing.is_alive()
+    may_continue.set()
+    closing.join(10)
+    with Bag(tmp_path / 'bag') as bag:
+        assert bag.count(['/a']) == 1

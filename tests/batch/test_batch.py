@@ -17,16 +17,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocap_ros.bags.journal import Journal, read_run
-from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.recorder import Recorder
+from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.cli.main import main
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.sequence_file import load_sequence, save_sequence
-from tests.support.bag_corpus import FAST_ARGUMENTS, read_outputs, write_corpus, write_demo_bag
 from tests.support.paths import ROOT
-from tests.support.pipeline_inputs import FAST_CONFIG
+from tests.support.pipeline_inputs import FAST_CONFIG, FAST_VALUES, encode_demo_frames, write_keypoints_bag
 
 distributed = pytest.importorskip('distributed')
 fsspec = pytest.importorskip('fsspec')
@@ -37,10 +34,24 @@ from mocap_ros.batch import cluster, job  # noqa: E402
 from mocap_ros.batch.cluster import run_jobs  # noqa: E402
 from mocap_ros.batch.job import Job, Outcome, Settings, Status  # noqa: E402
 from mocap_ros.batch.recordings import Work, find_recordings  # noqa: E402
-from mocap_ros.batch.report import save_report  # noqa: E402
-from mocap_ros.config import Config, from_yaml, values, with_settings  # noqa: E402
+from mocap_ros.config import from_yaml, with_settings  # noqa: E402
 
 FRAMES = {'a': 40, 'sub/b': 25, 'c': 10}
+FAST_ARGUMENTS = [word for name, value in FAST_VALUES.items() for word in ('--set', f'{name}={value}')]
+
+
+def write_corpus(root: Path, frames: dict[str, int]) -> Path:
+    """Write bags of some numbers of frames of the demo recording, by name, into a folder."""
+    for name, count in frames.items():
+        write_keypoints_bag(root / name, encode_demo_frames(count), start_ns=1_700_000_000_000_000_000)
+    return root
+
+
+def read_outputs(path: Path) -> list[BagMessage]:
+    """Return the messages of a bag, without those that each file of a split bag repeats."""
+    with Bag(path) as bag:
+        repeated = ('/skeleton_definition', '/mocap_replay/journal')
+        return list(bag.messages([t for t in bag.topics if t not in repeated]))
 
 
 @pytest.fixture(scope='module')
@@ -92,7 +103,7 @@ def test_the_command_gives_the_bags_of_plain_replays_and_goes_on_where_it_stoppe
     corpus: Path, plain: dict[str, Any], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """One of the bags is damaged: it is listed with a reason, and the others are done."""
-    write_demo_bag(tmp_path / 'in' / 'bad', 5)
+    write_corpus(tmp_path / 'in', {'bad': 5})
     (bad,) = (tmp_path / 'in' / 'bad').glob('*.mcap')
     bad.write_bytes(bad.read_bytes()[:-20])
     listed = tmp_path / 'in' / 'list.txt'
@@ -130,7 +141,7 @@ def test_only_what_changed_is_done_again(client: Any, tmp_path: Path) -> None:
     for path in corpus.rglob('*'):
         os.utime(path, (0, 0))
     (name,) = (corpus / 'b').glob('*.mcap')
-    write_demo_bag(tmp_path / 'other' / 'b', 9)
+    write_corpus(tmp_path / 'other', {'b': 9})
     name.write_bytes(next((tmp_path / 'other' / 'b').glob('*.mcap')).read_bytes())
     (out / 'results' / 'c' / 'metadata.yaml').unlink()
     (out / 'records' / 'replay' / 'd.json').write_text('{"content": ')
@@ -202,26 +213,6 @@ def test_whatever_changes_results_changes_their_key(tmp_path: Path) -> None:
     assert keys[3] == keys[5]  # the content of a detector's model counts, and not its name
     with pytest.raises(InputError, match=r'no\.onnx: No such file or directory$'):
         replace(settings, video=Video(detector=tmp_path / 'no.onnx')).seal()
-
-
-def test_set_changes_single_parameters_of_the_recorded_runs(client: Any, tmp_path: Path) -> None:
-    recorded = with_settings(FAST_CONFIG, {'tracker.window': 1.2})
-    write_demo_bag(tmp_path / 'plain', 5)
-    with Bag(tmp_path / 'plain') as bag, Recorder(tmp_path / 'in' / 'a', recorded.recorder) as recorder:
-        messages = list(bag.messages(bag.topics))
-        journal = Journal('/mocap_node/journal')
-        recorder.write(*journal.make_parameters_record(values(recorded), messages[0].time_ns))
-        for topic, msgtype, time_ns, raw in messages:
-            recorder.write(topic, msgtype, raw, time_ns, time_ns)
-    for changes in ({}, {'tracker.lag': 0.2}, {'tracker.lag': 0.1}):
-        outcomes = run(client, tmp_path / 'in', tmp_path / 'out', config=None, changes=changes)
-        assert statuses(outcomes) == {'a': 'done'}, 'the record of other parameters counts'
-        with Bag(tmp_path / 'out' / 'results' / 'a') as bag:
-            assert read_run(bag).parameters == values(with_settings(recorded, changes))
-        table, _ = save_report(list(outcomes.values()), outcomes['a'].job.settings)
-        metadata = parquet.read_table(table).schema.metadata[b'mocap_ros.yaml'].decode()
-        assert from_yaml(metadata, 'metadata') == with_settings(Config(), changes)
-        assert metadata.count('\n') == len(changes)
 
 
 @pytest.mark.slow

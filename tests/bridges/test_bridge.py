@@ -20,7 +20,6 @@ from mocap_ros.bridges.collision_objects import ADD, REMOVE
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header, OutputMessage, decode, encode
-from mocap_ros.messages.markers import ADD as ADD_MARKER
 from mocap_ros.messages.markers import DELETE
 from mocap_ros.messages.skeletons import (
     PREDICTIONS,
@@ -213,20 +212,6 @@ def test_ghosts_stand_where_people_will_be_and_are_paler_the_later() -> None:
     assert 0 < late.color.a < soon.color.a < 1
     assert {m.action for m in show_markers(bridge, []).values()} == {DELETE}
     assert show_markers(bridge, []) == {}
-
-
-def test_shapes_of_people_who_are_gone_are_deleted_and_others_keep_number_and_colour() -> None:
-    bridge = Bridge(['capsule_markers'])
-    before = show_markers(bridge, [make_walker('anna'), make_walker('bob')])
-    after = show_markers(bridge, [make_walker('bob')])
-    parts = len(list_body_parts(CMU15))
-    assert {key[1] for key, m in after.items() if m.action == DELETE} == set(range(parts))
-    assert {key[1] for key, m in after.items() if m.action == ADD_MARKER} == {MAX_PARTS + i for i in range(parts)}
-    bob = 'ends', MAX_PARTS
-    assert repr(after[bob].color) == repr(before[bob].color) != repr(before['ends', 0].color)
-    (cleared,) = bridge.clear()
-    assert {m.action for m in decode(cleared.data, cleared.type).markers} == {DELETE}
-    assert bridge.clear() == []
 
 
 def test_people_who_are_tentative_are_in_none_of_the_messages() -> None:

@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import os
 import re
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +18,8 @@ import pytest
 
 from mocap_ros.cli.main import main
 from mocap_ros.cli.options import derive_output_stem
-from mocap_ros.runtime import save_results
 from mocap_ros.skeleton import CMU15
-from tests.support.full_disk import limit_file_size
-from tests.support.quick_options import QUICK_OPTIONS
+from tests.support.keypoint_files import QUICK_OPTIONS
 
 MAX_WRITTEN_BYTES = 100  # bytes of a file on the disk that is full; fewer than any result has
 
@@ -34,46 +35,32 @@ LIVE_REFUSES = (
         (['reconstruct', 'nowhere.npz'], 'nowhere.npz'),
         (['reconstruct', 'RECORDING', '-o', 'x.docx'], 'x.docx: unknown file type'),
         (['reconstruct', 'RECORDING', '--model', 'moonwalk'], "'moonwalk'"),
-        (['reconstruct', 'RECORDING', '--set', 'solver.speed=1'], "unknown parameter 'solver.speed'"),
         (['config', '--set', 'tracker.iteration=1'], "did you mean 'tracker.iterations'?"),
         (['reconstruct', 'RECORDING', '--all-people'], '--all-people does not apply'),
         (['reconstruct', 'x', '--all-people', '--person', 'x'], '--person and --all-people'),
         (['reconstruct', 'RECORDING', '--set', 'solver.prior=nofile'], 'solver.prior: nofile: '),
         (['reconstruct', 'RECORDING', '--fps', '30'], 'demo.npz: is a sequence file, to which --fps'),
-        (['reconstruct', 'RECORDING', '-o', 'nowhere/x.npz'], 'x.npz: cannot be written: '),
         (['reconstruct', 'RECORDING', '-o', 'pipe.npz'], 'pipe.npz: cannot be written: '),
-        (['reconstruct', 'FOLDER'], 'folder: is a folder without a bag'),
         (['reconstruct', r'C:\walk.npz'], 'folders are separated by /'),
         (['replay', 'BAG', '-o', 'bag'], 'bag: exists already'),
-        (['replay', 'nowhere', '-o', 'x'], 'nowhere'),
         (['replay', 'RECORDING', '-o', 'x'], 'demo.npz: is a sequence file; expected a bag'),
-        (['recover', 'RECORDING', '-o', 'x'], 'demo.npz: is a sequence file; expected a bag'),
         (['evaluate', 'BAG'], 'bag: the bag cannot be read'),
         (['evaluate', 'GARBAGE'], 'garbage.npz'),
-        (['evaluate', 'FOLDER'], 'folder: is a folder without a bag'),
-        (['evaluate', 'RECORDING', '--truth', 'FOLDER'], 'folder: is a folder without a bag'),
         (['evaluate', 'RECORDING', '--person', '1'], 'demo.npz: --person does not apply'),
         (['evaluate', 'RECORDING', '--json', 'folder'], 'folder: cannot be written: is a folder'),
         (['config', '--config', 'nowhere.yaml'], 'nowhere.yaml'),
-        (['config', '--config', 'FOLDER'], 'folder: Is a directory'),
         (['config', '--config', 'BOMB'], 'bomb.yaml: not YAML: line 2: '),
         (['config', '--set', f'solver.max_iterations=1{"0" * 400}'], 'expected 1 to 10000'),
-        (['config', '--set', f'solver.max_iterations={"[" * 9999}'], 'solver.max_iterations: not YAML: line 1: '),
-        (['train', 'GARBAGE', '-o', 'x.npz'], 'garbage.npz'),
         (['train', 'RECORDING', '-o', 'x.npz'], '_joints'),
         (['train', 'FOLDER', '-o', 'x.npz'], 'folder: no .amc, .bvh, .c3d in it'),
-        (['train', 'TRIALS', '--manifest', 'LATIN', '-o', 'x.npz'], 'latin.csv: not UTF-8 at byte 14'),
         (['train', 'TRIALS', '-o', 'x.npz'], '1_1: a body 0 m tall'),
         (['train', 'TRIALS', '-o', 'x.npz', '--seed', '1'], '--seed: applies only to --lifter'),
         (['train', '--lifter', 'a.bvh', '-o', 'x.npz', '--checkpoint', 'link.npz'], 'x.npz: not written'),
-        (['view', 'nowhere.npz', '-o', 'x.html'], 'nowhere.npz: No such file'),
         (['view', 'RECORDING', '-o', 'x.pgf'], 'x.pgf: unknown file type'),
-        (['view', 'RECORDING', '-o', 'nowhere/x.html'], 'x.html: cannot be written: '),
         (['view', 'RECORDING', '-o', 'x.html', '--person', '7'], 'to which --person does not apply'),
         (['view', 'IMAGE', '-o', 'x.html'], 'walk.jpg: is an image'),
         (['view', 'RECORDING', '-o', 'x.html', '--port', '1'], '--port applies only to --live'),
         *((['view', *given, '--live'], f'publishes; {given[0]} does not apply') for given in LIVE_REFUSES),
-        (['detect', 'walk.npz'], 'walk.npz: No such file'),
         (['detect', 'RECORDING'], 'demo.npz: is a sequence file'),
         (['detect', '99'], '/dev/video99: no camera ('),
     ],
@@ -121,9 +108,7 @@ def test_a_failure_is_one_line_on_stderr(
     ('name', 'reason'),
     [
         ('walk.JPG', 'is an image; run a 2D keypoint detector on it'),
-        ('images', 'is a folder of images; run a 2D keypoint detector on it'),
         ('empty.npz', 'is an empty file'),
-        ('notes.txt', 'is a file of an unknown type'),
         ('walk.bvh', 'is of a format that mocap-ros writes but does not read'),
         ('walk.mp4', ''),
     ],
@@ -155,10 +140,8 @@ def test_an_input_that_no_command_reads_is_named(
     [
         ['reconstruct', 'NAME'],
         ['evaluate', 'NAME'],
-        ['evaluate', 'RECORDING', '--truth', 'NAME'],
         ['reconstruct', 'RECORDING', '--method', 'keyframes', '--choices', 'NAME'],
         ['reconstruct', 'RECORDING', '--model', 'NAME'],
-        ['reconstruct', 'RECORDING', '--set', 'solver.prior=NAME'],
         ['train', 'TRIALS', '--manifest', 'NAME', '-o', 'x.npz'],
     ],
 )
@@ -186,7 +169,6 @@ def test_an_input_that_is_no_file_is_refused_before_it_is_read(
     ('arguments', 'out'),
     [
         (['reconstruct', 'RECORDING', '--model', 'read.npz', '-o', 'read.npz'], 'read.npz'),
-        (['reconstruct', 'RECORDING', '--set', 'solver.prior=read.npz', '-o', 'read.npz'], 'read.npz'),
         (['reconstruct', 'RECORDING', '--config', 'read.csv', '-o', 'a.npz', '-o', 'read.csv'], 'read.csv'),
         (['reconstruct', 'RECORDING', '--config', 'parameters.yaml', '-o', 'read.npz'], 'read.npz'),
         (
@@ -197,12 +179,9 @@ def test_an_input_that_is_no_file_is_refused_before_it_is_read(
         (['reconstruct', 'bag', '-o', 'bag/bag_0.mcap'], 'bag/bag_0.mcap'),
         (['evaluate', 'read.npz', '--truth', 'RECORDING', '--json', 'walk/demo.npz'], 'walk/demo.npz'),
         (['keyframes', 'RECORDING', '--config', 'read_distances.png', '-o', 'read.yaml'], 'read_distances.png'),
-        (['evaluate', 'bag', '--truth', 'RECORDING', '--json', 'bag/metadata.yaml'], 'bag/metadata.yaml'),
         (['detect', 'walk.mp4', '--model', 'read.npz', '-o', 'read.npz'], 'read.npz'),
         (['train', 'walk', '--manifest', 'read.csv', '-o', 'read.csv'], 'read.csv'),
         (['train', 'walk', '-o', 'walk/manifest.csv'], 'walk/manifest.csv'),
-        (['train', 'walk', '-o', 'walk/anna.ASF'], 'walk/anna.ASF'),
-        (['train', '--lifter', 'walk', '--start-from', 'read.npz', '-o', 'read.npz'], 'read.npz'),
         (
             ['train', '--lifter', 'walk', '--start-from', 'read.npz', '-o', 'a', '--checkpoint', 'read.npz'],
             'read.npz',
@@ -233,10 +212,21 @@ def test_no_file_that_a_command_reads_is_overwritten(
     assert Path(out).is_symlink() or Path(out).read_text() == '{}'
 
 
+@contextmanager
+def limit_file_size(size: int) -> Iterator[None]:
+    """Let the system refuse files of more than some bytes, as a full disk does; Python ignores the signal."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
 @pytest.mark.parametrize(
     ('command', 'ending'),
     [
-        *(('reconstruct', ending) for ending in save_results.SUFFIXES),
+        *(('reconstruct', '.npz'), ('reconstruct', '.mcap'), ('reconstruct', '.bvh')),
         *(('view', '.png'), ('view', '.html'), ('evaluate', '.json'), ('keyframes', '.yaml')),
     ],
 )

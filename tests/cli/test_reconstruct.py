@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The command `reconstruct`."""
+"""The commands `reconstruct`, `view` and `train`."""
 
 from __future__ import annotations
 
@@ -14,14 +14,18 @@ import pytest
 
 from mocap_ros.cli.main import main
 from mocap_ros.demo.scene import make_recording
-from mocap_ros.errors import InputError
+from mocap_ros.formats.bvh import save_bvh
 from mocap_ros.formats.detections import Detections
+from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS
+from mocap_ros.formats.mocap.joint_maps import map_to_model
 from mocap_ros.formats.sequence_file import load_sequence, save_sequence
-from mocap_ros.runtime import save_results
+from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.runtime.save_results import save_detections
 from mocap_ros.skeleton import CMU15
-from tests.support.quick_options import QUICK_OPTIONS
+from mocap_ros.training.fit_base_poses import fit_base_poses
+from tests.support.keypoint_files import QUICK_OPTIONS
+from tests.support.motion_files import Z_UP_TO_Y_UP, make_poses
 
 
 def test_several_files_of_one_reconstruction_agree(short_recording: Path, tmp_path: Path) -> None:
@@ -77,33 +81,6 @@ def test_keypoints_at_one_point_are_refused_in_one_line(
     assert 'd.npz: all seen points lie ' in line
 
 
-def test_files_are_replaced_when_all_of_them_are_written(
-    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    sequence = load_sequence(short_recording)
-    path, outputs = tmp_path / 'fast.npz', [tmp_path / 'r.csv', tmp_path / 'r.bvh']
-    save_sequence(path, replace(sequence, timestamps=sequence.timestamps * 1e-6))
-    for output in outputs:
-        output.write_text('old')
-    command = ['reconstruct', str(path), *(word for output in outputs for word in ('-o', str(output)))]
-    assert main([*command, *QUICK_OPTIONS]) == 1
-    assert capsys.readouterr().err.startswith(f'mocap-ros: {path}: timestamps: 3.33e-08 s from frame to frame; ')
-    assert {p: p.read_text() for p in tmp_path.iterdir() if p not in (path, short_recording)} == dict.fromkeys(
-        outputs, 'old'
-    )
-
-
-def test_a_name_that_a_terminal_would_obey_is_escaped(
-    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / 'a\x1b[2J\nb.csv'
-    assert main(['reconstruct', str(short_recording), '-o', str(out), *QUICK_OPTIONS]) == 0
-    line, _ = capsys.readouterr().out.splitlines()
-    assert line.isprintable()
-    assert line.startswith(f'{tmp_path}/a\\x1b[2J b.csv')
-    assert out.is_file()
-
-
 def write_two_people(path: Path, ids: tuple[str, str], seen_joints: int = 17) -> None:
     """Write a bag of a walker, a second person beside the walker, and one who is seen for three frames."""
     sequence = make_recording().sequence()
@@ -131,26 +108,6 @@ def test_all_people_are_written_into_files_of_their_own(
     assert (right['pelvis_tx_m'] > left['pelvis_tx_m'] + 0.5).all()
 
 
-def test_one_who_cannot_be_saved_does_not_stop_the_others(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def save(path: Path, found: save_results.ReconstructedSequence) -> None:
-        if found.sequence.person_id == 'b':
-            raise InputError('too long')
-        assert found.summary is not None
-        assert found.summary.people == 1
-        path.touch()
-
-    monkeypatch.setattr(save_results, 'save', save)
-    write_two_people(tmp_path / 'two.mcap', ('a', 'b'))
-    command = ['reconstruct', str(tmp_path / 'two.mcap'), '--all-people', *QUICK_OPTIONS]
-    assert main([*command, '-o', str(tmp_path / 'r.npz')]) == 1
-    assert {path.name for path in tmp_path.iterdir()} == {'two.mcap', 'r_a.npz'}
-    output = capsys.readouterr()
-    assert "two.mcap: too long (person 'b' is not saved)" in output.err
-    assert '2 people in 12 frames' in output.out
-
-
 def test_one_of_whom_too_little_is_seen_does_not_stop_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -159,3 +116,73 @@ def test_one_of_whom_too_little_is_seen_does_not_stop_the_others(
     assert main([*command, '-o', str(tmp_path / 'r.npz')]) == 0
     assert {path.name for path in tmp_path.iterdir()} == {'two.mcap', 'r_b.npz'}
     assert '12 detections left out, of which fewer than 6 joints are seen' in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('options', [[], ['-o', 'page.html'], ['-o', 'page.png']])
+def test_it_writes_a_page_or_a_picture(
+    short_recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    output = Path(options[1] if options else f'{short_recording.stem}.html')
+    assert main(['view', str(short_recording), *options, *QUICK_OPTIONS]) == 0
+    assert capsys.readouterr().out.startswith(f'{output}\n')
+    if output.suffix == '.html':
+        assert short_recording.name in output.read_text(encoding='utf-8')
+    else:
+        assert output.read_bytes().startswith(b'\x89PNG')
+
+
+def test_an_option_that_does_nothing_to_a_result_is_refused(
+    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result, page = tmp_path / 'result.npz', tmp_path / 'page.html'
+    assert main(['reconstruct', str(short_recording), '-o', str(result), *QUICK_OPTIONS]) == 0
+    capsys.readouterr()
+    for option in (['--set', 'tracker.lag=0.2'], ['--model', 'walk'], ['--topic', '/keypoints']):
+        assert main(['view', str(result), '-o', str(page), *option]) == 1
+        assert f'holds a result, which is shown as it is; {option[0]} does not' in capsys.readouterr().err
+    assert not page.exists()
+    for output in ('page.html', 'page.png'):
+        assert main(['view', str(result), '-o', str(tmp_path / output)]) == 0
+
+
+def test_train_on_bvh_files_gives_the_model_of_their_poses(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bvh = build_armature(make_poses() @ Z_UP_TO_Y_UP.T, 30.0)
+    positions = np.moveaxis(bvh.compute_positions() / 100, 1, 0)
+    expected = fit_base_poses([map_to_model(dict(zip(bvh.names, positions, strict=True))) @ Z_UP_TO_Y_UP])
+    for name in ('one_1.bvh', 'one_2.bvh'):
+        save_bvh(tmp_path / name, bvh)
+    options = ['-o', str(tmp_path / 'm.npz')]
+    assert main(['train', str(tmp_path), *options]) == 0
+    assert '2 trials, 80 poses' in capsys.readouterr().out
+    model = load_base_poses(tmp_path / 'm.npz')
+    assert model.mean == pytest.approx(expected.mean, abs=1e-4)
+    assert model.std[:4] == pytest.approx(expected.std[:4], rel=1e-3)
+    assert main(['train', str(tmp_path), '--every', '4', *options]) == 0
+    assert '2 trials, 20 poses' in capsys.readouterr().out
+    assert main(['train', str(tmp_path), '--category', 'swim', *options]) == 1
+    assert 'the options select no trial' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ('options', 'name', 'alignment', 'mirror', 'bodies'),
+    [([], 'all', 'rotation', False, 0), (['--category', 'walk'], 'walk', 'heading', True, 2)],
+)
+def test_one_category_has_other_defaults_than_all(
+    tmp_path: Path, options: list[str], name: str, alignment: str, mirror: bool, bodies: int
+) -> None:
+    (tmp_path / 'walk').mkdir()
+    save_bvh(tmp_path / 'walk' / 'one_1.bvh', build_armature(make_poses() @ Z_UP_TO_Y_UP.T, 30.0))
+    source = ['--source', 'a test', '--acknowledgement', 'with thanks']
+    assert main(['train', str(tmp_path / 'walk'), *options, *source, '-o', str(tmp_path / 'm.npz')]) == 0
+    model = load_base_poses(tmp_path / 'm.npz')
+    keys = 'alignment', 'mirror', 'bodies', 'source', 'acknowledgement'
+    assert [model.provenance[key] for key in keys] == [alignment, mirror, bodies, 'a test', 'with thanks']
+    assert model.name == name

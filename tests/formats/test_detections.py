@@ -5,9 +5,7 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,14 +20,8 @@ from mocap_ros.formats.detections import (
     create_person,
     select_person,
 )
-from mocap_ros.formats.detector_json import load_json_file
-from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.units import NS_PER_S
-from tests.support.evaluation_data import shared
-
-COCO17 = keypoint_layout('coco17').joints
 
 
 def make_standing_person(x: float, person_id: str = '') -> Person2D:
@@ -98,32 +90,3 @@ def test_a_rate_that_no_camera_has_is_refused(fps: float) -> None:
         arrange_frames(people, Video(fps=fps))
     times = select_person(arrange_frames(people, Video(fps=MAX_FRAME_RATE_HZ)))[0].timestamps
     assert np.diff(times) == pytest.approx(1 / MAX_FRAME_RATE_HZ)
-
-
-def test_detections_of_two_cameras_side_by_side_stay_two_people(tmp_path: Path) -> None:
-    """Real detections of two people who stand close, in changing order and with gaps, survive a round trip."""
-    sequences = [load_sequence(shared(f'data/detections/balance_openpose_cam{camera}.npz')) for camera in (1, 2)]
-    order = [sequences[0].joint_names.index(name) for name in COCO17]
-    keypoints = [sequence.keypoints[:, order] + [150.0 * i, 0, 0] for i, sequence in enumerate(sequences)]
-    rng = np.random.default_rng(0)
-    seen_in: list[list[int]] = [[], []]
-    annotations = []
-    for frame in range(len(keypoints[0])):
-        for i in rng.permutation(2):
-            if (keypoints[i][frame, :, 2] > 0).any() and rng.random() > 0.05 * (1 + i):
-                seen_in[i].append(frame)
-                annotations.append(
-                    {'image_id': frame, 'keypoints': np.nan_to_num(keypoints[i][frame]).ravel().tolist()}
-                )
-    images = [{'id': n} for n in range(len(keypoints[0]))]
-    (tmp_path / 'people.json').write_text(json.dumps({'images': images, 'annotations': annotations}))
-    detections = load_json_file(
-        tmp_path / 'people.json', Video(fps=30.0, image_size=(1920, 1080), layout='coco17')
-    )
-    tracks, _ = associate_people(detections)
-    assert sorted(list(track.detection_by_frame) for track in tracks) == sorted(seen_in)
-    chosen, _ = select_person(detections)
-    index = max(range(2), key=lambda i: len(seen_in[i]))
-    frames = np.array(seen_in[index])
-    expected = pytest.approx(keypoints[index][frames], abs=1e-3, nan_ok=True)
-    assert chosen.keypoints[frames - frames[0]] == expected

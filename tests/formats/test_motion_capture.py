@@ -206,26 +206,18 @@ BAD_FILES: list[tuple[str, str, str]] = [
     ('a.amc', AMC, r'a\.amc: joints of no known rig'),
     ('a.asf', ASF.replace('upper lower', 'upper hand'), r"a\.asf: hierarchy: there is no bone 'hand'"),
     ('a.asf', ASF.replace('upper lower', 'hand lower'), r"a\.asf: hierarchy: no path from the root to 'lower'"),
-    ('a.asf', ASF.replace('    root upper\n', '').replace('    upper lower\n', ''), r'a\.asf: no bones'),
     ('a.asf', ASF.replace('0.6 -0.8 0', '0.6 nan 0'), r"a\.asf: line 33: 'end'"),
-    ('a.asf', ASF.replace('dof rx ry rz', 'dof rx ry rw'), r"a\.asf: line 24: 'end'"),
-    ('a.asf', '', r'a\.asf: :root'),
     ('a.bvh', '', 'not BVH'),
     ('a.bvh', make_bvh(lambda t: t), 'joints of no known rig; .* there are Hips, Hips_end'),
     ('a.bvh', make_bvh(lambda t: t.split('MOTION')[0][:-4]), 'cut off'),
-    ('a.bvh', make_bvh(lambda t: t.replace('1 2 3', '1 x 3')), 'MOTION: could not convert'),
     ('a.bvh', make_bvh(lambda t: t.replace('1 2 3', '1 3')), 'MOTION: 1 frames of 2 values, expected 1 of 3'),
     ('a.bvh', make_bvh(lambda t: t.replace('1 2 3', '1 nan 3')), 'MOTION: .* not finite'),
-    ('a.bvh', make_bvh(lambda t: t.replace('1 2 3', '')), 'MOTION: no frames'),
     ('a.bvh', make_bvh(lambda t: t.replace('0.1', '0')), 'MOTION: no frames'),
     ('a.bvh', make_bvh(lambda t: t.replace('Xrot', 'Wrot')), "line 5: 'CHANNELS 3"),
-    ('a.bvh', make_bvh(lambda t: t.replace('CHANNELS 3', 'CHANNELS 2')), "line 5: 'CHANNELS 2"),
     ('a.bvh', make_bvh(lambda t: t.replace('End Site', 'JOINT Hips')), "two joints are called 'Hips'"),
-    ('a.bvh', make_bvh(lambda t: t.replace('Frames: 1', 'Frames: many')), 'line 12: expected Frames: and'),
     ('a.bvh', 'HIERARCHY\nROOT a\n{\n' + 'JOINT b\n{\n' * 5000, 'line 4002'),
     ('a.c3d', 'nothing of use', r'a\.c3d: not a C3D file'),
     ('manifest.csv', 'name,subject\na,1\n', 'no column trial'),
-    ('manifest.csv', 'trial\n' + 'x' * 200_000, 'not CSV: field larger than'),
 ]
 
 
@@ -247,12 +239,9 @@ def test_an_invalid_file_is_refused_in_one_line(tmp_path: Path, name: str, conte
     ('names', 'change', 'place'),
     [
         (CMU15.joints, lambda motion: motion[:, :3], r't: shape \(40, 3, 3\), expected \(n, 15, 3\)'),
-        (CMU15.joints, lambda motion: motion[:0], 't: no frames'),
         (CMU15.joints, lambda motion: motion.astype(str), 't: holds <U'),
         (CMU15.joints, lambda motion: np.where(np.arange(3) == 1, np.nan, motion), 't: not finite'),
-        (CMU15.joints, lambda motion: motion.astype(object), 'holds Python objects'),
         (CMU15.joints[1:], lambda motion: motion, '_joints: expected the joints'),
-        ((*CMU15.joints, 'head'), lambda motion: motion, '_joints: expected the joints'),
     ],
 )
 def test_an_invalid_archive_is_refused_by_its_key(
@@ -287,7 +276,6 @@ def test_missing_files_and_giants_are_named(tmp_path: Path, poses: np.ndarray) -
         ('[1]', 'expected joint'),
         ('nose: x', 'nose unknown; joints missing: head, neck'),
         ('\n'.join(f'{j}: []' for j in CMU15.joints), 'head: expected the name of a marker'),
-        ('{' * 3000, 'm.yaml: not YAML: '),
         ('a: 1\na: 2', "line 2: the key 'a' occurs twice"),
     ],
 )

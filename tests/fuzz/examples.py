@@ -16,10 +16,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import yaml
 import zstandard
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 from numpy.typing import NDArray
 from PIL import Image
 from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from mocap_ros.bags.journal import Entry, Verdict, encode_entry
@@ -31,7 +33,7 @@ from mocap_ros.formats.bvh import save_bvh
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.mocap.joint_maps import RIGS
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import Header, encode
+from mocap_ros.messages.cdr import Header, encode, typestore
 from mocap_ros.messages.foreign_types import (
     HRI_IDS,
     HRI_SKELETON,
@@ -48,7 +50,7 @@ from mocap_ros.npz_file import write_npz
 from mocap_ros.skeleton import CMU15
 from tests.fuzz.targets import FILE_SEPARATOR, IMAGE_SIZE, MESSAGE_READERS, pack_arrays
 from tests.support.bag_writing import START_NS, STEP_NS, make_keypoints
-from tests.support.camera_infos import camera_info
+from tests.support.camera_infos import camera_info, encode_ros1_camera_info
 from tests.support.foreign_messages import create_blank_message, make_inputs
 from tests.support.motion_files import AMC, ASF, Z_UP_TO_Y_UP, make_bvh, make_poses
 from tests.support.people import make_person_3d
@@ -238,7 +240,7 @@ def make_mcaps() -> list[bytes]:
 def _make_mcap(compression: CompressionType, *, is_other_version: bool = False) -> bytes:
     has_checksums = compression != CompressionType.NONE
     stream = io.BytesIO()
-    writer = Writer(
+    writer = McapWriter(
         stream, chunk_size=CHUNK_BYTES, compression=compression, enable_crcs=has_checksums,
         enable_data_crcs=has_checksums,
     )  # fmt: skip
@@ -262,67 +264,38 @@ def _make_mcap(compression: CompressionType, *, is_other_version: bool = False) 
 
 
 def make_databases() -> list[bytes]:
-    """Return a bag in SQLite3."""
-    topic = make_topic('/keypoints', KEYPOINTS)
-    with TemporaryDirectory() as folder, closing(sqlite3.connect(Path(folder) / 'a.db3')) as database:
-        database.execute('PRAGMA page_size=512')
-        for table in (
-            'schema (schema_version INTEGER PRIMARY KEY, ros_distro TEXT)',
-            'topics (id, name, type, serialization_format, offered_qos_profiles, type_description_hash)',
-            'messages (id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)',
-            'message_definitions (id, topic_type, encoding, encoded_message_definition, type_description_hash)',
-        ):
-            database.execute(f'CREATE TABLE {table}')
-        database.execute("INSERT INTO schema VALUES (4, 'kilted')")
-        row = (1, topic.name, topic.type, 'cdr', '', topic.type_hash)
-        database.execute('INSERT INTO topics VALUES (?, ?, ?, ?, ?, ?)', row)
-        definition = (1, topic.type, 'ros2msg', topic.definition, topic.type_hash)
-        database.execute('INSERT INTO message_definitions VALUES (?, ?, ?, ?, ?)', definition)
-        for i in range(FRAMES):
-            message = (i + 1, 1, START_NS + i * STEP_NS, make_keypoints(i))
-            database.execute('INSERT INTO messages VALUES (?, ?, ?, ?)', message)
-        database.commit()
-        return [(Path(folder) / 'a.db3').read_bytes()]
+    """Return a bag in SQLite3, in pages so small that mutations of a short file reach all of it."""
+    with TemporaryDirectory() as folder:
+        with Writer(Path(folder) / 'a', version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+            connection = writer.add_connection('/keypoints', KEYPOINTS, typestore=typestore())
+            for i in range(FRAMES):
+                writer.write(connection, START_NS + i * STEP_NS, make_keypoints(i))
+        file = Path(folder) / 'a' / 'a.db3'
+        with closing(sqlite3.connect(file)) as database:
+            database.execute('PRAGMA page_size=512')
+            database.execute('VACUUM')
+        return [file.read_bytes()]
 
 
 def make_ros1_bags() -> list[bytes]:
     """Return bags of ROS 1 with a CameraInfo, of each compression."""
-    store = get_typestore(Stores.ROS1_NOETIC)
-    info = store.types[CAMERA_INFO]
-    header = store.types['std_msgs/msg/Header'](7, store.types['builtin_interfaces/msg/Time'](5, 6), 'camera')
-    region = store.types['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False)
-    camera = info(
-        header,
-        480,
-        640,
-        'plumb_bob',
-        np.zeros(5),
-        np.eye(3).ravel(),
-        np.eye(3).ravel(),
-        np.zeros(12),
-        0,
-        0,
-        region,
-    )
-    bags = []
+    store, bags = get_typestore(Stores.ROS1_NOETIC), []
+    raw = encode_ros1_camera_info(store)
     with TemporaryDirectory() as folder:
         for compression in (None, *Ros1Writer.CompressionFormat):
-            path = Path(folder) / f'{compression}.bag'
-            writer = Ros1Writer(path)
+            writer = Ros1Writer(Path(folder) / f'{compression}.bag')
             if compression is not None:
                 writer.set_compression(compression)
             with writer:
                 connection = writer.add_connection('/camera_info', CAMERA_INFO, typestore=store)
                 for i in range(2):
-                    raw = store.serialize_ros1(camera, CAMERA_INFO)
                     writer.write(connection, START_NS + i * STEP_NS, raw)
-            bags.append(path.read_bytes())
+            bags.append(writer.path.read_bytes())
     return bags
 
 
 def make_folders() -> list[bytes]:
     """Return bag folders: metadata.yaml and the file of messages, as it is and compressed."""
-    folders = []
     with TemporaryDirectory() as folder:
         with Recorder(Path(folder) / 'a', RecorderConfig(min_free_mb=0, compression='none')) as recorder:
             for i in range(2):
@@ -330,16 +303,14 @@ def make_folders() -> list[bytes]:
         (file,) = (Path(folder) / 'a').glob('*.mcap')
         metadata = (Path(folder) / 'a' / METADATA).read_text().replace(file.name, 'a_0.mcap')
         content = file.read_bytes()
-        for mode in ('', 'FILE'):
-            text = metadata
-            if mode:
-                text = metadata.replace("compression_format: ''", 'compression_format: zstd')
-                text = text.replace("compression_mode: ''", f'compression_mode: {mode}')
-            if mode == 'FILE':
-                text = text.replace('a_0.mcap', 'a_0.mcap.zstd')
-            data = zstandard.ZstdCompressor().compress(content) if mode == 'FILE' else content
-            folders.append(text.encode() + FILE_SEPARATOR + data)
-    return folders
+    compressed = metadata.replace("compression_format: ''", 'compression_format: zstd')
+    compressed = compressed.replace("compression_mode: ''", 'compression_mode: FILE').replace(
+        '.mcap', '.mcap.zstd'
+    )
+    return [
+        metadata.encode() + FILE_SEPARATOR + content,
+        compressed.encode() + FILE_SEPARATOR + zstandard.ZstdCompressor().compress(content),
+    ]
 
 
 EXAMPLES: dict[str, Examples] = {

@@ -5,8 +5,7 @@
 
 Atheris (the extra `fuzz`) mutates the valid inputs of `examples.py`, the inputs that once failed and what earlier
 runs found in build/fuzz/SOURCE/corpus. A fault does not end the run: its input is written to
-build/fuzz/SOURCE/faults, once for each place in the code. At the end the inputs that were found are read again
-with coverage.py, which says how many lines of the readers they reach.
+build/fuzz/SOURCE/faults, once for each place in the code.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import os
 import re
 import subprocess
 import sys
@@ -25,9 +23,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 FAILED = Path(__file__).parent / 'failed'  # the inputs that once failed, kept in a folder for each source
 OUT = ROOT / 'build' / 'fuzz'
-INPUT_S = (
-    20  # s; a longer input is a fault. The readers need milliseconds, under instrumentation a tenth of a second
-)
+INPUT_S = 20  # s; a longer input is a fault. The readers need milliseconds, under instrumentation 0.1 s
 MAX_RSS_MB = 2500  # memory of the process above which the input is a fault; Python and its libraries need 300 MB
 MAX_INPUT_BYTES = 8192  # of an input; the examples are smaller
 # Modules that are instrumented so that the mutations are led by what they execute.
@@ -43,12 +39,9 @@ def main() -> int:
     parser.add_argument('sources', nargs='*', metavar='SOURCE', help='kinds of input; by default all')
     parser.add_argument('--seconds', type=int, default=60, help='time for each source, without its start')
     parser.add_argument('--worker', action='store_true', help=argparse.SUPPRESS)
-    parser.add_argument('--replay', action='store_true', help=argparse.SUPPRESS)
     args, options = parser.parse_known_args()
     if args.worker:
         return _fuzz(args.sources[0], options)
-    if args.replay:
-        return _replay(args.sources[0])
     from tests.fuzz.targets import TARGETS
 
     results = []
@@ -88,7 +81,6 @@ def _run(source: str, seconds: int) -> dict[str, object]:
         'seconds': seconds,
         'executions': executions,
         'corpus': len(list(corpus.iterdir())),
-        **_measure_coverage(source),
         'faults': sorted(str(f.relative_to(ROOT)) for f in faults.iterdir() if f.suffix != '.txt'),
     }
 
@@ -115,36 +107,6 @@ def _fuzz(source: str, options: list[str]) -> int:
 
     atheris.Setup([sys.argv[0], *options], test_one_input)
     atheris.Fuzz()
-    return 0
-
-
-def _measure_coverage(source: str) -> dict[str, object]:
-    """Return the share of the lines of the source's modules that the inputs found so far reach."""
-    data_file = OUT / source / 'coverage'
-    environment = {**os.environ, 'COVERAGE_FILE': str(data_file)}
-    coverage = [sys.executable, '-m', 'coverage']
-    command = [*coverage, 'run', '--source=mocap_ros', '-m', 'tests.fuzz.run', source, '--replay']
-    subprocess.run(command, cwd=ROOT, env=environment, check=False, capture_output=True)
-    report = [*coverage, 'json', '-q', '--fail-under=0', '-o', f'{data_file}.json']
-    subprocess.run(report, cwd=ROOT, env=environment, check=True, capture_output=True)
-    from tests.fuzz.targets import TARGETS
-
-    prefixes = tuple('mocap_ros/' + m.replace('.', '/') for m in TARGETS[source].modules)
-    files = json.loads(Path(f'{data_file}.json').read_text())['files']
-    counts = [f['summary'] for name, f in files.items() if name.startswith(prefixes)]
-    covered, lines = (sum(c[key] for c in counts) for key in ('covered_lines', 'num_statements'))
-    return {'covered_lines': covered, 'lines': lines, 'coverage': round(covered / lines, 3)}
-
-
-def _replay(source: str) -> int:
-    """Read all inputs that were found."""
-    from contextlib import suppress
-
-    from tests.fuzz.targets import check
-
-    for file in sorted((OUT / source / 'corpus').iterdir()):
-        with suppress(Exception):
-            check(source, file.read_bytes())
     return 0
 
 

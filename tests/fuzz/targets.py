@@ -17,7 +17,6 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,38 +53,14 @@ ARRAY_KEYS = (
     *('w0', 'b0', 'w1', 'b1', 'w2', 'b2', 'w3', 'b3'),
 )
 
-Read = Callable[[bytes, Path], object]
-
-
-class Target(NamedTuple):
-    """A kind of input.
-
-    Attributes:
-        read: function that reads the bytes, and that may write files into the folder, which is empty.
-        modules: modules of the package in which the coverage of a run is counted.
-    """
-
-    read: Read
-    modules: tuple[str, ...]
+Read = Callable[[bytes, Path], object]  # reads bytes, and may write files into the folder, which is empty
 
 
 def check(name: str, data: bytes) -> bool:
-    """Give an input to a target.
-
-    Args:
-        name: name of the target.
-        data: the input.
-
-    Returns:
-        Whether the input was read; False where it was refused.
-
-    Raises:
-        AssertionError: the input was refused by an error that is not clear.
-        Exception: whatever else the reader raised is a fault of it.
-    """
+    """Give an input to a target; return whether it was read, and not refused by one clear error."""
     with TemporaryDirectory(prefix='fuzz') as folder:
         try:
-            TARGETS[name].read(data, Path(folder))
+            TARGETS[name](data, Path(folder))
         except MocapError as error:
             _check_message(str(error), '' if name in UNNAMED else folder)
             return False
@@ -280,28 +255,20 @@ def read_bag_folder(data: bytes, folder: Path) -> None:
     _read_bag(folder)
 
 
-_MESSAGES = (
-    *('messages.camera_info', 'messages.cdr', 'messages.images'),
-    *('messages.input_types', 'messages.keypoints', 'messages.skeletons', 'messages.transform_tree'),
-    *('bags.journal', 'keypoints.validation'),
-)
-_NPZ = ('formats.npz_arrays', 'formats.sequence_file', 'npz_file', 'models.model_file')
-_BAGS = ('bags.reader', 'messages.versions')
-_RECOVERY = ('bags.recovery', 'bags.mcap_scan')
-TARGETS = {
-    'messages': Target(read_message, _MESSAGES),
-    'json': Target(read_json, ('formats.detector_json', 'formats.detections')),
-    'bvh': Target(read_bvh, ('formats.bvh', 'formats.mocap.trials')),
-    'asf': Target(read_asf, ('formats.mocap.asf', 'formats.mocap.trials', 'formats.mocap.joint_maps')),
-    'c3d': Target(read_c3d, ('formats.mocap.c3d',)),
-    'npz': Target(read_npz, _NPZ),
-    'arrays': Target(read_arrays, _NPZ),
-    'yaml': Target(read_yaml, ('config.yaml_file', 'config.access', 'formats.mocap.joint_maps')),
-    'mcap': Target(_make_bag_reader('.mcap'), _BAGS),
-    'db3': Target(_make_bag_reader('.db3'), _BAGS),
-    'ros1': Target(_make_bag_reader('.bag'), _BAGS),
-    'recovery': Target(recover_bag, _RECOVERY),
-    'folder': Target(read_bag_folder, _BAGS),
+TARGETS: dict[str, Read] = {
+    'messages': read_message,
+    'json': read_json,
+    'bvh': read_bvh,
+    'asf': read_asf,
+    'c3d': read_c3d,
+    'npz': read_npz,
+    'arrays': read_arrays,
+    'yaml': read_yaml,
+    'mcap': _make_bag_reader('.mcap'),
+    'db3': _make_bag_reader('.db3'),
+    'ros1': _make_bag_reader('.bag'),
+    'recovery': recover_bag,
+    'folder': read_bag_folder,
 }
 # Targets whose input is no file, or is also read from memory; the errors of all others name the file or folder.
 UNNAMED = ('messages', 'npz', 'arrays', 'yaml')

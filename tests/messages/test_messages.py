@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Messages are encoded as a ROS 2 subscriber reads them, and invalid input is refused by field and person."""
+"""Outputs are encoded as a ROS 2 subscriber reads them, and invalid keypoints are refused by field and person."""
 
 from __future__ import annotations
 
@@ -13,22 +13,31 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocap_ros.config import NodeConfig
-from mocap_ros.errors import InputError
+from mocap_ros.config import Config, NodeConfig, with_values
+from mocap_ros.errors import ConfigError, InputError
+from mocap_ros.geometry.rigid_transform import RigidTransform, parse_camera_pose
 from mocap_ros.keypoints.person import Person2D
+from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header, decode, encode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
 from mocap_ros.messages.markers import MARKERS, POINT_DTYPE, POINTS, MarkerEncoder, encode_points
 from mocap_ros.messages.skeletons import (
     CAMERAS,
+    PREDICTIONS,
     SKELETON_DEFINITION,
     SKELETONS,
+    PredictedFrame,
     encode_cameras,
+    encode_predictions,
     encode_skeleton_definition,
     encode_skeletons,
+    read_prediction_times,
 )
+from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
+from mocap_ros.people import Person3D, PredictedPerson
 from mocap_ros.skeleton import CMU15, keypoint_layout
 from tests.support.people import make_person_3d
+from tests.support.swinging_body import STANDING
 
 LIMITS = NodeConfig()
 HEADER = Header(12_345_678_901, 'camera')
@@ -225,3 +234,93 @@ def flatten_message(value: Any) -> Any:
     if isinstance(value, np.generic):
         return flatten_message(value.item())
     return [flatten_message(v) for v in value]
+
+
+def xyz(point: Any) -> list[float]:
+    return [point.x, point.y, point.z]
+
+
+def test_predictions_are_put_out_in_the_frame_of_the_outputs() -> None:
+    camera = CameraPlacement('camera', parse_camera_pose('0 0 1.5 0 0 1.57', 'test'))
+    header, covariance = Header(12_345_678_901, 'map'), np.diag([0.01, 0.04, 0.09])
+    person = PredictedPerson('anna', STANDING + [2.0, 2.0, 0.0], np.full(15, 0.1), covariance)
+    raw = encode_predictions(
+        Header(12_345_678_901, 'map'), [PredictedFrame(0.2, []), PredictedFrame(0.4, [person])], camera
+    )
+    message = decode(raw, PREDICTIONS)
+    assert (message.header.frame_id, message.skeleton) == ('map', CMU15.name)
+    soon, later = message.times
+    assert [soon.ahead, later.ahead] == pytest.approx([0.2, 0.4])
+    assert soon.people == []
+    (anna,) = later.people
+    pose = camera.pose
+    assert pose is not None
+    np.testing.assert_allclose([xyz(p) for p in anna.joints], pose.apply(person.joints), atol=1e-12)
+    np.testing.assert_allclose(xyz(anna.root), pose.apply(person.root), atol=1e-12)
+    np.testing.assert_allclose(anna.root_covariance.reshape(3, 3), pose.rotate_covariance(covariance))
+    np.testing.assert_allclose(anna.joint_std, 0.1, rtol=1e-6)
+    assert anna.id == 'anna'
+    driving = camera._replace(before=parse_camera_pose('-0.1 0 1.5 0 0 1.57', 'test'), step_s=0.1)
+    raw = encode_predictions(header, [PredictedFrame(0.4, [person])], driving)
+    root = decode(raw, PREDICTIONS).times[0].people[0].root
+    np.testing.assert_allclose(np.array(xyz(root)) - xyz(anna.root), [0.4, 0, 0], atol=1e-9)  # at 1 m/s along x
+
+
+@pytest.mark.parametrize(
+    ('values', 'message'),
+    [
+        ({'node.prediction_times': ''}, r"node\.prediction_times = '': expected one to 20 times in s"),
+        ({'node.prediction_times': '0.2 1.5'}, r'up to 1, separated'),
+        ({'node.prediction_times': '0.2 soon'}, r'such as 0\.2 0\.4'),
+        ({'node.prediction_times': '0.2 nan'}, r'above 0'),
+        ({'node.prediction_times': '0.1 ' * 21}, r'one to 20'),
+        ({'tracker.lag': 0.2}, r'node\.publish_predict\w+: needs tracker\.lag = 0'),
+    ],
+)
+def test_wrong_prediction_times_are_refused_only_where_they_are_used(
+    values: dict[str, object], message: str
+) -> None:
+    assert read_prediction_times(with_values(Config(), values)) == ()
+    with pytest.raises(ConfigError, match=message):
+        read_prediction_times(with_values(Config(), {**values, 'node.publish_predictions': True}))
+
+
+def make_standing_person(person_id: str) -> Person3D:
+    return replace(make_person_3d(person_id), joints=STANDING + [0, 0, 4])
+
+
+def list_transforms(people: list[Person3D], frame: str = 'camera') -> list[Any]:
+    transforms: list[Any] = decode(encode_transforms(Header(1, frame), people), TRANSFORMS).transforms
+    return transforms
+
+
+def test_links_are_at_the_joints_and_turned_as_their_segments() -> None:
+    turns = Rotation.random(15, np.random.default_rng(0))
+    person = replace(make_standing_person('anna'), orientation=turns.as_quat())
+    body, *links = list_transforms([person])
+    pose, *others = (read_transform(t.transform) for t in (body, *links))
+    np.testing.assert_allclose(pose.translation, person.root, atol=1e-12)
+    standing = Rotation.from_matrix(pose.rotation)
+    assert {t.header.frame_id for t in links} == {'body_anna'}
+    for link, transform in zip(links, others, strict=True):
+        name = link.child_frame_id.removesuffix('_anna').replace('_', '')
+        if name != 'torso':
+            joint = person.joint_names.index(name)
+            np.testing.assert_allclose(pose.apply(transform.translation), person.joints[joint], atol=1e-12)
+            turned = standing * Rotation.from_matrix(transform.rotation)
+            assert (turned.inv() * turns[joint]).magnitude() < 1e-9
+    up = person.joints[[CMU15.index('lshoulder'), CMU15.index('rshoulder')]].mean(axis=0) - person.root
+    np.testing.assert_allclose(standing.as_matrix()[:, 2], up / np.linalg.norm(up), atol=1e-12)
+
+
+def read_transform(transform: Any) -> RigidTransform:
+    t, r = transform.translation, transform.rotation
+    return RigidTransform.from_numbers((t.x, t.y, t.z, r.x, r.y, r.z, r.w))
+
+
+def test_people_without_scale_or_extent_and_images_without_frame_have_no_transforms() -> None:
+    person = make_standing_person('anna')
+    assert list_transforms([replace(person, scale_known=False)]) == []
+    assert list_transforms([replace(person, joints=np.zeros((15, 3)))]) == []
+    assert list_transforms([person], frame='') == []
+    assert len(list_transforms([person])) == 15

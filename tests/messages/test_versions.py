@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Messages are converted between two versions of their type: between distributions of ROS, and made-up ones."""
+"""Messages are converted between versions of their type: of distributions of ROS, installed, and made-up ones."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from mocap_ros.errors import InputError
+from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import CDR_ALIGNMENT_BYTES, Header, decode, typestore
+from mocap_ros.messages.foreign_types import OPENPOSE_POSES
 from mocap_ros.messages.markers import MARKERS, MarkerEncoder
 from mocap_ros.messages.versions import compare_versions, make_converter
-from tests.support.camera_infos import camera_info
+from mocap_ros.ros.message_types import MessageVersions, load_interface_class
+from tests.support.camera_infos import camera_info, encode_ros1_camera_info
+from tests.support.installed_types import MARKER_TYPES, Fields, describe_as_rclpy, replace_installed_types
 from tests.support.people import make_person_3d
 
 BOX = 'test_msgs/msg/Box'
@@ -53,13 +56,9 @@ def test_markers_of_kilted_become_markers_of_foxy_with_the_same_content() -> Non
 
 def test_a_camera_of_ros_1_is_that_of_ros_2() -> None:
     raw = camera_info(1280, 960, 900.0, d=(0.1, -0.2, 0.0, 0.0, 0.0))
-    message, ros1 = decode(raw, CAMERA_INFO), get_typestore(Stores.ROS1_NOETIC)
-    values = {name.lower(): value for name, value in vars(message).items()}
-    header = ros1.types['std_msgs/msg/Header'](seq=1, stamp=message.header.stamp, frame_id='camera')
-    fields = {name: values[name.lower()] for name, _ in ros1.fielddefs[CAMERA_INFO][1]}
-    old = ros1.types[CAMERA_INFO](**{**fields, 'header': header})
+    ros1 = get_typestore(Stores.ROS1_NOETIC)
     convert_camera = make_converter(ros1, typestore(), CAMERA_INFO, is_ros1=True)
-    assert convert_camera(bytes(ros1.serialize_ros1(old, CAMERA_INFO))) == raw
+    assert convert_camera(encode_ros1_camera_info(ros1, raw)) == raw
 
 
 def convert(source: Typestore, target: Typestore, **fields: Any) -> object:
@@ -102,3 +101,41 @@ def test_fields_that_another_version_does_not_have_are_named(
     source: str, target: str, item: str, differences: tuple[list[str], list[str]]
 ) -> None:
     assert compare_versions(make_store(source), make_store(target, item), BOX) == differences
+
+
+MARKER = 'visualization_msgs/msg/Marker'
+
+
+@pytest.fixture
+def fields(monkeypatch: pytest.MonkeyPatch) -> Fields:
+    """Return a dictionary of the types that count as installed, to which a test adds its own."""
+    installed: Fields = {
+        'std_msgs/msg/Header': {'stamp': 'builtin_interfaces/Time', 'frame_id': 'string'},
+        'builtin_interfaces/msg/Time': {'sec': 'int32', 'nanosec': 'uint32'},
+    }
+    replace_installed_types(monkeypatch, installed)
+    return installed
+
+
+def test_an_input_whose_installed_fields_cannot_be_read_is_refused(fields: Fields) -> None:
+    fields[OPENPOSE_POSES] = {'header': 'wstring?'}
+    with pytest.raises(ConfigError, match=f'fields of {OPENPOSE_POSES} cannot be read'):
+        MessageVersions().add_input(OPENPOSE_POSES)
+
+
+def test_an_output_that_the_installed_version_cannot_hold_is_refused_by_type_and_field(fields: Fields) -> None:
+    fields |= describe_as_rclpy(get_typestore(Stores.ROS2_FOXY), *MARKER_TYPES)
+    assert f'{MARKER}.mesh_file' in MessageVersions().add_output(MARKERS), 'it is left out'
+    fields[MARKER]['points'] = 'sequence<geometry_msgs/Vector3, 8>'
+    fields[MARKER]['ns'] = 'int32'
+    with pytest.raises(ConfigError) as raised:
+        MessageVersions().add_output(MARKERS)
+    assert f'of {MARKERS} cannot hold' in str(raised.value)
+    assert f'{MARKER}.ns, {MARKER}.points has another type' in str(raised.value)
+
+
+@pytest.mark.parametrize('kind', ['', '__schemaless__', 'antigravity/x', 'os.path/msg/join', 'a/msg/b/c'])
+def test_a_name_in_a_bag_that_names_no_type_is_not_imported(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('mocap_ros.ros.message_types.import_module', pytest.fail)
+    with pytest.raises(ConfigError, match='is not the name of a type'):
+        load_interface_class(kind)

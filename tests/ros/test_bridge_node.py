@@ -1,11 +1,10 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""`mocap_bridge` beside `mocap_node`, and its messages read by the real classes of their packages."""
+"""`mocap_bridge` beside `mocap_node`."""
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -16,16 +15,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocap_ros.bridges.bridge import CONSUMERS, POSES, Bridge
+from mocap_ros.bridges.bridge import POSES
 from mocap_ros.bridges.capsules import CAPSULES
 from mocap_ros.bridges.ros4hri import DESCRIPTION, JOINT_STATES
-from mocap_ros.messages.cdr import Header, decode, typestore
+from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.markers import DELETE, MARKERS
 from mocap_ros.messages.skeletons import SKELETONS, encode_skeletons
 from mocap_ros.ros.message_types import load_interface_class
 from tests.support import foreign_packages
 from tests.support.launch_file import load_launch_file
-from tests.support.paths import ROOT
 from tests.support.people import make_person_3d
 from tests.support.ros_node import Peer, Process, StartNode, keypoints_at, stop_node, wait_until_discovered
 from tests.support.swinging_body import STANDING
@@ -34,8 +32,6 @@ pytest.importorskip('rclpy')
 pytest.importorskip('mocap_ros_msgs')
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
-
-READER = ROOT / 'tests' / 'support' / 'real_message_reader.py'
 BRIDGE = sys.executable, '-c', 'import sys; from mocap_ros.ros import main; sys.exit(main.bridge_main())'
 StartBridge = Callable[[str], Process]
 
@@ -58,47 +54,6 @@ def start_bridge(env: dict[str, str]) -> Iterator[StartBridge]:
 @pytest.fixture
 def launch_file(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return load_launch_file(monkeypatch)
-
-
-def flatten(value: Any) -> Any:
-    """Return a message object as nested lists of the values of its fields, numbers as floats."""
-    if isinstance(value, list | tuple | np.ndarray):
-        return [flatten(v) for v in value]
-    if isinstance(value, bool | int | float | np.generic):
-        return float(value)
-    if isinstance(value, str):
-        return value
-    _, fields = typestore().fielddefs[value.__msgtype__]
-    return [flatten(getattr(value, name)) for name, _ in fields]
-
-
-def test_the_packages_read_what_was_written(env: dict[str, str]) -> None:
-    foreign_packages.build((*foreign_packages.ROBOT_PACKAGES, 'hri_msgs'))
-    walker = replace(
-        make_person_3d('anna ä'),
-        joints=STANDING + [2.0, 1.0, 0.0],
-        std=np.full(15, 0.03),
-        velocity=np.tile([0.0, 1.0, 0.0], (15, 1)),
-        root_covariance=np.diag([0.04, 0.01, 0.02]),
-    )
-    people = [walker, replace(walker, id='bob', predicted=True, unseen_for=0.4, velocity=np.full((15, 3), np.nan))]
-    names = [n for n in CONSUMERS if n not in ('capsule_markers', 'collision_objects', 'prediction_markers')]
-    outputs = Bridge(names).feed_skeletons(encode_skeletons(Header(12_345_678_901, 'map'), people))
-    written = {o.type: o.data for o in outputs}
-    done = subprocess.run(
-        [sys.executable, str(READER)],
-        env=foreign_packages.environment(env),
-        input=json.dumps({kind: raw.hex() for kind, raw in written.items()}),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr
-    read = json.loads(done.stdout)
-    assert len(read) == len(names) + 2
-    for kind, raw in written.items():
-        assert read[kind] == flatten(decode(raw, kind)), kind
 
 
 def listen(peer: Peer, topic: str, kind: str, **qos: Any) -> list[bytes]:

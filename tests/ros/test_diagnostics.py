@@ -15,7 +15,7 @@ from mocap_ros.config import with_values
 from mocap_ros.messages.cdr import decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.ros.diagnostics import DIAGNOSTICS, DiagnosticsReporter, Level, RunStatistics
-from mocap_ros.ros.throttled_log import MAX_KINDS, MAX_LINE_LENGTH, ThrottledLog
+from mocap_ros.ros.throttled_log import MAX_KINDS, ThrottledLog
 from mocap_ros.runtime.pipeline import Pipeline
 from tests.support.line_log import LineLog
 from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, process, with_stamp
@@ -206,12 +206,3 @@ def test_the_log_is_not_flooded(topic: str, reason: str, count: int) -> None:
     assert len(log.lines) == count
     throttled.report('/camera_info', 1, 'another topic')
     assert log.lines[-1] == 'error /camera_info: message 1: another topic'
-
-
-def test_a_line_is_printable_and_of_limited_length() -> None:
-    log = LineLog()
-    ThrottledLog(log).report('/keypoints', 1, 'two\nlines and\x1b[2J ' + 'x ' * 1000, is_error=False)
-    (line,) = log.lines
-    assert line.startswith('warning /keypoints: message 1: two lines and [2J x')
-    assert line.isprintable()
-    assert len(line) <= len('warning ') + MAX_LINE_LENGTH

@@ -1,25 +1,34 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The examples for robots, as programs of their own over DDS."""
+"""The examples for robots, the recipe of a detector and the live page, as programs of their own over DDS."""
 
 from __future__ import annotations
 
+import http.client
+import json
+import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 
+from mocap_ros.demo.scene import make_recording
 from mocap_ros.messages.cdr import Header, decode, encode
+from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.messages.skeletons import SKELETONS, encode_skeletons
 from mocap_ros.ros.message_types import load_interface_class
+from tests.support.modules import load_module
 from tests.support.paths import ROOT
 from tests.support.people import make_person_3d
-from tests.support.ros_node import TIMEOUT_S, Peer
+from tests.support.ros_node import TIMEOUT_S, Peer, StartNode, stop_node
 
 pytest.importorskip('rclpy')
 pytest.importorskip('mocap_ros_msgs')
@@ -27,18 +36,45 @@ pytest.importorskip('mocap_ros_msgs')
 pytestmark = pytest.mark.ros
 
 
-def make_skeletons(ahead_m: float) -> bytes:
-    """Return skeletons of a person who stands so far ahead of the robot, on its x axis."""
+def make_skeletons(ahead_m: float, left_m: float = 0.0, speed_m_s: float = 0.0, **fields: Any) -> bytes:
+    """Return skeletons of a person who stands or moves ahead of the robot, along its x axis."""
     message = decode(encode_skeletons(Header(10**9, 'base_link'), [make_person_3d('anna')]), SKELETONS)
-    message.camera_frame_id = 'camera'
+    message.camera_frame_id = fields.pop('camera_frame_id', 'camera')
     (person,) = message.people
-    person.tentative, person.unseen_for = False, 0.0
-    person.root_covariance = np.zeros(9)
+    vars(person).update({'tentative': False, 'unseen_for': 0.0, 'root_covariance': np.zeros(9), **fields})
     for point in (person.root, *person.joints):
-        point.x, point.y, point.z = ahead_m, 0.0, 1.0
+        point.x, point.y, point.z = ahead_m, left_m, 1.0
     for velocity in (person.root_velocity, *person.joint_velocity):
-        velocity.x, velocity.y, velocity.z = 0.0, 0.0, 0.0
+        velocity.x, velocity.y, velocity.z = speed_m_s, 0.0, 0.0
     return encode(message, SKELETONS)
+
+
+IN_CAMERA = {'camera_frame_id': 'base_link'}  # people in the frame of the camera, where no transform is known
+TENTATIVE = {'tentative': True}
+
+
+@pytest.mark.parametrize(
+    ('place', 'fields', 'expected'),  # whether the robot stops, its speed and turn, and where discs are
+    [
+        ((3.0, 0.0, 0.0), {}, (False, (0.6, 0.0), [3.0] * 5)),
+        ((3.0, 0.0, -5.0), {}, (True, (0.0, 0.0), [3.0, 1.75, 0.5, -0.75, -2.0])),  # comes towards it
+        ((3.0, 0.0, 4.0), {}, (False, (0.6, 0.0), [3.0, 4.0, 5.0, 6.0, 7.0])),
+        ((0.9, 0.0, 0.0), {}, (True, (0.0, 0.0), [0.9] * 5)),
+        ((3.0, 3.0, 0.0), {}, (False, (0.6, pytest.approx(0.8 * np.pi / 4)), [3.0] * 5)),  # to the left
+        ((3.0, 0.0, 0.0), {'unseen_for': 1.0}, (False, (0.0, 0.0), [3.0] * 5)),
+        ((0.9, 0.0, 0.0), TENTATIVE, (False, (0.0, 0.0), [])),
+        ((3.0, 0.0, 0.0), IN_CAMERA, (True, (0.0, 0.0), [])),
+    ],
+)
+def test_what_the_examples_decide(place: tuple[float, ...], fields: dict[str, Any], expected: Any) -> None:
+    stop, follow, layer = (
+        load_module(ROOT / 'examples' / f'{n}.py') for n in ('stop_when_near', 'follow_person', 'people_layer')
+    )
+    skeletons = decode(make_skeletons(*place, **fields), SKELETONS)
+    points = np.array(layer.list_points(skeletons)).reshape(-1, layer.POINTS_PER_DISC, 3)
+    command = follow.choose_command(follow.choose_person(skeletons))
+    discs = points[..., 0].mean(axis=1)
+    assert (stop.must_stop(skeletons), command, pytest.approx(discs, abs=1e-9)) == expected
 
 
 @pytest.mark.parametrize(
@@ -87,3 +123,76 @@ def test_an_example_acts_on_a_person_far_away_and_is_safe_when_nothing_is_heard_
     finally:
         example.kill()
         example.wait()
+
+
+def test_the_recipe_of_the_documentation_runs(
+    env: dict[str, str], peer: Peer, start_node: StartNode, tmp_path: Path
+) -> None:
+    from sensor_msgs.msg import Image
+
+    text = (ROOT / 'docs' / 'detectors.md').read_text()
+    ((tested_by, recipe),) = re.findall(r'<!-- recipe: (\S+) .*?-->\n```python\n(.*?)```', text, re.DOTALL)
+    assert (ROOT / tested_by).samefile(__file__)
+    (tmp_path / 'detector.py').write_text(recipe)
+    node = start_node()
+    detector = subprocess.Popen(
+        [sys.executable, str(tmp_path / 'detector.py')], env=env, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        peer.wait_for_node()
+        images = peer.node.create_publisher(Image, 'image', 10)
+        peer.wait_until(images.get_subscription_count)
+        image = Image(width=640, height=480)
+        image.header.frame_id = 'camera'
+        while not peer.received['skeletons']:
+            image.header.stamp.sec += 1
+            images.publish(image)
+            peer.executor.spin_once(timeout_sec=0.2)
+            assert image.header.stamp.sec < 100
+        detector.send_signal(signal.SIGINT)
+        _, complaints = detector.communicate(timeout=TIMEOUT_S)
+        assert (detector.returncode, complaints) == (0, ''), 'Ctrl-C does not end it in peace'
+    finally:
+        detector.kill()
+        detector.wait()
+    (person,) = decode(peer.received['skeletons'][-1], SKELETONS).people
+    assert len(person.joints) == 26
+    stop_node(node)
+
+
+def test_the_page_gets_the_newest_people_with_their_keypoints(env: dict[str, str], peer: Peer) -> None:
+    command = [sys.executable, '-m', 'mocap_ros.cli.main', 'view', '--live', '/robot', '--port', '0']
+    view = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert view.stdout is not None
+        line = view.stdout.readline()
+        assert '/robot/skeletons' in line
+        skeletons, keypoints = (
+            peer.node.create_publisher(load_interface_class(msgtype), f'/robot/{topic}', 10)
+            for topic, msgtype in (('skeletons', SKELETONS), ('keypoints', KEYPOINTS))
+        )
+        peer.wait_until(lambda: skeletons.get_subscription_count() and keypoints.get_subscription_count())
+        person, deadline, content = make_recording().sequence().person(0), time.monotonic() + TIMEOUT_S, b''
+        connection = http.client.HTTPConnection(urlsplit(line.split()[0]).netloc, timeout=30)
+        frame: dict[str, Any] = {}
+        for second in range(1, 1000):
+            header = Header(second * 10**9, 'camera')
+            keypoints.publish(encode_keypoints(header, (640, 480), [person]))
+            time.sleep(0.05)
+            skeletons.publish(encode_skeletons(header, [make_person_3d('ann'), make_person_3d('bob', 1.0)]))
+            connection.request('GET', '/frame?after=0')
+            content = connection.getresponse().read()
+            frame = json.loads(content) if content else {}
+            if frame.get('keypoints'):
+                break
+            assert time.monotonic() < deadline
+        assert frame['ids'] == ['ann', 'bob']
+        joints = np.array(frame['people']['joints']).reshape(2, 15, 3) / 1000
+        assert joints[0] == pytest.approx(np.minimum(make_person_3d('ann').joints, 32.767))
+        assert len(frame['keypoints']) == 1
+        assert frame['keypoints'][0]['points'][0] / 8 == pytest.approx(person.points[0, 0], abs=0.1)
+        assert frame['camera']['imageSize'] == [640, 480]
+    finally:
+        view.send_signal(2)
+        _, errors = view.communicate(timeout=TIMEOUT_S)
+    assert (view.returncode, errors) == (0, '')

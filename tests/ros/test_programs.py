@@ -65,27 +65,33 @@ def test_help_lists_arguments_topics_and_installed_types(
 @pytest.mark.parametrize(
     ('program', 'arguments', 'code', 'reason'),
     [
-        ('main', ['--ros-args', '--params-file', 'bad.yaml'], 1, 'bad.yaml'),
-        ('main', ['--ros-args', '--frobnicate'], 1, '--frobnicate'),
-        ('main', ['tracker.window:=2.0'], 2, 'tracker.window:=2.0'),
-        ('detector_main', ['--ros-args', '-p', 'model:=none.onnx'], 1, 'none.onnx'),
-        ('detector_main', ['--ros-args', '-p', 'image_type:=std_msgs/msg/String'], 1, 'image_type'),
+        (main, ['--ros-args', '--params-file', 'bad.yaml'], 1, 'bad.yaml'),
+        (main, ['--ros-args', '--frobnicate'], 1, '--frobnicate'),
+        (main, ['tracker.window:=2.0'], 2, 'tracker.window:=2.0'),
+        (detector_main, ['--ros-args', '-p', 'model:=none.onnx'], 1, 'none.onnx'),
+        (detector_main, ['--ros-args', '-p', 'image_type:=std_msgs/msg/String'], 1, 'image_type'),
     ],
 )
-def test_wrong_arguments_are_reported_without_a_traceback(
-    env: dict[str, str], tmp_path: Path, program: str, arguments: list[str], code: int, reason: str
+def test_wrong_arguments_are_reported_in_one_line(
+    env: dict[str, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    program: Callable[..., int],
+    arguments: list[str],
+    code: int,
+    reason: str,
 ) -> None:
+    assert env['ROS_DOMAIN_ID']
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr('mocap_ros.ros.nodes.signal.signal', lambda *_: None)  # the handlers of pytest stay
     (tmp_path / 'bad.yaml').write_text('{')
-    command = [
-        sys.executable,
-        '-c',
-        f'import sys; from mocap_ros.ros.main import {program}; sys.exit({program}())',
-    ]
-    done = subprocess.run(
-        [*command, *arguments], env=env, cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    *usage, line = done.stderr.splitlines()
-    assert (done.returncode, len(usage)) == (code, code - 1)
+    try:
+        found = program(arguments)
+    except SystemExit as stopped:
+        found = int(stopped.code or 0)
+    *usage, line = capfd.readouterr().err.splitlines()
+    assert (found, len(usage)) == (code, code - 1)
     assert line.startswith(('mocap_node: ', 'detector_node: '))
     assert reason in line
 

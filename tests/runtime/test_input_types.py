@@ -10,8 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from mocap_ros.bags.journal import Verdict
 from mocap_ros.bags.reader import Bag
@@ -101,21 +99,6 @@ def test_a_bag_of_any_detector_is_a_sequence(msgtype: str, tmp_path: Path) -> No
             for p in (make_people(frame)[0], sequence.person(frame))
         )
         np.testing.assert_allclose(points, expected, atol=1e-3)
-
-
-@settings(max_examples=25)
-@given(st.data())
-@pytest.mark.parametrize('msgtype', INPUT_TYPES)
-def test_any_damage_is_accepted_or_counted(msgtype: str, data: st.DataObject) -> None:
-    pipeline = Pipeline(make_config(msgtype))
-    for source, raw, topic in make_inputs(msgtype, 0):
-        damaged = bytearray(raw)
-        for at, value in data.draw(st.lists(st.tuples(st.integers(0, len(raw) - 1), st.integers(0, 255)))):
-            damaged[at] = value
-        result = pipeline.feed(source, bytes(damaged), topic)
-        assert not result.error_traceback, result.error_traceback
-    counters = pipeline.counters
-    assert counters.accepted + counters.invalid + counters.dropped.total() == len(make_inputs(msgtype, 0))
 
 
 def test_images_are_complete_when_all_tracked_bodies_have_arrived() -> None:

@@ -1,12 +1,13 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Keypoints are loaded from bags, and a bag is refused where a sequence file is expected."""
+"""Inputs: of which kind a path is, what is loaded from bags and files, and what their clocks did."""
 
 from __future__ import annotations
 
 import json
 import math
+import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -17,14 +18,19 @@ import pytest
 
 import mocap_ros
 from mocap_ros.bags.recorder import Recorder
-from mocap_ros.config import RecorderConfig
+from mocap_ros.bags.topics import Source
+from mocap_ros.cli.main import main
+from mocap_ros.config import Config, RecorderConfig, with_values
 from mocap_ros.errors import InputError
 from mocap_ros.formats.detections import Video
-from mocap_ros.formats.sequence_file import save_sequence
+from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
+from mocap_ros.offline.whole_sequence import find_frames_in_sight
+from mocap_ros.runtime.input_kind import InputKind, find_input_kind
 from mocap_ros.runtime.load_keypoints import InputOptions, load_input
+from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.units import NS_PER_S
 from tests.support.camera_infos import camera_info
 from tests.support.keypoint_files import FPS, FRAMES, LIMITS, make_walker
@@ -162,3 +168,157 @@ def test_of_several_cameras_of_a_bag_one_is_chosen(tmp_path: Path) -> None:
         load_input(bag, InputOptions(Video(), LIMITS, camera_info='/back'))
     with pytest.raises(mocap_ros.InputError, match='choose one with camera_info: '):
         mocap_ros.read(bag)
+
+
+def test_kinds_by_name_and_content(tmp_path: Path) -> None:
+    save_sequence(tmp_path / 'walk.npz', make_walker())
+    (tmp_path / 'walk.dat').write_bytes((tmp_path / 'walk.npz').read_bytes())
+    np.savez(tmp_path / 'result.npz', joints3d=np.zeros(1), theta=np.zeros(1), residual_px=np.zeros(1))
+    for folder, file in (
+        ('bag', 'bag_0.mcap'),
+        ('bag.npz', 'metadata.yaml'),
+        ('openpose', 'a_0_keypoints.json'),
+        ('images', '1.PNG'),
+        ('folder', 'readme.txt'),
+    ):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / file).write_bytes(b'content')
+    for suffix in ('mcap', 'db3', 'bag', 'json', 'JSON', 'MP4', 'gif', 'jpeg', 'csv', 'xyz'):
+        (tmp_path / f'a.{suffix}').write_bytes(b'content')
+    (tmp_path / 'bad.npz').write_bytes(b'content')
+    (tmp_path / 'empty.mp4').touch()
+    os.mkfifo(tmp_path / 'pipe.npz')
+    os.mkfifo(tmp_path / 'pipe.mcap')
+    (tmp_path / 'zero.json').symlink_to('/dev/zero')
+    expected = {
+        'pipe.npz': InputKind.SPECIAL,
+        'pipe.mcap': InputKind.SPECIAL,
+        'zero.json': InputKind.SPECIAL,
+        'walk.npz': InputKind.SEQUENCE,
+        'walk.dat': InputKind.SEQUENCE,
+        'bad.npz': InputKind.SEQUENCE,
+        'result.npz': InputKind.RESULT,
+        'bag': InputKind.BAG,
+        'bag.npz': InputKind.BAG,
+        'a.mcap': InputKind.BAG,
+        'a.db3': InputKind.BAG,
+        'a.bag': InputKind.BAG,
+        'openpose': InputKind.OPENPOSE,
+        'a.json': InputKind.JSON,
+        'a.JSON': InputKind.JSON,
+        'a.MP4': InputKind.VIDEO,
+        'a.gif': InputKind.VIDEO,
+        'a.jpeg': InputKind.IMAGE,
+        'images': InputKind.IMAGES,
+        'a.csv': InputKind.WRITTEN,
+        'a.xyz': InputKind.OTHER,
+        'folder': InputKind.FOLDER,
+        'empty.mp4': InputKind.EMPTY_FILE,
+        'none.mp4': InputKind.MISSING,
+    }
+    assert {name: find_input_kind(tmp_path / name) for name in expected} == expected
+
+
+NOW_NS, STEP_NS, HOUR_NS = 1_760_000_000_000_000_000, 40_000_000, 3_600_000_000_000
+REGULAR = [NOW_NS + i * STEP_NS for i in range(FRAMES)]
+QUICK = ['--model', 'walk', '--set', 'solver.max_iterations=2']
+QUICKLY = {'tracker.model': 'walk', 'tracker.components': 8, 'tracker.iterations': 1, 'node.camera_info_wait': 0.0}
+CONFIG = with_values(Config(), QUICKLY)
+Edit = Callable[[int, int], int]  # the stamp of an image, of its number and its time in ns
+
+
+def encode_image(number: int, stamp_ns: int) -> bytes:
+    return encode_keypoints(Header(stamp_ns, 'cam'), (640, 480), [make_walker().person(number, 'anna')])
+
+
+def write_bag_with_clock(folder: Path, edit: Edit) -> Path:
+    with Recorder(folder, RecorderConfig(min_free_mb=0)) as recorder:
+        for number, time_ns in enumerate(REGULAR):
+            stamp_ns = edit(number, time_ns)
+            recorder.write('/k', KEYPOINTS, encode_image(number, stamp_ns), time_ns, stamp_ns)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ('edit', 'frames', 'line'),
+    [
+        (lambda _, t: t, FRAMES, ''),
+        (lambda _, t: t - NOW_NS, FRAMES, 'stamps are 1760000000.0 s before the times of receipt'),
+        (lambda _, t: t + HOUR_NS, FRAMES, 'stamps are 3600.0 s after the times of receipt'),
+        (lambda n, t: t + HOUR_NS * (n >= 25), FRAMES, r'gap of 3600\.0 s after frame 24 \(at 0\.96 s\)'),
+        (lambda n, t: t + 5 * STEP_NS * (n >= 25), FRAMES, ''),
+        (lambda n, t: t - HOUR_NS * (n >= 25), 25, r'message 26: the stamp goes back by 3600\.0 s; of 2 runs'),
+        (lambda n, t: t - 20 * STEP_NS * (n >= 25), 25, '15 messages left out'),  # the same stamps again
+        (lambda n, t: t - 27 * STEP_NS * (n >= 28), 28, r'goes back by 1\.0 s; of 2 runs'),
+        (lambda n, t: t * (n % 8 > 0), FRAMES - 5, '5 messages left out; .*header.stamp is not set'),
+    ],
+)  # fmt: skip
+def test_a_line_says_what_the_clock_of_a_bag_did(tmp_path: Path, edit: Edit, frames: int, line: str) -> None:
+    sequence, lines = load_input(write_bag_with_clock(tmp_path / 'bag', edit), InputOptions(Video(), LIMITS))
+    assert (sequence.keypoints[..., 2] > 0).any(axis=1).sum() in (frames, frames + 1)
+    assert len(lines) == 1 + bool(line)
+    if line:
+        assert any(re.search(line, text) for text in lines)
+
+
+@pytest.mark.parametrize(
+    ('edit', 'reason'),
+    [
+        (lambda _, t: t * 0, 'header.stamp is not set'),
+        (lambda n, t: t - (n % 2) * HOUR_NS, 'message 2: the stamp goes back by 3600.0 s; of 21 runs'),
+    ],
+)
+def test_a_bag_without_a_clock_is_refused(tmp_path: Path, edit: Edit, reason: str) -> None:
+    with pytest.raises(InputError, match=re.escape(reason)):
+        load_input(write_bag_with_clock(tmp_path / 'bag', edit), InputOptions(Video(), LIMITS))
+
+
+@pytest.mark.parametrize('jump_s', [-3600.0, 3600.0, 30.0])
+def test_the_live_pipeline_names_a_jump_once(jump_s: float) -> None:
+    pipeline = Pipeline(CONFIG)
+    stamps = [t + round(jump_s * 1e9) * (n >= 5) for n, t in enumerate(REGULAR[:10])]
+    results = [pipeline.feed(Source.KEYPOINTS, encode_image(n, t)) for n, t in enumerate(stamps)]
+    assert [n for n, result in enumerate(results) if 'the ' in result.reason and ' s' in result.reason] == [5]
+    expected = 'went back by 3600.0 s' if jump_s < 0 else f'gap of {jump_s:.1f} s before this stamp'
+    assert expected in results[5].reason
+    assert pipeline.counters.accepted == 10
+
+
+def reconstruct(folder: Path, sequence: KeypointSequence, gap_s: float, *suffixes: str) -> int:
+    times = np.where(np.arange(FRAMES) < 20, 0.0, gap_s) + sequence.timestamps
+    save_sequence(folder / 'in.npz', KeypointSequence(sequence.keypoints, sequence.joint_names, times, (640, 480)))
+    outputs = [word for suffix in suffixes for word in ('-o', str(folder / f'out{suffix}'))]
+    return main(['reconstruct', str(folder / 'in.npz'), *outputs, *QUICK])
+
+
+@pytest.mark.parametrize(('suffix', 'gap_s'), [('.trc', 3600.0), ('.bvh', 3600.0), ('.trc', 70.0), ('.bvh', 15.0)])
+def test_no_hour_is_invented(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str, gap_s: float
+) -> None:
+    assert reconstruct(tmp_path, make_walker(), gap_s, suffix) == 1
+    assert f'a gap of {gap_s:.1f} s after 0.6 s' in capsys.readouterr().err
+    assert not (tmp_path / f'out{suffix}').exists()
+
+
+def test_a_gap_is_empty_in_files_of_a_constant_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert reconstruct(tmp_path, make_walker(), 5.0, '.trc', '.csv', '.npz') == 0
+    assert 'a gap of 5.0 s after frame 19' in capsys.readouterr().err
+    rows = [line.split('\t') for line in (tmp_path / 'out.trc').read_text().splitlines()[6:]]
+    filled = [any(cell.strip() for cell in row[2:]) for row in rows]
+    assert (filled.count(True), len(rows)) == (FRAMES, FRAMES + 150)
+    assert len((tmp_path / 'out.csv').read_text().splitlines()) == 1 + FRAMES
+    assert len(np.load(tmp_path / 'out.npz')['joints3d']) == FRAMES
+
+
+def test_frames_in_a_long_gap_of_a_person_are_out_of_sight() -> None:
+    seen = np.zeros((300, 15), bool)
+    seen[[5, 20, 200, 210], 3] = True
+    expected = np.isin(np.arange(300), [*range(5, 21), *range(200, 211)])
+    np.testing.assert_array_equal(find_frames_in_sight(seen, np.arange(300) / 30), expected)
+
+
+def test_times_since_1970_are_seconds_with_six_digits(tmp_path: Path) -> None:
+    bag = write_bag_with_clock(tmp_path / 'bag', lambda n, t: t + n * 1000)
+    assert main(['reconstruct', str(bag), '-o', str(tmp_path / 'out.csv'), *QUICK]) == 0
+    times = [line.split(',')[0] for line in (tmp_path / 'out.csv').read_text().splitlines()[1:]]
+    assert times == [f'1760000000.{40_001 * n % 1_000_000:06d}' for n in range(25)] + times[25:]

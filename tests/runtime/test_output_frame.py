@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import math
 import re
-import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +18,7 @@ from mocap_ros.bags.journal import Verdict
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source
-from mocap_ros.config import Config, RecorderConfig, with_settings, with_values
+from mocap_ros.config import Config, RecorderConfig, with_values
 from mocap_ros.errors import ConfigError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import decode
@@ -230,66 +228,6 @@ def test_a_replay_reads_the_transforms_of_the_bag(
     np.testing.assert_allclose(read_joints(tmp_path / 'plain'), [stack(own) for own in in_camera], atol=1e-9)
     in_optical_frame, _ = load_result(tmp_path / 'out')
     np.testing.assert_allclose(in_optical_frame.joints, [stack(own)[0] for own in in_camera], atol=1e-9)
-
-
-class LiveRobot:
-    """A live run of a robot that publishes people on the topic on which its own transforms come."""
-
-    def __init__(self, folder: Path, remapped: Mapping[str, str]) -> None:
-        from mocap_ros.ros.live import LiveRun
-        from tests.support.line_log import LineLog
-
-        values = {'node.publish_tf': True, 'node.queue': 3, 'recorder.folder': str(folder)}
-        sources = (s.value for s in Source)
-        names = {name: '/' + name.lstrip('/') for name in (*OUTPUTS, *sources, 'skeleton_definition')}
-        names = {**names, 'journal': '/mocap_node/journal', **remapped}
-        types = dict.fromkeys((Source.TRANSFORMS, Source.STATIC_TRANSFORMS), TRANSFORMS)
-        types |= {Source.KEYPOINTS: KEYPOINTS, Source.CAMERA_INFO: CAMERA_INFO}
-        self.skeletons: list[bytes] = []
-        pipeline = Pipeline(with_settings(MAP_CONFIG, values))
-        self.run = LiveRun(pipeline, types, names, self._publish, LineLog())
-        self.run.start()
-
-    def _publish(self, output: Any) -> None:
-        if output.topic == 'skeletons':
-            self.skeletons.append(output.data)
-
-    def wait_for(self, count: int) -> None:
-        deadline = time.monotonic() + 60
-        while len(self.skeletons) < count:
-            assert time.monotonic() < deadline
-            time.sleep(0.002)
-
-
-@pytest.mark.parametrize('remapped', [{}, {'/tf': '/robot/moving', '/tf_static': '/robot/fixed'}])
-def test_a_live_run_and_its_replay_agree_also_where_people_are_on_tf(
-    tmp_path: Path, stream: list[bytes], in_camera: list[Any], remapped: dict[str, str]
-) -> None:
-    pytest.importorskip('rclpy')
-    robot = LiveRobot(tmp_path / 'bags', remapped)
-    run = robot.run
-    run.enqueue(Source.CAMERA_INFO, camera_info(), 5)
-    run.enqueue(Source.STATIC_TRANSFORMS, static_transforms(), 5)
-    run.enqueue(Source.TRANSFORMS, robot_at(0), 5)
-    for i, (raw, own) in enumerate(zip(stream, in_camera, strict=True)):
-        if i == 4:
-            run.start_recording()  # the transforms that are known come first in the bag
-        for later_ns in range(0, STEP_NS, STEP_NS // 8):  # more messages than the queue may hold of people
-            run.enqueue(Source.TRANSFORMS, robot_at(stamp_of(own) + later_ns), 5)
-        run.enqueue(Source.KEYPOINTS, raw, 5)
-        robot.wait_for(i + 1)
-    run.stop()
-    assert len(robot.skeletons) == FRAMES
-    (folder,) = (tmp_path / 'bags').iterdir()
-    with Bag(folder) as bag:
-        result = replay(bag, tmp_path / 'again')
-    assert (result.counters.accepted, result.unrecorded_inputs) == (FRAMES - 4, 0)
-    live = [stack(decode(raw, SKELETONS)) for raw in robot.skeletons[4:]]
-    np.testing.assert_allclose(read_joints(tmp_path / 'again'), live, atol=1e-9)
-    moved = [
-        j[0].mean(axis=0)[0] - o[0].mean(axis=0)[2] for j, o in zip(live, map(stack, in_camera[4:]), strict=True)
-    ]
-    assert moved[-1] - moved[0] == pytest.approx(SPEED_M_S * 7 * STEP_NS / SECOND_NS, abs=0.3)
 
 
 def test_predictions_are_in_the_output_frame_and_the_same_in_a_replay(

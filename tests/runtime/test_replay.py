@@ -1,19 +1,25 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Replays of bags of every storage, version and origin, of several bags, and after an interruption."""
+"""Replays and playback of bags of every storage, version and origin, and what a replay records of its origin."""
 
 from __future__ import annotations
 
+import hashlib
+import json
+import platform
+from importlib import metadata
+from importlib.resources import files
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from mcap.reader import make_reader
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
 from mocap_ros.bags.journal import (
     JOURNAL,
@@ -24,18 +30,27 @@ from mocap_ros.bags.journal import (
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.rosbag2 import make_topic
-from mocap_ros.bags.topics import Source
+from mocap_ros.bags.topics import Source, list_input_types
 from mocap_ros.cli.main import main
-from mocap_ros.config import Config, RecorderConfig, Value, values, with_values
+from mocap_ros.config import Config, RecorderConfig, Value, from_yaml, values, with_values
+from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import ConfigError, InputError, RecordingError
+from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.messages import cdr
-from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.cdr import create_message, decode, encode, typestore
+from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.messages.skeletons import SKELETON_DEFINITION
 from mocap_ros.messages.transforms import TRANSFORMS
+from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.runtime.pipeline import Pipeline
+from mocap_ros.runtime.playback import Playback, encode_sequence
+from mocap_ros.runtime.provenance import RECORDED_PACKAGES
 from mocap_ros.runtime.replay import ReplayOptions, replay
-from tests.support.camera_infos import camera_info
+from tests.support.bag_writing import DEFINITION
+from tests.support.camera_infos import camera_info, encode_ros1_camera_info, make_ros1_header
+from tests.support.foreign_messages import make_hri_inputs
 from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import (
     FAST_CONFIG,
@@ -112,25 +127,12 @@ def test_a_bag_of_ros_1_gives_the_same_skeletons(
     with writer:
         camera = writer.add_connection('/camera_info', CAMERA_INFO, typestore=store)
         points = writer.add_connection('/keypoints', KEYPOINTS, typestore=store)
-        writer.write(camera, START_NS, store.serialize_ros1(ros1_camera_info(store), CAMERA_INFO))
+        writer.write(camera, START_NS, encode_ros1_camera_info(store))
         for i, raw in enumerate(stream):
             message = decode(raw, KEYPOINTS)
-            message.header = ros1_header(store, message.header)
+            message.header = make_ros1_header(store, message.header)
             writer.write(points, START_NS + i * STEP_NS, store.serialize_ros1(message, KEYPOINTS))
     assert replay_skeletons(tmp_path / 'old.bag', tmp_path / 'out') == skeletons
-
-
-def ros1_header(store: Typestore, header: Any) -> Any:
-    return store.types['std_msgs/msg/Header'](seq=7, stamp=header.stamp, frame_id=header.frame_id)
-
-
-def ros1_camera_info(store: Typestore) -> Any:
-    ros2 = decode(camera_info(), CAMERA_INFO)
-    values = {
-        f: getattr(ros2, f.lower() if len(f) == 1 else f)
-        for f in (name for name, _ in store.fielddefs[CAMERA_INFO][1])
-    }
-    return store.types[CAMERA_INFO](**{**values, 'header': ros1_header(store, ros2.header)})
 
 
 def test_a_split_bag_and_each_of_its_files_replay(
@@ -326,3 +328,88 @@ def test_inputs_keep_their_qos_in_a_replay(stream: list[bytes], tmp_path: Path) 
 def read_all(path: Path) -> list[tuple[str, int, bytes]]:
     with Bag(path) as bag:
         return [(m.topic, m.time_ns, m.raw) for m in bag.messages(bag.topics)]
+
+
+def test_a_bag_names_versions_models_and_parameters(tmp_path: Path) -> None:
+    config = with_values(FAST_CONFIG, {'solver.max_iterations': 7, 'solver.prior': 'learned'})
+    with Bag(write_keypoints_bag(tmp_path / 'bag', encode_demo_frames(2))) as bag:
+        replay(bag, tmp_path / 'out', ReplayOptions(config))
+    with (tmp_path / 'out' / 'out_0.mcap').open('rb') as file:
+        attachments = {a.name: a for a in make_reader(file).iter_attachments()}
+    kinds = {name: a.media_type for name, a in attachments.items()}
+    assert kinds == {'mocap_ros.yaml': 'application/yaml', 'provenance.json': 'application/json'}
+    assert from_yaml(attachments['mocap_ros.yaml'].data.decode(), 'mocap_ros.yaml') == config
+
+    provenance = json.loads(attachments['provenance.json'].data)
+    versions = provenance['versions']
+    assert versions.keys() >= {'python', *RECORDED_PACKAGES}
+    assert versions['python'] == platform.python_version()
+    for package in ('mocap_ros', 'numpy', 'scipy', 'mcap', 'rosbags'):
+        assert versions[package] == metadata.version(package)
+    walk, model = provenance['models']['walk'], load_base_poses('walk')
+    with np.load(str(files('mocap_ros') / 'models' / 'shipped' / 'walk.npz')) as archive:
+        arrays = b''.join(archive[name].astype(float).tobytes() for name in ('mean', 'components', 'std'))
+    assert (walk['sha256'], walk['stature']) == (hashlib.sha256(arrays).hexdigest(), model.stature)
+    assert walk['provenance'] == json.loads(json.dumps(dict(model.provenance)))
+    assert 'mocap.cs.cmu.edu' in provenance['lifter']['provenance']['acknowledgement']
+    assert len(bytes.fromhex(provenance['lifter']['sha256'])) == hashlib.sha256().digest_size
+
+
+PLAYED_FRAMES = 4
+
+
+@pytest.fixture
+def played_bag(tmp_path: Path) -> Path:
+    """Return a bag of keypoints and CameraInfo in a namespace, and of another topic."""
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        recorder.declare_topic('/unused', KEYPOINTS)
+        recorder.write('/left/camera_info', CAMERA_INFO, camera_info(), 1, 1)
+        recorder.write('/skeleton_definition', SKELETON_DEFINITION, DEFINITION, 2, 2)
+        for frame, raw in enumerate(encode_demo_frames(PLAYED_FRAMES)):
+            recorder.write('/left/keypoints', KEYPOINTS, raw, 10 + frame, 10)
+    return tmp_path / 'bag'
+
+
+def test_keypoints_and_their_camera_are_played_on_the_topics_of_the_node(played_bag: Path) -> None:
+    playback = Playback(played_bag, to='people')
+    assert {t.recorded: (t.name, t.type) for t in playback.topics} == {
+        '/left/keypoints': ('people', KEYPOINTS),
+        '/left/camera_info': ('camera_info', CAMERA_INFO),
+    }
+    assert playback.count == PLAYED_FRAMES + 1
+    expected = [(1, '/left/camera_info', camera_info())]
+    expected += [(10 + i, '/left/keypoints', raw) for i, raw in enumerate(encode_demo_frames(PLAYED_FRAMES))]
+    for _ in range(2):  # a playback can be repeated
+        assert [(m.due_ns, playback.topics[m.topic].recorded, m.raw) for m in playback] == expected
+
+
+def test_everything_is_played_on_its_recorded_topics(played_bag: Path) -> None:
+    playback = Playback(played_bag, everything=True)
+    recorded = {'/left/keypoints', '/left/camera_info', '/skeleton_definition'}
+    assert {t.name for t in playback.topics} == {t.recorded for t in playback.topics} == recorded
+    assert playback.count == len(list(playback)) == PLAYED_FRAMES + 2
+
+
+def test_bodies_of_ros4hri_keep_their_topics(tmp_path: Path) -> None:
+    inputs = make_hri_inputs(0)
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        for source, raw, topic in inputs:
+            recorder.write(topic, list_input_types(HRI_SKELETON)[source], raw, 1, 1)
+    playback = Playback(tmp_path / 'bag', to='people')
+    assert {t.name for t in playback.topics} == {topic for _, _, topic in inputs}
+    assert {m.raw for m in playback} == {raw for _, raw, _ in inputs}
+
+
+@pytest.mark.parametrize('is_calibrated', [False, True])
+def test_a_sequence_file_is_played_at_its_stamps(tmp_path: Path, is_calibrated: bool) -> None:
+    sequence = make_recording().sequence(is_calibrated=is_calibrated)
+    save_sequence(tmp_path / 'demo.npz', sequence)
+    playback = Playback(tmp_path / 'demo.npz')
+    topics = [('keypoints', KEYPOINTS), ('camera_info', CAMERA_INFO)][: 1 + is_calibrated]
+    assert [(t.name, t.type) for t in playback.topics] == topics
+    messages = [*playback]
+    assert playback.count == len(messages) == len(sequence) * len(topics)
+    keypoints = [(m.due_ns, m.raw) for m in messages if m.topic == 0]
+    assert keypoints == [(f.stamp_ns, f.raw) for f in encode_sequence(sequence)]
+    for message in messages[:is_calibrated]:  # before the first keypoints
+        assert decode_camera_info(message.raw).intrinsics.focal_lengths == pytest.approx([600.0, 600.0])

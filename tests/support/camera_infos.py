@@ -5,10 +5,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from rosbags.typesys.store import Typestore
 
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.plain import encode_plain
 
 
@@ -38,3 +41,16 @@ def camera_info(
         'roi': (x, y, region_height, region_width, False),
     }
     return encode_plain(message, CAMERA_INFO)
+
+
+def make_ros1_header(store: Typestore, header: Any) -> Any:
+    return store.types['std_msgs/msg/Header'](seq=7, stamp=header.stamp, frame_id=header.frame_id)
+
+
+def encode_ros1_camera_info(store: Typestore, raw: bytes | None = None) -> bytes:
+    """Return a CameraInfo with the header and the names of fields of ROS 1, in its encoding."""
+    message = decode(raw or camera_info(), CAMERA_INFO)
+    by_name = {name.lower(): value for name, value in vars(message).items()}
+    fields = {name: by_name[name.lower()] for name, _ in store.fielddefs[CAMERA_INFO][1]}
+    old = store.types[CAMERA_INFO](**{**fields, 'header': make_ros1_header(store, message.header)})
+    return bytes(store.serialize_ros1(old, CAMERA_INFO))

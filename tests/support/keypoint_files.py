@@ -17,6 +17,7 @@ FRAMES = 40
 FPS = 25.0  # Hz
 VIDEO = Video(fps=FPS, image_size=(640, 480))
 LIMITS = NodeConfig()
+QUICK_OPTIONS = ('--model', 'walk', '--set', 'solver.max_iterations=2')  # of commands whose result does not matter
 
 
 def make_walker() -> KeypointSequence:

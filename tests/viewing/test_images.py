@@ -30,7 +30,7 @@ from tests.support.blob_people import write_video
 from tests.support.browser import open_browser, write_and_open
 from tests.support.foreign_messages import create_blank_message
 from tests.support.image_messages import encode_pixels
-from tests.support.quick_options import QUICK_OPTIONS
+from tests.support.keypoint_files import QUICK_OPTIONS
 from tests.support.scenes import make_scene
 
 FRAMES = 40

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Joint angles: known angles are found again, with their signs, through singular poses and whole turns."""
+"""Joint angles are found again, with their signs, through singular poses and whole turns; armatures of BVH."""
 
 from __future__ import annotations
 
@@ -11,10 +11,52 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
+from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS, UPRIGHT_DEG, compute_joint_angles
-from mocap_ros.skeleton import CMU15
-from tests.support.joint_kinematics import STANDING, compute_joints
+from mocap_ros.skeleton import BODY26, CMU15
+from tests.support.motion_files import Z_UP_TO_Y_UP
+
+# m; where the joints are in the axes of their segments, of a person who stands upright with hanging arms
+STANDING: dict[str, tuple[float, float, float]] = {
+    'pelvis': (0, 0, 0), 'lhip': (0.04, -0.1, -0.1), 'rhip': (0.04, -0.1, 0.1),
+    'neck': (0, 0.5, 0), 'lshoulder': (0.01, 0.45, -0.18), 'rshoulder': (0.01, 0.45, 0.18), 'head': (0, 0.2, 0),
+    'lknee': (0, -0.44, 0), 'rknee': (0, -0.44, 0), 'lankle': (0, -0.42, 0), 'rankle': (0, -0.42, 0),
+    'lelbow': (0, -0.3, 0), 'relbow': (0, -0.3, 0), 'lwrist': (0, -0.26, 0), 'rwrist': (0, -0.26, 0),
+}  # fmt: skip
+
+
+def compute_joints(values: np.ndarray, places: dict[str, Any]) -> np.ndarray:
+    """Return the joints (F, 15, 3) in m of coordinates (F, C), written out from the formulas of `joint_angles`."""
+    q = dict(zip(COORDINATES, values.T, strict=True))
+
+    def turn(axis: str, name: str, sign: float = 1.0) -> Rotation:
+        return Rotation.from_euler(axis, sign * q[name][:, None], degrees=True)
+
+    at = {'pelvis': np.column_stack([q['pelvis_tx'], q['pelvis_ty'], q['pelvis_tz']])}
+
+    def place(joint: str, segment: Rotation, origin: str) -> None:
+        at[joint] = at[origin] + segment.apply(np.asarray(places[joint], float))
+
+    pelvis = turn('y', 'pelvis_rotation') * turn('x', 'pelvis_list') * turn('z', 'pelvis_tilt')
+    torso = pelvis * turn('z', 'lumbar_extension') * turn('x', 'lumbar_bending') * turn('y', 'lumbar_rotation')
+    for joint in ('lhip', 'rhip'):
+        place(joint, pelvis, 'pelvis')
+    for joint in ('neck', 'lshoulder', 'rshoulder'):
+        place(joint, torso, 'pelvis')
+    place('head', torso * turn('z', 'neck_extension') * turn('x', 'neck_bending'), 'neck')
+    for side, sign in (('r', 1.0), ('l', -1.0)):
+        thigh = pelvis * turn('z', f'hip_flexion_{side}') * turn('x', f'hip_adduction_{side}', sign)
+        thigh = thigh * turn('y', f'hip_rotation_{side}', sign)
+        place(f'{side}knee', thigh, f'{side}hip')
+        place(f'{side}ankle', thigh * turn('z', f'knee_angle_{side}', -1.0), f'{side}knee')
+        arm = torso * turn('z', f'arm_flex_{side}') * turn('x', f'arm_add_{side}', sign)
+        arm = arm * turn('y', f'arm_rot_{side}', sign)
+        place(f'{side}elbow', arm, f'{side}shoulder')
+        place(f'{side}wrist', arm * turn('z', f'elbow_flex_{side}'), f'{side}elbow')
+    return np.stack([at[joint] for joint in CMU15.joints], axis=1)
+
 
 FPS = 30.0
 # m; the hips of `STANDING` lie below the pelvis at the angle by which joint angles take a pelvis as upright
@@ -111,3 +153,25 @@ def test_bodies_without_angles_give_finite_ones() -> None:
     across = line[..., [1, 0, 2]]
     for joints in (point, line, across, line[:1]):
         assert np.isfinite(compute_joint_angles(joints, FPS)).all()
+
+
+@pytest.mark.filterwarnings('error')
+def test_degenerate_bodies_give_finite_angles_and_bones() -> None:
+    point = np.zeros((3, 15, 3))
+    line = np.repeat(np.linspace([0, 0, 0], [0, 2, 0], 15)[None], 3, axis=0)
+    for joints in (point, line):
+        bvh = build_armature(joints, 30.0)
+        assert np.isfinite(bvh.motion).all()
+        assert (np.linalg.norm(bvh.offsets[1:], axis=1) > 0.99).all()
+
+
+def test_a_foot_is_as_long_as_in_the_motion(poses: np.ndarray) -> None:
+    body = np.full((len(poses), len(BODY26.joints), 3), np.nan)
+    body[:, : len(CMU15.joints)] = poses @ Z_UP_TO_Y_UP.T
+    for side in 'lr':
+        ankle, toe, hand, wrist = (BODY26.index(side + name) for name in ('ankle', 'toe', 'hand', 'wrist'))
+        body[:, toe] = body[:, ankle] + [0.0, -0.12, 0.16]  # 20 cm
+        body[:, hand] = body[:, wrist] + [0.0, -0.08, 0.0]
+    bvh = build_armature(body, 30.0)
+    ends = [bvh.parents.index(bvh.names.index(name)) for name in ('LeftFoot', 'RightFoot')]
+    np.testing.assert_allclose(np.linalg.norm(bvh.offsets[ends], axis=1), 20.0, rtol=1e-6)
