@@ -29,8 +29,9 @@ from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.models import model_file
 from mocap_ros.training.fit_base_poses import fit_base_poses
 from mocap_ros.training.motion_library import balance_trials
+from mocap_ros.training.synthesis import KINDS as EXAMPLE_KINDS
 
-LIFTER_OPTIONS = ('steps', 'checkpoint', 'start_from', 'seed')  # options with --lifter only
+LIFTER_OPTIONS = ('steps', 'checkpoint', 'start_from', 'seed', 'without')  # options with --lifter only
 DEFAULT_STEPS = 60000  # optimiser steps; more gain more
 MAX_SEED = 2**63 - 1  # the largest that PyTorch takes for sure
 
@@ -110,6 +111,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='N',
         help='random seed of the initial weights and the examples (default: 0)',
     )
+    add(
+        '--without',
+        nargs='+',
+        choices=EXAMPLE_KINDS,
+        metavar='KIND',
+        help='leave out synthesised postures or variations, to measure what they are good for: '
+        f'{", ".join(EXAMPLE_KINDS)}',
+    )
     parser.set_defaults(run=run)
 
 
@@ -183,7 +192,7 @@ def _train_lifter(args: argparse.Namespace, sources: Sequence[Path]) -> None:
     provenance['without_subjects'] = args.without_subject
     steps, path = args.steps or DEFAULT_STEPS, args.checkpoint
     start = None if args.start_from is None else model_file.load_lifter(args.start_from)
-    settings = training.TrainingSettings(steps=steps, seed=args.seed or 0)
+    settings = training.TrainingSettings(steps=steps, seed=args.seed or 0, without=tuple(args.without or ()))
     if start is not None:
         provenance['started_from'] = dict(start.provenance)
         settings = replace(settings, rate=training.START_FROM_RATE)

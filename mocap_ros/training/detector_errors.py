@@ -27,8 +27,8 @@ from mocap_ros.engine import rays as engine
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.models.lifter_input import HISTORY_SLOTS_S, JOINT_COUNT, MAX_INTERPOLATION_GAP_S, MIRROR_PERMUTATION
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
+from mocap_ros.training.example_arrays import Array, RandomArrays
 from mocap_ros.training.postures import FACE, FEET, HANDS, joint_indices, limb_indices
-from mocap_ros.training.random_arrays import Array, RandomArrays
 
 # Confidence scores.
 CONSTANT_SCORE_SHARE = 0.25  # share; scores that are all 1, from detectors whose scores carry no information

@@ -64,6 +64,7 @@ class TrainingSettings:
         average: decay per step of the running average of the weights, which becomes the lifter.
         seed: seed of the examples, the initial weights and dropout.
         precision: number format of the network's products, `float32` or `bfloat16`.
+        without: kinds of `synthesis.KINDS` that are left out of the examples.
     """
 
     steps: int = 60000
@@ -78,6 +79,7 @@ class TrainingSettings:
     average: float = 0.998
     seed: int = 0
     precision: str = 'float32'
+    without: tuple[str, ...] = ()
 
 
 class LifterNetwork(nn.Module):  # type: ignore[misc, unused-ignore]
@@ -248,7 +250,8 @@ def train_lifter(
     """
     torch.manual_seed(settings.seed)
     torch.set_flush_denormal(True)
-    training = _Training(ExampleSynthesiser(MotionLibrary.from_trials(trials, shares), settings.seed), settings)
+    library = MotionLibrary.from_trials(trials, shares)
+    training = _Training(ExampleSynthesiser(library, settings.seed, settings.without), settings)
     fixed = {**vars(settings), 'steps': None, 'trials': [len(t) for t in trials]}
     if checkpoint is not None:
         if checkpoint['fixed'] != fixed:

@@ -15,10 +15,11 @@ had seen neither these nor the test subjects. Shares are shares of the examples.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mocap_ros.models.lifter_input import (
     HISTORY_SLOTS_S,
@@ -29,15 +30,27 @@ from mocap_ros.models.lifter_input import (
 )
 from mocap_ros.skeleton import BODY26, CORE_COUNT
 from mocap_ros.training.detector_errors import DetectorErrors
+from mocap_ros.training.example_arrays import (
+    Array,
+    Array64,
+    Bools,
+    RandomArrays,
+    add_bones,
+    axis_rotations,
+    find_trunks,
+    rotate_points,
+    rotations_from_vectors,
+)
 from mocap_ros.training.motion_library import FPS, MotionLibrary
 from mocap_ros.training.postures import FACE, LIMBS, joint_indices, limb_indices, take_postures
-from mocap_ros.training.random_arrays import Array, RandomArrays
-
-Array64 = NDArray[np.float64]
+from mocap_ros.training.postures import KINDS as POSTURE_KINDS
 
 # Bodies and poses: the library has few people and motions, and the lifter meets many.
 MIRRORED_SHARE = 0.5  # share; people are left- and right-handed alike
-BONE_LENGTH_STD = 0.07  # 1, standard deviation of the factor on each bone length; adults differ in proportion
+# Adults differ in the lengths of these parts, and little in how a part is divided into bones.
+PROPORTION_RANGE = (0.88, 1.12)  # 1, factor on each of the parts below; left out as `proportions`
+PARTS = (('knee', 'ankle'), ('elbow', 'wrist'), ('neck',), ('shoulder',), ('hip',))
+BONE_LENGTH_STD = 0.07  # 1, standard deviation of the factor on each bone length
 MAX_BONE_LENGTH_DEVIATIONS = 2.5  # standard deviations; bounds the factor to 0.83 and 1.18
 MIN_BONE_LENGTH_M = 1e-6  # m; guards divisions by the length of bones that a trial lacks
 BORROWED_LIMB_SHARES = {'arms': 0.25, 'larm': 0.12, 'lleg': 0.04, 'legs': 0.12}  # with another example's limb
@@ -79,10 +92,15 @@ COMMON_ELEVATION_SHARE = 0.6  # share of the examples with such a camera
 COMMON_ELEVATION_DEG = (12, 14)  # degrees, mean and standard deviation of the elevation in these
 ELEVATION_RANGE_DEG = (-20, 45)  # degrees in the others; from a camera on the floor to one under the ceiling
 ROLL_STD_DEG = 7  # degrees, standard deviation; hand-held cameras and cameras that are not levelled
+ANY_ROLL_SHARE = 0.06  # share of the examples with a camera on its side, upside down or in between; `roll`
 
 # What the lifter gets of the vertical.
 KNOWN_VERTICAL_SHARE = 0.5  # share of the examples in which it is known
 VERTICAL_STD_RANGE_RAD = (0.008, 0.25)  # rad, by how much it is off, log-uniform; 0.5 to 14 degrees
+# Share of these in which a tracker has found it by such people, with the standard deviation of their posture. What
+# it believes is between one that suits people who stand and this; left out as `found`.
+FOUND_VERTICAL_SHARE = 0.25
+BELIEVED_STD_RAD = math.radians(8.0)  # rad, of the direction that somebody shows who stands
 
 # Projection.
 ORTHOGRAPHIC_SHARE = 0.35  # share; distant people, and the weak-perspective images of the solvers
@@ -101,6 +119,10 @@ _FRAMES_AGO = np.round(HISTORY_SLOTS_S * FPS).astype(int)  # frames from each sl
 # (J,) index of the joint whose factor on the bone length each joint shares: both sides, and all of a face.
 _SAME_FACTOR = np.minimum(np.arange(JOINT_COUNT), MIRROR_PERMUTATION)
 _SAME_FACTOR[joint_indices(*FACE)] = BODY26.index(FACE[0])
+# (J,) number of the part of `PARTS` to which each joint belongs; the last for others
+_PART = np.array([*(next((i for i, p in enumerate(PARTS) if n.endswith(p)), len(PARTS)) for n in BODY26.joints)])
+# What can be left out of the examples.
+KINDS = (*POSTURE_KINDS, 'arms', 'proportions', 'roll', 'found')
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,38 +141,40 @@ class ExampleBatch:
     newest: Array
     target: Array
     size: Array
-    is_known: NDArray[np.bool_]
+    is_known: Bools
 
 
 class ExampleSynthesiser:
-    """An endless stream of training examples; the same library and seed give the same examples."""
+    """An endless stream of training examples; the same arguments give the same examples.
 
-    def __init__(self, library: MotionLibrary, seed: int) -> None:
-        self.library = library
+    Without some of `KINDS`, these are left out, to measure what they are good for.
+    """
+
+    def __init__(self, library: MotionLibrary, seed: int, without: Collection[str] = ()) -> None:
+        self.library, self.without = library, without
         self.random = RandomArrays(seed)
         self.errors = DetectorErrors(self.random)
-        self.joints_from_bones = _sum_along_bones()
 
     def make_batch(self, count: int) -> ExampleBatch:
         """Make the next `count` examples."""
         vectors, is_recorded, is_known = self._draw_motion(count)
-        vectors = self._vary_bodies(vectors)
-        points = self.joints_from_bones @ vectors  # (N, T, J, 3)
+        vectors, found_std = self._vary_bodies(vectors)
+        points = add_bones(vectors)  # (N, T, J, 3)
         is_precise = self.random.chance(count, PRECISE_SHARE)
         offsets = np.where(is_precise[:, None, None, None], np.float32(0), self._draw_offsets(points))
         rotation = self._draw_cameras(count)
-        truth = _rotate_points(points[:, :1], rotation[:, :1])[:, 0]
-        in_camera = _rotate_points(points + offsets, rotation)
+        truth = rotate_points(points[:, :1], rotation[:, :1])[:, 0]
+        in_camera = rotate_points(points + offsets, rotation)
         image, focal = self._project(in_camera)
         image, weight = self.errors.detect(image, in_camera[:, 0, :, 2], is_recorded, is_known, is_precise)
-        upward = self._draw_verticals(rotation[:, 0])
+        upward = self._draw_verticals(rotation[:, 0], found_std)
         features, newest, size = encode_features(image, weight, focal, upward)
         target = (truth - truth[:, :CORE_COUNT].mean(axis=1, keepdims=True)) / size[:, None, None]
         return ExampleBatch(
             features, newest.astype(np.float32), target.astype(np.float32), size.astype(np.float32), is_known
         )
 
-    def _draw_motion(self, count: int) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    def _draw_motion(self, count: int) -> tuple[Array, Bools, Bools]:
         """Draw histories of motion.
 
         Returns:
@@ -164,42 +188,46 @@ class ExampleSynthesiser:
         is_mirrored = self.random.chance(count, MIRRORED_SHARE, axes=3)
         mirrored = vectors[:, :, MIRROR_PERMUTATION] * np.array([1, -1, 1], np.float32)
         vectors = np.where(is_mirrored, mirrored, vectors)
-        poses = self.joints_from_bones @ vectors[:, 0]
+        poses = add_bones(vectors[:, 0])
         left, right = (list(side) for side in zip(*BODY26.left_right_pairs, strict=True))
         trunk = [left.index(j) for j in joint_indices('lhip', 'lshoulder')]
         across = (poses[:, left] - poses[:, right])[:, trunk].sum(axis=1)
         x, y = across[:, 0], across[:, 1]
         yaw = np.pi / 2 - np.arctan2(y, x)
         is_known = self.library.has_extremities[newest][:, None] | (np.arange(JOINT_COUNT) < CORE_COUNT)
-        return _rotate_points(vectors, _axis_rotations(2, yaw)[:, None]), index >= first, is_known
+        return rotate_points(vectors, axis_rotations(2, yaw)[:, None]), index >= first, is_known
 
-    def _vary_bodies(self, vectors: Array) -> Array:
-        """Vary bone vectors (N, T, J, 3): bone lengths, borrowed limbs, postures, rotated limbs, tilted bodies."""
+    def _vary_bodies(self, vectors: Array) -> tuple[Array, Array]:
+        """Vary bone vectors (N, T, J, 3): lengths, borrowed limbs, rotated limbs, postures, tilted bodies.
+
+        Returns the vectors, and (N,) rad, the standard deviation of the vertical that a tracker finds by them.
+        """
         random = self.random
         count = len(vectors)
         limit = MAX_BONE_LENGTH_DEVIATIONS
-        deviation = np.clip(random.normal(count, 1, JOINT_COUNT, 1), -limit, limit)
-        factor = 1 + np.float32(BONE_LENGTH_STD) * deviation
-        vectors = vectors * factor[:, :, _SAME_FACTOR]
+        factor = 1 + BONE_LENGTH_STD * np.clip(random.normal(count, JOINT_COUNT), -limit, limit)
+        if 'proportions' not in self.without:
+            of_part = random.uniform(*PROPORTION_RANGE, count, len(PARTS) + 1)
+            of_part[:, -1] = 1
+            factor *= of_part[:, _PART]
+        vectors = vectors * factor[:, None, _SAME_FACTOR, None]
         donor = np.roll(vectors, 1, axis=0)
         for limb, share in BORROWED_LIMB_SHARES.items():
-            joints = limb_indices(limb)
-            lengths = np.linalg.norm(vectors[:, :1, joints], axis=-1, keepdims=True)
-            donor_lengths = np.linalg.norm(donor[:, :1, joints], axis=-1, keepdims=True)
-            borrowed = donor[:, :, joints] * lengths / np.maximum(donor_lengths, MIN_BONE_LENGTH_M)
-            has_bone = donor_lengths > MIN_BONE_LENGTH_M  # of a trial that lacks it there is nothing to borrow
-            is_borrowed = random.chance(count, share, axes=3) & has_bone
-            vectors[:, :, joints] = np.where(is_borrowed, borrowed, vectors[:, :, joints])
-        vectors = take_postures(vectors, random)
+            own, joints = np.flatnonzero(random.chance(count, share)), limb_indices(limb)
+            limbs, given = vectors[own][:, :, joints], donor[own][:, :, joints]
+            lengths, given_lengths = (np.linalg.norm(v[:, :1], axis=-1, keepdims=True) for v in (limbs, given))
+            has_bone = given_lengths > MIN_BONE_LENGTH_M  # of a trial that lacks it there is nothing to borrow
+            borrowed = given * lengths / np.maximum(given_lengths, MIN_BONE_LENGTH_M)
+            vectors[own[:, None], :, joints] = np.moveaxis(np.where(has_bone, borrowed, limbs), 2, 1)
         for limb in LIMBS:
-            chosen = np.flatnonzero(random.chance(count, ROTATED_LIMB_SHARE))
-            joints = limb_indices(limb)
-            rotation = _rotations_from_vectors(np.float32(LIMB_ROTATION_STD_RAD) * random.normal(len(chosen), 3))
-            rotated = _rotate_points(vectors[chosen][:, :, joints], rotation[:, None])
+            chosen, joints = np.flatnonzero(random.chance(count, ROTATED_LIMB_SHARE)), limb_indices(limb)
+            rotation = rotations_from_vectors(np.float32(LIMB_ROTATION_STD_RAD) * random.normal(len(chosen), 3))
+            rotated = rotate_points(vectors[chosen][:, :, joints], rotation[:, None])
             vectors[chosen[:, None], :, joints] = np.moveaxis(rotated, 2, 1)
+        vectors, found_std = take_postures(vectors, random, self.without)
         tilt_std = random.choose(count, TILTED_SHARE, STRONG_TILT_STD_RAD, SLIGHT_TILT_STD_RAD, axes=1)
         tilt = tilt_std * random.normal(count, 3)
-        return _rotate_points(vectors, _rotations_from_vectors(tilt)[:, None])
+        return rotate_points(vectors, rotations_from_vectors(tilt)[:, None]), found_std
 
     def _draw_offsets(self, points: Array) -> Array:
         """Return offsets (N, T, J, 3) in m from the joints of motion capture to those of a detector.
@@ -215,8 +243,8 @@ class ExampleSynthesiser:
             else:
                 out[:, 0, BODY26.index('l' + name)] = offset
                 out[:, 0, BODY26.index('r' + name)] = offset * np.array([1, -1, 1], np.float32)
-        size = np.exp(self.random.uniform(*np.log(OFFSET_SIZE_RANGE), count, 1, 1))
-        return np.asarray((out[:, 0] * size)[:, None] @ np.swapaxes(_find_trunks(points), -1, -2))
+        size = self.random.log_uniform(OFFSET_SIZE_RANGE, count, 1, 1)
+        return np.asarray((out[:, 0] * size)[:, None] @ np.swapaxes(find_trunks(points), -1, -2))
 
     def _draw_cameras(self, count: int) -> Array:
         """Return rotations (N, T, 3, 3) from the body frame to the camera's optical frame; some turn slowly."""
@@ -232,18 +260,25 @@ class ExampleSynthesiser:
         )
         elevation = np.radians(elevation)
         elevation = elevation + ELEVATION_RATE_STD * random.normal(count, 1) * turning_time
-        roll = np.radians(ROLL_STD_DEG) * np.broadcast_to(random.normal(count, 1), heading.shape)
+        has_any_roll = random.chance(count, 0 if 'roll' in self.without else ANY_ROLL_SHARE, axes=1)
+        roll = np.radians(ROLL_STD_DEG) * random.normal(count, 1)
+        roll = np.where(has_any_roll, random.uniform(-np.pi, np.pi, count, 1), roll)
+        roll = np.broadcast_to(roll, heading.shape)
         to_optical = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]], np.float32)
-        rotation = _axis_rotations(2, roll) @ _axis_rotations(0, elevation) @ to_optical
-        return np.asarray(rotation @ _axis_rotations(2, heading))
+        rotation = axis_rotations(2, roll) @ axis_rotations(0, elevation) @ to_optical
+        return np.asarray(rotation @ axis_rotations(2, heading))
 
-    def _draw_verticals(self, rotation: Array) -> Array64:
+    def _draw_verticals(self, rotation: Array, found_std: Array) -> Array64:
         """Return what the lifter gets of the vertical (N, 3); rotations (N, 3, 3) from body to camera."""
-        count = len(rotation)
-        std = np.exp(self.random.uniform(*np.log(VERTICAL_STD_RANGE_RAD), count, 1))
-        wrong = _normalise(rotation[:, :, 2] + std.astype(np.float32) * self.random.normal(count, 3))
-        is_given = self.random.chance(count, KNOWN_VERTICAL_SHARE)
-        return weigh_vertical(wrong.astype(float), np.where(is_given, std[:, 0], np.inf))
+        random, count = self.random, len(rotation)
+        std = random.log_uniform(VERTICAL_STD_RANGE_RAD, count)
+        is_found = random.chance(count, 0 if 'found' in self.without else FOUND_VERTICAL_SHARE)
+        share = random.uniform(0, 1, count)
+        believed = np.where(is_found, BELIEVED_STD_RAD * (found_std / BELIEVED_STD_RAD) ** share, std)
+        true_std = np.where(is_found, found_std, std)[:, None]
+        error = rotations_from_vectors(true_std.astype(np.float32) * random.normal(count, 3))
+        seen = (error @ rotation[:, :, 2, None])[..., 0].astype(float)
+        return weigh_vertical(seen, np.where(random.chance(count, KNOWN_VERTICAL_SHARE), believed, np.inf))
 
     def _project(self, points: Array) -> tuple[Array, Array64]:
         """Project points (N, T, J, 3) in m, in the camera's axes, by random perspective or orthographic cameras.
@@ -269,54 +304,3 @@ class ExampleSynthesiser:
         is_unknown = random.chance(count, UNKNOWN_FOCAL_SHARE)
         focal = np.where(is_orthographic[:, 0] | is_unknown, np.inf, newest_distance[:, 0])
         return image, focal
-
-
-def _sum_along_bones() -> Array:
-    """Return the (J, J) matrix that converts bone vectors to joint positions relative to the root."""
-    out = np.eye(JOINT_COUNT, dtype=np.float32)
-    for parent, child in BODY26.outward_bones():
-        out[child] += out[parent]
-    return out
-
-
-def _find_trunks(points: Array) -> Array:
-    """Return rotations (N, T, 3, 3) from the trunk's axes (forward, left, up) to those of the points."""
-    left_hip, right_hip, left_shoulder, right_shoulder = (
-        points[:, :, j] for j in joint_indices('lhip', 'rhip', 'lshoulder', 'rshoulder')
-    )
-    up = _normalise(left_shoulder + right_shoulder - left_hip - right_hip)
-    left = left_hip - right_hip
-    left = _normalise(left - (left * up).sum(axis=-1, keepdims=True) * up)
-    return np.stack([np.cross(left, up), left, up], axis=-1)
-
-
-def _normalise(vectors: Array) -> Array:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-6))
-
-
-def _rotate_points(points: Array, rotation: Array) -> Array:
-    """Rotate points (N, T, J, 3) by rotations (N, T, 3, 3) or (N, 1, 3, 3)."""
-    if rotation.shape[1] == 1:
-        count, slots, joints, _ = points.shape
-        flat = points.reshape(count, slots * joints, 3) @ np.swapaxes(rotation[:, 0], -1, -2)
-        return np.asarray(flat.reshape(count, slots, joints, 3))
-    return np.asarray(points @ np.swapaxes(rotation, -1, -2))
-
-
-def _axis_rotations(axis: int, angle: Array | Array64) -> Array:
-    """Return single-precision rotations (..., 3, 3) by angles (...) in rad about a coordinate axis."""
-    c, s = np.cos(angle), np.sin(angle)
-    out = np.zeros((*np.shape(angle), 3, 3), np.float32)
-    a, b = (axis + 1) % 3, (axis + 2) % 3
-    out[..., axis, axis] = 1
-    out[..., a, a], out[..., a, b], out[..., b, a], out[..., b, b] = c, -s, s, c
-    return out
-
-
-def _rotations_from_vectors(vector: Array) -> Array:
-    """Return single-precision rotations (N, 3, 3) of rotation vectors (N, 3) in rad (Rodrigues)."""
-    angle = np.maximum(np.linalg.norm(vector, axis=-1), 1e-6)[:, None, None]
-    x, y, z = (vector / angle[:, 0]).T
-    o = np.zeros_like(x)
-    cross = np.stack([np.stack(r, -1) for r in ((o, -z, y), (z, o, -x), (-y, x, o))], -2)
-    return np.asarray(np.eye(3, dtype=np.float32) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross))

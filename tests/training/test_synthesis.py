@@ -13,9 +13,9 @@ from mocap_ros.models.lifter_input import HISTORY_SLOTS_S, JOINT_COUNT, MIRROR_P
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 from mocap_ros.training import synthesis
 from mocap_ros.training.detector_errors import SWAP_SHARE, DetectorErrors
+from mocap_ros.training.example_arrays import Array, RandomArrays, add_bones, find_trunks
 from mocap_ros.training.motion_library import MotionLibrary, balance_trials
-from mocap_ros.training.postures import POSTURES, joint_indices, take_postures
-from mocap_ros.training.random_arrays import Array, RandomArrays
+from mocap_ros.training.postures import KINDS, joint_indices, take_postures
 from mocap_ros.training.synthesis import ExampleSynthesiser
 
 EXAMPLES = 64
@@ -39,9 +39,9 @@ def test_trials_are_drawn_by_their_shares(library: MotionLibrary) -> None:
 def test_offsets_are_fixed_to_the_trunk_and_alike_on_both_sides(library: MotionLibrary) -> None:
     synthesiser = ExampleSynthesiser(library, seed=0)
     vectors, _, _ = synthesiser._draw_motion(EXAMPLES)
-    points = synthesiser.joints_from_bones @ vectors
+    points = add_bones(vectors)
     offsets = synthesiser._draw_offsets(points)
-    trunks = synthesis._find_trunks(points)
+    trunks = find_trunks(points)
     assert np.abs(np.swapaxes(trunks, -1, -2) @ trunks - np.eye(3)).max() < 1e-5
     local = offsets @ trunks
     assert np.abs(local - local[:, :1]).max() < 1e-5
@@ -82,8 +82,15 @@ def test_shares_follow_the_formula() -> None:
     assert shares == pytest.approx(expected / expected.sum())
 
 
+@pytest.mark.parametrize('kind', ['roll', 'proportions', 'found', 'arms'])
+def test_what_is_left_out_changes_the_examples(library: MotionLibrary, kind: str) -> None:
+    whole, less = (ExampleSynthesiser(library, 1, without).make_batch(EXAMPLES) for without in ((), (kind,)))
+    assert np.isfinite(whole.features).all()
+    assert not np.array_equal(whole.features, less.features)
+    assert kind in synthesis.KINDS
+
+
 DRAWN_POSTURES = 2000
-KNEELING = 2  # index in `POSTURES`
 
 
 @pytest.fixture(scope='module')
@@ -99,32 +106,52 @@ def standing(walk_model: BasePoses) -> Array:
     return np.broadcast_to(vectors, (DRAWN_POSTURES, len(HISTORY_SLOTS_S), *vectors.shape)).copy()
 
 
-@pytest.fixture(scope='module')
-def taken(standing: Array) -> Array:
-    return take_postures(standing, RandomArrays(3))
+def take(standing: Array, kind: str) -> tuple[Array, Array]:
+    """Return the bone vectors (M, T, J, 3) and joints (M, J, 3) of those in a kind of posture, or `arms`."""
+    without = {*KINDS, 'arms'} - {kind}
+    vectors, _ = take_postures(standing, RandomArrays(3), without)
+    vectors = vectors[(np.abs(vectors - standing) > 1e-4).any(axis=(1, 2, 3))]
+    assert len(vectors) > 5
+    return vectors, add_bones(vectors[:, 0])
 
 
-def find_shanks(vectors: Array) -> Array:
-    """Directions (N, 2, 3) of the shanks in the newest frame."""
-    shanks = vectors[:, 0, joint_indices('lankle', 'rankle')]
-    return np.asarray(shanks / np.linalg.norm(shanks, axis=-1, keepdims=True))
+def test_nothing_is_changed_where_all_is_left_out(standing: Array) -> None:
+    vectors, _ = take_postures(standing, RandomArrays(3), {*KINDS, 'arms'})
+    np.testing.assert_array_equal(vectors, standing)
 
 
-def test_bones_keep_their_lengths(standing: Array, taken: Array) -> None:
-    longer = np.linalg.norm(taken, axis=-1) - np.linalg.norm(standing, axis=-1)
-    assert np.abs(longer).max() < 1e-5
+@pytest.mark.parametrize('kind', [*KINDS, 'arms'])
+def test_bones_keep_their_lengths_and_knees_bend_one_way(standing: Array, kind: str) -> None:
+    vectors, _ = take(standing, kind)
+    longer = np.linalg.norm(vectors, axis=-1) - np.linalg.norm(standing[0, 0], axis=-1)
+    assert np.abs(longer).max() < 1e-4
+    thigh, shank, foot = (vectors[:, 0, joint_indices('l' + j, 'r' + j)] for j in ('knee', 'ankle', 'toe'))
+    hinge, toes = np.cross(shank, thigh), np.cross(shank, foot)  # both to the right, for somebody who stands
+    bent = np.linalg.norm(hinge, axis=-1) > 0.05
+    assert ((hinge * toes)[bent].sum(axis=-1) > 0).mean() > 0.9, 'the toes point to where the knee does'
 
 
-def test_people_kneel_with_shanks_on_the_floor_behind_them(standing: Array, taken: Array) -> None:
-    shares = np.array([p.share for p in POSTURES])
-    assert POSTURES[KNEELING].shank[1] < -60
-    level = find_shanks(taken)[..., 2].mean(axis=1) > -np.sin(np.radians(35))
-    kneeling = level & (taken != standing).any(axis=(1, 2, 3))
-    low = shares[KNEELING:].sum()  # these and those who sit on their heels or are on all fours
-    assert kneeling.mean() == pytest.approx(low, abs=0.25 * low)
-    assert (find_shanks(taken[kneeling])[..., 0] < 0).mean() > 0.95, 'behind the knee'
-    toes = taken[kneeling][:, 0, joint_indices('ltoe', 'rtoe')]
-    assert (toes[..., 2] < 0.1).all(), 'm, not above the ankle'
+@pytest.mark.parametrize(
+    ('kind', 'lowest'),
+    [('floor', ('hip', 'ankle')), ('kneel', ('knee',)), ('fours', ('wrist',)), ('handstand', ('wrist',))],
+)
+def test_bodies_rest_on_the_ground(standing: Array, kind: str, lowest: tuple[str, ...]) -> None:
+    _, joints = take(standing, kind)
+    ground = joints[:, :CORE_COUNT, 2].min(axis=1)
+    for joint in lowest:
+        height = joints[:, joint_indices('l' + joint, 'r' + joint), 2].min(axis=1) - ground
+        assert np.quantile(height, 0.9) < 0.15, 'm'
+
+
+@pytest.mark.parametrize(('kind', 'up'), [('chair', 0.8), ('lie', 0.0), ('handstand', -0.9), ('hang', 0.9)])
+def test_trunks_are_upright_or_lie(standing: Array, kind: str, up: float) -> None:
+    _, joints = take(standing, kind)
+    assert np.median(find_trunks(joints[:, None])[:, 0, 2, 2]) == pytest.approx(up, abs=0.2)
+
+
+def test_a_tracker_errs_about_the_vertical_of_people_who_lie(standing: Array) -> None:
+    _, std = take_postures(standing, RandomArrays(3), {*KINDS, 'arms'} - {'lie'})
+    assert sorted(np.unique(np.degrees(std)).round()) == [6, 45]
 
 
 DETECTIONS = 400
