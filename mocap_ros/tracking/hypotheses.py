@@ -27,8 +27,6 @@ from mocap_ros.config import Config, SolverConfig
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
 from mocap_ros.geometry.interpolation import interpolate_linearly
-from mocap_ros.geometry.rotations import fit_rotation
-from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Motion, MotionKind
 from mocap_ros.solvers.classification import (
@@ -42,7 +40,6 @@ from mocap_ros.solvers.classification import (
 )
 from mocap_ros.solvers.joint.solver import (
     JointReconstruction,
-    solve,
     solve_hypotheses,
     solve_hypotheses_stepwise,
     solve_stepwise,
@@ -53,7 +50,6 @@ from mocap_ros.solvers.periodic.repetition import measure_best_repetition, measu
 from mocap_ros.solvers.periodic.solver import EstimatedPoses
 from mocap_ros.solvers.stepwise import Stepwise
 from mocap_ros.solvers.window import InitialValues, Window, choose_initial_values
-from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.schedule import Classification
 from mocap_ros.tracking.solution import TrackSolution, select_start
 from mocap_ros.tracking.track import Track
@@ -96,7 +92,6 @@ OTHER_MODEL_TURNS = 4  # classifications; one of so many tries the model that is
 MIN_REPETITION = 0.2
 PERIODIC_COST = 2.4  # cost of a piece of the periodic solver over one of the joint solver with as many base poses
 MIN_SECTION_SHARE = 0.9  # share of a section that must be filled before it is classified; stamps vary
-KEY_POSE_STEP_S = 0.25  # s; poses nearer in time look the same to the memory of key poses
 NOISE_RATIO = 0.88  # estimated noise over true image noise, of the base poses alone (CMU walks)
 NOISE_RATIO_WITH_LIFTER = 0.76  # the same ratio with the lifter's prior (CMU walks)
 
@@ -127,42 +122,17 @@ class HypothesisChecker:
     models: Mapping[str, BasePoses]
     config: Config
 
-    def remember_poses(self, memory: KeyPoseMemory, track: Track) -> None:
-        """Remember some poses of a solved track that is lost."""
-        frames = track.select_frames(KEY_POSE_STEP_S, self.config.tracker.window)
-        observed = track.observed.select_frames(frames)
-        joints = track.solved.compute_joints(frames)
-        poses = observed.virtual_camera.to_virtual_camera(joints)
-        for points, weight, pose in zip(observed.points, observed.weight, poses, strict=True):
-            memory.remember(points, weight, pose)
-
-    def initialise(
-        self, tracks: Sequence[Track], model_names: Sequence[str], memory: KeyPoseMemory
-    ) -> list[TrackSolution]:
-        """Return the first solutions of tracks, from few steps of one batch for each model.
-
-        The hypotheses are a solution from scratch under each model and, for a person who looks like a remembered
-        pose, that pose under the first model.
-        """
+    def initialise(self, tracks: Sequence[Track], model_names: Sequence[str]) -> list[TrackSolution]:
+        """Return the likeliest first solutions of tracks, from few steps of one batch for each model."""
         solver = replace(self.config.solver, max_iterations=INITIAL_MAX_ITERATIONS)
-        first_model = self.models[model_names[0]]
-        windows = [self._build_first_window(t, first_model) for t in tracks]
-        fits: list[list[tuple[str, JointReconstruction]]] = [[] for _ in tracks]
-        for name in model_names:
-            for own_fits, fit in zip(fits, solve_hypotheses(windows, self.models[name], solver), strict=True):
-                own_fits.append((name, fit))
-        starts = [self._recall_start(t, memory, first_model) for t in tracks]
-        recalled = [i for i, start in enumerate(starts) if start is not None]
-        if recalled:
-            started = [replace(windows[i], start=starts[i]) for i in recalled]
-            for i, fit in zip(recalled, solve(started, first_model, solver), strict=True):
-                fits[i].append((model_names[0], fit))
+        windows = [self._build_first_window(t, self.models[model_names[0]]) for t in tracks]
+        by_model = [solve_hypotheses(windows, self.models[name], solver) for name in model_names]
         solutions = []
-        for track, own_fits in zip(tracks, fits, strict=True):
-            evidence = [measure_evidence(fit, self.models[name], INITIAL_NOISE) for name, fit in own_fits]
-            name, fit = own_fits[int(np.argmin(evidence))]
+        for track, *fits in zip(tracks, *by_model, strict=True):
+            named = [(name, self.models[name], fit) for name, fit in zip(model_names, fits, strict=True)]
+            name, model, fit = min(named, key=lambda n: measure_evidence(n[2], n[1], INITIAL_NOISE))
             frames = np.arange(len(track.stamps_ns))
-            solutions.append(TrackSolution.interpolate(fit, track.observed, frames, name, self.models[name], None))
+            solutions.append(TrackSolution.interpolate(fit, track.observed, frames, name, model, None))
         return solutions
 
     def _build_first_window(self, track: Track, model: BasePoses) -> Window:
@@ -171,16 +141,6 @@ class HypothesisChecker:
             start_from_lifted_poses(window, model), model, self.config.solver.start_window
         )
         return replace(window, unit=float(np.median(start.cameras.scale)))
-
-    def _recall_start(self, track: Track, memory: KeyPoseMemory, model: BasePoses) -> InitialValues | None:
-        newest, count = track.observed.select_frames(slice(-1, None)), len(track.stamps_ns)
-        recalled = memory.recall(newest.points[0], newest.weight[0])
-        if recalled is None:
-            return None
-        rotation = fit_rotation(model.mean, recalled.pose)
-        theta = model.weights(recalled.pose @ rotation)
-        cameras = WeakPerspectiveCameras(np.full(count, recalled.scale), np.tile(rotation, (count, 1, 1)))
-        return InitialValues(np.tile(theta, (count, 1)), cameras)
 
     def check(self, track: Track, model_name: str) -> Slices[TrackSolution | None]:
         """Check a solved track against a model; return the solution that replaces its own, or None.

@@ -60,7 +60,6 @@ from mocap_ros.tracking.output import (
     locate_past,
     make_people,
 )
-from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.prediction import predict_ahead, predict_people
 from mocap_ros.tracking.refinement import refine
 from mocap_ros.tracking.schedule import MIN_CHECK_INTERVAL_S
@@ -106,7 +105,6 @@ class Tracker:
         swapped_frames: number of frames so far in which a person's left and right were swapped back.
         unusable_people: number of detections so far that were no person of their own: they had too few joints, or
             all of them in one place, or were part of another detection.
-        pose_memory: key poses of people who were lost.
     """
 
     def __init__(self, models: BasePoses | Mapping[str, BasePoses], config: Config) -> None:
@@ -174,7 +172,6 @@ class Tracker:
         self._is_work_pending = False
         self._intrinsics: Intrinsics | None = None
         self._at_work: Sequence[Track] = ()  # the people whom a stage works on
-        self.pose_memory = KeyPoseMemory()
         self._side = CameraSide()
         self._vertical = self._vertical and self._vertical.forget()
 
@@ -311,15 +308,13 @@ class Tracker:
             self._vertical = None
 
     def _forget_lost(self, stamp_ns: int) -> None:
-        """End the tracks of people who were not detected for `tracker.forget_after`, and remember some poses.
+        """End the tracks of people who were not detected for `tracker.forget_after`.
 
         Tentative tracks are forgotten sooner and without a trace. If images were empty for long, everything is
-        forgotten. Poses and names of earlier people then have no influence on what follows, so a recording that
-        is cut in two after such an absence gives the same people as the whole.
+        forgotten. Names of earlier people then have no influence on what follows, so a recording that is cut in
+        two after such an absence gives the same people as the whole.
         """
         for track in self._who.find_lost(stamp_ns, self.tracks):
-            if not track.is_tentative:
-                self._checker.remember_poses(self.pose_memory, track)
             self._end(track)
         if self._who.is_everybody_gone(stamp_ns):
             newest_ns, intrinsics = self._who.newest_ns, self._intrinsics
@@ -422,7 +417,7 @@ class Tracker:
     def _initialise(self, stamp_ns: int, tracks: Sequence[Track]) -> None:
         """Give the tracks of new people a first solution, all in one batch a model; it is checked soon."""
         if tracks:
-            solutions = self._checker.initialise(tracks, self._candidate_models, self.pose_memory)
+            solutions = self._checker.initialise(tracks, self._candidate_models)
             for track, solution in zip(tracks, solutions, strict=True):
                 track.solution = solution
                 track.schedule.check_at(stamp_ns + round(MIN_CHECK_INTERVAL_S * NS_PER_S))

@@ -15,10 +15,8 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Array
-from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.frozen_state import list_values
-from tests.support.swinging_body import make_swinging_body
 from tests.support.synthetic_walk import make_walk
 from tests.support.tracks import CAMERA, STEP_NS
 
@@ -54,7 +52,6 @@ def test_after_a_long_absence_a_tracker_is_as_new(walk_model: BasePoses, lag: fl
     used, new = (make_tracker(walk_model, **{'tracker.lag': lag}) for _ in range(2))
     visit(used, 0, points)
     back = wait(used, FRAMES, FORGET_ALL_S + 1.0)
-    assert used.pose_memory.poses == []
     for tracker in (used, new):
         tracker.update(back * STEP_NS, [], CAMERA)
     later = [visit(tracker, back + 1, points) for tracker in (used, new)]
@@ -64,46 +61,9 @@ def test_after_a_long_absence_a_tracker_is_as_new(walk_model: BasePoses, lag: fl
         used.update((back - 1) * STEP_NS, [], CAMERA)
 
 
-def test_after_a_shorter_absence_names_and_poses_are_remembered(walk_model: BasePoses) -> None:
+def test_after_a_shorter_absence_names_are_remembered(walk_model: BasePoses) -> None:
     points = make_walk(walk_model, FRAMES)[2]
     tracker = make_tracker(walk_model)
     visit(tracker, 0, points)
     back = wait(tracker, FRAMES, FORGET_ALL_S - 1.0)
-    assert len(tracker.pose_memory.poses) > 0
     assert {p.id for p in visit(tracker, back, points)[-1]} == {'person_1', 'person_2'}
-
-
-def test_a_remembered_pose_is_recalled_and_the_memory_is_bounded() -> None:
-    poses, _ = make_swinging_body(200)
-    weight = np.ones(15)
-
-    def image(pose: np.ndarray) -> np.ndarray:
-        return 150.0 * pose[:, :2] + [300, 200]
-
-    memory = KeyPoseMemory(beta=0.02, capacity=4)
-    assert memory.recall(image(poses[0]), weight) is None
-    for pose in poses[:100:10]:
-        memory.remember(image(pose), weight, pose)
-    assert len(memory.poses) == 4
-    newest = [p - p.mean(axis=0) for p in poses[60:100:10]]
-    assert np.array([p.pose for p in memory.poses]) == pytest.approx(np.array(newest))
-    known = poses[90]
-    partly = weight.copy()
-    partly[4] = 0
-    seen = 2.0 * image(known) - 70
-    seen[4] = np.nan
-    memory.beta = 0.2
-    found = memory.recall(np.nan_to_num(seen), partly)
-    memory.beta = 0.02
-    assert found is not None
-    assert found.pose == pytest.approx(known - known.mean(axis=0))
-    assert found.scale == pytest.approx(300.0)
-    again = found.scale * found.pose[:, :2] + found.translation
-    assert again[partly > 0] == pytest.approx(seen[partly > 0])
-    assert memory.recall(image(poses[90] * [1, 0.4, 1]), weight) is None
-    before = memory.poses[:3]
-    memory.remember(image(known), weight, known)
-    assert memory.poses[:3] == before
-    few = np.zeros(15)
-    few[:3] = 1
-    assert memory.recall(image(known), few) is None

@@ -20,12 +20,11 @@ from mocap_ros.people import MotionKind, Person3D
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.hypotheses import HypothesisChecker, Slices, classify_as_other
-from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.synthetic_walk import Walk, make_walk
-from tests.support.tracks import CAMERA, STEP_NS, change, make_track, track_walk
+from tests.support.tracks import CAMERA, STEP_NS, change, track_walk
 
 FRAMES = 45
 CONFIG = with_settings(Config(), {'solver.prior': 'pca', 'tracker.components': 20})
@@ -122,32 +121,10 @@ def centre(person: Person3D) -> Array:
 
 def test_first_solutions_have_all_frames_and_the_likeliest_model(track: Track, checker: HypothesisChecker) -> None:
     unsolved = change(track, solution=None)
-    solutions = checker.initialise([unsolved, unsolved], ['jump', 'walk'], KeyPoseMemory())
+    solutions = checker.initialise([unsolved, unsolved], ['jump', 'walk'])
     assert [(s.model_name, len(s.theta)) for s in solutions] == [('walk', FRAMES)] * 2
     assert solutions[0].theta == pytest.approx(solutions[1].theta, abs=1e-9), 'people of a batch are independent'
     assert unsolved.solution is None
-
-
-def test_a_remembered_pose_is_a_hypothesis(
-    track: Track, checker: HypothesisChecker, walk: Walk, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """After a single step a solution from scratch is still far from the pose, and the remembered one is not."""
-    monkeypatch.setattr(hypotheses_module, 'INITIAL_MAX_ITERATIONS', 1)
-    frame = 20
-    unsolved, other = make_track(walk[2][frame : frame + 1]), make_track(walk[2][frame + 15 : frame + 16])
-    joints = track.solved.compute_joints(np.array([frame]))
-    newest = unsolved.observed
-    pose = newest.virtual_camera.to_virtual_camera(joints)[0]
-    memory = KeyPoseMemory()
-    memory.remember(newest.points[0], newest.weight[0], pose)
-    assert memory.recall(other.observed.points[0], other.observed.weight[0]) is None
-    errors = []
-    for known in (KeyPoseMemory(), memory):
-        solution, unlike = checker.initialise([unsolved, other], ['walk'], known)
-        difference = solution.compute_joints(np.array([0])) - joints
-        errors.append(np.linalg.norm(difference - difference.mean(axis=1, keepdims=True), axis=-1).mean())
-        assert unlike.theta.shape == (1, 20)
-    assert errors[1] < 0.5 * errors[0]
 
 
 def test_a_walk_of_a_full_section_is_classified(track: Track, checker: HypothesisChecker) -> None:
