@@ -30,8 +30,14 @@ from mocap_ros.errors import InputError, name_errors
 from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, MIN_JUDGED_FRAMES, check_timestamps, create_intrinsics
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import describe_points_outside, describe_transposed_size
-from mocap_ros.messages.keypoints import check_ids, validate_person
+from mocap_ros.keypoints.validation import (
+    describe_other_unit,
+    describe_points_outside,
+    describe_transposed_size,
+    find_first_fault,
+    mark_unseen,
+)
+from mocap_ros.messages.keypoints import check_ids
 from mocap_ros.people import Person3D
 from mocap_ros.tracking import tracker as tracking
 from mocap_ros.units import NS_PER_S
@@ -165,10 +171,14 @@ class Tracker:
         names = read_names('ids', () if ids is None else ids, 'a list of names') or ('',) * len(keypoints)
         if len(names) != len(keypoints):
             raise InputError(f'ids: {len(names)} names for {len(keypoints)} people')
-        detected = []
-        for i, (name, k) in enumerate(zip(names, keypoints, strict=True)):
-            with name_errors(f'people[{i}]'):
-                person = validate_person(name, self._joint_names, k[:, :2], k[:, 2], self._image_size[0])
-            detected.append(person)
+        points, score = keypoints[..., :2], keypoints[..., 2]
+        if fault := find_first_fault(points, score):
+            person, joint = fault.index
+            raise InputError(f'people[{person}]: {fault.field}[{joint}]: {fault.what}')
+        points, score = mark_unseen(points, score)
+        for i, (own, seen) in enumerate(zip(points, score, strict=True)):
+            if other_unit := describe_other_unit(own, seen, self._image_size[0]):
+                raise InputError(f'people[{i}]: x, y: {other_unit}')
+        detected = [Person2D(*p) for p in zip(names, [self._joint_names] * len(names), points, score, strict=True)]
         check_ids('ids', detected)
         return detected

@@ -214,8 +214,8 @@ class TrackerConfig:
     undo_swaps: bool = True
     # Smallest number of seen joints that makes a detection usable
     min_joints: int = 6
-    # s, time without anybody (at least forget_after) after which also the names of earlier people are forgotten, so
-    # that what follows does not depend on what came before
+    # s, time without anybody (at least forget_after) after which also the names of earlier people are forgotten,
+    # so that what follows does not depend on what came before
     forget_all_after: float = 60.0
     # s; tracking starts afresh if a stamp is older than the newest one by more than this, and the frame is dropped
     # if the stamp is older by less

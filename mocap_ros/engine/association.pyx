@@ -77,10 +77,14 @@ cdef Difference compare(
     return Difference(find_median(offset, shared) / size + fabs(growth), growth)
 
 
-def measure_extent(Points points, Weights weight, double min_size):
-    """Return centre and size of the seen joints of points (J, 2) with weights (J,); NaN if none was seen."""
-    cdef Extent extent = measure_one(points, weight, min_size)
-    return extent.x, extent.y, extent.size
+def measure_sizes(const double[:, :, ::1] points, const double[:, ::1] weight, double min_size):
+    """Return the sizes (N,) of the seen joints of points (N, J, 2) with weights (N, J); NaN if none was seen."""
+    cdef Py_ssize_t n
+    result = np.empty(points.shape[0])
+    cdef double[::1] out = result
+    for n in range(points.shape[0]):
+        out[n] = measure_one(points[n], weight[n], min_size).size
+    return result
 
 
 def expect_person(

@@ -145,9 +145,12 @@ cdef void add_label_cost(
 ) noexcept nogil:
     """Add the costs C_g(l) of a frame in nats: for each path, part and label, 1 for exchanged."""
     cdef Py_ssize_t j, source
-    cdef int path, label
+    cdef int path, label, p
     cdef double age, known_age = -1, horizon = 0, growth, x, y, variance, likelihood
+    cdef double[PARTS][2] product  # of likelihoods: one logarithm serves all joints of a part
     for path in range(STATES):
+        for p in range(PARTS):
+            product[p][0] = product[p][1] = 1
         for j in range(mirror.shape[0]):
             if part[j] < 0 or last_seen_s[path, j] == -INFINITY:
                 continue
@@ -166,7 +169,10 @@ cdef void add_label_cost(
                         -0.5 * ((x * x + y * y) / (body_size * body_size * variance))
                     ) / variance
                     likelihood += OUTLIER_PROBABILITY / (variance + OUTLIER_STD * OUTLIER_STD)
-                    cost[path][part[j]][label] -= log(likelihood)
+                    product[part[j]][label] *= likelihood
+        for p in range(PARTS):
+            for label in range(2):
+                cost[path][p][label] -= log(product[p][label])
 
 
 def continue_paths(
@@ -191,7 +197,7 @@ def continue_paths(
     """
     cdef Py_ssize_t j, d, source, before, joints = mirror.shape[0]
     cdef int path, state, p, label, bit
-    cdef double elapsed_s = -INFINITY, share, age, blend, measured, total, least = INFINITY
+    cdef double elapsed_s = -INFINITY, share, age, known_age = -1, blend = 0, measured, total, least = INFINITY
     cdef double[STATES][PARTS][2] label_cost
     cdef double[STATES][STATES] transition
     cdef double[PARTS] attachment
@@ -245,7 +251,8 @@ def continue_paths(
                 new_last_seen_s[state, j] = last_seen_s[path, before]
                 continue
             age = max(time_s - last_seen_s[path, before], MIN_STEP_S)
-            blend = 1 - exp(-age / VELOCITY_TIME_S)
+            if age != known_age:  # most joints were seen in the same frame
+                known_age, blend = age, 1 - exp(-age / VELOCITY_TIME_S)
             for d in range(2):
                 measured = (points[source, d] - path_points[path, before, d]) / age
                 new_points[state, j, d] = points[source, d]

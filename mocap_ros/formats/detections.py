@@ -221,7 +221,7 @@ def associate_people(
     camera = detections.intrinsics or Intrinsics.from_image_size(*size, settings.nominal_focal_length)
     for frame, (stamp_ns, people) in enumerate(zip(detections.stamps_ns, detections.people, strict=True)):
         limits = settings.min_score, settings.min_joints
-        converted = [Detection.from_person(person, camera, *limits) for person in people]
+        converted = Detection.from_people(people, camera, *limits)
         seen = [(p, d) for p, d in zip(people, converted, strict=True) if d is not None]
         unusable += len(people) - len(seen)
         for lost in who.find_lost(stamp_ns, known):

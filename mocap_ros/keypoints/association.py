@@ -38,19 +38,6 @@ MIN_SIZE = 1e-9  # in the units of the points; guards the divisions by a size wh
 MIN_DETECTION_SIZE = 1e-3
 
 
-class Extent(NamedTuple):
-    """Mean of the seen joints of a detection, and their RMS distance from it, in the units of the points."""
-
-    x: float
-    y: float
-    size: float
-
-    @property
-    def is_one_place(self) -> bool:
-        """Whether all seen joints, whose points are rays, lie in one place, so that they show no person."""
-        return not self.size > MIN_DETECTION_SIZE
-
-
 class ExpectedPerson(NamedTuple):
     """Where a tracked person's joints are expected: points (J, 2), weight 1 if seen lately, else 0."""
 
@@ -58,10 +45,17 @@ class ExpectedPerson(NamedTuple):
     weight: Array
 
 
-def measure_extent(points: Array, weight: Array) -> Extent:
-    """Return centre and size of the seen joints of points (J, 2) with weights (J,); NaN if none was seen."""
-    seen = np.ascontiguousarray(points, float), np.ascontiguousarray(weight, float)
-    return Extent(*engine.measure_extent(*seen, MIN_SIZE))
+def measure_sizes(points: Array, weight: Array) -> Array:
+    """Return the RMS distances (N,) of seen joints from their mean, of points (N, J, 2) with weights (N, J).
+
+    They are in the units of the points, and NaN where no joint was seen.
+    """
+    return engine.measure_sizes(np.ascontiguousarray(points, float), np.ascontiguousarray(weight, float), MIN_SIZE)
+
+
+def show_people(sizes: Array) -> Mask:
+    """Return which detections of sizes (N,) in rays do not have all their seen joints in one place."""
+    return np.asarray(sizes > MIN_DETECTION_SIZE)
 
 
 def expect_person(points: Array, weight: Array, age_s: Array) -> ExpectedPerson:

@@ -44,7 +44,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.engine import left_right as engine
-from mocap_ros.keypoints.association import measure_extent
+from mocap_ros.keypoints.association import measure_sizes, show_people
 from mocap_ros.skeleton import Skeleton
 
 Array = NDArray[np.float64]
@@ -166,11 +166,11 @@ def find_swapped_parts(times: Array, points: Array, weight: Array, sides: BodySi
     A frame with all its points (J, 2), in rays or px, in one place does not count.
     """
     is_swapped = np.zeros((len(times), len(PARTS)), bool)
-    extents = [measure_extent(*frame) for frame in zip(points, weight, strict=True)]
-    frames = np.flatnonzero([not e.is_one_place for e in extents])
+    sizes = measure_sizes(points, weight)
+    frames = np.flatnonzero(show_people(sizes))
     if not len(frames):
         return is_swapped
-    seen = [_describe(float(times[f]), points[f], weight[f], extents[f].size, sides) for f in frames]
+    seen = [_describe(float(times[f]), points[f], weight[f], float(sizes[f]), sides) for f in frames]
     cost, path_points, velocity, last_seen_s = engine.begin_paths(*seen[0])
     predecessors = []
     for frame in seen[1:]:

@@ -33,11 +33,11 @@ from mocap_ros.keypoints.association import (
     VELOCITY_SPAN_S,
     Array,
     ExpectedPerson,
-    Extent,
     choose_pairs,
     expect_person,
     measure_distances,
-    measure_extent,
+    measure_sizes,
+    show_people,
 )
 from mocap_ros.keypoints.extremities import Extremities, convert_body_to_rays
 from mocap_ros.keypoints.person import Person2D
@@ -68,37 +68,40 @@ class Detection:
     given_id: str  # name that the detector gives the person; empty if it gives none
     rays: Array  # (J, 2) x / z and y / z of the model's joints in the camera; 0 for a joint that was not seen
     weight: Array  # (J,) confidence scores in [0, 1]; 0 for a joint that was not seen
-    extent: Extent  # centre and size in the image, in the units of rays
+    size: float  # RMS distance of the seen joints from their mean, in the units of rays
     extremities: Extremities
 
     @staticmethod
-    def from_person(
-        person: Person2D, intrinsics: Intrinsics, min_score: float, min_joints: int
-    ) -> Detection | None:
-        """Convert the keypoints of a person to rays of the model's joints.
+    def from_people(
+        people: Sequence[Person2D], intrinsics: Intrinsics, min_score: float, min_joints: int
+    ) -> list[Detection | None]:
+        """Convert the keypoints of people to rays of the model's joints.
 
-        `person` keypoints as a detector gave them; `min_score` confidence score below which a keypoint counts as
-        not seen; `min_joints` smallest number of seen joints, at least 1, that makes a detection usable. Returns
-        the detection; None if fewer joints were seen, or all of them in one place.
+        `people` are as a detector gave them; `min_score` confidence score below which a keypoint counts as not
+        seen; `min_joints` smallest number of seen joints, at least 1, that makes a detection usable. Returns a
+        detection for each person; None if fewer joints were seen, or all of them in one place.
 
         Raises:
-            SkeletonError: The person's joints do not cover enough of the model's.
+            SkeletonError: A person's joints do not cover enough of the model's.
         """
-        keypoints = person.points, person.score, person.joints
-        rays, weight, extremities = convert_body_to_rays(*keypoints, intrinsics, min_score)
-        if np.count_nonzero(weight) < min_joints:
-            return None
-        extent = measure_extent(rays, weight)
-        if extent.is_one_place:
-            return None
-        given_id = '' if person.id == UNTRACKED_ID else person.id
-        return Detection(given_id, rays, weight, extent, extremities)
+        found: list[Detection | None] = [None] * len(people)
+        for joints in dict.fromkeys(p.joints for p in people):
+            own = [i for i, p in enumerate(people) if p.joints == joints]
+            points, score = np.array([people[i].points for i in own]), np.array([people[i].score for i in own])
+            rays, weight, others = convert_body_to_rays(points, score, joints, intrinsics, min_score)
+            sizes = measure_sizes(rays, weight)
+            usable = (np.count_nonzero(weight, axis=1) >= min_joints) & show_people(sizes)
+            for n in np.flatnonzero(usable).tolist():
+                given_id = '' if people[own[n]].id == UNTRACKED_ID else people[own[n]].id
+                found[own[n]] = Detection(given_id, rays[n], weight[n], float(sizes[n]), others.select_frames(n))
+        return found
 
     def join(self, part: Detection) -> Detection:
         """Return the detection with the joints of another detection of the same person that this one lacks."""
         rays, weight = _fill_gaps(self.rays, self.weight, part.rays, part.weight)
         extremities = Extremities(*_fill_gaps(*self.extremities, *part.extremities))
-        return Detection(self.given_id or part.given_id, rays, weight, measure_extent(rays, weight), extremities)
+        (size,) = measure_sizes(rays[None], weight[None]).tolist()
+        return Detection(self.given_id or part.given_id, rays, weight, size, extremities)
 
 
 def _fill_gaps(rays: Array, weight: Array, other_rays: Array, other_weight: Array) -> tuple[Array, Array]:

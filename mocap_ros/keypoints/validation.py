@@ -70,12 +70,12 @@ def describe_other_unit(points: Array, score: Array, image_width: int) -> str:
     Points and scores are those of `mark_unseen`; a width of 0 px is unknown.
     """
     seen = points[score > 0]
-    if len(seen) < MIN_JUDGED_POINTS or 0 < image_width <= TINY_IMAGE_WIDTH:
+    if len(seen) < MIN_JUDGED_POINTS or 0 < image_width <= TINY_IMAGE_WIDTH or (np.abs(seen) > MAX_METRES).any():
         return ''
     low, high = NORMALISED_RANGE
     if ((seen >= low) & (seen <= high)).all():
         return 'looks normalised; px expected: multiply x by the width of the image and y by its height'
-    if (np.abs(seen) <= MAX_METRES).all() and (seen < low).any():
+    if (seen < low).any():
         return 'looks like 3D joints in m; 2D keypoints in px expected'
     return ''
 

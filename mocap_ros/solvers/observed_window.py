@@ -25,7 +25,7 @@ from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera, solver_focal
-from mocap_ros.keypoints.association import measure_extent
+from mocap_ros.keypoints.association import measure_sizes, show_people
 from mocap_ros.keypoints.extremities import (
     Extremities,
     convert_body_to_rays,
@@ -233,7 +233,7 @@ def _exclude_frames_in_one_place(
         InputError: No other frame has `MIN_JOINTS_FOR_CAMERA` seen joints.
     """
     frames = np.flatnonzero((weight > 0).sum(axis=1) >= MIN_JOINTS_FOR_CAMERA)
-    in_one_place = np.array([measure_extent(rays[frame], weight[frame]).is_one_place for frame in frames])
+    in_one_place = ~show_people(measure_sizes(rays[frames], weight[frames]))
     if in_one_place.all():
         raise InputError('all seen points lie in one place')
     excluded = np.isin(np.arange(len(weight)), frames[in_one_place])[:, None]

@@ -144,7 +144,7 @@ class Track:
                 dropped, max(bisect_right(self.stamps_ns, find_oldest_needed_ns(stamp_ns, lag_s)) - 1, 0)
             )
         swapped, time_s = self.swap_filter.is_swapped[dropped:], (stamp_ns - self.first_ns) / NS_PER_S
-        seen = detection.rays, detection.weight, detection.extent.size
+        seen = detection.rays, detection.weight, detection.size
         self.swap_filter = self.swap_filter.update(time_s, *seen, dropped)
         is_changed = (self.swap_filter.is_swapped[:-1] != swapped).any(axis=1)
         unchanged = int(is_changed.argmax()) if is_changed.any() else len(is_changed)

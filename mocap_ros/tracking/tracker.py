@@ -202,7 +202,7 @@ class Tracker:
         backward_jump_s = self._measure_backward_jump(stamp_ns)
         if backward_jump_s == 0 and not self._who.is_everybody_gone(stamp_ns):
             intrinsics = self._choose_intrinsics(intrinsics)
-        converted = [Detection.from_person(p, intrinsics, settings.min_score, settings.min_joints) for p in people]
+        converted = Detection.from_people(people, intrinsics, settings.min_score, settings.min_joints)
         detections = [d for d in converted if d is not None]
         self.run_deferred_work()
         if backward_jump_s > 0:

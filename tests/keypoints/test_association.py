@@ -23,7 +23,8 @@ from mocap_ros.keypoints.association import (
     choose_pairs,
     expect_person,
     measure_distances,
-    measure_extent,
+    measure_sizes,
+    show_people,
 )
 from mocap_ros.skeleton import CMU15
 
@@ -32,12 +33,11 @@ JOINTS = len(MIRROR)
 
 
 def test_joints_that_coincide_show_no_person() -> None:
-    assert measure_extent(np.full((5, 2), 0.3), np.ones(5)).is_one_place
-    assert measure_extent(np.ones((5, 2)), np.zeros(5)).is_one_place, 'nothing is seen'
-    rays = np.full((5, 2), 0.3)
-    rays[0] += 10 * MIN_DETECTION_SIZE
-    assert not measure_extent(rays, np.ones(5)).is_one_place
-    assert measure_extent(rays, np.array([0.0, 1, 1, 1, 1])).is_one_place
+    rays, weight = np.full((4, 5, 2), 0.3), np.ones((4, 5))
+    weight[1] = 0  # nothing is seen
+    rays[2:, 0] += 10 * MIN_DETECTION_SIZE
+    weight[3, 0] = 0
+    assert show_people(measure_sizes(rays, weight)).tolist() == [False, False, True, False]
 
 
 def make_body(rng: np.random.Generator, x: float = 0.0, size: float = 0.1) -> Array:

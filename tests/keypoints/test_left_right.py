@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mocap_ros.engine.left_right import compute_attachment_cost, compute_transition_cost
-from mocap_ros.keypoints.association import measure_extent
+from mocap_ros.keypoints.association import measure_sizes
 from mocap_ros.keypoints.left_right import (
     BodySides,
     SwapFilter,
@@ -55,7 +55,9 @@ def swap(points: np.ndarray, is_swapped: np.ndarray) -> np.ndarray:
 
 def run_filter(swap_filter: SwapFilter, points: np.ndarray, weight: np.ndarray = SEEN) -> SwapFilter:
     for time_s, image, score in zip(TIMES, points, weight, strict=False):
-        swap_filter = swap_filter.update(float(time_s), image, score, measure_extent(image, score).size)
+        swap_filter = swap_filter.update(
+            float(time_s), image, score, float(measure_sizes(image[None], score[None])[0])
+        )
     return swap_filter
 
 

@@ -29,7 +29,7 @@ MIRROR = np.array(CMU15.mirror)
 def make_detection(points: Array, name: str = '', camera: Intrinsics = CAMERA) -> Detection:
     """Return the detection of a person all of whose joints were seen at points (J, 2) px."""
     person = Person2D(name, CMU15.joints, points, np.ones(len(points)))
-    detection = Detection.from_person(person, camera, min_score=0.1, min_joints=6)
+    (detection,) = Detection.from_people([person], camera, min_score=0.1, min_joints=6)
     assert detection is not None
     return detection
 

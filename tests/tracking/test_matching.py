@@ -56,7 +56,7 @@ UPPER = ~np.isin(CMU15.joints, LOWER_JOINTS)
 def see_part(points: Array, joints: NDArray[np.bool_], name: str = '') -> Detection:
     """Return the detection of a person of whom only some joints were seen."""
     person = Person2D(name, CMU15.joints, points, np.where(joints, 0.9, 0.0))
-    detection = Detection.from_person(person, CAMERA, min_score=0.1, min_joints=6)
+    (detection,) = Detection.from_people([person], CAMERA, min_score=0.1, min_joints=6)
     assert detection is not None
     return detection
 
@@ -75,7 +75,7 @@ def test_two_parts_of_a_person_are_the_person(points: Array, ids: tuple[str, str
         whole = matches.detections[0]
         assert (whole.weight > 0).all()
         assert CAMERA.focal * whole.rays + CAMERA.center == pytest.approx(moved)
-        assert whole.extent == pytest.approx(make_detection(moved).extent)
+        assert whole.size == pytest.approx(make_detection(moved).size)
 
 
 def test_a_part_besides_the_whole_is_no_person(points: Array) -> None:
@@ -96,7 +96,7 @@ def test_a_new_person_beside_another_is_no_part(points: Array) -> None:
 
 
 def test_a_new_id_goes_on_with_a_person_who_is_near(points: Array) -> None:
-    ann, size = make_known(points, 'a', 'a'), CAMERA.focal * make_detection(points).extent.size
+    ann, size = make_known(points, 'a', 'a'), CAMERA.focal * make_detection(points).size
     age_s = STEP_NS / 1e9
     gate = NEW_ID_GATE + NEW_ID_GATE_GROWTH_PER_S * age_s
     for share, is_ann in ((0.98, True), (1.02, False)):
@@ -148,9 +148,8 @@ def test_a_new_person_does_not_make_people_change_their_names(points: Array) -> 
 def test_a_detection_needs_enough_joints(points: Array, seen: int, is_usable: bool) -> None:
     score = np.where(np.arange(15) < seen, 0.5, 0.05)
     person = Person2D('a', CMU15.joints, points, score)
-    detection = Detection.from_person(person, CAMERA, min_score=0.1, min_joints=6)
+    (detection,) = Detection.from_people([person], CAMERA, min_score=0.1, min_joints=6)
     assert (detection is not None) is is_usable
     if detection is not None:
         assert (detection.weight > 0).sum() == seen
-        in_px = CAMERA.focal * np.array(detection.extent[:2]) + CAMERA.center
-        assert in_px == pytest.approx(points[:seen].mean(axis=0))
+        assert CAMERA.focal * detection.size == pytest.approx(np.sqrt(2 * points[:seen].var(axis=0).mean()))
