@@ -9,8 +9,15 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 
 def add_frame(
-    direction: Array, weight: float, step_s: float, upward: Array, standing: Array
-) -> tuple[Array, float, float]: ...
+    direction: Array,
+    weight: float,
+    step_s: float,
+    sign: float,
+    level_deg: float,
+    last_level_deg: float,
+    upward: Array,
+    standing: Array,
+) -> tuple[Array, float, float, float, float]: ...
 def find_sequence(times: Array, upward: Array, weight: Array, standing: Array) -> tuple[Array, Array]: ...
 def turn_poses(
     joints: Array, std: Array, upward: Array, vertical: Array, vertical_std: Array, standing: Array, core: int
@@ -24,6 +31,12 @@ def find_upward(
     support_ahead: float,
     min_length: float,
 ) -> Array: ...
-def find_hip_cosines(
-    joints: Array, sides: NDArray[np.int64], neck: int, pelvis: int, min_length: float
+def find_standing(
+    joints: Array,
+    sides: NDArray[np.int64],
+    neck: int,
+    pelvis: int,
+    min_length: float,
+    standing_deg: float,
+    seated_deg: float,
 ) -> Array: ...

@@ -7,7 +7,7 @@
 Sizes: P people in a frame, F frames, J joints, J_c of the core, which come first.
 """
 
-from libc.math cimport acos, atan2, cos, exp, isfinite, sin, sqrt
+from libc.math cimport NAN, acos, atan2, cos, exp, isfinite, sin, sqrt
 
 import numpy as np
 
@@ -38,35 +38,50 @@ cdef double discount(const double* direction, const double* upward) noexcept nog
     return 1 / (1 + angle * angle)
 
 
-def add_frame(Vector direction, double weight, double step_s, Rows upward, Vector standing):
-    """Return the new direction (3,), and what the frame adds to the weight and to the seconds.
+cdef inline double fall(double value, double first, double last) noexcept nogil:
+    """A share that falls from 1 to 0 as a value goes from `first` to `last`."""
+    return min(max((last - value) / (last - first), 0.0), 1.0)
+
+
+def add_frame(
+    Vector direction, double weight, double step_s, double sign, double level_deg, double last_level_deg, Rows upward,
+    Vector standing,
+):
+    """Return the new direction (3,), and what the frame adds: weight, seconds, people who stand and who are askew.
 
     Args:
         direction: (3,) of the frame before.
         weight: s, that it has now.
         step_s: s, time that the new frame stands for.
+        sign: 1, or -1 where the camera is upside down.
+        level_deg: up to this angle to up in the image, people stand as before a level camera.
+        last_level_deg: from this angle on, they do not.
         upward: (P, 3) directions of the new frame.
-        standing: (P,) shares to which these people stand.
+        standing: (P,) shares to which these people have straight hips.
     """
     cdef Py_ssize_t p, i
-    cdef double discounted, share, norm, added = 0, seconds = 0
+    cdef double discounted, share, norm, level, stands, added = 0, seconds = 0, upright = 0, askew = 0
     result = np.array(direction)
     cdef double[::1] out = result
     for i in range(3):
         out[i] *= weight
     for p in range(upward.shape[0]):
+        level = fall(acos(min(max(-sign * upward[p, 1], -1.0), 1.0)) / DEGREE, level_deg, last_level_deg)
+        stands = standing[p] * level
+        upright += stands
+        askew += standing[p] - stands
         discounted = step_s * discount(&direction[0], &upward[p, 0])
-        if not (discounted >= 0 and standing[p] >= 0):  # not known
+        if level == 0 or not (discounted >= 0 and stands >= 0):  # not known
             continue
-        share = discounted * max(standing[p], MIN_STANDING)
+        share = discounted * max(stands, MIN_STANDING)
         added += share
-        seconds += discounted * standing[p]
+        seconds += discounted * stands
         for i in range(3):
             out[i] += share * upward[p, i]
     norm = sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2])
     for i in range(3):
         out[i] = out[i] / norm if norm > 0 else direction[i]
-    return result, added, seconds
+    return result, added, seconds, upright, askew
 
 
 def find_sequence(Vector times, Rows upward, Vector weight, Vector standing):
@@ -204,11 +219,24 @@ def find_upward(Stack joints, Vector masses, const long long[:, ::1] sides, Py_s
     return result
 
 
-def find_hip_cosines(Stack joints, const long long[:, ::1] sides, Py_ssize_t neck, Py_ssize_t pelvis, double min_length):
-    """Return the cosines (N,) of the flexion of the straighter hip; the arguments are those of `find_upward`."""
+def find_standing(
+    Stack joints, const long long[:, ::1] sides, Py_ssize_t neck, Py_ssize_t pelvis, double min_length,
+    double standing_deg, double seated_deg,
+):
+    """Return the shares (N,) to which poses stand; the first arguments are those of `find_upward`.
+
+    Args:
+        joints: likewise.
+        sides: likewise.
+        neck: likewise.
+        pelvis: likewise.
+        min_length: likewise.
+        standing_deg: who has a hip that is bent by no more stands.
+        seated_deg: who has both hips bent by more does not.
+    """
     cdef Py_ssize_t n, s
     cdef double[3] trunk, thigh
-    cdef double cosine
+    cdef double cosine, straighter = 0
     result = np.empty(joints.shape[0])
     cdef double[::1] out = result
     for n in range(joints.shape[0]):
@@ -216,5 +244,8 @@ def find_hip_cosines(Stack joints, const long long[:, ::1] sides, Py_ssize_t nec
         for s in range(2):
             subtract(joints[n], sides[s, 1], sides[s, 2], thigh)
             cosine = dot(trunk, thigh) / max(sqrt(dot(trunk, trunk)) * sqrt(dot(thigh, thigh)), min_length)
-            out[n] = cosine if s == 0 or not cosine <= out[n] else out[n]  # NaN stays
+            straighter = cosine if s == 0 or not cosine <= straighter else straighter  # NaN stays
+        out[n] = NAN
+        if straighter == straighter:
+            out[n] = fall(acos(min(max(straighter, -1.0), 1.0)) / DEGREE, standing_deg, seated_deg)
     return result

@@ -68,10 +68,8 @@ def find_upward(joints: Array) -> Array:
 
 def find_standing(joints: Array) -> Array:
     """Return the shares (N,) to which poses stand: 1 with a straight hip, 0 if both are bent as on a chair."""
-    cosines = engine.find_hip_cosines(np.ascontiguousarray(joints), _SIDES, _NECK, _PELVIS, MIN_LENGTH)
-    flexion_deg = np.degrees(np.arccos(cosines.clip(-1, 1)))
-    share = (SEATED_FLEXION_DEG - flexion_deg) / (SEATED_FLEXION_DEG - STANDING_FLEXION_DEG)
-    return np.asarray(share.clip(0, 1))
+    poses, limits_deg = np.ascontiguousarray(joints), (STANDING_FLEXION_DEG, SEATED_FLEXION_DEG)
+    return engine.find_standing(poses, _SIDES, _NECK, _PELVIS, MIN_LENGTH, *limits_deg)
 
 
 class Stances(NamedTuple):
@@ -85,6 +83,6 @@ class Stances(NamedTuple):
         """Return what poses (N, J, 3) show, in their axes."""
         return Stances(find_upward(joints), find_standing(joints))
 
-    def select(self, people: NDArray[np.bool_]) -> Stances:
-        """Return what the poses of a mask (N,) show."""
+    def select(self, people: NDArray[np.bool_] | NDArray[np.intp]) -> Stances:
+        """Return what some poses show, of a mask (N,) or of indices."""
         return Stances(self.upward[people], self.standing[people])

@@ -177,11 +177,13 @@ def collect_frame_evidence(
 ) -> ExtremityEvidence:
     """Return that of one frame of each of P windows with one virtual camera; core (P, 15, 3) m, noise (P,) m."""
     found = ExtremityEvidence.without_image(core)._replace(noise=noise)
-    arrays = found.lifted, found.lifted_std, found.rays, found.weight
+    out_lifted, out_std, out_rays, out_weight = found.lifted, found.lifted_std, found.rays, found.weight
     for p, (own, frame) in enumerate(zip(observed, frames, strict=True)):
-        poses = (None, None) if own.lifted is None else (own.lifted.joints, own.lifted.std)
-        seen = own.rays, own.weight, *((None, None) if own.extremities is None else own.extremities)
-        engine.collect_frame(p, frame, core, own.virtual_camera.rotation, *poses, *seen, *arrays)
+        lifted, std = (None, None) if own.lifted is None else (own.lifted.joints, own.lifted.std)
+        other_rays, other_weight = (None, None) if own.extremities is None else own.extremities
+        seen = lifted, std, own.rays, own.weight, other_rays, other_weight
+        camera = own.virtual_camera.rotation
+        engine.collect_frame(p, frame, core, camera, *seen, out_lifted, out_std, out_rays, out_weight)
     return found
 
 

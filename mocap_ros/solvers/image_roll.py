@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.models.lifter import LiftedPoses, Lifter
-from mocap_ros.models.upward_direction import find_standing
+from mocap_ros.models.upward_direction import Stances, find_standing
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import RAY_FOCAL
 from mocap_ros.solvers.vertical import MAX_STEP_S, MEMORY_S, turn_towards_vertical
@@ -151,10 +151,17 @@ def lift_turned(
     return LiftedPoses(_turn(lifted.joints, -roll), lifted.std)
 
 
-def turn_upright(lifted: LiftedPoses, roll: float, vertical: Array, std: Array) -> LiftedPoses:
-    """Return lifted poses turned towards the vertical in the turned images; arguments as of `lift_turned`."""
+def turn_upright(
+    lifted: LiftedPoses, roll: float, vertical: Array, std: Array, stances: Stances | None = None
+) -> LiftedPoses:
+    """Return lifted poses turned towards the vertical in the turned images.
+
+    `stances` is what the poses show, if that is known; the other arguments are those of `lift_turned`.
+    """
     poses = LiftedPoses(_turn(lifted.joints, roll), lifted.std)
-    turned = turn_towards_vertical(poses, _turn(vertical, roll), std)
+    if stances is not None:
+        stances = Stances(_turn(stances.upward, roll), stances.standing)
+    turned = turn_towards_vertical(poses, _turn(vertical, roll), std, stances)
     return LiftedPoses(_turn(turned.joints, -roll), lifted.std)
 
 

@@ -48,7 +48,7 @@ from mocap_ros.config import TrackerConfig
 from mocap_ros.engine import vertical as engine
 from mocap_ros.errors import ConfigError
 from mocap_ros.models.lifter import LiftedPoses
-from mocap_ros.models.upward_direction import Stances, find_standing, find_upward
+from mocap_ros.models.upward_direction import Stances
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.units import NS_PER_S
 
@@ -169,12 +169,11 @@ class Vertical:
             return Vertical.begin(stamp_ns, stances, sign)
         age_s = (stamp_ns - self.stamp_ns) / NS_PER_S
         faded, step_s = math.exp(-age_s / MEMORY_S), min(age_s, MAX_STEP_S)
-        levelness = _measure_levelness(stances.upward, sign)
-        standing, is_level = stances.standing * levelness, levelness > 0
-        added = float(len(standing)), standing.sum(), (stances.standing - standing).sum()
-        sums = _Sums(*(faded * old + step_s * float(new) for old, new in zip(self.sums, added, strict=True)))
-        looked = np.ascontiguousarray(stances.upward[is_level]), standing[is_level]
-        found, weight, seconds = engine.add_frame(self.found, faded * self.weight, step_s, *looked)
+        found, weight, seconds, *stood = engine.add_frame(
+            self.found, faded * self.weight, step_s, sign, *LEVEL_DEG, *stances
+        )
+        added = len(stances.standing), *stood
+        sums = _Sums(*(faded * old + step_s * new for old, new in zip(self.sums, added, strict=True)))
         seconds += faded * self.seconds
         std_deg = min(DIRECTION_STD_DEG * math.sqrt(CORRELATION_S / max(seconds, 1e-9)), MAX_STD_DEG)
         direction, std = found, math.radians(std_deg)
@@ -210,19 +209,23 @@ def read_given_vertical(config: TrackerConfig) -> Vertical | None:
     return Vertical.give(direction / np.linalg.norm(direction))
 
 
-def turn_towards_vertical(lifted: LiftedPoses, vertical: Array, std: Array) -> LiftedPoses:
+def turn_towards_vertical(
+    lifted: LiftedPoses, vertical: Array, std: Array, stances: Stances | None = None
+) -> LiftedPoses:
     """Return lifted poses turned towards the vertical (formulas of this module).
 
     `lifted` poses of F frames in the axes of their virtual cameras, NaN where they are not known; `vertical` (F,
-    3) vertical in the same axes; `std` (F,) rad, standard deviation of the vertical.
+    3) vertical in the same axes; `std` (F,) rad, standard deviation of the vertical; `stances` what the poses
+    show, if that is known.
     """
+    upward, standing = stances or Stances.of(lifted.joints)
     joints = engine.turn_poses(
         np.ascontiguousarray(lifted.joints),
         np.ascontiguousarray(lifted.std),
-        find_upward(lifted.joints),
+        upward,
         np.ascontiguousarray(vertical),
         np.ascontiguousarray(std),
-        find_standing(lifted.joints),
+        standing,
         CORE_COUNT,
     )
     return LiftedPoses(joints, lifted.std)

@@ -377,7 +377,7 @@ class Tracker:
         inputs = [t.observed.sample_unlifted_histories() for t in tracks]
         points, weight = (np.concatenate(parts) for parts in zip(*inputs, strict=True))
         counts = [len(own_weight) for _, own_weight in inputs]
-        cameras = [t.observed.virtual_camera.rotation for t in tracks]
+        cameras = np.array([t.observed.virtual_camera.rotation for t in tracks])
         known, direction, std = self._vertical, None, None
         is_used = self.config.tracker.vertical != NO_VERTICAL
         if self._side.is_due(stamp_ns):
@@ -385,29 +385,26 @@ class Tracker:
             self._side.advance(stamp_ns, rays, scores)
         roll = math.pi if self._side.is_upside_down else 0.0
         if known is not None and is_used:
-            direction = np.repeat([camera @ known.direction for camera in cameras], counts, axis=0)
+            direction = np.repeat(cameras @ known.direction, counts, axis=0)
             std = np.full(len(direction), known.std)
             roll = find_roll(known.direction) if known.is_given else roll
         ends = np.cumsum(counts)
         given = (direction, std) if known is not None and known.is_given else (None, None)
         lifted = lift_turned(self._lifter, points, weight, roll, *given)
         if is_used:
-            newest = lifted.joints[ends - 1]
+            stances = Stances.of(lifted.joints)
             if direction is not None and std is not None:
-                lifted = turn_upright(lifted, roll, direction, std)
-            self._find_vertical(stamp_ns, tracks, newest)
+                lifted = turn_upright(lifted, roll, direction, std, stances)
+            self._find_vertical(stamp_ns, tracks, cameras, stances.select(ends - 1))
         for track, count, end in zip(tracks, counts, ends.tolist(), strict=True):
             track.observed = track.observed.append_lifted(lifted.select_frames(slice(end - count, end)))
 
-    def _find_vertical(self, stamp_ns: int, tracks: Sequence[Track], joints: Array) -> None:
-        """Find the vertical anew by the newest poses (P, J, 3) of P tracks, in the axes of virtual cameras."""
-        stances = Stances.of(joints)
-        known = [
-            p for p, track in enumerate(tracks) if not track.is_tentative and math.isfinite(stances.upward[p, 0])
-        ]
-        if not known:
+    def _find_vertical(self, stamp_ns: int, tracks: Sequence[Track], cameras: Array, stances: Stances) -> None:
+        """Find the vertical anew by what the newest poses of P tracks show in the axes of virtual cameras."""
+        known = np.isfinite(stances.upward[:, 0]) & [not t.is_tentative for t in tracks]
+        if not known.any():
             return
-        upward = np.array([stances.upward[p] @ tracks[p].observed.virtual_camera.rotation for p in known])
+        upward = (stances.upward[known, None] @ cameras[known])[:, 0]
         seen, sign = Stances(upward, stances.standing[known]), -1.0 if self._side.is_upside_down else 1.0
         if self._vertical is None:
             self._vertical = Vertical.begin(stamp_ns, seen, sign)
