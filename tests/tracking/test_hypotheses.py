@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import mocap_ros.tracking.hypotheses as hypotheses_module
 from mocap_ros.config import Config, with_settings
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.keypoints.person import Person2D
