@@ -7,12 +7,9 @@ from __future__ import annotations
 
 import argparse
 import shutil
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-from tqdm import tqdm
 
 from mocap_ros.cli.inputs import add_topic_options, add_video_options, read_lens_parameters, read_video_options
 from mocap_ros.cli.options import (
@@ -22,7 +19,7 @@ from mocap_ros.cli.options import (
     parse_changes,
     parse_count,
 )
-from mocap_ros.cli.terminal import print_note, print_result
+from mocap_ros.cli.terminal import make_bar, print_note, print_result
 from mocap_ros.errors import InputError, MocapError, tell_installation
 from mocap_ros.runtime.save_results import SUFFIXES
 
@@ -91,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     outcomes: list[Outcome] = []
     with (
         connect(args.scheduler, args.workers, args.memory) as client,
-        tqdm(desc='batch', total=len(recordings), disable=not sys.stderr.isatty(), leave=False) as bar,
+        make_bar(desc='batch', total=len(recordings)) as bar,
     ):
         print_note(f'{len(recordings)} recordings; dashboard: {client.dashboard_link}')
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 
 from mocap_ros.cli.options import add_config_options, load_config
+from mocap_ros.cli.terminal import end_loading
 from mocap_ros.config import to_yaml
 
 
@@ -27,5 +28,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the effective configuration as a ROS parameter file."""
-    print(to_yaml(load_config(args), shows_all=args.all), end='')
+    text = to_yaml(load_config(args), shows_all=args.all)
+    end_loading()
+    print(text, end='')
     return 0

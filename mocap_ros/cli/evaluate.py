@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mocap_ros.cli.inputs import add_model_option, list_sources, load_models, name_file_in_errors
 from mocap_ros.cli.options import add_config_options, add_strict_option, load_config
 from mocap_ros.cli.reconstruct import reconstruct_file
-from mocap_ros.cli.terminal import print_note, print_result, show_progress
+from mocap_ros.cli.terminal import ShareBar, print_note, print_result
 from mocap_ros.errors import InputError
 from mocap_ros.evaluation.coverage import SHARES, compute_coverage
 from mocap_ros.evaluation.evaluate import (
@@ -31,6 +31,7 @@ from mocap_ros.evaluation.evaluate import (
 )
 from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence, StoredResult, check_timestamps
 from mocap_ros.formats.text_files import check_output, replace_output
+from mocap_ros.offline.whole_sequence import report_part
 from mocap_ros.runtime.input_kind import InputKind, require_kind
 from mocap_ros.runtime.load_keypoints import load_sequence_file
 from mocap_ros.runtime.load_results import load_result
@@ -102,33 +103,35 @@ def run(args: argparse.Namespace) -> int:
         check_output(args.json, *sources)
     models = load_models(args, config)
     truths = {} if args.truth is None else {args.truth: _load_truth(args.truth)}
-    records, is_wrong = [], False
-    for path in show_progress(args.input, 'evaluate'):
-        place, timing = args.truth or path, {}
-        if require_kind(path, ACCEPTED_KINDS, ACCEPTED_FORMATS) is InputKind.SEQUENCE:
-            _refuse_options(path, {'--person': args.person}, 'a sequence file')
-            sequence = load_sequence_file(path) if args.truth else truths.setdefault(path, _load_truth(path))
-            start_s = time.perf_counter()
+    records, is_wrong, count = [], False, len(args.input)
+    with ShareBar('evaluate') as report:
+        for index, path in enumerate(args.input):
+            part = report_part(report, index, count)
+            place, timing = args.truth or path, {}
+            if require_kind(path, ACCEPTED_KINDS, ACCEPTED_FORMATS) is InputKind.SEQUENCE:
+                _refuse_options(path, {'--person': args.person}, 'a sequence file')
+                sequence = load_sequence_file(path) if args.truth else truths.setdefault(path, _load_truth(path))
+                start_s = time.perf_counter()
+                with name_file_in_errors(path):
+                    found = reconstruct_file(sequence, models, config, part)
+                timing = {'seconds': time.perf_counter() - start_s}
+                summary = summarise([sequence], [found], config)
+                if summary.reason:
+                    print_note(f'{path}: {summary}')
+                is_wrong |= summary.is_wrong
+                residual = found.solution.residual
+                result = StoredResult(sequence.timestamps, found.joints, found.seen, residual, found.skeleton)
+            else:
+                options = {'--model': args.model, '--config': args.config, '--set': args.set}
+                _refuse_options(path, options, 'a result, which is compared as it is')
+                result, _ = load_result(path, args.person)
+                if args.truth is None:
+                    raise InputError(f'{path}: holds no truth; give the sequence file that does by --truth')
             with name_file_in_errors(path):
-                found = reconstruct_file(sequence, models, config)
-            timing = {'seconds': time.perf_counter() - start_s}
-            summary = summarise([sequence], [found], config)
-            if summary.reason:
-                print_note(f'{path}: {summary}')
-            is_wrong |= summary.is_wrong
-            residual = found.solution.residual
-            result = StoredResult(sequence.timestamps, found.joints, found.seen, residual, found.skeleton)
-        else:
-            options = {'--model': args.model, '--config': args.config, '--set': args.set}
-            _refuse_options(path, options, 'a result, which is compared as it is')
-            result, _ = load_result(path, args.person)
-            if args.truth is None:
-                raise InputError(f'{path}: holds no truth; give the sequence file that does by --truth')
-        with name_file_in_errors(path):
-            record, warning = compare_with_truth(result, truths[place])
-        if warning:
-            print_note(f'{path}: {warning}')
-        records.append({'file': path.name, **record, **timing})
+                record, warning = compare_with_truth(result, truths[place])
+            if warning:
+                print_note(f'{path}: {warning}')
+            records.append({'file': path.name, **record, **timing})
     if args.json is not None:
         with replace_output(args.json, *sources) as unfinished:
             unfinished.write_text(_format_json(records), encoding='utf-8')

@@ -18,7 +18,7 @@ from collections.abc import Collection, Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
-from mocap_ros.cli.terminal import is_interrupt, print_note
+from mocap_ros.cli.terminal import end_loading, is_interrupt, print_note, show_loading
 from mocap_ros.errors import MocapError, make_printable_line
 from mocap_ros.runtime.cpu_setup import configure_process
 
@@ -54,8 +54,14 @@ class _Parser(argparse.ArgumentParser):
     def __init__(self, **options: Any) -> None:
         super().__init__(**options, formatter_class=_HelpFormatter)
 
+    def print_help(self, file: Any = None) -> None:
+        """Print the help in place of the line that says that the command loads."""
+        end_loading()
+        super().print_help(file)
+
     def error(self, message: str) -> NoReturn:
         """Print the usage and a message, which may hold any argument, and exit."""
+        end_loading()
         super().error(make_printable_line(message))
 
 
@@ -103,6 +109,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors='backslashreplace')  # names of files may hold what a terminal cannot show
     try:
         arguments = sys.argv[1:] if argv is None else list(argv)
+        if arguments[:1] and arguments[0] in COMMANDS:
+            show_loading(f'mocap-ros {arguments[0]}')
         parser = build_parser(arguments[:1])
         if reason := explain_missing_command(arguments):
             parser.error(reason)
@@ -121,6 +129,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         print_note('interrupted')
         return INTERRUPTED
+    finally:
+        end_loading()
 
 
 def _report_failure(message: str) -> int:

@@ -22,7 +22,7 @@ from mocap_ros.cli.inputs import (
     name_file_in_errors,
 )
 from mocap_ros.cli.options import add_config_options, add_strict_option, derive_output_stem, load_config
-from mocap_ros.cli.terminal import finish, print_note, print_result, show_stages
+from mocap_ros.cli.terminal import ShareBar, finish, print_note, print_result, show_stages
 from mocap_ros.config import Config, load_yaml
 from mocap_ros.errors import InputError
 from mocap_ros.formats.bvh import BLENDER_IMPORT
@@ -31,7 +31,7 @@ from mocap_ros.formats.text_files import check_output, read_text, replace_output
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.keyframes.taylor import DepthChoice, parse_depth_choices
-from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequence
+from mocap_ros.offline.whole_sequence import Report, SequenceResult, reconstruct_sequence, report_part
 from mocap_ros.runtime import save_results
 from mocap_ros.runtime.summary import summarise
 
@@ -96,23 +96,25 @@ def run(args: argparse.Namespace) -> int:
     if args.all_people:
         endings = choose_endings([sequence.person_id for sequence in sequences])
     done: list[save_results.ReconstructedSequence] = []
-    is_all_saved = True
-    for index, (sequence, ending) in enumerate(zip(sequences, endings, strict=True)):
-        try:
-            result = _reconstruct(args, sequence, models, config)
-        except InputError as error:  # one who cannot be reconstructed does not stop the others
-            if index == len(sequences) - 1 and not done:
-                raise
-            print_note(f'{error} (person {sequence.person_id!r} is left out)')
-            continue
-        done.append(save_results.ReconstructedSequence(sequence, result, summarise([sequence], [result], config)))
-        try:
-            _save(args, done[-1], [add_ending(path, ending) for path in outputs], sources)
-        except InputError as error:  # nor one whom a format cannot hold
-            if len(sequences) == 1:
-                raise
-            print_note(f'{error} (person {sequence.person_id!r} is not saved)')
-            is_all_saved = False
+    is_all_saved, count = True, len(sequences)
+    with ShareBar('reconstruct') as report:
+        for index, (sequence, ending) in enumerate(zip(sequences, endings, strict=True)):
+            try:
+                result = _reconstruct(args, sequence, models, config, report_part(report, index, count))
+            except InputError as error:  # one who cannot be reconstructed does not stop the others
+                if index == count - 1 and not done:
+                    raise
+                print_note(f'{error} (person {sequence.person_id!r} is left out)')
+                continue
+            summary = summarise([sequence], [result], config)
+            done.append(save_results.ReconstructedSequence(sequence, result, summary))
+            try:
+                _save(args, done[-1], [add_ending(path, ending) for path in outputs], sources)
+            except InputError as error:  # nor one whom a format cannot hold
+                if count == 1:
+                    raise
+                print_note(f'{error} (person {sequence.person_id!r} is not saved)')
+                is_all_saved = False
     summary = summarise([found.sequence for found in done], [found.result for found in done], config)
     return finish(args.input, summary, is_strict=args.strict) or int(not is_all_saved)
 
@@ -145,11 +147,15 @@ def add_ending(path: Path, ending: str) -> Path:
 
 
 def _reconstruct(
-    args: argparse.Namespace, sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config
+    args: argparse.Namespace,
+    sequence: KeypointSequence,
+    models: Mapping[str, BasePoses],
+    config: Config,
+    report: Report,
 ) -> SequenceResult:
     if args.method == 'whole':
         with name_file_in_errors(args.input):
-            return reconstruct_file(sequence, models, config)
+            return reconstruct_file(sequence, models, config, report)
     choices: tuple[DepthChoice, ...] = ()
     if args.choices is not None:
         text = read_text(args.choices, max_bytes=MAX_CHOICES_BYTES)
@@ -160,11 +166,11 @@ def _reconstruct(
 
 
 def reconstruct_file(
-    sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config
+    sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config, report: Report
 ) -> SequenceResult:
     """Reconstruct the content of a sequence file as a whole."""
     observations = extract_observations(sequence, config.tracker.nominal_focal_length)
-    return reconstruct_sequence(*observations, models, config)
+    return reconstruct_sequence(*observations, models, config, report)
 
 
 def _save(

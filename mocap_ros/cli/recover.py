@@ -7,15 +7,12 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 from pathlib import Path
-
-from tqdm import tqdm
 
 from mocap_ros.bags.recovery import list_recoverable_files, recover
 from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.cli.options import name_bag
-from mocap_ros.cli.terminal import print_note, print_result
+from mocap_ros.cli.terminal import ShareBar, print_note, print_result
 from mocap_ros.runtime.input_kind import InputKind, require_kind
 
 
@@ -42,13 +39,8 @@ def run(args: argparse.Namespace) -> int:
     if not (args.bag.exists() and list_recoverable_files(args.bag)):
         require_kind(args.bag, [InputKind.BAG], 'a bag of ROS 2 (folder, .mcap or .db3)')
     out = args.output or _choose_output(args.bag)
-    with tqdm(desc='recover', unit='B', unit_scale=True, disable=not sys.stderr.isatty(), leave=False) as bar:
-
-        def watch(done: int, size: int) -> None:
-            bar.total = size
-            bar.update(done - bar.n)
-
-        found = recover(args.bag, out, watch)
+    with ShareBar('recover') as report:
+        found = recover(args.bag, out, lambda done, size: report(done / max(size, 1)))
     for loss in found.losses:
         print_note(loss)
     print_result(f'{out}: {found.messages.total()} messages on {len(found.messages)} topics')

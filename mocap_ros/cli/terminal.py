@@ -8,29 +8,64 @@ A terminal obeys no name in a line that is printed. Progress is shown on a termi
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from types import FrameType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
 from mocap_ros.errors import make_printable_line
 
 if TYPE_CHECKING:
+    from tqdm import tqdm
+
     from mocap_ros.runtime.summary import Summary
 
 T = TypeVar('T')
+Report = Callable[[float], None]  # gets the share of a computation, 0 to 1, that is done
+
+ERASE_LINE = '\r\x1b[K'
+SHARE_FORMAT = '{desc}: {percentage:3.0f}%|{bar}| {elapsed}, {remaining} left'
+TICK_S = 0.5  # s between two drawings of a bar whose work takes long from one report to the next
+MAX_GUESS = 0.99  # share that a bar shows at most before the end is reported
+_has_loading_line = False
+
+
+def show_loading(name: str) -> None:
+    """Show on a terminal that a command loads; the line goes when anything else is shown."""
+    global _has_loading_line  # noqa: PLW0603 # there is one terminal
+    if sys.stderr.isatty():
+        print(f'{name}: loading ...', end='', file=sys.stderr, flush=True)
+        _has_loading_line = True
+
+
+def end_loading() -> None:
+    """Remove the line of `show_loading`, if it is still there."""
+    global _has_loading_line  # noqa: PLW0603
+    if _has_loading_line:
+        print(ERASE_LINE, end='', file=sys.stderr, flush=True)
+        _has_loading_line = False
 
 
 def print_result(line: object, *, flush: bool = False) -> None:
     """Print a line on stdout; at once also where stdout is a pipe, if `flush` is set."""
-    print(make_printable_line(str(line)), flush=flush)
+    _print(make_printable_line(str(line)), sys.stdout, flush)
 
 
 def print_note(line: object) -> None:
     """Print a line about the input or the work on stderr, with the name of the program."""
-    print(make_printable_line(f'mocap-ros: {line}'), file=sys.stderr)
+    _print(make_printable_line(f'mocap-ros: {line}'), sys.stderr, True)
+
+
+def _print(line: str, file: TextIO, flush: bool) -> None:
+    """Print a line above the bars, if there are some."""
+    end_loading()
+    with sys.modules['tqdm'].tqdm.external_write_mode(file) if 'tqdm' in sys.modules else nullcontext():
+        print(line, file=file, flush=flush)
 
 
 def finish(path: object, summary: Summary, *, is_strict: bool) -> int:
@@ -41,17 +76,57 @@ def finish(path: object, summary: Summary, *, is_strict: bool) -> int:
 
 def show_progress(items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:
     """Yield the items and show a progress bar; `total` is their number where `len(items)` does not give it."""
+    return make_bar(items, desc=description, total=total)
+
+
+def make_bar(items: Any = None, **options: Any) -> tqdm[Any]:
+    """Return a bar on the terminal, which shows nothing anywhere else; the options are those of tqdm."""
     from tqdm import tqdm
 
-    return tqdm(items, desc=description, total=total, disable=not sys.stderr.isatty(), leave=False)
+    end_loading()
+    return tqdm(items, disable=not sys.stderr.isatty(), leave=False, dynamic_ncols=True, **options)
+
+
+class ShareBar:
+    """Bar that shows the share of a computation that is done and the time left, from the first report on.
+
+    Between two reports the work is taken to go on as fast as it has so far.
+    """
+
+    def __init__(self, description: str) -> None:
+        self._description = description
+        self._bar: tqdm[Any] | None = None
+        self._total_s = math.inf  # s, of the whole computation, as the last report has it
+        self._is_done = threading.Event()
+
+    def __enter__(self) -> Report:
+        """Return the function that gets the share, 0 to 1."""
+        return self._report
+
+    def __exit__(self, *_: object) -> None:
+        """Remove the bar."""
+        self._is_done.set()
+        if self._bar is not None:
+            self._bar.close()
+
+    def _report(self, share: float) -> None:
+        if self._bar is None:
+            self._bar = make_bar(desc=self._description, total=1.0, bar_format=SHARE_FORMAT)
+            if not self._bar.disable:
+                threading.Thread(target=self._tick, args=[self._bar], daemon=True).start()
+        elif share > 0 and not self._bar.disable:
+            self._total_s = (time.time() - self._bar.start_t) / share
+
+    def _tick(self, bar: tqdm[Any]) -> None:
+        while not self._is_done.wait(TICK_S):
+            bar.n = min(max((time.time() - bar.start_t) / self._total_s, bar.n), MAX_GUESS)
+            bar.refresh()
 
 
 @contextmanager
 def show_stages() -> Iterator[Callable[[str], None]]:
     """Show the stage of a long computation and the time; yield the function that sets the stage."""
-    from tqdm import tqdm
-
-    with tqdm(bar_format='{desc} {elapsed}', disable=not sys.stderr.isatty(), leave=False) as bar:
+    with make_bar(bar_format='{desc} {elapsed}') as bar:
         yield bar.set_description_str
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from mocap_ros.bags.reader import is_bag
 from mocap_ros.cli.inputs import add_input_options, add_model_option, list_sources, load_models, read_input_options
 from mocap_ros.cli.options import add_config_options, add_strict_option, derive_output_stem, load_config
-from mocap_ros.cli.terminal import finish, print_note, print_result, show_progress
+from mocap_ros.cli.terminal import Report, ShareBar, finish, print_note, print_result
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.formats.video import write_video
@@ -100,15 +100,14 @@ def run(args: argparse.Namespace) -> int:
     sources = list_sources(args, config)
     check_output(output, *sources)
     options = SceneOptions(config, load_models(args, config), read_input_options(args, config), is_picture)
-    scene, lines, summary = load_scene(
-        args.input, options, lambda items, total: show_progress(items, 'view', total)
-    )
+    with ShareBar('view') as report:
+        scene, lines, summary = load_scene(args.input, options, report)
     for line in lines:
         print_note(line)
     notes: list[str] = []
     video = args.video or args.input
-    images = _check_times(scene, read_images(video, config.node, args.topic, notes), video, notes)
-    with replace_output(output, *sources) as unfinished:
+    with ShareBar('images') as report, replace_output(output, *sources) as unfinished:
+        images = _check_times(scene, read_images(video, config.node, args.topic, notes), video, notes, report)
         if output.suffix == PAGE_SUFFIX:
             scene = replace(scene, images=reduce_images(scene, images))
             unfinished.write_text(build_page(scene), encoding='utf-8')
@@ -127,11 +126,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check_times(
-    scene: Scene, images: Iterable[StampedImage], path: Path, notes: list[str]
+    scene: Scene, images: Iterable[StampedImage], path: Path, notes: list[str], report: Report
 ) -> Iterator[StampedImage]:
     """Yield the images; `notes` gets a line if there are some, but none at the time of a frame."""
-    are_far = []
+    are_far, (start_ns, *_, end_ns) = [], (*scene.stamps_ns, scene.stamps_ns[-1] + 1)
     for image in images:
+        report(min(max((image.stamp_ns - start_ns) / (end_ns - start_ns), 0.0), 1.0))
         are_far.append(find_frame(scene, image.stamp_ns) < 0)
         yield image
     if are_far and all(are_far):

@@ -9,7 +9,7 @@ whole sequence.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +29,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import average_vertical
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequence
+from mocap_ros.offline.whole_sequence import Report, SequenceResult, reconstruct_sequence, report_part
 from mocap_ros.people import MotionKind
 from mocap_ros.runtime.frame_assembly import is_stamp_missing
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
@@ -43,8 +43,6 @@ from mocap_ros.viewing.scene import Mark, MarkKind, Scene, SceneKeypoints, Scene
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Row = TypeVar('Row')
-# A function that shows progress while the items are iterated; its second argument is their number.
-ProgressWrapper = Callable[[Iterable[Any], int], Iterable[Any]]
 
 MAX_PEOPLE = 16  # people who are reconstructed; those who are seen most, since each one takes seconds
 VIEWED_FORMATS = f'{KEYPOINT_FORMATS}, or a result (.npz, .mcap)'
@@ -74,14 +72,14 @@ class SceneOptions(NamedTuple):
 
 
 def load_scene(
-    path: Path, options: SceneOptions, progress: ProgressWrapper = lambda items, _: items
+    path: Path, options: SceneOptions, report: Report = lambda _: None
 ) -> tuple[Scene, list[str], Summary | None]:
     """Load what is drawn of an input or a result.
 
     Args:
         path: the file or folder.
         options: how to read and to reconstruct it.
-        progress: function that shows progress.
+        report: function that gets the share, 0 to 1, of the work that is done after the input is read.
 
     Returns:
         The scene, lines for the user about people and messages that were left out, and what a reconstruction rests
@@ -95,7 +93,7 @@ def load_scene(
         if kind is InputKind.RESULT:
             return _load_result_scene(path, options.input.person), [], None
         if kind is InputKind.BAG and holds_result(path):
-            return *_load_bag_scene(path, options, progress), None
+            return *_load_bag_scene(path, options, report), None
         reading = options.input._replace(node=options.config.node)
         if reading.person or options.only_one or kind is InputKind.SEQUENCE:
             sequence, lines = load_input(path, reading)
@@ -105,7 +103,7 @@ def load_scene(
             sequences = sorted(sequences, key=lambda s: -int((s.keypoints[..., 2] > 0).any(axis=1).sum()))
             if len(sequences) > MAX_PEOPLE:
                 lines.append(f'{path}: {len(sequences) - MAX_PEOPLE} more people are not shown, who are seen less')
-        scene, summary = _reconstruct_people(path, sequences[:MAX_PEOPLE], options, progress, lines)
+        scene, summary = _reconstruct_people(path, sequences[:MAX_PEOPLE], options, report, lines)
         return scene, lines, summary
     except InputError as error:
         prefix = '' if str(error).startswith(str(path)) else f'{path}: '
@@ -116,7 +114,7 @@ def _reconstruct_people(
     path: Path,
     sequences: Sequence[KeypointSequence],
     options: SceneOptions,
-    progress: ProgressWrapper,
+    report: Report,
     lines: list[str],
 ) -> tuple[Scene, Summary]:
     """Return the scene of some people, and what they rest on; `lines` gets one for each who fails.
@@ -124,18 +122,22 @@ def _reconstruct_people(
     Raises:
         InputError: no person can be reconstructed.
     """
-    nominal = options.config.tracker.nominal_focal_length
+    nominal, count = options.config.tracker.nominal_focal_length, len(sequences)
     stamps = np.unique(np.concatenate([sequence.stamps_ns for sequence in sequences]))
     intrinsics = sequences[0].intrinsics(nominal)
     people: list[ScenePerson] = []
     keypoints: dict[Skeleton, list[SceneKeypoints]] = {}
     verticals, stds, skeleton, failures = [], [], CMU15, []
     reconstructed: list[tuple[KeypointSequence, SequenceResult]] = []
-    for index, sequence in enumerate(progress(sequences, len(sequences))):
+    report(0.0)
+    for index, sequence in enumerate(sequences):
         person_id = sequence.person_id or f'person_{index + 1}'
         frames = np.searchsorted(stamps, sequence.stamps_ns)
         try:
-            result = reconstruct_sequence(*extract_observations(sequence, nominal), options.models, options.config)
+            observations = extract_observations(sequence, nominal)
+            result = reconstruct_sequence(
+                *observations, options.models, options.config, report_part(report, index, count)
+            )
         except (InputError, np.linalg.LinAlgError) as error:
             failures.append(str(error))
             lines.append(f'{path}: person {person_id!r} left out: {error}')
@@ -263,7 +265,7 @@ def average_core(joints: NDArray[Any], skeleton: Skeleton) -> Array:
     return np.asarray(np.nan_to_num(core, posinf=0, neginf=0).sum(axis=1) / np.where(count, count, np.nan))
 
 
-def _load_bag_scene(path: Path, options: SceneOptions, progress: ProgressWrapper) -> tuple[Scene, list[str]]:
+def _load_bag_scene(path: Path, options: SceneOptions, report: Report) -> tuple[Scene, list[str]]:
     """Load the scene of a bag of skeletons, with its keypoints if it has any, and the inputs that it dropped."""
     reading, detections = options.input, Detections([], [])
     with suppress(*(() if reading.topic or reading.camera_info else (InputError,))):
@@ -272,7 +274,9 @@ def _load_bag_scene(path: Path, options: SceneOptions, progress: ProgressWrapper
     with Bag(path) as bag:
         journals = [t for t in bag.topics_of_type([JOURNAL]) if t.endswith('/journal')]
         topics = [find_skeletons_topic(bag), *journals]
-        for message in progress(bag.messages(topics), bag.count(topics)):
+        count = bag.count(topics)
+        for index, message in enumerate(bag.messages(topics)):
+            report(index / count)
             try:
                 if message.topic not in journals:
                     array = people.add(message.raw)
@@ -281,7 +285,7 @@ def _load_bag_scene(path: Path, options: SceneOptions, progress: ProgressWrapper
                         verticals.append([*array.vertical, array.vertical_std])
                 elif (entry := decode_entry(message.raw)).verdict is not Verdict.ACCEPTED:
                     drops.append((newest_ns, entry.reason))  # at the time of the skeletons before
-            except (InputError, SkeletonError) as error:  # noqa: PERF203
+            except (InputError, SkeletonError) as error:
                 faults.append(f'{message.topic}: {error}')
     known = np.array(verticals).reshape(-1, 4)
     vertical = average_vertical(known[:, :3], known[:, 3])
