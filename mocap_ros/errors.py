@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import difflib
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 
 # What Python raises where content that it reads is not of the expected form
@@ -119,6 +120,17 @@ def describe_parse_error(error: Exception) -> str:
     if isinstance(error, RecursionError):
         return 'nested too deep'
     return ' '.join(str(error).split()).partition('; use sys.')[0]
+
+
+def suggest(word: object, known: Mapping[str, str] | Iterable[str], otherwise: str = '') -> str:
+    """Return a clause about the known name that an unknown word is probably meant for.
+
+    Of a mapping, the keys are compared and the value is named. Where none is near, the clause is `otherwise`, or
+    the list of the known names.
+    """
+    names = known if isinstance(known, Mapping) else {name: name for name in known}
+    close = difflib.get_close_matches(str(word), names, n=1)
+    return f'did you mean {names[close[0]]!r}?' if close else otherwise or f'known: {", ".join(names.values())}'
 
 
 def tell_installation(extra: str) -> str:

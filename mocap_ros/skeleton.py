@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import SkeletonError
+from mocap_ros.errors import SkeletonError, suggest
 
 Array = NDArray[np.float64]
 
@@ -267,7 +267,7 @@ def keypoint_layout(name: str) -> Skeleton:
     try:
         return KEYPOINT_LAYOUTS[name]
     except KeyError:
-        raise SkeletonError(f'unknown keypoint layout {name!r}; known: {", ".join(LAYOUT_NAMES)}') from None
+        raise SkeletonError(f'unknown keypoint layout {name!r}; {suggest(name, LAYOUT_NAMES)}') from None
 
 
 def skeleton_from_joints(joints: tuple[str, ...]) -> Skeleton:

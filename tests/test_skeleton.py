@@ -37,8 +37,10 @@ def test_layout_is_a_forest_with_left_and_right(name: str) -> None:
 
 
 def test_unknown_layout_error_lists_known_layouts() -> None:
-    with pytest.raises(SkeletonError, match=r"'coco99'.*coco17.*mediapipe33"):
-        keypoint_layout('coco99')
+    with pytest.raises(SkeletonError, match=r"'xyz'.*coco17.*mediapipe33"):
+        keypoint_layout('xyz')
+    with pytest.raises(SkeletonError, match=r"'coc17'; did you mean 'coco17'\?$"):
+        keypoint_layout('coc17')
 
 
 @pytest.mark.parametrize('name', LAYOUT_NAMES)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import uuid
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -68,12 +69,18 @@ def connect(scheduler: str | None, workers: int | None = None, memory: str = 'au
             return
         options = {'threads_per_worker': 1, 'memory_limit': memory, 'dashboard_address': ':0'}
         options['n_workers'] = workers or len(os.sched_getaffinity(0))
-        with (
-            dask.config.set(LOCAL_SETTINGS),
-            LocalCluster(silence_logs=SILENT, **options) as cluster,
-            Client(cluster) as client,
-        ):
-            yield client
+        # Threads and processes that begin now never see Ctrl-C, which ends this thread, and with it the workers.
+        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            with (
+                dask.config.set(LOCAL_SETTINGS),
+                LocalCluster(silence_logs=SILENT, **options) as cluster,
+                Client(cluster) as client,
+            ):
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
+                yield client
+        finally:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
 
 
 def run_jobs(client: Client, jobs: Sequence[Job], report: Callable[[Outcome], None]) -> None:

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap_ros.cli.options import parse_positive
-from mocap_ros.cli.terminal import print_result
+from mocap_ros.cli.terminal import print_result, show_progress
 from mocap_ros.config import Config
 from mocap_ros.demo.scene import motion_name_at
 from mocap_ros.errors import MocapError
@@ -31,6 +31,7 @@ from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence
 from mocap_ros.formats.text_files import replace_output
 from mocap_ros.runtime.load_keypoints import load_sequence_file
 from mocap_ros.runtime.load_scene import SceneOptions, load_scene, select_true_joints
+from mocap_ros.runtime.playback import Playback
 from mocap_ros.viewing import plots
 from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.scene import Scene
@@ -73,24 +74,27 @@ def run(args: argparse.Namespace) -> int:
     """Play the recording to the node, and draw and print the result."""
     if find_spec('rclpy') is None:
         raise MocapError('the demo needs ROS 2 (rclpy): run `make demo`, or source a ROS 2 workspace first')
+    from mocap_ros.ros.player import PlaybackOptions, Player
+
     recording = Path(str(files('mocap_ros') / 'demo' / 'demo.npz'))
     sequence = load_sequence_file(recording)
     args.output.mkdir(parents=True, exist_ok=True)
     old_bags = set(args.output.glob('*/metadata.yaml'))
-    with reserve_domain() as domain, _run_node(args.output, environment := {**os.environ, **domain}) as node:
-        duration_s = np.ptp(sequence.timestamps)
-        print_result(f'Playing {recording.name} (synthetic, {duration_s:.0f} s) to the node ...', flush=True)
-        options = ['--rate', str(args.rate), '--wait', str(START_TIMEOUT_S)]
-        command = [sys.executable, '-m', 'mocap_ros.cli.main', 'play', str(recording), *options]
-        player = subprocess.run(command, env=environment, check=False)
+    duration_s = np.ptp(sequence.timestamps) / args.rate
+    print_result(
+        f'Step 1 of 3: start the node (3 s), play {recording.name} to it ({duration_s:.0f} s)', flush=True
+    )
+    with reserve_domain() as domain, _use_environment(domain), _run_node(args.output) as node:
+        player = Player(Playback(recording), PlaybackOptions(args.rate, START_TIMEOUT_S))
+        player.play(lambda messages, total: show_progress(messages, 'play', total))
         if node.poll() is not None:
             raise MocapError(f'the node stopped during the playback (exit code {node.returncode})')
-        if player.returncode:
-            raise MocapError('the player failed')
+    print_result('Step 2 of 3: read what the node has recorded (1 s)', flush=True)
     new_bags = sorted(path.parent for path in set(args.output.glob('*/metadata.yaml')) - old_bags)
     if not new_bags:
         raise MocapError(f'{args.output}: the node recorded nothing')
     scene = load_demo_scene(new_bags[-1], sequence)
+    print_result('Step 3 of 3: draw it (3 s)', flush=True)
     picture, page = args.output / 'demo.png', args.output / 'demo.html'
     frames = np.searchsorted(scene.times, PICTURE_TIMES_S).clip(max=len(scene.times) - 1).tolist()
     labels = [f'{motion_name_at(t)}, {t:.1f} s' for t in PICTURE_TIMES_S]
@@ -127,11 +131,22 @@ def reserve_domain() -> Iterator[dict[str, str]]:
 
 
 @contextlib.contextmanager
-def _run_node(folder: Path, environment: dict[str, str]) -> Iterator[subprocess.Popen[bytes]]:
+def _use_environment(variables: dict[str, str]) -> Iterator[None]:
+    before = {**os.environ}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+
+
+@contextlib.contextmanager
+def _run_node(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
     command = [sys.executable, '-m', 'mocap_ros.ros.main', '--ros-args', '--log-level', 'warn']
     command += ['-p', 'recorder.enabled:=true', '-p', f'recorder.folder:={folder.resolve()}']
     command += ['-p', 'qos_overrides./keypoints.subscription.reliability:=reliable']
-    node = subprocess.Popen(command, env=environment)
+    node = subprocess.Popen(command, start_new_session=True)  # an interrupt of this process does not reach it
     try:
         yield node
     finally:

@@ -10,16 +10,16 @@ Exit codes: 0 for success; 1 for a failure, which one line on stderr describes; 
 from __future__ import annotations
 
 import argparse
-import difflib
 import io
 import os
+import re
 import sys
 from collections.abc import Collection, Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
 from mocap_ros.cli.terminal import end_loading, is_interrupt, print_note, show_loading
-from mocap_ros.errors import MocapError, make_printable_line
+from mocap_ros.errors import MocapError, make_printable_line, suggest
 from mocap_ros.runtime.cpu_setup import configure_process
 
 INTERRUPTED = 130  # exit code: 128 and the number of SIGINT
@@ -86,6 +86,7 @@ def build_parser(selected: Collection[str] = tuple(COMMANDS)) -> argparse.Argume
         command = subparsers.add_parser(name, help=summary)
         if name in selected:
             import_module(f'mocap_ros.cli.{name}').add_options(command)
+            command.set_defaults(command=command)
     return parser
 
 
@@ -97,9 +98,14 @@ def explain_missing_command(arguments: Sequence[str]) -> str:
     later = next((argument for argument in arguments if argument in COMMANDS), '')
     if later:
         return f'{first!r} comes before the command; write: mocap-ros {later} ...'
-    close = difflib.get_close_matches(first, COMMANDS, n=1)
-    advice = f'did you mean {close[0]!r}?' if close else f'there are {", ".join(COMMANDS)}'
-    return f'no command {first!r}; {advice}'
+    return f'no command {first!r}; {suggest(first, list(COMMANDS))}'
+
+
+def describe_unknown_arguments(unknown: Sequence[str], command: argparse.ArgumentParser) -> str:
+    """Return a line about arguments that a command does not have."""
+    options = re.findall(r'--[a-z-]+', command.format_usage())
+    advice = suggest(unknown[0].partition('=')[0], options, f'{command.prog} --help lists all')
+    return f'unrecognized arguments: {" ".join(unknown)}; {advice}'
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -114,7 +120,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser = build_parser(arguments[:1])
         if reason := explain_missing_command(arguments):
             parser.error(reason)
-        args = parser.parse_args(arguments)
+        args, unknown = parser.parse_known_args(arguments)
+        if unknown:
+            args.command.error(describe_unknown_arguments(unknown, args.command))
         return int(args.run(args))
     except MocapError as error:
         return _report_failure(str(error))

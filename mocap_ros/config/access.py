@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,7 +15,7 @@ from operator import attrgetter
 from typing import Any, cast, get_type_hints
 
 from mocap_ros.config.defaults import Config, Value
-from mocap_ros.errors import ConfigError
+from mocap_ros.errors import ConfigError, suggest
 
 MAX_SHOWN_CHARACTERS = 60  # characters of a value in an error message; keeps the message on one readable line
 # Numbers such as 1e-4, which YAML 1.1 and therefore PyYAML read as text because they have no decimal point. The
@@ -135,8 +134,7 @@ def suggest_parameter(unknown_name: str, names: Iterable[str], listed_by: str = 
     group = unknown_name.partition('.')[0]
     those_of_group_last = sorted(names, key=lambda name: name.partition('.')[0] == group)  # the last one counts
     name_of_field = {name.rpartition('.')[2]: name for name in those_of_group_last}
-    close = difflib.get_close_matches(unknown_name.rpartition('.')[2], name_of_field, n=1)
-    return f'did you mean {name_of_field[close[0]]!r}?' if close else f'{listed_by} lists all of them'
+    return suggest(unknown_name.rpartition('.')[2], name_of_field, f'{listed_by} lists all of them')
 
 
 def values(config: Config) -> dict[str, Value]:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import ModelError, describe_read_error
+from mocap_ros.errors import ModelError, describe_read_error, suggest
 from mocap_ros.input_file import open_input_file
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import OUTPUT_COUNT, Lifter
@@ -88,7 +88,7 @@ def load_base_poses(name_or_path: str | Path) -> BasePoses:
     if text in shipped:
         return decode_base_poses((_SHIPPED / f'{text}.npz').read_bytes(), text)
     if not path.is_file():
-        raise ModelError(f'no base-pose model {text!r}: neither a file nor one of {", ".join(shipped)}')
+        raise ModelError(f'no base-pose model {text!r}: neither a file nor shipped; {suggest(text, shipped)}')
     try:
         with open_input_file(path) as file:
             return decode_base_poses(file.read(MAX_BASE_POSES_BYTES + 1), text)
