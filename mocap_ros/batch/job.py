@@ -295,6 +295,8 @@ def _load_sequence(path: Path, job: Job) -> tuple[KeypointSequence, dict[str, An
     video = replace(settings.video, detector=settings.video.detector if kind is InputKind.VIDEO else None)
     if kind in (InputKind.SEQUENCE, InputKind.VIDEO, InputKind.BAG):
         video = Video(detector=video.detector, hfov=video.hfov, focal=video.focal)
+    if kind is InputKind.SPORTS2D:
+        video = replace(video, fps=None, layout='')
     topics = (settings.topic, settings.camera_info) if kind is InputKind.BAG else (None, None)
     sequence, lines = load_input(path, InputOptions(video, config.node, None, *topics, tracker=config.tracker))
     stamps = sequence.stamps_ns

@@ -267,6 +267,7 @@ def _add_people(found: _Found, entries: Iterable[_Entry], categories: _Categorie
     """Add the keypoints of probable people in images; other detections are counted."""
     entries = list(entries)
     ids = set()
+    has_people = any(isinstance(e.content, dict) and e.content.get('name') == PERSON_CLASS for e in entries)
     for entry in entries:
         if isinstance(entry.content, dict) and 'category_id' in entry.content:
             with naming(entry.place, 'category_id: expected a number or a name'):
@@ -278,8 +279,8 @@ def _add_people(found: _Found, entries: Iterable[_Entry], categories: _Categorie
         if not isinstance(person, dict):
             raise InputError(f'{entry.place}: expected a person with keypoints')
         key = next((key for key in KEYPOINT_KEYS if key in person), None)
-        category = person.get('category_id')
-        if not is_person_class(person.get('name')) or category in others:
+        category, name = person.get('category_id'), person.get('name', PERSON_CLASS)
+        if not is_person_class(name) or (has_people and name != PERSON_CLASS) or category in others:
             found.others += 1
         elif key is None and 'people[' in entry.place:
             raise InputError(f'{entry.place}: no {KEYPOINT_KEYS[1]}')

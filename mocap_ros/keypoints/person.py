@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Classes of COCO and of pose models for animals, hands and faces, whose detections may have keypoints.
+# Classes of COCO and of pose models for animals, hands, faces and vehicles, whose detections may have keypoints.
 OTHER_CLASSES = frozenset((
-    'animal', 'bear', 'bird', 'cat', 'chimpanzee', 'cow', 'deer', 'dog', 'elephant', 'face', 'fish', 'giraffe',
-    'hand', 'horse', 'monkey', 'mouse', 'panda', 'pig', 'rabbit', 'rat', 'sheep', 'tiger', 'zebra',
+    'animal', 'bear', 'bicycle', 'bird', 'bus', 'car', 'cat', 'chimpanzee', 'cow', 'deer', 'dog', 'elephant',
+    'face', 'fish', 'giraffe', 'hand', 'horse', 'monkey', 'motorcycle', 'mouse', 'panda', 'pig', 'rabbit', 'rat',
+    'sheep', 'tiger', 'truck', 'vehicle', 'zebra',
 ))  # fmt: skip
 
 

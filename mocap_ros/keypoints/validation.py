@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +21,13 @@ TINY_IMAGE_WIDTH = 16  # px; in an image up to this wide, real px look like norm
 MAX_COORDINATE_PX = 1e6  # px; far outside any image
 MAX_SHARE_OUTSIDE = 0.5  # share of the points; with more of them outside the image, its size is probably wrong
 MIN_SHARE_HELD = 0.95  # share of the points that an image must hold to be the right one; a few may be outliers
+MAX_LOGIT = 30.0  # 1; beyond it, the probability is 0 or 1
+# Other sizes of images: factors of the side itself and of the other one
+OTHER_SIZES = ((0.0, 1.0), (0.5, 0.0), (1.5, 0.0))
+MIDDLE, SPREAD = np.array([0.5, 0.47]), np.array([0.17, 0.12])  # 1; of the places of people, in width and height
+MIN_EVIDENCE = 2.5  # 1, log likelihood; people who stay in a corner for a whole recording are rare
+BEYOND_EVIDENCE = 1.5  # 1, of points beyond the image, which detectors give of people whom it cuts off
+MIN_SHARE_BEYOND = 0.02  # 1; share of points beyond the image that counts
 MIN_JUDGED_POINTS = 4  # points; fewer may lie in the corner of the image by chance
 
 
@@ -48,9 +56,12 @@ def find_first_fault(points: Array, score: Array) -> Fault | None:
 def mark_unseen(points: Array, score: Array) -> tuple[Array, Array]:
     """Mark joints that were not seen, by NaN in points (..., J, 2) px and 0 in scores (..., J).
 
-    So are points of NaN, (0, 0) or (-1, -1) and scores of 0, less or NaN. The scores of a person are divided by
-    the largest where that exceeds 1.
+    So are points of NaN, (0, 0) or (-1, -1) and scores of 0, less or NaN. Scores of which some are below -1 and
+    some above 1 are logits, and become 1 / (1 + exp(-score)). The scores of a person are divided by the largest
+    where that exceeds 1.
     """
+    if (score < -1).any() and (score > 1).any():
+        score = 1 / (1 + np.exp(-score.clip(-MAX_LOGIT, MAX_LOGIT)))
     seen = find_seen(points, score)
     score = np.where(seen, score, 0.0)
     largest = score.max(axis=-1, keepdims=True, initial=1.0)
@@ -80,29 +91,75 @@ def describe_other_unit(points: Array, score: Array, image_width: int) -> str:
     return ''
 
 
-def measure_share_outside(points: Array, score: Array, image_size: tuple[int, int]) -> float:
-    """Return the share of the seen keypoints that lie outside the image (width, height); 0 if too few are seen."""
-    seen = points[score > 0]
-    return 1 - _measure_share_inside(seen, *image_size) if len(seen) >= MIN_JUDGED_POINTS else 0.0
+class PointPlaces:
+    """Where the points of people lie over many images of one size, which shows whether it is their size.
+
+    People are mostly in the middle of an image: with m the mean place of their points,
+
+        d(width, height) = ((m_x / width - MIDDLE_x) / SPREAD_x)^2 + ((m_y / height - MIDDLE_y) / SPREAD_y)^2
+
+    Another size, which holds the points, is likelier if its d / 2 is smaller by `MIN_EVIDENCE`: width and height
+    exchanged, half of both, and one and a half times both where points lie beyond the image.
+    """
+
+    def __init__(self) -> None:
+        self._begin((0, 0))
+
+    def _begin(self, image_size: tuple[int, int]) -> None:
+        self._size, self._count, self._sum = image_size, 0.0, np.zeros(2)
+        self._inside = np.zeros(1 + len(OTHER_SIZES))  # numbers of points inside this size and the others
+
+    def add(self, points: Array, score: Array, image_size: tuple[int, int], kept: float = 1.0) -> None:
+        """Add points (..., 2) px with scores (...), of a size or a new one; a share is kept of those before."""
+        if image_size != self._size:
+            self._begin(image_size)
+        seen = points[score > 0]
+        inside = [((seen >= 0) & (seen <= size)).all(axis=-1).sum() for size in (image_size, *self._list_others())]
+        self._count = kept * self._count + len(seen)
+        self._sum = kept * self._sum + seen.sum(axis=0)
+        self._inside = kept * self._inside + inside
+
+    @property
+    def share_outside(self) -> float:
+        """The share of the points that lie outside the image; 0 if there are too few."""
+        return 1 - float(self._inside[0]) / self._count if self._count >= MIN_JUDGED_POINTS else 0.0
+
+    def describe_fault(self) -> str:
+        """Describe in a clause that most points lie outside, or that the size is another; usually empty."""
+        (width, height), held = self._size, self._inside / max(self._count, 1) >= MIN_SHARE_HELD
+        outside, transposed = self.share_outside, 'width and height look transposed'
+        beyond = f'{outside:.0%} of the seen keypoints lie outside {width} x {height} px'
+        if outside > MAX_SHARE_OUTSIDE:
+            return f'{beyond}, but inside {height} x {width} px: {transposed}' if held[1] else beyond
+        if self._count < MIN_JUDGED_POINTS:
+            return ''
+        own, *others = map(self._measure_distance, (self._size, *self._list_others()))
+        is_beyond = outside > MIN_SHARE_BEYOND
+        evidence = (own - np.array(others)) / 2 + [0.0, 0.0, BEYOND_EVIDENCE if is_beyond else -math.inf]
+        evidence = np.where(held[1:], evidence, -math.inf)
+        texts = (
+            f'the points lie as in an image of {height} x {width} px: {transposed}',
+            f'all points lie in the upper left quarter of {width} x {height} px: the images look smaller',
+            f'{beyond}, and the others towards its lower right corner: the images look larger',
+        )
+        return texts[evidence.argmax()] if evidence.max() >= MIN_EVIDENCE else ''
+
+    def _list_others(self) -> list[tuple[float, float]]:
+        width, height = self._size
+        return [(x * width + y * height, x * height + y * width) for x, y in OTHER_SIZES]
+
+    def _measure_distance(self, size: tuple[float, float]) -> float:
+        return float((((self._sum / self._count / size - MIDDLE) / SPREAD) ** 2).sum())
 
 
 def describe_points_outside(points: Array, score: Array, image_size: tuple[int, int]) -> str:
     """Describe in a clause that most keypoints lie outside the image, or return an empty string."""
-    outside = measure_share_outside(points, score, image_size)
-    if outside <= MAX_SHARE_OUTSIDE:
-        return ''
-    return f'{outside:.0%} of the seen keypoints lie outside {image_size[0]} x {image_size[1]} px'
+    places = PointPlaces()
+    places.add(points, score, image_size)
+    return places.describe_fault() if places.share_outside > MAX_SHARE_OUTSIDE else ''
 
 
 def describe_transposed_size(points: Array, score: Array, image_size: tuple[int, int]) -> str:
-    """Describe in a clause that width and height seem exchanged, or return an empty string."""
+    """Describe in a clause that most keypoints lie outside the image, but inside it with the sides exchanged."""
     fault = describe_points_outside(points, score, image_size)
-    height, width = image_size
-    if not fault or _measure_share_inside(points[score > 0], width, height) < MIN_SHARE_HELD:
-        return ''
-    return f'{fault}, but inside {width} x {height} px: width and height look transposed'
-
-
-def _measure_share_inside(points: Array, width: int, height: int) -> float:
-    inside = ((points >= 0) & (points <= [width, height])).all(axis=-1)
-    return float(inside.mean()) if len(points) else 1.0
+    return fault if 'transposed' in fault else ''

@@ -13,11 +13,12 @@ from mocap_ros.bags.reader import is_bag
 from mocap_ros.errors import InputError
 from mocap_ros.formats.npz_arrays import list_keys
 from mocap_ros.formats.sequence_file import is_result_file
+from mocap_ros.formats.sports2d import PIXEL_FILES
 from mocap_ros.input_file import NEITHER_FILE_NOR_FOLDER, is_special_file
 
 VIDEO_SUFFIXES = ('.mp4', '.m4v', '.mov', '.avi', '.mkv', '.webm', '.mpg', '.mpeg', '.wmv', '.flv', '.gif')
 IMAGE_SUFFIXES = ('.png', '.jpg', '.jpeg', '.bmp', '.tif', '.tiff', '.webp', '.heic')
-WRITTEN_SUFFIXES = ('.csv', '.bvh', '.trc')  # of files that are written, but not read
+WRITTEN_SUFFIXES = ('.csv', '.bvh')  # of files that are written, but not read
 
 # What the commands read, in the words of messages.
 KEYPOINT_FORMATS = (
@@ -35,6 +36,7 @@ class InputKind(Enum):
     BAG = 'is a bag'
     OPENPOSE = 'is a folder of JSON files'
     JSON = 'is a JSON file'
+    SPORTS2D = 'is a file or folder of Sports2D'
     VIDEO = 'is a video'
     IMAGE = 'is an image'
     IMAGES = 'is a folder of images'
@@ -45,12 +47,15 @@ class InputKind(Enum):
     MISSING = 'No such file or directory'
 
 
-KEYPOINT_KINDS = (InputKind.SEQUENCE, InputKind.BAG, InputKind.OPENPOSE, InputKind.JSON, InputKind.VIDEO)
+KEYPOINT_KINDS = (
+    InputKind.SEQUENCE, InputKind.BAG, InputKind.OPENPOSE, InputKind.JSON, InputKind.SPORTS2D, InputKind.VIDEO,
+)  # fmt: skip
 KIND_BY_SUFFIXES = {
     VIDEO_SUFFIXES: InputKind.VIDEO,
     IMAGE_SUFFIXES: InputKind.IMAGE,
     WRITTEN_SUFFIXES: InputKind.WRITTEN,
     ('.json',): InputKind.JSON,
+    ('.trc',): InputKind.SPORTS2D,
 }
 
 
@@ -66,10 +71,7 @@ def find_input_kind(path: Path) -> InputKind:
     if is_bag(path):
         return InputKind.BAG
     if path.is_dir():
-        names = [path.name.lower() for path in path.iterdir()]
-        if any(name.endswith('.json') for name in names):
-            return InputKind.OPENPOSE
-        return InputKind.IMAGES if any(name.endswith(IMAGE_SUFFIXES) for name in names) else InputKind.FOLDER
+        return _find_folder_kind(path)
     if not path.stat().st_size:
         return InputKind.EMPTY_FILE
     for suffixes, kind in KIND_BY_SUFFIXES.items():
@@ -78,6 +80,15 @@ def find_input_kind(path: Path) -> InputKind:
     if is_result_file(path):
         return InputKind.RESULT
     return InputKind.SEQUENCE if path.suffix.lower() == '.npz' or list_keys(path) else InputKind.OTHER
+
+
+def _find_folder_kind(folder: Path) -> InputKind:
+    names = [path.name.lower() for path in folder.iterdir()]
+    if any(name.endswith('.json') for name in names):
+        return InputKind.OPENPOSE
+    if any(folder.glob(PIXEL_FILES)):
+        return InputKind.SPORTS2D
+    return InputKind.IMAGES if any(name.endswith(IMAGE_SUFFIXES) for name in names) else InputKind.FOLDER
 
 
 def require_kind(path: Path, accepted: Collection[InputKind], formats: str) -> InputKind:

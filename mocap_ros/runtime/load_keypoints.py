@@ -28,6 +28,7 @@ from mocap_ros.formats.detections import (
 )
 from mocap_ros.formats.detector_json import load_json_file, load_json_folder
 from mocap_ros.formats.sequence_file import KeypointSequence, find_longest_gap, load_sequence
+from mocap_ros.formats.sports2d import load_pixel_files
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.keypoints.validation import describe_points_outside, describe_transposed_size
 from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
@@ -52,7 +53,13 @@ OPTIONS_BY_KIND = {
     InputKind.VIDEO: ('--person', '--detector'),
     InputKind.OPENPOSE: ('--person', '--fps', '--image-size', '--layout'),
     InputKind.JSON: ('--person', '--fps', '--image-size', '--layout'),
+    InputKind.SPORTS2D: ('--person', '--image-size'),
 }
+
+
+LOADERS = {
+    InputKind.OPENPOSE: load_json_folder, InputKind.JSON: load_json_file, InputKind.SPORTS2D: load_pixel_files,
+}  # fmt: skip
 
 
 class InputOptions(NamedTuple):
@@ -81,7 +88,7 @@ def load_input(path: Path, options: InputOptions) -> tuple[KeypointSequence, lis
         InputError: The file has none of these formats or is damaged, or an option does not apply to it; the error
             names the place.
     """
-    kind = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS)
+    kind, options = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS), _add_lens(options)
     _refuse_options(path, kind, options)
     if kind is InputKind.SEQUENCE:
         sequence, lines = load_sequence(path), list[str]()
@@ -100,7 +107,7 @@ def load_people(path: Path, options: InputOptions) -> tuple[list[KeypointSequenc
         The sequence of each person who is seen in `MIN_FRAMES` or more, in the order in which they are seen first,
         and lines to print.
     """
-    kind = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS)
+    kind, options = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS), _add_lens(options)
     _refuse_options(path, kind, options)
     if kind is InputKind.SEQUENCE:
         raise InputError(f'{path}: a sequence file holds one person; --all-people does not apply')
@@ -115,6 +122,14 @@ def load_people(path: Path, options: InputOptions) -> tuple[list[KeypointSequenc
     if left_out := len(tracks) - len(long_tracks):
         lines = (*lines, f'{left_out} people are left out, who are seen in less than {MIN_FRAMES} frames')
     return _finish(path, kind, sequences, options.video, lines)
+
+
+def _add_lens(options: InputOptions) -> InputOptions:
+    """Return the options with the focal length of the parameters where the video has none."""
+    video, node = options.video, options.node
+    if video.hfov or video.focal:
+        return options
+    return options._replace(video=replace(video, hfov=node.hfov or None, focal=node.focal or None))
 
 
 def _finish(
@@ -167,7 +182,7 @@ def _load_detections(path: Path, kind: InputKind, options: InputOptions) -> Dete
     if kind is InputKind.VIDEO:
         found = detect_in_video(path, video.detector, show_progress=options.show_detection)
         return replace(found, intrinsics=None) if video.hfov or video.focal else found
-    detections = load_json_folder(path, video) if kind is InputKind.OPENPOSE else load_json_file(path, video)
+    detections = LOADERS[kind](path, video)
     if not all(detections.image_size) and (video.hfov or video.focal):
         raise InputError(f'{path}: --hfov and --focal need --image-size, as the input does not state it')
     return detections
@@ -347,7 +362,7 @@ def find_camera(
 
     Returns:
         The CameraInfo, else the first of which more than the others can be used, or None if there is none; and why
-        the first is not used, or not all of it, or an empty text.
+        it is not the first, or what of it is not used, or an empty text.
 
     Raises:
         InputError: There is no such topic, or several topics share equally much of the namespace.
@@ -362,8 +377,7 @@ def find_camera(
             reason = reason or f'{topic}: message {number} cannot be used: {error}'
             continue
         if not camera.note:
-            return camera, reason
-        reason = reason or f'{topic}: message {number}: {camera.note}'
+            return camera, reason and f'{reason}; instead, message {number} is used'
         if found is None or camera.intrinsics.is_focal_known > found.intrinsics.is_focal_known:
-            found = camera
+            found, reason = camera, f'{topic}: message {number}: {camera.note}'
     return found, reason

@@ -48,7 +48,7 @@ from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.units import NS_PER_S
 
 TRACKER_GROUPS = 'solver', 'classifier', 'tracker'  # fields of `Config` that a tracker reads when it is made
-MAX_GAP_S = 10.0  # s between the stamps of successive images from which on a note says so
+NOTED_GAP_S = 10.0  # s between the stamps of successive images, from which on a note says so
 MAX_CONSECUTIVE_ERRORS = 3  # messages; after as many internal errors in a row the tracker's state is discarded
 BACKLOG_REASON = (
     'the message was skipped because newer messages were waiting, as the node cannot keep up with its input; '
@@ -231,9 +231,11 @@ class Pipeline:
         self._camera.add_calibration(Calibration(info, raw))
 
     def _take_camera_note(self) -> str:
-        """Return what the CameraInfo in use is not used for, once until it changes."""
-        calibration, before = self._camera.calibration, self._camera_note
-        self._camera_note = calibration.info.note if calibration else ''
+        """Return what the CameraInfo in use is not used for, or replaces, once until it changes."""
+        calibration, before, node = self._camera.calibration, self._camera_note, self.config.node
+        is_lens_ignored = self.focal_source == KNOWN and (node.hfov or node.focal)
+        ignored = 'the camera is calibrated; node.hfov and node.focal are not used' if is_lens_ignored else ''
+        self._camera_note = '; '.join(filter(None, (calibration.info.note if calibration else '', ignored)))
         return '' if self._camera_note == before else self._camera_note
 
     def reset(self) -> tuple[OutputMessage, ...]:
@@ -323,7 +325,7 @@ class Pipeline:
         before_ns = self.header.stamp_ns
         self.header, self.output_header, self.people = frame.header, header, people
         self._camera.accept(frame.header, calibration)
-        if before_ns and stamp_ns - before_ns > MAX_GAP_S * NS_PER_S:
+        if before_ns and stamp_ns - before_ns > NOTED_GAP_S * NS_PER_S:
             gap_s = (stamp_ns - before_ns) / NS_PER_S
             reason = f'a gap of {gap_s:.1f} s before this stamp: no images for so long, or the clock was set'
         if back_s := tracker.backward_jump_s:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.config import Config
 from mocap_ros.evaluation.verdict import (
+    LOOK_S,
     MAX_STRETCHES,
     MIN_FRAMES,
     MIN_SEEN_JOINTS,
@@ -27,6 +28,8 @@ from mocap_ros.evaluation.verdict import (
     Grade,
     Judgement,
     Reading,
+    Stretch,
+    Walk,
     average,
     cut_stretches,
     judge,
@@ -38,12 +41,7 @@ from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import MAX_CERTAIN_STD
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import (
-    MAX_SHARE_OUTSIDE,
-    describe_points_outside,
-    describe_transposed_size,
-    measure_share_outside,
-)
+from mocap_ros.keypoints.validation import MAX_SHARE_OUTSIDE, PointPlaces
 from mocap_ros.models.model_file import load_shipped_lifter
 from mocap_ros.offline.whole_sequence import SequenceResult
 from mocap_ros.people import CameraVertical, Person3D
@@ -57,6 +55,7 @@ NOT_JUDGED = Judgement(Grade.GOOD, Fault.UNKNOWN)
 MAX_JUDGED_PEOPLE = 3  # of a recording; those who come first in the input
 MAX_STEP = 0.5  # of the person's size in the image; of a person from one image to the next
 MAX_IDS = 10_000  # people; live, one who comes back after so many others counts anew
+PLACES_MEMORY_S = 20.0  # s; live, about so long the places of people count, unless none is seen for `MEMORY_S`
 MEMORY_S = 5.0  # s; live, the residual is averaged over about this time, and after it points are judged anew
 
 # What to say of a fault, but for those that name layouts.
@@ -64,7 +63,7 @@ WORDS = {
     Fault.UNKNOWN: f'no {STRETCH_S:g} s have {MIN_FRAMES} images that show {MIN_SEEN_JOINTS} joints',
     Fault.AXES: 'x and y look exchanged',
     Fault.Y_UP: 'y looks as if it pointed upwards: expected is y = 0 at the top of the image',
-    Fault.MIRRORED: 'left and right look exchanged: the names of the joints, or the image is mirrored',
+    Fault.MIRRORED: 'left and right look exchanged in the names of the joints',
     Fault.TURNED: 'people lie or are upside down in the image: x and y may be exchanged, or y points upwards; '
     'if the camera is turned, give tracker.vertical',
 }  # fmt: skip
@@ -132,16 +131,20 @@ def describe_grade(judgement: Judgement) -> str:
     return 'not judged' if judgement.fault is Fault.UNKNOWN else judgement.grade.name.lower()
 
 
-def describe_fault(judgement: Judgement, names: Sequence[str], outside: str = '') -> str:
-    """Return why points whose joints have these names are not sound, in words; empty if they are.
+def judge_size(places: PointPlaces) -> tuple[Grade, str]:
+    """Return whether points lie where they do in an image of that size, and why not, in words."""
+    fault = places.describe_fault()
+    if not fault:
+        return Grade.GOOD, ''
+    advice = 'check that the detector sees images of that size, and gives points in px from the upper left corner'
+    grade = Grade.WRONG if places.share_outside > MAX_SHARE_OUTSIDE else Grade.DOUBTFUL
+    return grade, f'{fault}; {advice}'
 
-    `outside` describes where they lie if most lie outside the image.
-    """
-    if judgement.fault is Fault.OUTSIDE:
-        return (
-            f'{outside}; check that the detector sees images of that size, and gives points in px from the upper '
-            'left corner'
-        )
+
+def describe_fault(judgement: Judgement, names: Sequence[str], size_fault: str) -> str:
+    """Return why points of these joints are not sound, in words; `size_fault` is that of `judge_size`."""
+    if judgement.fault is Fault.SIZE:
+        return size_fault
     given = skeleton_from_joints(tuple(names)).name or 'the given joints'
     if judgement.fault is Fault.LAYOUT:
         return (
@@ -158,10 +161,10 @@ def describe_fault(judgement: Judgement, names: Sequence[str], outside: str = ''
 def summarise(sequences: Sequence[KeypointSequence], results: Sequence[SequenceResult], config: Config) -> Summary:
     """Summarise the reconstruction of all people of a recording, one sequence and result each."""
     tracker, lifter = config.tracker, load_shipped_lifter()
-    given, outside = read_given_vertical(tracker), ''
+    given, walk, places = read_given_vertical(tracker), Walk(), PointPlaces()
+    vertical = None if given is None else given.direction
     measured: list[dict[Reading, float]] = []
-    turns = 0 if given is None else count_upright_turns(given.direction)
-    rows, seen, shares = [], [], []
+    rows, seen = [], []
     for sequence, result in zip(sequences, results, strict=True):
         intrinsics = result.virtual_camera.intrinsics
         depth = float(np.nanmedian(result.joints[..., 2]))
@@ -172,17 +175,19 @@ def summarise(sequences: Sequence[KeypointSequence], results: Sequence[SequenceR
         score = np.where(sequence.keypoints[..., 2] >= tracker.min_score, sequence.keypoints[..., 2], 0.0)
         keypoints = np.concatenate([sequence.keypoints[..., :2], score[..., None]], axis=-1)
         seen.append(float((score > 0)[(score > 0).any(axis=1)].mean()))
-        shares.append(measure_share_outside(keypoints[..., :2], score, sequence.image_size))
-        outside = outside or describe_outside(keypoints[..., :2], score, sequence.image_size)
+        places.add(keypoints[..., :2], score, sequence.image_size)
+        walk.begin()
+        for stamp_ns, joints in zip(sequence.stamps_ns, result.joints, strict=True):
+            walk.add(stamp_ns, joints)
         if len(measured) < MAX_JUDGED_PEOPLE * MAX_STRETCHES:
-            for stretch in cut_stretches(keypoints, sequence.joint_names, sequence.timestamps, intrinsics):
+            points = keypoints, sequence.joint_names, sequence.timestamps
+            for stretch in cut_stretches(*points, intrinsics, vertical):
                 readings = list_readings(stretch.names)
-                measured.append(
-                    {r: measure_uncertainty(stretch, r, turns, lifter, tracker.min_score) for r in readings}
-                )
+                measured.append({r: measure_uncertainty(stretch, r, lifter, tracker.min_score) for r in readings})
     counts = [len(sequence) for sequence in sequences]
     residual, share, depth, std = np.average(rows, axis=0, weights=counts).tolist()
-    judgement = judge(average(measured), share, float(np.mean(shares)))
+    size, size_fault = judge_size(places)
+    judgement = judge(average(measured), share, size, is_backwards=walk.is_backwards)
     sequence, intrinsics = sequences[0], results[0].virtual_camera.intrinsics
     return Summary(
         people=len(sequences),
@@ -196,14 +201,8 @@ def summarise(sequences: Sequence[KeypointSequence], results: Sequence[SequenceR
         vertical=describe_vertical(std, is_given=given is not None),
         vertical_std_deg=math.degrees(std),
         grade=describe_grade(judgement),
-        reason=describe_fault(judgement, sequence.joint_names, outside),
+        reason=describe_fault(judgement, sequence.joint_names, size_fault),
     )
-
-
-def describe_outside(points: Array, score: Array, image_size: tuple[int, int]) -> str:
-    """Describe in a clause that most points lie outside the image, in px; empty if they do not."""
-    keypoints = points, score, image_size
-    return describe_transposed_size(*keypoints) or describe_points_outside(*keypoints)
 
 
 def describe_vertical(std: float, *, is_given: bool) -> str:
@@ -213,12 +212,6 @@ def describe_vertical(std: float, *, is_given: bool) -> str:
     if not math.isfinite(std):
         return 'none'
     return 'found' if std <= MAX_CERTAIN_STD else 'uncertain'
-
-
-def count_upright_turns(upward: Array) -> int:
-    """Return the quarter turns clockwise after which a direction (3,) upwards is up in the image of its camera."""
-    x, y = upward[:2].tolist()
-    return int(np.argmin([y, x, -y, -x]))
 
 
 def find_same_person(last: Person2D, detections: Sequence[Person2D]) -> Person2D | None:
@@ -245,8 +238,10 @@ class RunSummary:
         self._ids: dict[str, None] = {}  # of the last `MAX_IDS` people
         self._people = self._frames = self._counted = 0
         self._sums = np.zeros(4)  # over people seen: share of points, residual in px, its share, distance
-        self._residual_share, self._share_outside = math.nan, 0.0  # averaged over `MEMORY_S`
-        self._outside = ''
+        self._residual_share = math.nan  # averaged over `MEMORY_S`
+        self._places, self._walk, self._walker = PointPlaces(), Walk(), ''  # who walks is one person, by name
+        self._size_grade, self._size_fault = Grade.GOOD, ''
+        self._looked_ns = 0  # stamp of the image in which places and the walk were last looked at
         self._last_ns = 0
         self._focal, self._focal_source = math.nan, ''
         self._vertical: CameraVertical | None = None
@@ -255,7 +250,7 @@ class RunSummary:
         self._names: tuple[str, ...] = ()
         self._measured: dict[Reading, float] = {}
         self._uncertainty: dict[Reading, float] = {}  # means over `_parts`
-        self._readings: list[Reading] = []  # still to be measured
+        self._readings: list[tuple[Stretch, Reading]] = []  # still to be measured
         self._is_sparse = False  # whether the last stretch had too few images to be measured
         self._parts: deque[dict[Reading, float]] = deque(maxlen=MAX_STRETCHES)
 
@@ -286,11 +281,10 @@ class RunSummary:
             if not p.predicted and math.isfinite(p.residual)
         ]
         fresh = 1 - math.exp(-min(max(stamp_ns - self._last_ns, 0) / NS_PER_S, 1.0) / MEMORY_S)
-        if detections and (size := intrinsics.image_size) is not None:
+        is_due = not 0 <= stamp_ns - self._looked_ns < LOOK_S * NS_PER_S
+        if is_due and detections and (size := intrinsics.image_size) is not None:
             points, score = (np.concatenate([getattr(d, k) for d in detections]) for k in ('points', 'score'))
-            self._share_outside += fresh * (measure_share_outside(points, score, size) - self._share_outside)
-            if self._share_outside > MAX_SHARE_OUTSIDE:
-                self._outside = describe_outside(points, score, size) or self._outside
+            self._look(stamp_ns, points, score, size, seen)
         if fits:
             share = sum((d.score >= config.tracker.min_score).mean() for d in detections) / max(len(detections), 1)
             mean = np.array([share, *np.mean(fits, axis=0)])
@@ -300,6 +294,22 @@ class RunSummary:
             self._residual_share = before + fresh * (mean[2] - before)
         self._last_ns = stamp_ns
         self._follow(stamp_ns, detections, intrinsics, vertical, config)
+
+    def _look(
+        self, stamp_ns: int, points: Array, score: Array, size: tuple[int, int], people: Sequence[Person3D]
+    ) -> None:
+        """Look at where the points (N, 2) px of all people are, and where one of the people walks."""
+        step_s = (stamp_ns - self._looked_ns) / NS_PER_S
+        kept = math.exp(-step_s / PLACES_MEMORY_S) if 0 <= step_s < MEMORY_S else 0.0
+        self._places.add(points, score, size, kept)
+        self._size_grade, self._size_fault = judge_size(self._places)
+        self._looked_ns = stamp_ns
+        walker = next((p for p in people if p.id == self._walker), people[0] if people else None)
+        if walker is not None:
+            if walker.id != self._walker:
+                self._walk.begin()
+            self._walker = walker.id
+            self._walk.add(stamp_ns, walker.joints)
 
     def _follow(
         self,
@@ -335,33 +345,34 @@ class RunSummary:
         score[score < config.tracker.min_score] = 0.0
         keypoints = np.concatenate([[p.points for _, p in self._followed], score[..., None]], axis=-1)
         times = np.array([(ns - start_ns) / NS_PER_S for ns, _ in self._followed])
-        stretch = make_stretch(keypoints, person.joints, times, intrinsics)
+        # One that was found rests on these points: for it, a y axis upwards is a camera that is upside down.
+        given = vertical.direction if vertical and vertical.is_given else None
+        stretch = make_stretch(keypoints, person.joints, times, intrinsics, given)
         self._followed, self._rest_ns = [], stamp_ns + round(MEMORY_S * NS_PER_S)
         self._is_sparse = stretch is None
         if stretch is not None:
-            # One that was found rests on these points: for it, a y axis upwards is a camera that is upside down.
-            self._turns = count_upright_turns(vertical.direction) if vertical and vertical.is_given else 0
-            self._stretch, self._measured = stretch, {}
-            self._readings = list_readings(stretch.names)
+            self._measured = {}
+            self._readings = [(stretch, reading) for reading in list_readings(stretch.names)]
 
     def advance_judgement(self, config: Config) -> None:
         """Measure a reading of the points that were collected, if there are any, and judge after the last."""
         if self._readings:
-            reading, score = self._readings.pop(), config.tracker.min_score
-            u = measure_uncertainty(self._stretch, reading, self._turns, load_shipped_lifter(), score)
+            stretch, reading = self._readings.pop()
+            u = measure_uncertainty(stretch, reading, load_shipped_lifter(), config.tracker.min_score)
             self._measured[reading] = u
             if not self._readings:
                 self._parts.append(self._measured)
                 self._uncertainty = average(self._parts)
         is_known = self._is_sparse or bool(self._uncertainty)  # a new fit of moving people is still bad
         residual_share = self._residual_share if is_known else math.nan
-        self.judgement = judge(self._uncertainty, residual_share, self._share_outside)
+        size, is_backwards = self._size_grade if is_known else Grade.GOOD, self._walk.is_backwards
+        self.judgement = judge(self._uncertainty, residual_share, size, is_backwards=is_backwards)
 
     @property
     def reason(self) -> str:
         """Why the input is not sound, in words; empty if it is, or was not judged yet."""
         is_sound = self.judgement.grade is Grade.GOOD
-        return '' if is_sound else describe_fault(self.judgement, self._names, self._outside)
+        return '' if is_sound else describe_fault(self.judgement, self._names, self._size_fault)
 
     def summarise(self) -> Summary:
         """Return the summary of all images so far."""
@@ -382,5 +393,5 @@ class RunSummary:
             vertical=describe_vertical(std, is_given=vertical is not None and vertical.is_given),
             vertical_std_deg=math.degrees(std),
             grade=describe_grade(self.judgement),
-            reason=describe_fault(self.judgement, self._names, self._outside),
+            reason=describe_fault(self.judgement, self._names, self._size_fault),
         )

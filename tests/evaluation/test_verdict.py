@@ -5,18 +5,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.evaluation.verdict import (
     GIVEN,
+    MIRROR_IMAGE,
     Fault,
     Grade,
     Judgement,
     Reading,
+    Walk,
     average,
     cut_stretches,
     judge,
@@ -25,11 +29,10 @@ from mocap_ros.evaluation.verdict import (
 )
 from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.models.model_file import load_shipped_lifter
-from mocap_ros.skeleton import keypoint_layout
+from mocap_ros.skeleton import CMU15, keypoint_layout
 
 WALK = make_recording().sequence()
 COCO17, H36M17 = (keypoint_layout(name) for name in ('coco17', 'h36m17'))
-SIDES_EXCHANGED = tuple(COCO17.joints[i] for i in COCO17.mirror)
 SOUND_SHARE = 0.02  # 1, residual over the body height
 GOOD = Judgement(Grade.GOOD)
 
@@ -50,15 +53,15 @@ def edit(
     return replace(WALK, keypoints=found, joint_names=joint_names, timestamps=times, recorded_ns=(), truth=None)
 
 
-def judge_sequence(sequence: KeypointSequence, share: float = SOUND_SHARE, turns: int = 0) -> Judgement:
+def judge_sequence(
+    sequence: KeypointSequence, share: float = SOUND_SHARE, vertical: Sequence[float] | None = None
+) -> Judgement:
     given = sequence.keypoints, sequence.joint_names, sequence.timestamps, sequence.intrinsics(0.75)
+    upward = None if vertical is None else np.array(vertical)
     lifter = load_shipped_lifter()
     parts = [
-        {
-            reading: measure_uncertainty(stretch, reading, turns, lifter, 0.1)
-            for reading in list_readings(stretch.names)
-        }
-        for stretch in cut_stretches(*given)
+        {reading: measure_uncertainty(stretch, reading, lifter, 0.1) for reading in list_readings(stretch.names)}
+        for stretch in cut_stretches(*given, upward)
     ]
     return judge(average(parts), share)
 
@@ -88,28 +91,59 @@ def test_points_are_judged_by_how_they_look_to_the_lifter(
 
 
 def test_a_turned_camera_whose_vertical_is_given_is_sound() -> None:
-    assert judge_sequence(edit(flip=(-1, -1)), turns=2) == GOOD
-    assert judge_sequence(edit(swap=True, flip=(1, -1)), turns=3) == GOOD
-    assert judge_sequence(edit(swap=True, flip=(-1, 1)), turns=1) == GOOD
+    assert judge_sequence(edit(flip=(-1, -1)), vertical=(0, 1, 0)) == GOOD
+    assert judge_sequence(edit(swap=True, flip=(1, -1)), vertical=(1, 0, 0)) == GOOD
+    assert judge_sequence(edit(swap=True, flip=(-1, 1)), vertical=(-1, 0, 0)) == GOOD
 
 
 @pytest.mark.parametrize(
-    ('mirrored', 'layout', 'share', 'outside', 'expected'),
+    ('mirrored', 'layout', 'share', 'size', 'is_backwards', 'expected'),
     [
-        (-2.3, -1.2, 0.05, 0.0, GOOD),
-        (-2.4, -1.2, 0.05, 0.0, GOOD),
-        (-2.7, -1.2, 0.05, 0.0, Judgement(Grade.WRONG, Fault.MIRRORED)),
-        (-2.3, -3.0, 0.05, 0.0, GOOD),  # a layout that is hardly another one
-        (-2.3, -1.2, 0.06, 0.0, GOOD),
-        (-2.3, -1.2, 0.08, 0.0, Judgement(Grade.DOUBTFUL, Fault.MISFIT)),
-        (-2.3, -1.2, 0.12, 0.0, Judgement(Grade.WRONG, Fault.MISFIT)),
-        (-2.3, -1.2, 0.05, 0.6, Judgement(Grade.WRONG, Fault.OUTSIDE)),
-        (-2.3, -1.2, np.nan, 0.0, GOOD),
+        (-2.3, -1.2, 0.05, Grade.GOOD, False, GOOD),
+        (-2.4, -1.2, 0.05, Grade.GOOD, False, GOOD),
+        (-2.5, -1.2, 0.05, Grade.GOOD, False, Judgement(Grade.WRONG, Fault.MIRRORED)),
+        (-2.3, -1.2, 0.05, Grade.GOOD, True, GOOD),
+        (-2.4, -1.2, 0.05, Grade.GOOD, True, Judgement(Grade.DOUBTFUL, Fault.MIRRORED)),
+        (-2.3, -3.0, 0.05, Grade.GOOD, False, GOOD),  # a layout that is hardly another one
+        (-2.3, -1.2, 0.06, Grade.GOOD, False, GOOD),
+        (-2.3, -1.2, 0.08, Grade.GOOD, False, Judgement(Grade.DOUBTFUL, Fault.MISFIT)),
+        (-2.3, -1.2, 0.12, Grade.GOOD, False, Judgement(Grade.WRONG, Fault.MISFIT)),
+        (-2.3, -1.2, 0.05, Grade.WRONG, False, Judgement(Grade.WRONG, Fault.SIZE)),
+        (-2.3, -1.2, 0.05, Grade.DOUBTFUL, False, Judgement(Grade.DOUBTFUL, Fault.SIZE)),
+        (-2.3, -1.2, np.nan, Grade.GOOD, False, GOOD),
     ],
 )
 def test_only_clear_differences_count(
-    mirrored: float, layout: float, share: float, outside: float, expected: Judgement
+    mirrored: float, layout: float, share: float, size: Grade, is_backwards: bool, expected: Judgement
 ) -> None:
     uncertainty = dict.fromkeys(list_readings(COCO17.joints), -1.5)
-    uncertainty |= {GIVEN: -2.3, Reading(is_mirrored=True): mirrored, Reading('h36m17'): layout}
-    assert judge(uncertainty, share, outside) == expected
+    uncertainty |= {GIVEN: -2.3, MIRROR_IMAGE: mirrored, Reading('h36m17'): layout}
+    assert judge(uncertainty, share, size, is_backwards=is_backwards) == expected
+
+
+def test_exchanged_sides_show_under_a_vertical_that_is_given() -> None:
+    pitch, truth = np.radians(25.0), make_recording().truth
+    turn = Rotation.from_euler('x', pitch).as_matrix()
+    joints = (truth - truth.mean(axis=1, keepdims=True)) @ turn.T + [0.0, 0.0, 4.0]
+    points = WALK.intrinsics(0.75).project(joints)
+    keypoints = np.concatenate([points, np.ones_like(points[..., :1])], axis=-1)
+    upward = turn @ [0.0, -1.0, 0.0]
+    assert judge_sequence(edit(keypoints, CMU15.joints), vertical=upward) == GOOD
+    exchanged = tuple({'l': 'r', 'r': 'l'}.get(name[0], name[0]) + name[1:] for name in CMU15.joints)
+    found = judge_sequence(edit(keypoints, exchanged), vertical=upward)
+    assert found == Judgement(Grade.WRONG, Fault.MIRRORED)
+
+
+@pytest.mark.parametrize(
+    ('turn', 'speed', 'expected'),
+    [(0.0, 1.2, False), (np.pi, 1.2, True), (np.pi / 2, 1.2, True), (np.pi, 0.5, False)],
+)
+def test_who_walks_backwards_faces_away_from_where_the_hips_go(turn: float, speed: float, expected: bool) -> None:
+    walk, body = Walk(), np.zeros((15, 3))
+    place = {'lhip': (0.1, 0.0), 'rhip': (-0.1, 0.0), 'lshoulder': (0.2, -0.5), 'rshoulder': (-0.2, -0.5)}
+    for name, (across, height) in place.items():  # faces the camera, or is turned away from it
+        body[CMU15.index(name)] = across * np.cos(turn), height, across * np.sin(turn)
+    for frame in range(150):
+        step = np.array([0.0, 0.0, 5.0 - speed * frame / 30])
+        walk.add(frame * 10**9 // 30, body + step)
+    assert walk.is_backwards is expected

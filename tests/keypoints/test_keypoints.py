@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -17,7 +19,7 @@ from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, resolve_image_size
 from mocap_ros.keypoints.joint_map import JointMap, build_joint_map
 from mocap_ros.keypoints.left_right import PARTS
 from mocap_ros.keypoints.rays import convert_to_rays
-from mocap_ros.keypoints.validation import find_first_fault, mark_unseen
+from mocap_ros.keypoints.validation import PointPlaces, find_first_fault, mark_unseen
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, LAYOUT_NAMES, keypoint_layout
 
 
@@ -118,6 +120,30 @@ def test_scores_of_a_person_are_divided_by_the_largest_of_those_seen_if_it_excee
     given = np.array([[0.2, 0.9, 1.0, np.nan], [0.5, 2.0, 4.0, -1e-4], [0.5, 1.0, 2.0, 8.0]])
     expected = [[0.2, 0.9, 1.0, 0], [0.125, 0.5, 1.0, 0], [0.25, 0.5, 1.0, 0]]
     np.testing.assert_array_equal(mark_unseen(points, given)[1], expected)
+    logits = np.array([-900.0, -2.0, 0.0, 3.0])
+    np.testing.assert_allclose(mark_unseen(points[0], logits)[1], [0, 0.1192, 0.5, 0.9526], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ('place', 'size', 'fault'),
+    [
+        ((640, 340), (1280, 720), ''),
+        ((320, 250), (1280, 720), ''),  # in a corner, but not in one half of both
+        ((640, 340), (2560, 1440), 'upper left quarter of 2560 x 1440 px: the images look smaller'),
+        ((640, 340), (3840, 2160), 'upper left quarter of 3840 x 2160 px: the images look smaller'),
+        ((640, 340), (720, 1280), 'as in an image of 1280 x 720 px: width and height look transposed'),
+        ((360, 600), (1280, 720), '5% of .* and the others towards .*: the images look larger|transposed'),
+        ((640, 340), (853, 480), 'of the seen keypoints lie outside 853 x 480 px, and .*: the images look larger'),
+        ((640, 340), (320, 180), '100% of the seen keypoints lie outside 320 x 180 px'),
+    ],
+)
+def test_places_of_people_show_another_size_of_the_image(
+    place: tuple[float, float], size: tuple[int, int], fault: str
+) -> None:
+    places, offsets = PointPlaces(), np.random.default_rng(0).uniform(-150, 150, (50, 17, 2)) * [0.5, 1.0]
+    for points in place + offsets:
+        places.add(points, np.ones(17), size)
+    assert re.search(fault, places.describe_fault()) if fault else not places.describe_fault()
 
 
 STATED, CAMERA, CONFIGURED = (1920, 1080), (640, 480), (1280, 720)

@@ -237,6 +237,12 @@ def test_people_wait_for_the_first_calibration_unless_a_focal_length_is_given(
     assert len({person.scale_known for person in pipeline.people}) == (published > 0)
 
 
+def test_a_focal_length_that_is_given_beside_a_calibrated_camera_is_named_once() -> None:
+    pipeline = Pipeline(with_values(FAST_CONFIG, {'node.hfov': 60.0}))
+    reasons = [pipeline.feed(Source.CAMERA_INFO, camera_info()).reason for _ in range(2)]
+    assert reasons == ['the camera is calibrated; node.hfov and node.focal are not used', '']
+
+
 @pytest.mark.parametrize(
     ('stamp_ns', 'reason'), [(0, 'header.stamp is not set'), (7_000_000_000, 'stamp 7000000000 ns repeats')]
 )
