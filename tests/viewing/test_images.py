@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ from mocap_ros.viewing.overlay import MAX_OFFSET_S, Overlay, StampedImage, find_
 from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.scene import Scene
 from tests.support.blob_people import write_video
-from tests.support.browser import open_browser, write_and_open
+from tests.support.browser import write_and_open
 from tests.support.foreign_messages import create_blank_message
 from tests.support.image_messages import encode_pixels
 from tests.support.keypoint_files import QUICK_OPTIONS
@@ -49,26 +50,25 @@ def make_images(scene: Scene) -> list[StampedImage]:
     return [StampedImage(s, np.full(SIZE, 5 * i, np.uint8)) for i, s in enumerate(scene.stamps_ns)]
 
 
-def test_the_page_shows_the_image_of_the_frame_behind_its_points(tmp_path: Path) -> None:
+def test_the_page_shows_the_image_of_the_frame_behind_its_points(tmp_path: Path, page: Any) -> None:
     scene = make_scene(FRAMES)
     images = make_images(scene)
     whole = sum(map(len, reduce_images(scene, images).jpegs))
-    with open_browser() as page:
-        for step, max_bytes in ((1, whole), (4, whole // 3)):
-            reduced = reduce_images(scene, images, max_bytes)
-            assert (reduced.step, sum(map(len, reduced.jpegs)) <= max_bytes) == (step, True)
-            path = tmp_path / f'{step}.html'
-            write_and_open(page, path, build_page(replace(scene, images=reduced)))
-            page.wait_for_selector('body[data-ready]')
-            for frame in (0, 21, 39, 6):
-                page.evaluate(f'mocapPage.showTime({scene.times[frame]})')
-                shown = frame // step * step
-                for _ in range(100):
-                    if page.evaluate('mocapPage.imageFrame()') == shown:
-                        break
-                    page.wait_for_timeout(50)
-                assert page.evaluate('mocapPage.imageFrame()') == shown
-                assert page.evaluate(READ_CORNER) == pytest.approx(5 * shown, abs=3)
+    for step, max_bytes in ((1, whole), (4, whole // 3)):
+        reduced = reduce_images(scene, images, max_bytes)
+        assert (reduced.step, sum(map(len, reduced.jpegs)) <= max_bytes) == (step, True)
+        path = tmp_path / f'{step}.html'
+        write_and_open(page, path, build_page(replace(scene, images=reduced)))
+        page.wait_for_selector('body[data-ready]')
+        for frame in (0, 21, 39, 6):
+            page.evaluate(f'mocapPage.showTime({scene.times[frame]})')
+            shown = frame // step * step
+            for _ in range(100):
+                if page.evaluate('mocapPage.imageFrame()') == shown:
+                    break
+                page.wait_for_timeout(50)
+            assert page.evaluate('mocapPage.imageFrame()') == shown
+            assert page.evaluate(READ_CORNER) == pytest.approx(5 * shown, abs=3)
 
 
 def test_an_image_belongs_to_the_nearest_frame() -> None:

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.viewing.page import NOT_A_NUMBER, UNKNOWN_STD, build_page
 from mocap_ros.viewing.scene import Scene
-from tests.support.browser import count_colours, open_browser, write_and_open
+from tests.support.browser import count_colours, write_and_open
 from tests.support.paths import ROOT
 from tests.support.scenes import make_scene, make_scene_person
 
@@ -124,23 +124,22 @@ def open_scene(page: Any, path: Path, scene: Scene) -> None:
     page.wait_for_selector('body[data-ready]')
 
 
-def test_chromium_draws_the_page(scene: Scene, tmp_path: Path) -> None:
-    with open_browser() as page:
-        open_scene(page, tmp_path / 'page.html', scene)
-        assert page.title() == scene.title
-        before = page.evaluate('mocapPage.pictures()')
-        deadline = time.monotonic() + TIMEOUT_S
-        # It plays at once. Playwright's own wait needs eval, which the page forbids
-        while page.evaluate('mocapPage.pictures()') < before + 3:
-            assert time.monotonic() < deadline
-            page.wait_for_timeout(50)
-        first, unsure, last = (page.evaluate(f'mocapPage.showTime({time})') for time in scene.times[[0, 4, -1]])
-        picture = page.screenshot(path=tmp_path / 'page.png')
-        image = page.locator('#image-view').screenshot()
-        curves = page.locator('#curves-view').screenshot()
-        page.set_viewport_size(TELEPHONE)
-        fits = page.evaluate('document.documentElement.scrollWidth <= innerWidth')
-        boxes = [page.locator(place).bounding_box() for place in ('#space', '#image', '#curves', 'footer')]
+def test_chromium_draws_the_page(scene: Scene, tmp_path: Path, page: Any) -> None:
+    open_scene(page, tmp_path / 'page.html', scene)
+    assert page.title() == scene.title
+    before = page.evaluate('mocapPage.pictures()')
+    deadline = time.monotonic() + TIMEOUT_S
+    # It plays at once. Playwright's own wait needs eval, which the page forbids
+    while page.evaluate('mocapPage.pictures()') < before + 3:
+        assert time.monotonic() < deadline
+        page.wait_for_timeout(50)
+    first, unsure, last = (page.evaluate(f'mocapPage.showTime({time})') for time in scene.times[[0, 4, -1]])
+    picture = page.screenshot(path=tmp_path / 'page.png')
+    image = page.locator('#image-view').screenshot()
+    curves = page.locator('#curves-view').screenshot()
+    page.set_viewport_size(TELEPHONE)
+    fits = page.evaluate('document.documentElement.scrollWidth <= innerWidth')
+    boxes = [page.locator(place).bounding_box() for place in ('#space', '#image', '#curves', 'footer')]
     assert first['frame'] == 0
     assert [person['id'] for person in first['people']] == ['anna']
     assert (first['jointsDrawn'], first['bonesDrawn'], first['cloudsDrawn']) == (15, 14, 15)
@@ -157,24 +156,21 @@ def test_chromium_draws_the_page(scene: Scene, tmp_path: Path) -> None:
     assert all(box['width'] > 300 and box['height'] > 20 for box in boxes)
 
 
-def test_the_view_jumps_skipped_frames_do_not_flicker_and_names_stand_apart(
-    tmp_path: Path,
-) -> None:
+def test_the_view_jumps_skipped_frames_do_not_flicker_and_names_stand_apart(tmp_path: Path, page: Any) -> None:
     """Six people close together, who walk 6 m aside at 1 s and are missing in every fourth frame."""
     frames = [frame for frame in range(60) if frame % 4]
     people = [make_scene_person(f'walker_{i}', frames, (0.1 * i, 0, 4 + 0.1 * i)) for i in range(6)]
     for person in people:
         person.joints[np.array(frames) >= 30, :, 0] += 6
     crowd = replace(make_scene(60), people=tuple(people), keypoints=(), marks=())
-    with open_browser() as page:
-        open_scene(page, tmp_path / 'page.html', crowd)
-        shown = [page.evaluate(f'mocapPage.showTime({time})') for time in (0.1, 1.9, crowd.times[8])]
-        page.evaluate("document.getElementById('time').value = 5")
-        page.locator('#time').dispatch_event('input')
-        page.wait_for_timeout(200)
-        target = page.evaluate('mocapPage.target()')
-        labels = page.locator('#names span:visible')
-        boxes = [labels.nth(i).bounding_box() for i in range(labels.count())]
+    open_scene(page, tmp_path / 'page.html', crowd)
+    shown = [page.evaluate(f'mocapPage.showTime({time})') for time in (0.1, 1.9, crowd.times[8])]
+    page.evaluate("document.getElementById('time').value = 5")
+    page.locator('#time').dispatch_event('input')
+    page.wait_for_timeout(200)
+    target = page.evaluate('mocapPage.target()')
+    labels = page.locator('#names span:visible')
+    boxes = [labels.nth(i).bounding_box() for i in range(labels.count())]
     assert shown[1]['target'][0] - shown[0]['target'][0] == pytest.approx(6, abs=0.3)
     assert target == pytest.approx(shown[0]['target'], abs=0.3)  # it is back at once
     assert shown[2]['jointsDrawn'] == 6 * 15  # in a frame that was skipped
@@ -186,7 +182,7 @@ def test_the_view_jumps_skipped_frames_do_not_flicker_and_names_stand_apart(
 
 
 def test_what_is_not_known_of_any_person_has_no_row_and_a_tilted_camera_leaves_people_upright(
-    scene: Scene, tmp_path: Path
+    scene: Scene, tmp_path: Path, page: Any
 ) -> None:
     turn = Rotation.from_euler('xz', [-30, 5], degrees=True).as_matrix()
     anna, nan = scene.people[0], np.float32(np.nan)
@@ -199,11 +195,10 @@ def test_what_is_not_known_of_any_person_has_no_row_and_a_tilted_camera_leaves_p
     tilted = replace(
         scene, people=(plain,), keypoints=(), marks=(), vertical=turn @ [0.0, -1.0, 0.0], intrinsics=camera
     )
-    with open_browser() as page:
-        open_scene(page, tmp_path / 'page.html', tilted)
-        shown = page.evaluate('mocapPage.showTime(0)')
-        assert not page.is_visible('#clouds')
-        assert 'nominal focal length' in page.inner_text('#image-caption')
+    open_scene(page, tmp_path / 'page.html', tilted)
+    shown = page.evaluate('mocapPage.showTime(0)')
+    assert not page.is_visible('#clouds')
+    assert 'nominal focal length' in page.inner_text('#image-caption')
     assert shown['rows'] == ['residual, px', 'not detected']
     assert (shown['jointsDrawn'], shown['bonesDrawn']) == (14, 13)
     (heights,) = shown['heights']
@@ -212,10 +207,9 @@ def test_what_is_not_known_of_any_person_has_no_row_and_a_tilted_camera_leaves_p
     assert np.array(heights)[known] == pytest.approx(expected[known], abs=0.1)
 
 
-def test_a_page_that_was_cut_off_says_so(scene: Scene, tmp_path: Path) -> None:
+def test_a_page_that_was_cut_off_says_so(scene: Scene, tmp_path: Path, page: Any) -> None:
     page_text = build_page(scene)
     data = read_element(page_text, 'data')
-    with open_browser() as page:
-        write_and_open(page, tmp_path / 'page.html', page_text.replace(data, data[: len(data) // 2]))
-        page.wait_for_selector('#fault:not([hidden])')
-        assert 'cannot be shown' in page.inner_text('#fault')
+    write_and_open(page, tmp_path / 'page.html', page_text.replace(data, data[: len(data) // 2]))
+    page.wait_for_selector('#fault:not([hidden])')
+    assert 'cannot be shown' in page.inner_text('#fault')
