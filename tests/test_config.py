@@ -102,13 +102,6 @@ def test_values_of_another_type_are_refused(name: str, value: object, kind: str)
         with_values(Config(), {name: value})
 
 
-def test_a_group_is_no_parameter() -> None:
-    with pytest.raises(
-        ConfigError, match=r"^solver: is a group of parameters; names are dotted, such as 'solver\."
-    ):
-        with_values(Config(), {'solver': {'max_iterations': 7}})
-
-
 yaml_like = st.text('ab:{}[]&*!- \n\'"|>?%@1.,#~x', max_size=30)
 
 

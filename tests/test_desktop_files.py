@@ -18,8 +18,8 @@ from mocap_ros.bridges.bridge import CONSUMERS
 from mocap_ros.config import Config, values
 from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.skeletons import encode_skeletons
-from mocap_ros.ros.help import BRIDGE_NAME, BRIDGE_PARAMETERS, SERVICES
-from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, SWITCHED_OUTPUTS
+from mocap_ros.ros.help import BRIDGE_NAME, BRIDGE_PARAMETERS
+from mocap_ros.runtime.outputs import OUTPUTS
 from tests.support.launch_file import load_launch_file
 from tests.support.paths import ROOT
 from tests.support.people import make_person_3d
@@ -98,54 +98,29 @@ def test_the_launch_file_finds_the_files_that_are_installed(launch_file: ModuleT
         assert Path(ROOT, *parts).is_file()
 
 
-INPUTS = {source.value for source in Source if source is not Source.BODY}
 BODIES = f'{Source.BODY.value}/*'  # the topics of the bodies
 # Topics and services of every node, and of lifecycle nodes, which rclpy creates.
 NODE_TOPICS = {'/parameter_events', '/rosout'}
-PARAMETER_SERVICES = {
-    f'~/{name}'
-    for name in (
-        'describe_parameters', 'get_parameter_types', 'get_parameters', 'list_parameters', 'set_parameters',
-        'set_parameters_atomically', 'get_type_description',
-    )
-}  # fmt: skip
-LIFECYCLE_SERVICES = {
-    f'~/{name}'
-    for name in (
-        'change_state', 'get_available_states', 'get_available_transitions', 'get_state', 'get_transition_graph'
-    )
-}  # fmt: skip
+OF_PARAMETERS = {
+    *('describe_parameters', 'get_parameter_types', 'get_parameters', 'list_parameters', 'set_parameters'),
+    *('set_parameters_atomically', 'get_type_description'),
+}
+OF_LIFECYCLE = {
+    *('change_state', 'get_available_states', 'get_available_transitions', 'get_state', 'get_transition_graph')
+}
 # What an operator needs to record, to forget people, to stop the node and to change its parameters.
-OPERATED = {
-    'record', 'reset', 'change_state', 'get_state', 'describe_parameters', 'get_parameter_types', 'get_parameters',
-    'list_parameters', 'set_parameters',
-}  # fmt: skip
+OPERATED = {'record', 'reset', 'change_state', 'get_state', *OF_PARAMETERS} - {
+    *('set_parameters_atomically', 'get_type_description')
+}
 
 
-def test_node() -> None:
-    node = read_permissions('mocap_node')
-    outputs = {*OUTPUTS, *LATCHED_OUTPUTS, *(topic for topic, _ in SWITCHED_OUTPUTS.values())}
-    assert node.publish == {*outputs, *NODE_TOPICS, '/diagnostics', '~/transition_event'}
-    assert node.subscribe == {*INPUTS, BODIES, '/clock', '/parameter_events'}
-    assert node.reply == {*SERVICES, *PARAMETER_SERVICES, *LIFECYCLE_SERVICES}
-    assert not node.request
-
-
-def test_bridge() -> None:
+def test_the_bridge_may_do_what_it_does() -> None:
     bridge = read_permissions('mocap_bridge')
     topics = {consumer.topic for consumer in CONSUMERS.values()}
     assert bridge.publish == {*topics, *NODE_TOPICS, BODIES, '~/transition_event'}
     assert bridge.subscribe == {'skeletons', 'predictions', '/clock', '/parameter_events'}
-    assert bridge.reply == {*PARAMETER_SERVICES, *LIFECYCLE_SERVICES}
+    assert bridge.reply == {f'~/{name}' for name in OF_PARAMETERS | OF_LIFECYCLE}
     assert not bridge.request
-
-
-def test_player() -> None:
-    player = read_permissions('mocap_player')
-    assert player.publish == {*INPUTS, *NODE_TOPICS, BODIES, '/clock'}
-    assert player.reply == PARAMETER_SERVICES
-    assert not player.subscribe
-    assert not player.request
 
 
 def test_the_operator_calls_services_of_the_node_and_reads_what_it_says() -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 from pathlib import Path
 
 import common
@@ -15,8 +14,6 @@ import figures
 import numpy as np
 import pytest
 import rivals
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from readme import find_numbers
 from report import Report, cross, group
@@ -58,16 +55,6 @@ def test_a_run_leaves_the_tables_of_pages_and_its_results(
         'results': {'speed': 2000.0, 'number': 3.0},
     }
     assert '## Rows\n\n| x | y |\n| --- | --- |\n| 1 | - |\n| - | - |' in capsys.readouterr().out
-
-
-def test_poses_are_compared_with_one_scale_of_the_frames_that_were_found(rng: np.random.Generator) -> None:
-    truth = rng.normal(size=(5, 15, 3))
-    found = 0.5 * truth + rng.normal(size=(5, 1, 3))
-    found[2] = np.nan
-    aligned, centred = common.align_scale(found, truth)
-    known = np.arange(5) != 2
-    np.testing.assert_allclose(aligned[known], centred[known], atol=1e-12)
-    assert np.isnan(aligned[2]).all()
 
 
 TABLE = '| method | fixed: walk |\n| --- | --- |\n| this project | 0.25 / 5 |\n| another | - |'
@@ -119,25 +106,6 @@ def test_a_page_that_was_edited_is_found(root: Path, before: str, after: str, wo
     page = root / 'docs' / 'page.md'
     page.write_text(page.read_text().replace(before, after))
     assert any(words in line and 'docs/page.md' in line for line in figures.find_differences(root))
-
-
-def test_tables_that_were_measured_before_a_change_of_the_package_are_listed(root: Path) -> None:
-    def git(*words: str) -> str:
-        who = ('-c', 'user.name=n', '-c', 'user.email=e')
-        return subprocess.run(['git', *who, *words], cwd=root, capture_output=True, text=True, check=True).stdout
-
-    (root / 'mocap_ros').mkdir()
-    (root / 'mocap_ros' / 'code.py').write_text('1')
-    git('init', '-q')
-    git('add', '.')
-    git('commit', '-qm', 'one')
-    figures.take_in(root)
-    record = figures.load_record(root)
-    commit = git('rev-parse', '--short', 'HEAD').strip()
-    (root / figures.RECORD).write_text(json.dumps({'one': {**record['one'], 'commit': commit}}))
-    assert list(figures.find_old(root)) == []
-    (root / 'mocap_ros' / 'code.py').write_text('2')
-    assert [line.partition(':')[0] for line in figures.find_old(root)] == ['one']
 
 
 def test_numbers_of_the_readme_are_those_of_a_cell(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -206,14 +174,3 @@ def test_sparse_representation_finds_a_pose_of_the_dictionary() -> None:
     truth = rivals.turn_to_camera(dictionary[rng.integers(30, size=len(cameras))], cameras)
     found = rivals.represent_sparsely(truth[..., :2], dictionary, 1e-3)
     assert np.linalg.norm(found - truth, axis=-1).mean(axis=1).max() < 1e-4  # m, of poses of 1.6 m
-
-
-@settings(max_examples=50)
-@given(seed=st.integers(0, 10**6), amount=st.floats(0, 5))
-def test_the_spectral_norm_is_shrunk_as_by_singular_values(seed: int, amount: float) -> None:
-    matrix = np.random.default_rng(seed).standard_normal((2, 3))
-    u, s, vt = np.linalg.svd(matrix, full_matrices=False)
-    # s less its projection on the l1 ball: lower the larger one first, then both alike
-    level = max(s[0] - amount, (s.sum() - amount) / 2, 0.0) if amount < s.sum() else 0.0
-    expected = u @ np.diag(np.minimum(s, level)) @ vt
-    np.testing.assert_allclose(rivals.shrink_spectral_norm(matrix, amount), expected, atol=1e-9)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from mocap_ros.errors import ConfigError, InputError
-from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, camera_jacobian, fill_rotation_jacobian
+from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, camera_jacobian
 from mocap_ros.geometry.interpolation import find_nearest, interpolate_linearly, interpolate_rotations
 from mocap_ros.geometry.level import LEVEL_UP, average_vertical, rotation_to_level
 from mocap_ros.geometry.rigid_transform import RigidTransform, interpolate, parse_camera_pose
@@ -50,14 +50,6 @@ def differentiate(points: np.ndarray) -> np.ndarray:
 def test_jacobian_agrees_with_finite_differences(rng: np.random.Generator, rows: int) -> None:
     points = rng.normal(size=(4, 5, 3))
     assert camera_jacobian(points, rows) == pytest.approx(differentiate(points)[..., :rows, :], abs=1e-8)
-
-
-def test_rotation_alone_leaves_the_column_of_the_scale(rng: np.random.Generator) -> None:
-    points = rng.normal(size=(6, 3))
-    out = np.full((6, 3, CAMERA_UNKNOWNS), 7.0)
-    fill_rotation_jacobian(out[..., :3], points)
-    assert out[..., :3] == pytest.approx(differentiate(points)[..., :3], abs=1e-8)
-    assert (out[..., 3] == 7.0).all()
 
 
 @given(

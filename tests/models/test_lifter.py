@@ -101,16 +101,6 @@ def test_a_network_that_overflows_lifts_nothing(walk: tuple[lifter.Array, ...]) 
     assert np.isnan(lifted.std).all()
 
 
-def test_hidden_joints_are_inferred(shipped: Lifter, walk: tuple[lifter.Array, ...]) -> None:
-    poses, points, weight, times = walk
-    hidden = [CMU15.index(j) for j in ('head', 'lwrist', 'rankle')]
-    weight[:, hidden] = 0
-    points[:, hidden] = np.nan
-    lifted = shipped.lift_sequence(points, weight, times)
-    assert error_mm(lifted.joints, poses) < 1.1 * 37.2  # mm, measured
-    assert lifted.std[:, hidden].mean() > lifted.select_core().std.mean()
-
-
 def test_scale_to_metres_uses_the_bone_lengths(walk: tuple[lifter.Array, ...]) -> None:
     poses, _, _, times = walk
     nearer = np.exp(times)[:, None, None]
@@ -183,31 +173,3 @@ def test_an_interrupted_training_gives_the_same_lifter(
     other = training.TrainingSettings(steps=20, batch=16, width=64)
     with pytest.raises(MocapError, match='other settings'):
         training.train_lifter(data, EQUAL_SHARES, other, {}, checkpoint=checkpoints[1])
-
-
-def test_a_training_can_start_from_a_lifter(walk_model: BasePoses, rng: np.random.Generator) -> None:
-    torch = pytest.importorskip('torch', reason='training is optional: pip install mocap_ros[train]')
-    from mocap_ros.training import lifter as training
-
-    torch.set_num_threads(1)
-    data = make_trials(walk_model, rng)
-    sizes: dict[str, Any] = {'batch': 64, 'width': 32}
-    trained = training.train_lifter(data, EQUAL_SHARES, training.TrainingSettings(steps=30, **sizes), {})
-    features = ExampleSynthesiser(MotionLibrary.from_trials(data, EQUAL_SHARES), 1).make_batch(200).features
-    network = training.LifterNetwork(32, 2, 0.0)
-    network.copy_weights(trained, torch.from_numpy(features))
-    still = training.TrainingSettings(steps=5, rate=0.0, **sizes)
-    unmoved = training.train_lifter(data, EQUAL_SHARES, still, {}, start=trained)
-    for same in (network.eval().fold_batch_norms({}), unmoved):
-        for layer, expected in zip(same.layers, trained.layers, strict=True):
-            assert all(a == pytest.approx(b, abs=1e-5) for a, b in zip(layer, expected, strict=True))
-    with torch.no_grad():
-        moved = network.train()(torch.from_numpy(features)).numpy()
-    assert moved == pytest.approx(plain_lifter.evaluate(trained.layers, features), abs=0.01)
-    settings = training.TrainingSettings(steps=5, seed=1, **sizes)
-    further, anew = (
-        training.train_lifter(data, EQUAL_SHARES, settings, {}, start=start) for start in (trained, None)
-    )
-    assert float(str(further.provenance['error_mm'])) < float(str(anew.provenance['error_mm']))
-    with pytest.raises(MocapError, match='other sizes'):
-        training.LifterNetwork(16, 2, 0.0).copy_weights(trained, torch.from_numpy(features))

@@ -67,13 +67,6 @@ def test_between_its_times_a_prediction_is_continuous_and_begins_with_the_newest
     np.testing.assert_allclose(beyond.root_covariance, 2.25 * last.root_covariance)
 
 
-@pytest.mark.parametrize('heading', [(0.0, 0.0, 1.0), (0.0, 0.0, 0.0)])
-def test_a_body_that_faces_upwards_gives_finite_predictions(heading: tuple[float, float, float]) -> None:
-    ahead = load_motion_predictor().predict(make_past(1.0)._replace(heading=np.array(heading)), TIMES)
-    assert np.isfinite(ahead.joints).all()
-    assert np.isfinite(ahead.root_covariance).all()
-
-
 def test_people_are_predicted_together_as_alone() -> None:
     pasts = [make_past(0.0), make_past(1.3, 0.05, (4.0, -2.0, 0.1)), make_past(0.7, np.nan)]
     times = np.array([TIMES, TIMES + 0.05, TIMES / 3])

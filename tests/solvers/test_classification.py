@@ -150,18 +150,3 @@ def test_jitter_is_what_remains_of_noise_without_the_motion(rng: np.random.Gener
     assert measure_jitter(times, moved) == pytest.approx(measure_jitter(times, swing + noise)), 'of the body'
     few_frames, slow = slice(5), slice(0, None, int(rate / 10))
     assert measure_jitter(times[few_frames], noise[few_frames]) == measure_jitter(times[slow], noise[slow]) == 0
-
-
-def test_what_jitters_does_not_speak_against_a_periodic_motion(
-    walk_model: BasePoses, rng: np.random.Generator
-) -> None:
-    _, _, points, times = make_walk(walk_model)
-    window = Window(points, np.ones(points.shape[:2]), times)
-    exact = fit_periodic(window, {'walk': walk_model}, QUICK).reconstruction
-    jittering = exact.joints + rng.normal(0, 0.02, exact.joints.shape)
-    excess = []
-    for jitter in (0.0, 0.01, 1.0):
-        poses = EstimatedPoses(jittering, exact.cameras.scale, 0.01, jitter)
-        excess.append(fit_periodic(window, {'walk': walk_model}, QUICK, poses).excess_residual)
-    assert excess[0] ** 2 - excess[1] ** 2 == pytest.approx(3 * (0.01 / walk_model.stature) ** 2, rel=0.05)
-    assert excess[2] == 0

@@ -77,14 +77,6 @@ def test_base_poses_of_the_very_person_lead(monkeypatch: pytest.MonkeyPatch) -> 
     np.testing.assert_array_equal(of_all, lifter_leads, 'base poses of that name are those of all motions')
 
 
-def test_base_poses_of_another_motion_do_not_lead(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, _, keypoints = make_motion('walk')
-    _, base_poses, _ = make_motion('jump')
-    found = reconstruct(keypoints, base_poses)
-    monkeypatch.setattr(whole_sequence, 'explains_as_well', lambda *_: False)
-    np.testing.assert_array_equal(found, reconstruct(keypoints, base_poses))
-
-
 def test_live_the_lead_is_taken_and_given_back() -> None:
     """Base poses of a run lead soon after the run has begun, and no longer when a walk has taken its place."""
     times = np.arange(2 * FRAMES) / 30

@@ -93,18 +93,6 @@ def test_sequences_that_show_no_motion_are_refused(kind: str, message: str) -> N
         observe_sequence(keypoints, CMU15.joints, times, CAMERA, CONFIG)
 
 
-def test_frames_with_all_points_in_one_place_show_no_person() -> None:
-    keypoints, times, _ = make_person()
-    frames = [0, 20, 21, 59]
-    spoilt, unseen = keypoints.copy(), keypoints.copy()
-    spoilt[frames], unseen[frames] = [100, 100, 1], np.nan
-    for given in (spoilt, unseen):
-        given[30, 3:], given[30, :3, :2] = np.nan, 100  # three joints are too few to judge
-    found, expected = (observe_sequence(k, CMU15.joints, times, CAMERA, CONFIG) for k in (spoilt, unseen))
-    assert np.flatnonzero((found.weight == 0).all(axis=1)).tolist() == frames
-    assert (found.points == expected.points).all()
-
-
 @SINGLE_CAMERA
 def test_the_solver_gets_the_px_of_a_camera_that_faces_the_person(single_camera: bool) -> None:
     _, _, joints = make_person()
@@ -155,22 +143,6 @@ def test_lifted_poses_reach_the_solver_in_px_of_the_virtual_camera(single_camera
     assert found is not None
     assert found.joints == pytest.approx(expected.joints, abs=1e-3)  # px; the network computes in single precision
     assert found.std == pytest.approx(expected.std, rel=1e-4)
-
-
-def test_lifted_poses_of_new_frames_are_appended_while_the_camera_turns() -> None:
-    lifter, whole = load_shipped_lifter(), observe(single_camera=True)
-    observed = lift(whole.select_frames(slice(0, 50)), lifter)
-    turned = VirtualCamera.look_at_mean_position(whole.rays[40:], whole.weight[40:], CAMERA)
-    extended = replace(whole, virtual_camera=turned, lifted=observed.lifted)
-    points, weight = extended.sample_unlifted_histories()
-    assert len(points) == len(weight) == FRAMES - 50
-    extended = extended.append_lifted(lifter.lift(points, weight, RAY_FOCAL))
-    at_once = lift(whole, lifter)
-    assert extended.lifted is not None
-    assert at_once.lifted is not None
-    assert (extended.lifted.joints[:50] == at_once.lifted.joints[:50]).all()
-    # rays; another virtual camera changes the sizes of the image by perspective only
-    assert extended.lifted.joints[50:] == pytest.approx(at_once.lifted.joints[50:], abs=0.01)
 
 
 @SINGLE_CAMERA

@@ -21,12 +21,8 @@ from mocap_ros.errors import InputError
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint, periodic
 from mocap_ros.solvers.alternation import reconstruct
-from mocap_ros.solvers.joint.batch import Batch
-from mocap_ros.solvers.joint.objective import JointObjective
-from mocap_ros.solvers.joint.reference import compute_cost
 from mocap_ros.solvers.stepwise import Stepwise, ignore_overflow, run_to_end
 from mocap_ros.solvers.window import (
-    InitialValues,
     Reconstruction,
     SolverStatus,
     Window,
@@ -73,19 +69,6 @@ def test_status_tells_convergence_from_the_limit_of_iterations(
     assert not stopped.success
     assert stopped.iterations == converged.iterations - 1
     assert stopped.cost > converged.cost
-
-
-def test_cost_is_that_of_the_solution(walk_model: BasePoses, window: Window) -> None:
-    model = walk_model.truncate(CONFIG.components)
-    result = solve_jointly(window, model, CONFIG)
-    assert window.unit is not None
-    unit = np.array([window.unit])
-    batch = Batch.build([window], unit, model)
-    state = batch.initial_state([InitialValues(result.theta, result.cameras)], unit)
-    state = state._replace(translation=result.translation / window.unit)
-    cost = compute_cost(JointObjective.build(batch, model, CONFIG), state)
-    assert result.cost == pytest.approx(cost[0], rel=1e-9)
-    assert result.cost == result.history[-1] < result.history[0]
 
 
 @pytest.mark.filterwarnings('ignore::RuntimeWarning')

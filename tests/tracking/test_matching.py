@@ -78,16 +78,6 @@ def test_two_parts_of_a_person_are_the_person(points: Array, ids: tuple[str, str
         assert whole.size == pytest.approx(make_detection(moved).size)
 
 
-def test_a_part_besides_the_whole_is_no_person(points: Array) -> None:
-    ann = make_known(points, 'ann', 'a')
-    for ids in (('', 'x'), ('a', 'x'), ('x', 'a'), ('x', 'y')):
-        detections = [make_detection(points, ids[0]), see_part(points + [5, 3], UPPER, ids[1])]
-        for order in (detections, detections[::-1]):
-            matches = match_detections(NEXT_NS, (ann,), order)
-            assert matches.tracks == [ann]
-            assert (matches.detections[0].weight > 0).all()
-
-
 def test_a_new_person_beside_another_is_no_part(points: Array) -> None:
     ann = make_known(points, 'ann', 'a')
     new = make_detection(points[:, ::-1] + [40, -30], 'x')  # in another pose, at nearly the same position

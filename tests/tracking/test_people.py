@@ -10,20 +10,16 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from mocap_ros.config import Config, with_settings, with_values
+from mocap_ros.config import Config, with_values
 from mocap_ros.demo.scene import FOCAL_LENGTH_PX, IMAGE_SIZE, make_recording
 from mocap_ros.geometry.interpolation import central_velocity
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
-from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.body_size import ROOT_FACTOR, BodySize, estimate_root_covariance
 from mocap_ros.tracking.tracker import Tracker
-from tests.support.synthetic_walk import make_walk
 
 FRAMES = 75  # 2.5 s of the demo, in which the person walks
 FIRST = 30  # the first second, until the filter knows the jitter, is not judged
@@ -126,30 +122,3 @@ def test_what_the_detector_gives_is_seen_and_the_rest_inferred(whole: list[tuple
         (predicted.joints - predicted.core.mean(axis=0)) - (last.joints - last.core.mean(axis=0)), axis=1
     )
     assert moved.max() < 0.15  # m in one frame
-
-
-CONFIG = with_settings(Config(), {'solver.components': 8, 'solver.prior': 'learned'})
-
-
-def follow(model: BasePoses, images: Array, camera: Intrinsics) -> Person3D:
-    """Return the person at the end of image points (F, 15, 2) px."""
-    tracker = Tracker(model, CONFIG)
-    for frame, points in enumerate(images):
-        (person,) = tracker.update(frame * STEP_NS, [Person2D('', CMU15.joints, points, np.ones(15))], camera)
-    return person
-
-
-@pytest.mark.parametrize('degrees', [30.0, 55.0])
-def test_sizes_and_deviations_are_the_same_beside_the_optical_axis(walk_model: BasePoses, degrees: float) -> None:
-    theta, cameras, _, _ = make_walk(walk_model, frames=12)
-    bodies = walk_model.poses(theta) @ np.swapaxes(cameras.rotation, -1, -2) + [0.0, 0.0, 4.0]
-    camera, turns = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True), np.radians([0.0, degrees])
-    people = [
-        follow(walk_model, camera.project(bodies @ rotation_from_vector(np.array([0.0, turn, 0.0])).T), camera)
-        for turn in turns
-    ]
-    assert people[1].std == pytest.approx(people[0].std, rel=0.05)
-    reach = [np.linalg.norm(p.joints[-11:].mean(axis=0) - p.joints[:15].mean(axis=0)) for p in people]
-    noses = [np.linalg.norm(p.joints[BODY26.index('nose')] - p.joints[CMU15.index('head')]) for p in people]
-    assert reach[1] == pytest.approx(reach[0], rel=0.03)
-    assert noses[1] == pytest.approx(noses[0], rel=0.03)

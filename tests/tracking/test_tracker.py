@@ -198,26 +198,6 @@ def test_a_person_near_the_camera_and_off_its_axis_is_located(walk_model: BasePo
     assert reprojection_error.max() < 1.1 * 2.9  # px, measured
 
 
-@pytest.mark.parametrize(('name', 'is_calibrated'), [('', False), ('anna', True)])
-def test_people_stay_where_they_are_when_the_images_become_larger(
-    walk_model: BasePoses, walk: Walk, name: str, is_calibrated: bool
-) -> None:
-    _, _, points, _ = walk
-    matrix = np.array([[500.0, 0, 310], [0, 500, 250], [0, 0, 1]])
-    small, large = Intrinsics.from_image_size(640, 480, 1.0), Intrinsics.from_image_size(1280, 960, 1.0)
-    if is_calibrated:
-        small = Intrinsics.from_matrix(matrix, image_size=(640, 480))
-        large = Intrinsics.from_matrix(np.diag([2.0, 2.0, 1.0]) @ matrix, image_size=(1280, 960))
-    same, changing = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
-    for frame in range(len(points)):
-        scale, camera = (1, small) if frame < 25 else (2, large)
-        (expected,) = same.update(frame * STEP_NS, people(points, frame, [name]), small)
-        (person,) = changing.update(frame * STEP_NS, people(scale * points, frame, [name]), camera)
-        assert (person.id, person.predicted) == (expected.id, expected.predicted)
-        assert np.linalg.norm(person.core - expected.core, axis=-1).max() < 0.1, frame  # m
-        assert person.scale == pytest.approx(scale * expected.scale, rel=0.03)
-
-
 def test_hidden_joints_are_inferred_and_flagged(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)

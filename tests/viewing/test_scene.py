@@ -122,14 +122,3 @@ def test_the_error_is_that_of_the_centred_joints(data: plots.PlotData) -> None:
     errors = read_errors_mm(replace(data, joints=joints))
     assert errors[3] == pytest.approx((140 + 14 * 10) / 15)
     assert np.delete(errors, 3) == pytest.approx(0, abs=1e-9)
-
-
-def test_the_share_of_joints_that_were_not_seen_is_filled(data: plots.PlotData) -> None:
-    seen = data.seen.copy()
-    seen[5:9, :3] = False
-    figure = plots.draw_poses_figure(replace(data, seen=seen), [0], 'title', ['a'])
-    (band,) = figure.axes[-1].collections
-    vertices = np.asarray(band.get_paths()[0].vertices)
-    assert vertices[:, 1].max() == pytest.approx(3 / 15)
-    filled = vertices[vertices[:, 1] > 0, 0]
-    assert [filled.min(), filled.max()] == pytest.approx([data.times[5], data.times[8]])

@@ -207,18 +207,3 @@ def test_products_of_the_series_are_those_of_its_jacobian(
     symmetric = symmetric + np.swapaxes(symmetric, 1, 2)
     expected = np.einsum('tia,tij,tjb->ab', dense, symmetric, dense)
     assert jacobian.sum_congruences(symmetric) == pytest.approx(expected, abs=1e-7)
-
-
-def test_movement_integrates_the_squared_derivatives(
-    seen: tuple[PeriodicObjective, Point],
-) -> None:
-    objective, _ = seen
-    times = objective.body.batch.times
-    velocity, acceleration = objective.movement
-    line = (0.7 * times + 5)[:, None] * np.ones(6)
-    assert (velocity.residuals(line) ** 2).sum() == pytest.approx(6 * 0.02 * 0.7**2 * np.ptp(times))
-    middle = (times[2:] - times[:-2]) / 2
-    parabola = (times**2)[:, None] * np.ones(6)
-    assert (acceleration.residuals(parabola) ** 2).sum() == pytest.approx(6 * 0.001 * 4 * middle.sum())
-    still = objective.with_still_camera(CONFIG).movement[0]
-    np.testing.assert_allclose(still.factors**2, 300 * velocity.factors**2)

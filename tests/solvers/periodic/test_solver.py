@@ -104,21 +104,6 @@ def test_a_periodic_motion_repeats_itself_also_where_its_cadence_is_a_little_wro
     assert 0.8 < measure_repetition(times, noisy, CADENCE) < 1
 
 
-def test_repetition_is_that_of_the_formula(rng: np.random.Generator) -> None:
-    """A motion sampled where it is compared: without noise of the interpolation."""
-    times = np.arange(60) / 30
-    theta = rng.normal(size=(60, 4))
-    newest, cycle = theta[[59 - 2 * i for i in range(7)]], theta[[59 - 2 * i for i in range(21)]]  # 15 a second
-    spread = ((cycle - cycle.mean(axis=0)) ** 2).sum(axis=1).mean()
-    best = max(
-        1 - ((newest - theta[[59 - lag - 2 * i for i in range(7)]]) ** 2).sum(axis=1).mean() / (2 * spread)
-        for lag in (27, 30, 33)
-    )
-    assert measure_repetition(times, theta, 1.0) >= best - 1e-9
-    repeated = np.tile(theta[:30], (2, 1))
-    assert measure_repetition(times, repeated, 1.0) == pytest.approx(1)
-
-
 @pytest.mark.parametrize('other', ['still', 'elsewhere', 'faster'])
 def test_another_motion_after_a_seam_does_not_repeat_the_walk(other: str) -> None:
     times, seam_s = np.arange(66) / 30, 66 / 30 - 2 * NEWEST_S
