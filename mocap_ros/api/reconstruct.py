@@ -63,6 +63,12 @@ class PoseSequence:
         translation: (F, 2) px, image point of the mean of the joints.
         vertical: (F, 3) unit vectors upwards in the camera's optical frame; NaN where nothing is known.
         vertical_std: (F,) rad, standard deviations of the direction of `vertical`; NaN where nothing is known.
+        contact: (F, 2) probabilities that the left and the right foot stand; NaN as the joints, or with the method
+            `keyframes`.
+        world_from_camera: (4, 4) transform in m from the optical frame to a world: z up, the floor at z = 0, x
+            where the person looks first, the origin below the first pelvis.
+        floor_std: m, standard deviation of the height of the camera over that floor; NaN where no standing feet
+            showed it, so that the lowest joints are the floor.
         is_scale_known: True if the focal length was given; False if it is nominal, and the distances with it.
         sequence: the keypoints that were reconstructed.
         summary: what the poses rest on, and whether the input is `good`, `doubtful` or `wrong` (`grade`); as text,
@@ -88,6 +94,9 @@ class PoseSequence:
     translation: Array
     vertical: Array
     vertical_std: Array
+    contact: Array
+    world_from_camera: Array
+    floor_std: float
     is_scale_known: bool
     sequence: KeypointSequence
     summary: Summary
@@ -118,6 +127,9 @@ class PoseSequence:
             translation=translation,
             vertical=result.vertical,
             vertical_std=result.vertical_std,
+            contact=np.full((len(result.seen), 2), np.nan) if result.contact is None else result.contact,
+            world_from_camera=result.world_from_camera,
+            floor_std=result.floor_std,
             is_scale_known=result.virtual_camera.intrinsics.is_focal_known,
             sequence=sequence,
             summary=summary,

@@ -23,8 +23,8 @@ from mocap_ros.cli.inputs import (
 )
 from mocap_ros.cli.options import add_config_options, add_strict_option, derive_output_stem, load_config
 from mocap_ros.cli.terminal import ShareBar, finish, print_note, print_result, show_stages
-from mocap_ros.config import Config, load_yaml
-from mocap_ros.errors import InputError
+from mocap_ros.config import Config, load_yaml, with_values
+from mocap_ros.errors import InputError, name_errors
 from mocap_ros.formats.bvh import BLENDER_IMPORT
 from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
 from mocap_ros.formats.text_files import check_output, read_text, replace_output
@@ -79,6 +79,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='limbs that point towards the camera, for key poses chosen by hand, in the file that `keyframes` '
         'writes (default: none)',
     )
+    parser.add_argument(
+        '--floor-height',
+        type=float,
+        metavar='H',
+        help='the floor is H m below the camera (tracker.camera_height); give tracker.vertical as well',
+    )
     add_model_option(parser)
     add_strict_option(parser)
     add_config_options(parser)
@@ -89,6 +95,9 @@ def run(args: argparse.Namespace) -> int:
     """Reconstruct the people in the input, save the results, and print what they rest on."""
     outputs = args.output or [Path(f'{derive_output_stem(args.input)}_3d.npz')]
     config = load_config(args)
+    if args.floor_height is not None:
+        with name_errors('--floor-height'):
+            config = with_values(config, {'tracker.camera_height': args.floor_height})
     sources = list_sources(args, config)
     _check_options(args, outputs, sources)
     models = load_models(args, config)

@@ -190,6 +190,14 @@ class TrackerConfig:
         low=0.0,
         high=1.0,
     )
+    camera_height: float = define_parameter(
+        0.0,
+        'm, height of the camera above the level floor on which people stand; with tracker.vertical it shows '
+        'how large and how far away they are; needs a calibration; 0: not known',
+        low=0.0,
+        high=100.0,
+        is_common=True,
+    )
     body_heights: str = define_parameter(
         '',
         'm, body heights of single persons by the ids that the detector gives, such as 7=1.82, anna=1.65; of '

@@ -45,9 +45,11 @@ from numpy.typing import NDArray
 
 from mocap_ros.config import Config, SolverConfig, TrackerConfig
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.level import CALIBRATED_TILT_STD, Floor, average_vertical, build_world
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
 from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
+from mocap_ros.keypoints.extremities import join_body
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.model_file import load_prior_lifter
@@ -55,7 +57,9 @@ from mocap_ros.models.upward_direction import Stances
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, Skeleton, estimate_stature
 from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.classification import choose_category
+from mocap_ros.solvers.contacts import find_contacts
 from mocap_ros.solvers.extremities import SEGMENT_OF, attach, collect_evidence, smooth_extremities
+from mocap_ros.solvers.floor import POSE_SHARE, fit_floor
 from mocap_ros.solvers.image_roll import find_roll, is_upside_down, lift_turned, turn_upright
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, explains_as_well, let_base_poses_lead
 from mocap_ros.solvers.observed_window import ObservedWindow, observe_sequence
@@ -95,11 +99,25 @@ class SequenceResult:
     orientation: Array | None = None
     # (F, J) True where nothing shows how a segment is turned about its own axis; None likewise
     turn_inferred: NDArray[np.bool_] | None = None
+    contact: Array | None = None  # (F, 2) probabilities that left and right foot stand; None likewise
+    floor: Floor | None = None  # the floor on which the person stands; None if nothing shows it
 
     @property
     def core(self) -> Array:
         """(F, 15, 3) m, the joints of `skeleton.CMU15`, without face, feet and hands."""
         return self.joints[:, :CORE_COUNT]
+
+    @property
+    def world_from_camera(self) -> Array:
+        """(4, 4) m, from the optical frame to the person's world (`geometry.level`); NaN without joints."""
+        if self.floor is not None:
+            return build_world(self.joints, self.floor.upward, self.floor.camera_height)
+        return build_world(self.joints, average_vertical(self.vertical, self.vertical_std), None)
+
+    @property
+    def floor_std(self) -> float:
+        """Standard deviation of the height of the floor in m; NaN where nothing shows the floor."""
+        return math.nan if self.floor is None else self.floor.height_std
 
     def cameras_in_real_image(self) -> tuple[WeakPerspectiveCameras, Array]:
         """Return the weak-perspective cameras that show the body as the real camera does; NaN as the joints.
@@ -134,7 +152,8 @@ def reconstruct_sequence(
     any names that `keypoints.joint_map` knows; `times` (F,) s, increasing; `model` base poses, or several by name.
     Of several, the most probable are chosen (`solvers.classification`), with a learned prior, those of all motions
     are used if present; `config` parameters of the solver, `min_score`, `undo_swaps`, `perspective`, `vertical`,
-    `body_height` and `skeleton` of `tracker` apply; `report` is called with the share, 0 to 1, that is done.
+    `body_height`, `camera_height` and `skeleton` of `tracker` apply; `report` is called with the share, 0 to 1, that
+    is done.
 
     Raises:
         SkeletonError: These names give too few of the model's joints.
@@ -149,7 +168,8 @@ def reconstruct_sequence(
     observed = observe_sequence(keypoints, joint_names, times, intrinsics, config.tracker, skeleton)
     result, lifted = _reconstruct(observed, models, config, report)
     in_sight = find_frames_in_sight(result.seen, times)
-    return _blank_frames(_complete(result, lifted, config.tracker), ~in_sight)
+    stood = _find_floor(_complete(result, lifted, config.tracker), lifted, config.tracker)
+    return _blank_frames(stood, ~in_sight)
 
 
 def reconstruct_window(
@@ -217,6 +237,28 @@ def _complete(result: SequenceResult, observed: ObservedWindow, config: TrackerC
     )
 
 
+def _find_floor(result: SequenceResult, observed: ObservedWindow, config: TrackerConfig) -> SequenceResult:
+    """Return a result with the feet that stand and their floor, by `tracker.camera_height` of its true size."""
+    points = join_body(observed.rays, observed.weight, observed.extremities)
+    contact = find_contacts(*points, result.joints, result.vertical, observed.times)
+    result = replace(result, contact=np.maximum(contact[:, ::2], contact[:, 1::2]))
+    upward = average_vertical(result.vertical, result.vertical_std)
+    is_metric = config.camera_height > 0 and observed.virtual_camera.intrinsics.is_focal_known
+    if not np.isfinite(upward).all():
+        return result
+    tilt_std = float(np.nanmean(result.vertical_std))
+    if is_metric and read_given_vertical(config) is not None:
+        tilt_std = CALIBRATED_TILT_STD
+    before = Floor(upward, config.camera_height if is_metric else None, tilt_std)
+    size_share = math.hypot(config.body_height_std / config.body_height, POSE_SHARE)
+    fit = fit_floor(result.joints, contact, observed.times, before, size_share)
+    if fit is None or not is_metric:
+        return result if fit is None else replace(result, floor=fit.floor)
+    vertical = np.tile(fit.floor.upward, (len(contact), 1)), np.full(len(contact), fit.floor.tilt_std)
+    joints = fit.place(result.joints)
+    return replace(result, joints=joints, vertical=vertical[0], vertical_std=vertical[1], floor=fit.floor)
+
+
 def _blank_frames(result: SequenceResult, is_blank: NDArray[np.bool_]) -> SequenceResult:
     """Return a result without joints and orientations in the frames of a mask (F,): NaN, not seen, inferred."""
     of_joints = is_blank[:, None]
@@ -227,6 +269,7 @@ def _blank_frames(result: SequenceResult, is_blank: NDArray[np.bool_]) -> Sequen
         return blanked
     return replace(
         blanked,
+        contact=None if result.contact is None else np.where(is_blank[:, None], np.nan, result.contact),
         orientation=np.where(of_joints[..., None], np.nan, result.orientation),
         turn_inferred=result.turn_inferred | of_joints,
     )

@@ -30,7 +30,6 @@ from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS, comput
 from mocap_ros.formats.export.trc import save_trc
 from mocap_ros.formats.sequence_file import KeypointSequence, find_longest_gap, make_camera_arrays
 from mocap_ros.geometry.interpolation import central_velocity
-from mocap_ros.geometry.level import average_vertical, rotation_to_level
 from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_rotation
 from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, encode_camera_info
 from mocap_ros.messages.cdr import Header
@@ -53,9 +52,10 @@ MAX_RESAMPLED_FRAMES = 1_000_000  # frames; guards the memory against two frames
 MAX_EMPTY_S = 60.0  # s without a skeleton that a file of a constant frame rate may hold as empty frames
 MAX_BVH_GAP_S = 10.0  # s without a skeleton over which BVH, which has no empty frames, is interpolated
 RATE_TOLERANCE = 0.01  # 1; seconds since 1970 as doubles are rounded to 0.2 us
-HALF_TURN = np.array([1.0, 0.0, 0.0, 0.0])  # quaternion x, y, z, w of `CAMERA_TO_Y_UP`, half a turn about x
 SMALLEST_NORM = 1e-9  # 1; guards the normalisation of mixed quaternions
-CAMERA_TO_Y_UP = np.array([1.0, -1.0, -1.0])  # factors of x, y, z: optical frame (y down, z forward) to y up
+# Axes in the world, in rows: of animation (x left, y up, z ahead) and of biomechanics (x ahead, y up, z right).
+WORLD_TO_ANIMATION = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+WORLD_TO_GROUND = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 # The comment above the keyframes in the YAML file.
 KEYFRAMES_HEADER = """\
@@ -116,7 +116,11 @@ def _save_npz(path: Path, reconstruction: ReconstructedSequence) -> None:
         'theta': result.solution.theta,
         'vertical': result.vertical,
         'vertical_std': result.vertical_std,
+        'world_from_camera': result.world_from_camera,
+        'floor_std': np.array(result.floor_std),
     }
+    if result.contact is not None:
+        arrays['contact'] = result.contact
     arrays |= {key: a for key, a in zip(('camera_matrix', 'distortion'), camera, strict=True) if a is not None}
     if (summary := reconstruction.summary) is not None:
         arrays |= {'grade': np.array(summary.grade), 'summary': np.array(str(summary))}
@@ -132,7 +136,7 @@ def _save_csv(path: Path, reconstruction: ReconstructedSequence) -> None:
 
 
 def _save_angles(path: Path, reconstruction: ReconstructedSequence) -> None:
-    times, joints = reconstruction.sequence.timestamps, stand_upright(reconstruction.result)
+    times, joints = reconstruction.sequence.timestamps, stand_on_floor(reconstruction.result, WORLD_TO_GROUND)
     known = np.isfinite(joints).all(axis=(1, 2))
     angles = np.full((len(times), len(COORDINATES)), np.nan)
     fps = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 1.0
@@ -249,29 +253,24 @@ def _iterate_people(reconstruction: ReconstructedSequence) -> Iterator[Person3D 
         yield person
 
 
-def stand_upright(result: SequenceResult) -> Array:
-    """Return the joints (F, J, 3) in m in the axes of animation and biomechanics: y up, x right, z to the camera.
-
-    The origin stays in the camera, and the camera's heading is kept. Up is the mean of the verticals that the
-    result has; where none is certain, the camera is taken as level.
-    """
-    vertical = average_vertical(result.vertical, result.vertical_std)
-    return np.asarray(result.joints @ rotation_to_level(vertical).T * CAMERA_TO_Y_UP)
+def stand_on_floor(result: SequenceResult, axes: Array) -> Array:
+    """Return the joints (F, J, 3) in m in the person's world, in axes whose rows (3, 3) are along those of it."""
+    world = axes @ result.world_from_camera[:3]
+    return np.asarray(result.joints @ world[:, :3].T + world[:, 3])
 
 
 def _save_bvh(path: Path, reconstruction: ReconstructedSequence) -> None:
-    resampled = _resample_at_constant_rate(reconstruction, MAX_BVH_GAP_S)
-    orientation, result = resampled.orientation, reconstruction.result
-    vertical = average_vertical(result.vertical, result.vertical_std)
+    resampled = _resample_at_constant_rate(reconstruction, MAX_BVH_GAP_S, WORLD_TO_ANIMATION)
+    orientation = resampled.orientation
     if orientation is not None:
         orientation /= np.maximum(np.linalg.norm(orientation, axis=-1, keepdims=True), SMALLEST_NORM)
-        level = np.array(quaternion_from_rotation(rotation_to_level(vertical)))
-        orientation = multiply_quaternions(multiply_quaternions(HALF_TURN, level), orientation)
+        turn = WORLD_TO_ANIMATION @ reconstruction.result.world_from_camera[:3, :3]
+        orientation = multiply_quaternions(np.array(quaternion_from_rotation(turn)), orientation)
     save_bvh(path, build_armature(resampled.joints, resampled.fps, orientation))
 
 
 def _save_trc(path: Path, reconstruction: ReconstructedSequence) -> None:
-    resampled = _resample_at_constant_rate(reconstruction, MAX_EMPTY_S)
+    resampled = _resample_at_constant_rate(reconstruction, MAX_EMPTY_S, WORLD_TO_GROUND)
     resampled.joints[~resampled.in_sight] = np.nan
     save_trc(path, reconstruction.result.skeleton.joints, resampled.joints, resampled.fps)
 
@@ -280,14 +279,14 @@ class _Resampled(NamedTuple):
     """A result at a constant frame rate."""
 
     fps: float  # frames per second
-    joints: Array  # (F, J, 3) m, y up; before the first and after the last skeleton of the result the nearest pose
+    joints: Array  # (F, J, 3) m; before the first and after the last skeleton of the result the nearest pose
     orientation: Array | None  # (F, J, 4) quaternions in the optical frame, not of length 1; None if unknown
     in_sight: NDArray[np.bool_]  # (F,) whether the frame is between skeletons at most `MAX_GAP_S` apart
 
 
-def _resample_at_constant_rate(reconstruction: ReconstructedSequence, max_gap_s: float) -> _Resampled:
+def _resample_at_constant_rate(reconstruction: ReconstructedSequence, max_gap_s: float, axes: Array) -> _Resampled:
     """Interpolate a result linearly, at about the median frame rate of the sequence; InputError at longer gaps."""
-    result, joints = reconstruction.result, stand_upright(reconstruction.result)
+    result, joints = reconstruction.result, stand_on_floor(reconstruction.result, axes)
     times = reconstruction.sequence.timestamps - reconstruction.sequence.timestamps[0]
     step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
     if step * MAX_FRAME_RATE_HZ < 1.0 - RATE_TOLERANCE:

@@ -12,8 +12,8 @@ ankle:
     c + r u.a = r f b,    x = ln r = ln c - ln(f b - u.a)
     s_x^2 = s_noise^2 + s_floor^2,    s_noise = F / c,    s_floor^2 = (G / c)^2 + (T d / c)^2
 
-with d the horizontal distance, T the error of the camera's tilt and G what ankles are higher or lower. The x of
-frames in which the lower foot neither rises nor sinks are averaged, robustly; frames within C count as one:
+with d the horizontal distance, T the standard deviation of the vertical and G what ankles are higher or lower. The
+x of frames in which the lower foot neither rises nor sinks are averaged, robustly; frames within C count as one:
 
     n = sum_i k_i / C,    m = sum_i k_i x_i / sum_i k_i,    k_i = dt_i / (1 + ((x_i - m_i) / (2 s_x))^2)
     s_m^2 = s_noise^2 / (n + 1) + s_floor^2,    g = s_0^2 / (s_0^2 + s_m^2)
@@ -44,19 +44,18 @@ from mocap_ros.geometry.level import Floor
 from mocap_ros.models.joint_std import compute_joint_covariance
 from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers.floor import POSE_SHARE
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
 FOCAL_SHARE = 0.2  # 1; usual focal lengths are 0.6 to 0.9 of the longer side of the image, the nominal one is 0.75
-POSE_SHARE = 0.04  # 1; s_pose, measured on training persons of known height seen by four detectors
 KNOWN_HEIGHT_STD_M = 0.02  # m; of a height that a user stated, shoes and posture included
 HEIGHT_RANGE_M = 0.3, 2.6  # m; range of body heights, as of `tracker.body_height`
 ANKLE_SHARE = 0.042  # 1; f, share of the body height: 0.03 to 0.055 in motion capture, more in a walk
 NOISE_M = 0.04  # m; F, of an ankle's height over the floor from image noise and heels that rise
 GROUND_M = 0.04  # m; G, by which ankles, shoes and carpets differ, and detectors put ankles elsewhere
 FLOOR_FACTOR = 1.7  # 1; Q, so that 95 of 100 roots of training persons are within the ellipsoids
-TILT_RAD = 0.005  # rad; T, 0.3 degrees: of a camera that was calibrated to its robot
 CORRELATION_S = 0.5  # s; C, as long as a step lasts
 MAX_RISE_M_S = 0.3  # m/s; of a foot that stands; depth jitters, and lets standing feet rise and sink a little
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for
@@ -108,7 +107,7 @@ class FloorContact:
         if not SIZE_RANGE[0] < found < SIZE_RANGE[1]:
             return before
         distance = math.sqrt(max(float(ankle @ ankle) - drop * drop, 0.0)) * math.exp(found)
-        noise, floor_std = NOISE_M / height, math.hypot(GROUND_M, TILT_RAD * distance) / height
+        noise, floor_std = NOISE_M / height, math.hypot(GROUND_M, floor.tilt_std * distance) / height
         if before is None:
             return FloorContact(found, 0.0, noise, floor_std, stamp_ns)
         if stamp_ns <= before.stamp_ns:  # with a lag, this frame was shown before

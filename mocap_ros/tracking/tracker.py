@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from mocap_ros.config import Config
 from mocap_ros.errors import FrameDropped
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.level import Floor
+from mocap_ros.geometry.level import CALIBRATED_TILT_STD, Floor
 from mocap_ros.geometry.virtual_camera import solver_focal
 from mocap_ros.keypoints.identities import Identities
 from mocap_ros.keypoints.left_right import BodySides, SwapFilter
@@ -485,6 +485,9 @@ class Tracker:
         self._at_work, frames = [track for track, _ in shown], [frame for _, frame in shown]
         motion, seen = self._filter(shown)
         tracks = self._at_work
+        if floor is None and (height := self.config.tracker.camera_height) and self._vertical is not None:
+            std = CALIBRATED_TILT_STD if self._vertical.is_given else self._vertical.std
+            floor = Floor(self._vertical.direction, height, std)
         if floor is not None:
             for p, track in enumerate(tracks):
                 if track.intrinsics.is_focal_known and not track.is_tentative:

@@ -41,9 +41,9 @@ PUBLIC: dict[str, str] = {
     'Person3D': 'age core id inferred joint_names joints motion orientation predicted residual root '
     'root_covariance root_velocity root_velocity_covariance rotation scale scale_known skeleton std tentative '
     'translation turn_inferred unseen_for velocity velocity_std',
-    'PoseSequence': 'base_poses cost is_scale_known iterations joint_names joints message orientation parents '
-    'residual rotation scale seen sequence success summary times translation turn_inferred vertical '
-    'vertical_std weights',
+    'PoseSequence': 'base_poses contact cost floor_std is_scale_known iterations joint_names joints message '
+    'orientation parents residual rotation scale seen sequence success summary times translation turn_inferred '
+    'vertical vertical_std weights world_from_camera',
     'RecordingError': 'MocapError',
     'SkeletonError': 'MocapError',
     'Tracker': '(joint_names, *, image_size, camera_matrix=None, distortion=None, '

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from mocap_ros.api.files import read
 from mocap_ros.bags.reader import Bag
@@ -24,7 +23,6 @@ from mocap_ros.formats.detections import Detections
 from mocap_ros.formats.mocap.joint_maps import map_to_model
 from mocap_ros.formats.mocap.trials import load_trials
 from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
-from mocap_ros.geometry.level import LEVEL_UP, MAX_CERTAIN_STD
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.cdr import Header, decode, encode
@@ -192,14 +190,11 @@ def test_cameras_project_the_joints_to_the_keypoints(results: Path, walker: Keyp
     )
 
 
-def load_joints_y_up(folder: Path) -> np.ndarray:
-    """Return the joints (F, 26, 3) in m of the .npz file, in the axes of BVH and TRC."""
+def load_joints_in_world(folder: Path) -> np.ndarray:
+    """Return the joints (F, 26, 3) in m of the .npz file: x ahead, y left, z up, over the floor."""
     result = np.load(folder / 'r.npz')
-    certain = result['vertical'][result['vertical_std'] <= MAX_CERTAIN_STD]
-    mean = np.append(certain, LEVEL_UP[None] if not len(certain) else certain[:0], axis=0).mean(axis=0)
-    turn, _ = Rotation.align_vectors([[0.0, -1.0, 0.0]], [mean / np.linalg.norm(mean)])
-    joints = result['joints3d']
-    return turn.apply(joints.reshape(-1, 3)).reshape(joints.shape) * np.array([1, -1, -1])
+    world = result['world_from_camera']
+    return result['joints3d'] @ world[:3, :3].T + world[:3, 3]
 
 
 def test_bag_holds_the_joints(results: Path) -> None:
@@ -219,14 +214,12 @@ def test_bag_holds_the_joints(results: Path) -> None:
 def test_bvh_has_constant_bones_and_the_same_joints(results: Path) -> None:
     bvh = load_bvh(results / 'r.bvh')
     assert bvh.frame_time == pytest.approx(1 / 30)
-    joints = load_joints_y_up(results)
+    joints = load_joints_in_world(results)[..., [1, 2, 0]]
     outer, joints = joints[:, len(CMU15.joints) :], joints[:, : len(CMU15.joints)]
     positions = dict(zip(bvh.names, np.moveaxis(bvh.compute_positions() / 100, 1, 0), strict=True))
     bvh_joints = map_to_model(positions)
-    assert min(position[:, 1].min() for position in positions.values()) == pytest.approx(0.0, abs=1e-5)
-    floor = joints[0, CMU15.joints.index('pelvis'), 1] - positions['Hips'][0, 1]
-    assert -2.0 < floor < -0.5  # m; the camera is at the height of the body
-    bvh_joints[..., 1] += floor
+    assert positions['Hips'][0, [0, 2]] == pytest.approx(0.0, abs=1e-6)
+    assert 0.9 < positions['Hips'][0, 1] < 1.2  # m, over the floor
     lengths = np.stack([np.linalg.norm(joints[:, a] - joints[:, b], axis=1) for a, b in CMU15.bones])
     length_variation = np.abs(lengths - np.median(lengths, axis=1)[:, None]).max(axis=1).sum()
     assert np.linalg.norm(bvh_joints - joints, axis=-1).max() < length_variation + 1e-4
@@ -238,7 +231,7 @@ def test_bvh_has_constant_bones_and_the_same_joints(results: Path) -> None:
         assert np.ptp(np.linalg.norm(bvh_joints[:, a] - bvh_joints[:, b], axis=1)) < limit
     assert np.abs(np.diff(bvh.motion, axis=0)).max() < 1.1 * 11.8  # degrees, measured; no angle jumps by a turn
     for node, joint in (('LeftFoot_end', 'ltoe'), ('RightHand_end', 'rhand')):
-        end = outer[:, BODY26.index(joint) - len(CMU15.joints)] - [0, floor, 0]
+        end = outer[:, BODY26.index(joint) - len(CMU15.joints)]
         assert np.linalg.norm(positions[node] - end, axis=1).max() < 0.01  # m; bones are constant
     (trial,) = load_trials(results / 'r.bvh')
     assert trial.poses - trial.poses.mean(axis=1, keepdims=True) == pytest.approx(
@@ -335,7 +328,7 @@ def test_there_is_no_skeleton_before_the_first_and_after_the_last_sight(passing:
 
 
 def test_a_trc_has_empty_fields_and_a_bvh_the_nearest_pose_where_there_is_no_skeleton(passing: Path) -> None:
-    joints = load_joints_y_up(passing)
+    joints = load_joints_in_world(passing)[..., [0, 2, 1]] * [1, 1, -1]
     rows = [line.split('\t') for line in (passing / 'r.trc').read_text().splitlines()[6:]]
     assert len(rows) == FRAMES
     for frame, (_, time, *fields) in enumerate(rows):
@@ -360,4 +353,5 @@ def test_people_stand_upright_before_a_tilted_camera(tmp_path: Path, walker: Key
     rows = np.genfromtxt(tmp_path / 'r.trc', skip_header=6, delimiter='\t')[:, 2:]
     written = rows[:, : joints.shape[1] * 3].reshape(len(joints), -1, 3) / 1000
     heights = joints @ [0.0, -math.cos(tilt), -math.sin(tilt)]
-    assert written[..., 1] == pytest.approx(heights, abs=1e-3)
+    assert written[..., 1] == pytest.approx(heights - heights[0, 0] + written[0, 0, 1], abs=1e-3)
+    assert -0.05 < written[..., 1].min() < 0.05  # m

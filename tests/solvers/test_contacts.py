@@ -1,8 +1,11 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from mocap_ros.skeleton import BODY26
 from mocap_ros.solvers.contacts import HEELS_AND_TOES, find_contacts
@@ -11,7 +14,7 @@ UPWARD = np.array([0.0, -1.0, 0.0])
 FEET = ('lheel', 'ltoe', 'rheel', 'rtoe')
 
 
-def walk(rate_hz=30.0, seconds=4.5):
+def walk(rate_hz: float = 30.0, seconds: float = 4.5) -> tuple[NDArray[Any], ...]:
     """Joints (F, 26, 3) m, 4 m away: the right foot stands, the left one stands for 1 s and swings for 0.5 s."""
     times = np.arange(round(seconds * rate_hz)) / rate_hz
     joints = np.zeros((len(times), 26, 3)) + [0.0, 0.0, 4.0]
@@ -28,7 +31,7 @@ def walk(rate_hz=30.0, seconds=4.5):
 
 @pytest.mark.parametrize('rate_hz', [10.0, 30.0, 120.0])
 @pytest.mark.parametrize('count', [26, 15])
-def test_a_foot_that_swings_does_not_stand(rate_hz, count):
+def test_a_foot_that_swings_does_not_stand(rate_hz: float, count: int) -> None:
     joints, times, swings, stands = walk(rate_hz)
     joints = joints[:, :count]
     contact = find_contacts(joints[..., :2] / joints[..., 2:], np.ones(joints.shape[:2]), joints, UPWARD, times)
@@ -38,7 +41,7 @@ def test_a_foot_that_swings_does_not_stand(rate_hz, count):
     assert contact[stands, :2].min() > 0.7
 
 
-def test_points_of_detectors_and_points_that_are_not_seen():
+def test_points_of_detectors_and_points_that_are_not_seen() -> None:
     joints, times, swings, stands = walk()
     rays = joints[..., :2] / joints[..., 2:]
     rays = rays + np.random.default_rng(0).normal(0, 0.01, rays.shape) / 4  # 1 cm at the body
@@ -50,7 +53,7 @@ def test_points_of_detectors_and_points_that_are_not_seen():
     assert contact[stands, :2].mean() > 0.7
 
 
-def test_nothing_is_known_of_a_person_who_is_not_seen():
+def test_nothing_is_known_of_a_person_who_is_not_seen() -> None:
     joints, times, _, _ = walk()
     contact = find_contacts(0 * joints[..., :2], 0 * joints[..., 0], joints * np.nan, UPWARD * np.nan, times)
     assert contact == pytest.approx(0.5)
@@ -58,7 +61,7 @@ def test_nothing_is_known_of_a_person_who_is_not_seen():
     assert single == pytest.approx(0.5)
 
 
-def test_without_the_vertical_the_speed_alone_counts():
+def test_without_the_vertical_the_speed_alone_counts() -> None:
     joints, times, swings, stands = walk()
     rays, weight = joints[..., :2] / joints[..., 2:], np.ones(joints.shape[:2])
     contact = find_contacts(rays, weight, joints, np.full(3, np.nan), times)

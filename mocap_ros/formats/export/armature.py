@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -122,7 +121,7 @@ BRANCHES = {
 
 
 def build_armature(joints: Array, fps: float, orientation: Array | None = None) -> BvhMotion:
-    """Build the armature of a motion, which stands on the floor y = 0.
+    """Build the armature of a motion.
 
     Args:
         joints: (F, J, 3) m, y up, in the order of `skeleton.CMU15` or `skeleton.BODY26`.
@@ -130,8 +129,7 @@ def build_armature(joints: Array, fps: float, orientation: Array | None = None) 
         orientation: (F, J, 4) quaternions x, y, z, w of the segments, in the frame of the joints; None if unknown.
 
     Returns:
-        The armature and its motion, with offsets and positions in cm. The motion is moved along y, by one distance
-        for all frames, so that the lowest point of all frames is at y = 0.
+        The armature and its motion, with offsets and positions in cm.
     """
     from scipy.spatial.transform import Rotation
 
@@ -184,16 +182,7 @@ def build_armature(joints: Array, fps: float, orientation: Array | None = None) 
             offsets.append(end_offset[bone.name] * CM_PER_M)
             channels.append(())
     motion = np.hstack(columns)
-    return _put_on_floor(
-        BvhMotion(tuple(names), tuple(parents), np.array(offsets), tuple(channels), 1 / fps, motion)
-    )
-
-
-def _put_on_floor(bvh: BvhMotion) -> BvhMotion:
-    """Return the motion, moved along y so that the lowest point of all frames is at y = 0."""
-    lowest = bvh.compute_positions()[..., 1].min()
-    root_height = POSITION_CHANNELS.index('Yposition')  # the root is the first node, and begins with its position
-    return replace(bvh, motion=bvh.motion - lowest * np.eye(bvh.motion.shape[1])[root_height])
+    return BvhMotion(tuple(names), tuple(parents), np.array(offsets), tuple(channels), 1 / fps, motion)
 
 
 def _compute_channel_angles(rotation: Rotation) -> Array:

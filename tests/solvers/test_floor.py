@@ -1,0 +1,115 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from mocap_ros.geometry.level import Floor, build_world
+from mocap_ros.skeleton import BODY26
+from mocap_ros.solvers.floor import HEEL_M, TOE_M, fit_floor
+
+Array = NDArray[np.float64]
+
+FRAMES, CAMERA_HEIGHT_M = 240, 1.6
+TIMES = np.arange(FRAMES) / 30
+UPWARD = Rotation.from_euler('xz', [-12.0, 3.0], degrees=True).apply([0.0, -1.0, 0.0])
+CONTACT = np.ones((FRAMES, 4))
+# m, over the floor: x right, y ahead, z up
+UPRIGHT = {
+    'head': (0.0, 0.0, 1.6), 'neck': (0.0, 0.0, 1.4), 'pelvis': (0.0, 0.0, 1.0),
+    'lshoulder': (-0.2, 0.0, 1.4), 'lelbow': (-0.2, 0.0, 1.1), 'lwrist': (-0.2, 0.0, 0.9),
+    'lhip': (-0.1, 0.0, 0.9), 'lknee': (-0.1, 0.0, 0.5), 'lankle': (-0.1, 0.0, 0.08),
+    'lheel': (-0.1, -0.05, HEEL_M), 'ltoe': (-0.1, 0.2, TOE_M),
+}  # fmt: skip
+
+
+def stand(camera_height: float = CAMERA_HEIGHT_M) -> Array:
+    """Joints (F, 26, 3) m in the camera of a person who slides about on a floor, from 3 to 6 m away."""
+    body = np.zeros((26, 3))
+    for joint, (x, y, z) in UPRIGHT.items():
+        body[BODY26.index(joint)] = x, y, z
+        if joint[0] == 'l':
+            body[BODY26.index('r' + joint[1:])] = -x, y, z
+    way = np.stack([np.sin(TIMES), 4.5 + 1.5 * np.cos(0.8 * TIMES), 0 * TIMES], axis=1)
+    in_world = body + way[:, None] - [0.0, 0.0, camera_height]
+    level = in_world * [1, 1, -1]
+    return level[..., [0, 2, 1]] @ Rotation.align_vectors([UPWARD], [[0.0, -1.0, 0.0]])[0].as_matrix().T
+
+
+def test_a_known_height_gives_size_distance_and_vertical() -> None:
+    true = stand()
+    wrong_depth = 1 + 0.02 * np.sin(TIMES / 0.7)[:, None, None]
+    joints = true / 1.12 * wrong_depth
+    lean = Rotation.from_rotvec([0.02, 0.0, 0.0]).apply(UPWARD)
+    fit = fit_floor(joints, CONTACT, TIMES, Floor(lean, CAMERA_HEIGHT_M, math.radians(2)), 0.08)
+    assert fit is not None
+    assert fit.size == pytest.approx(1.12, abs=0.03)
+    assert math.acos(fit.floor.upward @ UPWARD) < 0.006 < 0.02
+    exact = fit_floor(joints, CONTACT, TIMES, Floor(UPWARD, CAMERA_HEIGHT_M), 0.08)
+    assert exact is not None
+    assert exact.size == pytest.approx(1.12, abs=0.01)
+    placed = exact.place(joints)
+    assert np.abs(placed - true).max() < 0.09
+    assert np.abs(placed - true).mean() < 0.6 * np.abs(joints * 1.12 - true).mean()
+
+
+def test_a_floor_is_found_by_feet_and_leaves_the_size() -> None:
+    fit = fit_floor(stand(), CONTACT, TIMES, Floor(UPWARD, None, math.radians(4)), 0.08)
+    assert fit is not None
+    assert fit.size == 1.0
+    assert fit.floor.camera_height == pytest.approx(CAMERA_HEIGHT_M, abs=0.01)
+    assert 0.08 * CAMERA_HEIGHT_M < fit.floor.height_std < 0.3
+    assert fit.floor.tilt_std < math.radians(4)
+    world = build_world(stand(), fit.floor.upward, fit.floor.camera_height)
+    in_world = stand() @ world[:3, :3].T + world[:3, 3]
+    assert in_world[:, BODY26.index('lheel'), 2] == pytest.approx(HEEL_M, abs=0.01)
+    assert in_world[0, BODY26.index('pelvis'), :2] == pytest.approx(0.0, abs=1e-9)
+    ahead = in_world[0, BODY26.index('ltoe')] - in_world[0, BODY26.index('lheel')]
+    assert ahead[:2] == pytest.approx([0.25, 0.0], abs=1e-6)
+    assert world[:3, :3] @ world[:3, :3].T == pytest.approx(np.eye(3))
+    assert np.linalg.det(world[:3, :3]) == pytest.approx(1.0)
+
+
+def sit(joints: Array) -> Array:
+    """Return joints with the knees in front of the hips."""
+    bent = joints.copy()
+    for side in 'lr':
+        hip, knee = BODY26.index(side + 'hip'), BODY26.index(side + 'knee')
+        bent[:, knee] = bent[:, hip] + np.linalg.norm(joints[:, knee] - joints[:, hip], axis=1)[:, None] * [
+            0,
+            0,
+            -1,
+        ]
+    return bent
+
+
+@pytest.mark.parametrize(
+    ('joints', 'contact', 'tilt_deg'),
+    [
+        pytest.param(stand(), CONTACT * 0.001, 3.0, id='no foot stands'),
+        pytest.param(stand() * np.nan, CONTACT, 3.0, id='not seen'),
+        pytest.param(
+            np.where(np.arange(FRAMES)[:, None, None] < 2, stand(), np.nan), CONTACT, 3.0, id='two frames'
+        ),
+        pytest.param(stand(), CONTACT, 25.0, id='vertical not known'),
+        pytest.param(stand(), CONTACT, math.nan, id='no vertical'),
+        pytest.param(sit(stand()), CONTACT, 3.0, id='seated'),
+        pytest.param(stand(-1.0), CONTACT, 3.0, id='above the camera'),
+    ],
+)
+def test_nothing_shows_a_floor(joints: Array, contact: Array, tilt_deg: float) -> None:
+    assert fit_floor(joints, contact, TIMES, Floor(UPWARD, None, math.radians(tilt_deg)), 0.08) is None
+
+
+def test_a_world_without_floor_or_vertical() -> None:
+    joints = stand()
+    joints[:5] = np.nan
+    world = build_world(joints, np.full(3, np.nan), None)
+    in_world = joints @ world[:3, :3].T + world[:3, 3]
+    assert in_world[5, BODY26.index('pelvis'), :2] == pytest.approx(0.0, abs=1e-9)
+    assert np.nanpercentile(in_world[..., 2].min(axis=1), 5) == pytest.approx(0.0, abs=1e-9)
+    assert np.isnan(build_world(joints * np.nan, UPWARD, 1.0)).all()
