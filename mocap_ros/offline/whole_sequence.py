@@ -152,8 +152,8 @@ def reconstruct_sequence(
     any names that `keypoints.joint_map` knows; `times` (F,) s, increasing; `model` base poses, or several by name.
     Of several, the most probable are chosen (`solvers.classification`), with a learned prior, those of all motions
     are used if present; `config` parameters of the solver, `min_score`, `undo_swaps`, `perspective`, `vertical`,
-    `body_height`, `camera_height` and `skeleton` of `tracker` apply; `report` is called with the share, 0 to 1, that
-    is done.
+    `body_height`, `camera_height` and `skeleton` of `tracker` apply; `report` is called with the
+    share, 0 to 1, that is done.
 
     Raises:
         SkeletonError: These names give too few of the model's joints.
