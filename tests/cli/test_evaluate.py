@@ -28,19 +28,18 @@ from tests.support.pipeline_inputs import FAST_CONFIG
 
 
 def test_evaluate_prints_a_table_and_writes_json(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / 'e.json'
-    assert main(['evaluate', str(recording), '--json', str(out)]) == 0
+    assert main(['evaluate', str(short_recording), '--json', str(out)]) == 0
     (record,) = json.loads(out.read_text())
-    assert record['mpjpe_mm'] < 1.1 * 44.3  # mm, measured
-    assert record['pa_mpjpe_mm'] < 1.1 * 35.9  # mm, measured
+    assert 10 < record['pa_mpjpe_mm'] < record['mpjpe_mm'] < 60
     assert record['failed_frames'] == 0
     assert {'bone_std_mm', 'residual_px', 'fps', 'seconds', 'e_paper_cm'} <= record.keys()
     titles, units, row, legend = capsys.readouterr().out.splitlines()
     assert titles.split()[:2] == ['MPJPE', 'PA-MPJPE']
     assert {'mm', 'cm', 'px', 'fps', 's'} == set(units.split())
-    assert re.fullmatch(r'demo\.npz( +\d+\.\d+){7} +390 +0 +30 +\d+\.\d', row)
+    assert re.fullmatch(r'\$x\^\{_\$\.npz( +\d+\.\d+){7} +20 +0 +30 +\d+\.\d', row)
     assert 'PA-MPJPE: after one similarity transform per frame' in legend
 
 

@@ -88,15 +88,14 @@ def test_a_source_is_not_overwritten(tmp_path: Path) -> None:
     assert (tmp_path / 'in').read_text() == 'old'
 
 
-@pytest.mark.parametrize('name', ['/dev/stdout', '/proc/self/fd/1'])
 @pytest.mark.parametrize('is_file', [False, True])
-def test_the_standard_output_is_written_directly(tmp_path: Path, name: str, is_file: bool) -> None:
+def test_the_standard_output_is_written_directly(tmp_path: Path, is_file: bool) -> None:
     """Also where it leads to a file, which has no name that could be given to another one."""
     code = (
         'from pathlib import Path\n'
         'from mocap_ros.formats.text_files import replace_output\n'
-        f'with replace_output(Path({name!r})) as place:\n'
-        f'    assert str(place) == {name!r}\n'
+        "with replace_output(Path('/dev/stdout')) as place:\n"
+        "    assert str(place) == '/dev/stdout'\n"
         "    place.write_text('content')\n"
     )
     command = [sys.executable, '-c', code]

@@ -31,7 +31,6 @@ from mocap_ros.config import Config, RecorderConfig, to_yaml
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.formats.bvh import save_bvh
 from mocap_ros.formats.export.armature import build_armature
-from mocap_ros.formats.mocap.joint_maps import RIGS
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header, encode, typestore
 from mocap_ros.messages.foreign_types import (
@@ -48,11 +47,11 @@ from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.models.model_file import load_base_poses, save_base_poses
 from mocap_ros.npz_file import write_npz
 from mocap_ros.skeleton import CMU15
-from tests.fuzz.targets import FILE_SEPARATOR, IMAGE_SIZE, MESSAGE_READERS, pack_arrays
+from tests.fuzz.targets import FILE_SEPARATOR, IMAGE_SIZE, MESSAGE_READERS
 from tests.support.bag_writing import START_NS, STEP_NS, make_keypoints
 from tests.support.camera_infos import camera_info, encode_ros1_camera_info
 from tests.support.foreign_messages import create_blank_message, make_inputs
-from tests.support.motion_files import AMC, ASF, Z_UP_TO_Y_UP, make_bvh, make_poses
+from tests.support.motion_files import Z_UP_TO_Y_UP, make_bvh, make_poses
 from tests.support.people import make_person_3d
 from tests.support.transforms import make_transforms
 
@@ -135,24 +134,6 @@ def make_bvhs() -> list[bytes]:
     return [make_bvh(lambda text: text).encode(), whole]
 
 
-def make_asfs() -> list[bytes]:
-    """Return skeleton and motion of two bones, and those of a whole body, whose bones all begin at the root."""
-    positions = make_poses()[0] @ Z_UP_TO_Y_UP.T
-    bones, names = [], []
-    for joint, name in RIGS['CMU ASF'].items():
-        offset = positions[CMU15.index(joint)] - positions[CMU15.index('pelvis')]
-        if name != 'root':
-            direction = ' '.join(map(str, offset.round(4)))
-            bones.append(f'begin\nname {name}\ndirection {direction}\nlength 1\ndof rx\nend\n')
-            names.append(name)
-    skeleton = (
-        ':root\norder TX TY TZ RX RY RZ\n:bonedata\n' + ''.join(bones) + ':hierarchy\nroot ' + ' '.join(names)
-    )
-    frame = 'root 0 1 0 5 6 7\n' + ''.join(f'{name} 3\n' for name in names)
-    small = ASF.encode() + FILE_SEPARATOR + AMC.encode()
-    return [small, skeleton.encode() + FILE_SEPARATOR + f'1\n{frame}2\n{frame}'.encode()]
-
-
 def make_c3ds() -> list[bytes]:
     """Return a C3D file of the markers of a walk."""
     import ezc3d
@@ -172,19 +153,14 @@ def make_c3ds() -> list[bytes]:
 def make_npzs() -> list[bytes]:
     """Return a sequence file, a result file, an archive of joints, and base poses."""
     files = []
-    for arrays in _make_arrays():
+    for arrays in make_arrays():
         stream = io.BytesIO()
         write_npz(stream, arrays)
         files.append(stream.getvalue())
     return files
 
 
-def make_packed_arrays() -> list[bytes]:
-    """Return the arrays of the same files, packed."""
-    return [pack_arrays(arrays) for arrays in _make_arrays()]
-
-
-def _make_arrays() -> list[dict[str, NDArray[np.generic]]]:
+def make_arrays() -> list[dict[str, NDArray[np.generic]]]:
     demo = make_recording().sequence()
     names = np.array(CMU15.joints)
     joints = np.arange(FRAMES * 45.0).reshape(FRAMES, 15, 3)
@@ -317,10 +293,8 @@ EXAMPLES: dict[str, Examples] = {
     'messages': make_messages,
     'json': make_json,
     'bvh': make_bvhs,
-    'asf': make_asfs,
     'c3d': make_c3ds,
     'npz': make_npzs,
-    'arrays': make_packed_arrays,
     'yaml': make_yamls,
     'mcap': make_mcaps,
     'db3': make_databases,

@@ -10,16 +10,11 @@ the tests with structured inputs and the replay of the inputs that once failed (
 
 from __future__ import annotations
 
-import io
-import zipfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-
-import numpy as np
-from numpy.typing import NDArray
 
 from mocap_ros.bags.journal import decode_entry
 from mocap_ros.bags.reader import Bag
@@ -29,7 +24,7 @@ from mocap_ros.errors import MAX_MESSAGE_CHARACTERS, MocapError
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.mocap.joint_maps import load_marker_map
 from mocap_ros.formats.mocap.trials import TrialOptions, load_trials
-from mocap_ros.formats.sequence_file import SEQUENCE_KEYS, load_result_file, load_sequence
+from mocap_ros.formats.sequence_file import load_result_file, load_sequence
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON
 from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE, decode_image
@@ -45,13 +40,6 @@ LIMITS = NodeConfig()
 VIDEO = Video(fps=30.0, image_size=IMAGE_SIZE)
 FILE_SEPARATOR = b'\n%%%%\n'  # between the files of an input that has several
 MAX_MESSAGES = 1000  # messages of a bag that a target decodes; a reader has no such limit, and none is needed
-
-# Keys of the arrays that a file of packed arrays may hold, by the number that stands for them (`pack_arrays`).
-ARRAY_KEYS = (
-    *SEQUENCE_KEYS,
-    *('theta', 'residual_px', 'seen', '_joints', '35_01', 'mean', 'components', 'std', 'explained', 'meta'),
-    *('w0', 'b0', 'w1', 'b1', 'w2', 'b2', 'w3', 'b3'),
-)
 
 Read = Callable[[bytes, Path], object]  # reads bytes, and may write files into the folder, which is empty
 
@@ -132,14 +120,6 @@ def read_bvh(data: bytes, folder: Path) -> None:
     load_trials(folder / 'a.bvh')
 
 
-def read_asf(data: bytes, folder: Path) -> None:
-    """Read a skeleton and its motion, separated by `FILE_SEPARATOR`."""
-    skeleton, _, motion = data.partition(FILE_SEPARATOR)
-    (folder / 'a.asf').write_bytes(skeleton)
-    (folder / 'a.amc').write_bytes(motion)
-    load_trials(folder / 'a.amc')
-
-
 def read_c3d(data: bytes, folder: Path) -> None:
     """Read a C3D file."""
     (folder / 'a.c3d').write_bytes(data)
@@ -159,36 +139,6 @@ def read_npz(data: bytes, folder: Path) -> None:
             lambda: decode_lifter(data, 'a.npz'),
         )
     )
-
-
-def read_arrays(data: bytes, folder: Path) -> None:
-    """Read an .npz file of packed arrays: mutations change the arrays, and the archive stays whole."""
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, 'w') as archive:
-        for key, content in _unpack_arrays(data):
-            archive.writestr(f'{key}.npy', content)
-    read_npz(stream.getvalue(), folder)
-
-
-def pack_arrays(arrays: dict[str, NDArray[np.generic]]) -> bytes:
-    """Pack arrays: of each the number of its key (1 byte), the length (3 bytes) and the content as .npy."""
-    packed = b''
-    for key, array in arrays.items():
-        stream = io.BytesIO()
-        np.save(stream, array)
-        packed += bytes([ARRAY_KEYS.index(key)]) + len(stream.getvalue()).to_bytes(3, 'little') + stream.getvalue()
-    return packed
-
-
-def _unpack_arrays(data: bytes) -> Iterator[tuple[str, bytes]]:
-    """Yield keys, each once, and contents of packed arrays."""
-    seen = set()
-    while data:
-        key, size = ARRAY_KEYS[data[0] % len(ARRAY_KEYS)], int.from_bytes(data[1:4], 'little')
-        if key not in seen:
-            yield key, data[4 : 4 + size]
-        seen.add(key)
-        data = data[4 + size :]
 
 
 def read_yaml(data: bytes, folder: Path) -> None:
@@ -259,10 +209,8 @@ TARGETS: dict[str, Read] = {
     'messages': read_message,
     'json': read_json,
     'bvh': read_bvh,
-    'asf': read_asf,
     'c3d': read_c3d,
     'npz': read_npz,
-    'arrays': read_arrays,
     'yaml': read_yaml,
     'mcap': _make_bag_reader('.mcap'),
     'db3': _make_bag_reader('.db3'),
@@ -271,4 +219,4 @@ TARGETS: dict[str, Read] = {
     'folder': read_bag_folder,
 }
 # Targets whose input is no file, or is also read from memory; the errors of all others name the file or folder.
-UNNAMED = ('messages', 'npz', 'arrays', 'yaml')
+UNNAMED = ('messages', 'npz', 'yaml')

@@ -17,7 +17,7 @@ from mocap_ros.config import Config, RecorderConfig, with_values
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
-from mocap_ros.messages.cdr import Header, decode, encode
+from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.models.base_poses import BasePoses
@@ -165,22 +165,3 @@ def test_what_shows_no_person_is_refused(sequence: KeypointSequence, tmp_path: P
         replay(recorded, tmp_path / 'replayed', ReplayOptions(FAST_CONFIG))
     with pytest.raises(InputError, match='replayed: no person is in any message'):
         load_scene(tmp_path / 'replayed', OPTIONS)
-
-
-def test_messages_that_cannot_be_drawn_are_counted(bag: Path, tmp_path: Path) -> None:
-    with Bag(bag) as recorded, Recorder(tmp_path / 'odd', RecorderConfig()) as recorder:
-        for number, message in enumerate(recorded.messages(['/keypoints', '/skeletons'])):
-            raw = message.raw
-            if message.type == KEYPOINTS and number < 10:
-                broken = decode(raw, KEYPOINTS)
-                if number < 5:
-                    broken.people[0].x = broken.people[0].x[:3]
-                else:
-                    broken.people[0].x = np.full(17, np.inf, np.float32)
-                raw = encode(broken, KEYPOINTS)
-            recorder.write(message.topic, message.type, raw, message.time_ns, message.time_ns)
-            if message.type == SKELETONS and number < 8:
-                recorder.write('/skeletons', SKELETONS, raw[: len(raw) // 8 * 4], message.time_ns, message.time_ns)
-    scene, lines, _ = load_scene(tmp_path / 'odd', OPTIONS)
-    assert [int(line.partition(': ')[2].split()[0]) for line in lines] == [6, 4], 'one repeats a stamp'
-    assert scene.keypoints

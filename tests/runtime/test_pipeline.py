@@ -18,9 +18,8 @@ from mocap_ros.errors import InputError
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.messages.camera_info import decode_camera_info
-from mocap_ros.messages.cdr import Header, decode, encode
+from mocap_ros.messages.cdr import decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
-from mocap_ros.messages.markers import MARKERS
 from mocap_ros.runtime.pipeline import MAX_CONSECUTIVE_ERRORS, Pipeline
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.tracking.tracker import Tracker
@@ -57,15 +56,6 @@ def test_every_output_has_the_stamp_and_frame_of_its_input(stream: list[bytes]) 
         assert {h.frame_id for h in headers} == {'camera'}
         assert len(by_topic['skeletons'].people) == len(by_topic['cameras'].cameras) == 1
     assert pipeline.counters.accepted == 3
-
-
-def test_an_image_without_people_gives_outputs_without_people(stream: list[bytes]) -> None:
-    pipeline = Pipeline(FAST_CONFIG)
-    process(pipeline, stream[0])
-    outputs = process(pipeline, encode_keypoints(Header(10**12, 'camera'), (640, 480), []))
-    assert decode_skeletons(outputs).people == []
-    actions = [m.action for m in decode(outputs[2].data, MARKERS).markers]
-    assert actions == [2, 2]
 
 
 def test_bad_input_is_counted_and_changes_nothing(stream: list[bytes]) -> None:

@@ -19,7 +19,6 @@ from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError
 from mocap_ros.formats.bvh import load_bvh
-from mocap_ros.formats.detections import Detections
 from mocap_ros.formats.mocap.joint_maps import map_to_model
 from mocap_ros.formats.mocap.trials import load_trials
 from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
@@ -32,7 +31,6 @@ from mocap_ros.messages.skeletons import CAMERAS, SKELETONS, encode_skeletons
 from mocap_ros.people import Motion, MotionKind, Person3D
 from mocap_ros.runtime.load_results import holds_result, load_result
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS
-from mocap_ros.runtime.save_results import save_detections
 from mocap_ros.skeleton import BODY26, CMU15
 from tests.support.keypoint_files import FRAMES, make_walker
 from tests.support.motion_files import Z_UP_TO_Y_UP
@@ -252,7 +250,6 @@ def test_trc_has_the_header_of_opensim(results: Path) -> None:
 SCALE_KNOWN = 1  # the value of Skeleton3D
 LENSES = {  # distortion coefficients of sequence files, by the name of their model in a CameraInfo
     'plumb_bob': (0.1, -0.05, 0.001, -0.002),
-    'rational_polynomial': (0.1, -0.05, 0.001, -0.002, 0.01, 0.02, -0.01, 0.005),
     '': (),
 }
 
@@ -283,13 +280,6 @@ def test_a_bag_holds_the_camera_of_the_sequence(tmp_path: Path, walker: Keypoint
     with Bag(tmp_path / 'replayed') as bag:
         skeletons = [decode(m.raw, SKELETONS) for m in bag.messages(['/skeletons'])]
     assert {person.scale_source for message in skeletons for person in message.people} == {SCALE_KNOWN}
-
-
-def test_keypoints_of_hours_are_one_file(tmp_path: Path) -> None:
-    stamps = [0, 2 * 3_600_000_000_000, 5 * 3_600_000_000_000]  # ns
-    save_detections(tmp_path / 'day.mcap', Detections([()] * len(stamps), stamps, (640, 480)))
-    with Bag(tmp_path / 'day.mcap') as bag:
-        assert [m.time_ns for m in bag.messages(['/keypoints'])] == stamps
 
 
 FIRST, LAST = 10, 29  # frames in which the person of the next test is seen first and last

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -20,6 +22,7 @@ LIMITS = NodeConfig()
 QUICK_OPTIONS = ('--model', 'walk', '--set', 'solver.max_iterations=2')  # of commands whose result does not matter
 
 
+@cache
 def make_walker() -> KeypointSequence:
     """Return the beginning of the demo, where somebody walks, without camera and truth."""
     demo = make_recording().sequence()

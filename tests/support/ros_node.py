@@ -237,12 +237,6 @@ def stop_node_and_read_log(process: Process, by: signal.Signals = signal.SIGTERM
     return log.splitlines()
 
 
-def run_cli(env: dict[str, str], *arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run `mocap-ros` with these arguments."""
-    command = [sys.executable, '-m', 'mocap_ros.cli.main', *map(str, arguments)]
-    return subprocess.run(command, env=env, capture_output=True, text=True, check=False, timeout=60)
-
-
 def stack_joints(skeletons: Sequence[bytes]) -> np.ndarray:
     """Return the joints (N, 3) in m of all people in these messages."""
     people = [decode(raw, SKELETONS).people for raw in skeletons]
