@@ -1,20 +1,24 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The evaluation of one sequence: what is compared, what is left out, and what is refused."""
+"""Errors of one sequence: agreement with the measuring protocol, what is left out, and what is refused."""
 
 import json
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
 from mocap_ros.errors import InputError
+from mocap_ros.evaluation import metrics
+from mocap_ros.evaluation.coverage import compute_coverage
 from mocap_ros.evaluation.evaluate import (
     Evaluation,
     evaluate,
 )
 from mocap_ros.evaluation.metrics import LIMB_JOINTS
+from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.skeleton import CMU15
 from tests.support.swinging_body import make_swinging_body
 
@@ -95,3 +99,98 @@ def test_refusals_name_the_field(truth: np.ndarray, change: dict[str, object], p
     arguments: dict[str, Any] = {'joints': truth, 'truth': truth, **change}
     with pytest.raises(InputError, match=place):
         evaluate_joints(**arguments)
+
+
+Poses = tuple[np.ndarray, np.ndarray]  # found and true, (F, 15, 3) m
+
+
+@pytest.fixture
+def poses(rng: np.random.Generator) -> Poses:
+    truth = np.cumsum(rng.normal(scale=0.02, size=(30, 15, 3)), axis=0) + rng.normal(size=(15, 3))
+    return truth + 0.03 * rng.normal(size=truth.shape), truth
+
+
+def test_agrees_with_the_protocol_also_on_limbs_and_badly_seen_frames(
+    protocol: ModuleType, poses: Poses, rng: np.random.Generator
+) -> None:
+    predicted, truth = poses
+    predicted[7] = np.nan
+    computed = metrics.compute_errors(predicted, truth, fps=30.0)
+    expected = protocol.score(predicted, CMU15.joints, truth, CMU15.joints, fps=30.0)
+    assert computed.keys() == expected.keys()
+    assert computed == pytest.approx(expected, abs=1e-6)
+    score = rng.random((30, 15))
+    keypoints = np.dstack([truth[..., :2], score])
+    expected = protocol.score(
+        predicted, CMU15.joints, truth, CMU15.joints, keypoints, CMU15.joints, joints='limbs'
+    )
+    a, b = metrics.match_joints(CMU15.joints, CMU15.joints, limbs_only=True)
+    seen = metrics.find_well_seen_frames(CMU15.joints, score)
+    assert metrics.compute_errors(predicted[:, a], truth[:, b], 30.0, seen) == pytest.approx(expected, abs=1e-6)
+
+
+def test_each_alignment_removes_what_its_name_says(poses: Poses) -> None:
+    _, truth = poses
+    turned = 1.3 * truth @ rotation_from_vector(np.array([0.1, 0.5, -0.2])).T + [1, 2, 3]
+    errors = metrics.compute_errors(turned, truth, 30.0)
+    assert errors['seq_mpjpe_mm'] == pytest.approx(0, abs=1e-6)
+    assert errors['pa_mpjpe_mm'] == pytest.approx(0, abs=1e-6)
+    assert errors['mpjpe_mm'] > 10
+    scaled = metrics.compute_errors(truth * 1.1, truth, 30.0)
+    assert scaled['mpjpe_mm'] == pytest.approx(0, abs=1e-6)
+    assert scaled['metric_mpjpe_mm'] > 1
+    moved = metrics.compute_errors(truth + [0.3, 0, 0], truth, 30.0)
+    assert moved['metric_mpjpe_mm'] == pytest.approx(0, abs=1e-6)
+    assert moved['root_mm'] == pytest.approx(300)
+
+
+def test_accelerations_are_compared_where_no_frame_is_missing() -> None:
+    times = np.arange(90) / 30
+    truth = np.random.default_rng(0).normal(size=(1, 15, 3)) + 0.3 * np.sin(6 * times)[:, None, None]
+    predicted = truth * (1 + 0.1 * np.sin(5 * times))[:, None, None]
+    all_frames = metrics.compute_errors(predicted, truth, 30.0)['accel_mm_s2']
+    kept = np.delete(np.arange(90), [*range(5, 90, 7)])
+    some = metrics.compute_errors(predicted[kept], truth[kept], 30.0, times=times[kept])['accel_mm_s2']
+    assert some == pytest.approx(all_frames, rel=0.1)
+    every_second = slice(None, None, 2)
+    alone = metrics.compute_errors(predicted[every_second], truth[every_second], 30.0, times=times[every_second])
+    assert np.isnan(alone['accel_mm_s2'])
+
+
+DRAWN = 4000
+STD_M = 0.05
+ROOT_COVARIANCE = np.diag([0.01, 0.0004, 0.04]) + 0.005
+TRUTH = np.random.default_rng(1).normal(size=(15, 3)) + [0, 0, 4]
+
+
+def draw(rng: np.random.Generator) -> np.ndarray:
+    """Return joints (F, 15, 3) with errors of the covariances above; those of the hips are the root's alone."""
+    root = rng.multivariate_normal(np.zeros(3), ROOT_COVARIANCE, DRAWN)
+    sight = TRUTH.mean(axis=0) / np.linalg.norm(TRUTH.mean(axis=0))
+    own = rng.normal(scale=STD_M / np.sqrt(6), size=(DRAWN, 15, 3))
+    own += (own @ sight)[..., None] * sight  # twice as much along the line of sight
+    own[:, [CMU15.index('lhip'), CMU15.index('rhip')]] = 0
+    return np.asarray(TRUTH + root[:, None] + own)
+
+
+def measure(factor: float, joints: np.ndarray, names: tuple[str, ...] = CMU15.joints) -> dict[str, float]:
+    std = np.full((DRAWN, 15), STD_M * factor)
+    std[:, [CMU15.index('lhip'), CMU15.index('rhip')]] = 0
+    covariance = np.tile(ROOT_COVARIANCE * factor**2, (DRAWN, 1, 1))
+    return compute_coverage(joints, std, covariance, CMU15, np.tile(TRUTH, (DRAWN, 1, 1)), names)
+
+
+def test_right_covariances_hold_the_share_and_unknown_ones_are_left_out(
+    rng: np.random.Generator,
+) -> None:
+    joints = draw(rng)
+    known = measure(1.0, joints)
+    right = {'joints68': 0.68, 'joints95': 0.95, 'roots68': 0.68, 'roots95': 0.95}
+    assert known == pytest.approx(right, abs=0.02)
+    half = joints.copy()
+    half[::2] = np.nan
+    assert measure(1.0, half) == pytest.approx(known, abs=0.03)
+    assert measure(1.0, np.full_like(joints, np.nan)) == {}
+    without_hips = tuple(f'x{name}' if name.endswith('hip') else name for name in CMU15.joints)
+    assert set(measure(1.0, joints, without_hips)) == {'joints68', 'joints95'}
+    assert measure(1.0, joints, tuple(f'x{name}' for name in CMU15.joints)) == {}

@@ -196,8 +196,3 @@ def test_the_direction_of_a_long_sequence_is_that_of_all_frames_at_once(rng: np.
     expected = rotation_to_optical_axis(kernel @ centroid / kernel.sum(axis=1, keepdims=True))
     found = VirtualCamera.look_at_person(rays, weight, times, 1.0, CAMERA)
     assert found.rotation == pytest.approx(expected, abs=1e-9)
-
-
-def test_without_any_seen_joint_the_camera_is_the_real_one() -> None:
-    view = VirtualCamera.look_at_person(np.ones((2, 3, 2)), np.zeros((2, 3)), np.arange(2.0), SMOOTHING_S, CAMERA)
-    assert view.rotation == pytest.approx(np.tile(np.eye(3), (2, 1, 1)))

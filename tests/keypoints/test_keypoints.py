@@ -219,21 +219,6 @@ def map_plainly(joint_map: JointMap, points: Array, score: Array) -> tuple[Array
     return out, out_score
 
 
-@pytest.mark.parametrize('dimensions', [2, 3])
-def test_joints_are_mapped_as_the_formula_says(dimensions: int, rng: np.random.Generator) -> None:
-    joint_map = build_joint_map(NAMES)
-    points, score = rng.normal(size=(4, 25, 17, dimensions)), rng.random((4, 25, 17))
-    score[rng.random(score.shape) < 0.2] = 0
-    points[rng.random(points.shape) < 0.05] = np.nan
-    found, found_score = joint_map.apply(points, score)
-    assert (found.shape, found_score.shape) == ((4, 25, 15, dimensions), (4, 25, 15))
-    for index in np.ndindex(4, 25):
-        expected, expected_score = map_plainly(joint_map, points[index], score[index])
-        np.testing.assert_allclose(found[index], expected, rtol=1e-12, atol=1e-12)
-        np.testing.assert_allclose(found_score[index], expected_score, rtol=1e-12)
-    assert 0.1 < np.isnan(found).mean() < 0.6, 'some joints are seen and some are not'
-
-
 @pytest.mark.parametrize('lens', LENSES, ids=['pinhole', 'plumb_bob', 'equidistant'])
 def test_rays_are_those_of_the_formula(lens: Distortion, rng: np.random.Generator) -> None:
     camera = Intrinsics(640.0, (310.0, 250.0), True, 1.1, lens)

@@ -1,33 +1,44 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tests of the choice of category by evidence and of the periodic decision with its hysteresis."""
+"""Which motion: periodic or not with its hysteresis, and which prior leads."""
 
 from collections.abc import Mapping
 from dataclasses import replace
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
-from mocap_ros.config import ClassifierConfig, SolverConfig
-from mocap_ros.formats.mocap.trials import load_trials
+from mocap_ros.config import ClassifierConfig, Config, SolverConfig
+from mocap_ros.demo.motions import load_motions
+from mocap_ros.evaluation.metrics import scale_to_reference
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
+from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.offline import whole_sequence
+from mocap_ros.offline.whole_sequence import reconstruct_sequence
+from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.classification import (
     PeriodicFit,
     PeriodicSwitch,
-    choose_category,
     fit_periodic_stepwise,
     is_periodic,
     measure_jitter,
 )
+from mocap_ros.solvers.leading_prior import (
+    MAX_NOISE,
+    MAX_NOISE_RATIO,
+    NEGLIGIBLE_NOISE,
+    explains_as_well,
+)
 from mocap_ros.solvers.periodic.solver import EstimatedPoses
 from mocap_ros.solvers.stepwise import run_to_end
-from mocap_ros.solvers.window import Window
+from mocap_ros.solvers.window import Array, Window
+from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.training.fit_base_poses import fit_base_poses
-from tests.support.evaluation_data import shared
-from tests.support.synthetic_walk import make_walk
+from tests.support.synthetic_walk import BODY_TO_OPTICAL, make_walk
 
 QUICK = SolverConfig(components=20, max_iterations=30)
 
@@ -36,38 +47,6 @@ def fit_periodic(
     window: Window, models: Mapping[str, BasePoses], config: SolverConfig, initial: EstimatedPoses | None = None
 ) -> PeriodicFit:
     return run_to_end(fit_periodic_stepwise(window, models, config, initial))
-
-
-def make_window(protocol: ModuleType, trial: str, heading: float) -> Window:
-    data = np.load(shared('data/cmu/cmu15_30fps.npz'))
-    view = protocol.make_view(data[trial], data['_joints'], heading, noise=0.01, missing=0.05)
-    keypoints = np.nan_to_num(view['keypoints'].astype(float))
-    return Window(keypoints[..., :2], keypoints[..., 2], view['timestamps'])
-
-
-@pytest.fixture(scope='module')
-def models_without_35() -> dict[str, BasePoses]:
-    trials = [t for t in load_trials(shared('data/cmu/cmu15_30fps.npz')) if t.subject != '35' and t.clean]
-
-    def train(category: str) -> BasePoses:
-        poses = [t.poses for t in trials if t.category == category]
-        return fit_base_poses(poses, name=category, alignment='heading', mirror=True, bodies=1)
-
-    everything = fit_base_poses(
-        [t.poses for t in trials if t.category in ('walk', 'run', 'jump', 'dance')], name='all'
-    )
-    return {'walk': train('walk'), 'run': train('run'), 'jump': train('jump'), 'all': everything}
-
-
-@pytest.mark.parametrize(('trial', 'category', 'heading'), [('35_02', 'walk', 0), ('35_17', 'run', 120)])
-def test_evidence_finds_the_category_of_an_unseen_person(
-    protocol: ModuleType, models_without_35: dict[str, BasePoses], trial: str, category: str, heading: float
-) -> None:
-    window = make_window(protocol, trial, heading)
-    assert choose_category(window, models_without_35, QUICK).category == category
-    periodic = fit_periodic(window, models_without_35, QUICK)
-    assert periodic.category == category
-    assert is_periodic(periodic, ClassifierConfig())
 
 
 @pytest.fixture(scope='module')
@@ -150,3 +129,72 @@ def test_jitter_is_what_remains_of_noise_without_the_motion(rng: np.random.Gener
     assert measure_jitter(times, moved) == pytest.approx(measure_jitter(times, swing + noise)), 'of the body'
     few_frames, slow = slice(5), slice(0, None, int(rate / 10))
     assert measure_jitter(times[few_frames], noise[few_frames]) == measure_jitter(times[slow], noise[slow]) == 0
+
+
+FRAMES = 30
+TIMES = np.arange(FRAMES) / 30
+UNKNOWN = Intrinsics(20_000.0, (320.0, 240.0), is_focal_known=False)  # the scenes are orthographic
+STEP_NS = 33_333_333  # ns, 30 frames/s
+
+
+def make_motion(name: str, times: Array = TIMES) -> tuple[Array, BasePoses, Array]:
+    """Return poses (F, 15, 3) m of a motion of the demo in the camera's axes, its base poses and keypoints."""
+    model, motions = load_motions()
+    base_poses = fit_base_poses(
+        [model.poses(motions[name].sample(TIMES)[:, :-2])], name='own', alignment='heading'
+    )
+    poses = model.poses(motions[name].sample(times)[:, :-2])
+    truth = poses @ (BODY_TO_OPTICAL @ rotation_from_vector(np.array([0.0, 0.0, 0.8]))).T
+    keypoints = np.concatenate([200 * truth[..., :2] + [320, 240], np.ones((*poses.shape[:2], 1))], axis=-1)
+    return centre_poses(truth), base_poses, keypoints
+
+
+def reconstruct(keypoints: Array, base_poses: BasePoses, prior: str = 'learned') -> Array:
+    config = Config(solver=SolverConfig(prior=prior))
+    found = reconstruct_sequence(keypoints, CMU15.joints, TIMES, UNKNOWN, base_poses, config)
+    return centre_poses(found.core)
+
+
+@pytest.mark.parametrize('lifter_noise', [0.0, 0.001, 0.01, 0.02, 2 * MAX_NOISE])
+def test_a_little_more_noise_is_allowed_but_not_any(lifter_noise: float) -> None:
+    total = MAX_NOISE_RATIO * np.hypot(lifter_noise, NEGLIGIBLE_NOISE)
+    limit = min(np.sqrt(total**2 - NEGLIGIBLE_NOISE**2), MAX_NOISE)
+    assert explains_as_well(0.999 * limit, lifter_noise)
+    assert not explains_as_well(1.001 * limit, lifter_noise)
+    assert explains_as_well(1.001 * limit, lifter_noise, slack=1.1)
+
+
+def test_base_poses_of_the_very_person_lead(monkeypatch: pytest.MonkeyPatch) -> None:
+    truth, base_poses, keypoints = make_motion('run')
+
+    def error_mm(joints: Array) -> float:
+        return float(np.linalg.norm(scale_to_reference(joints, truth) - truth, axis=-1).mean() * 1e3)
+
+    own, alone = (error_mm(reconstruct(keypoints, base_poses, prior)) for prior in ('learned', 'pca'))
+    of_all = reconstruct(keypoints, replace(base_poses, name='all'))
+    monkeypatch.setattr(whole_sequence, 'explains_as_well', lambda *_: False)
+    lifter_leads = reconstruct(keypoints, base_poses)
+    assert own < 1.1 * alone
+    assert own < 0.6 * error_mm(lifter_leads)
+    np.testing.assert_array_equal(of_all, lifter_leads, 'base poses of that name are those of all motions')
+
+
+def test_live_the_lead_is_taken_and_given_back() -> None:
+    """Base poses of a run lead soon after the run has begun, and no longer when a walk has taken its place."""
+    times = np.arange(2 * FRAMES) / 30
+    _, base_poses, run = make_motion('run', times)
+    _, _, walk = make_motion('walk', times)
+    trackers = [Tracker(m, Config()) for m in (base_poses, replace(base_poses, name='all'))]
+    leads: list[list[bool]] = [[], []]
+    for frame, keypoints in enumerate([*run, *walk]):
+        for tracker, lead in zip(trackers, leads, strict=True):
+            person = Person2D('', CMU15.joints, keypoints[:, :2], keypoints[:, 2])
+            tracker.update(frame * STEP_NS, [person], UNKNOWN)
+            tracker.run_deferred_work()
+            (track,) = tracker.tracks
+            lead.append(track.solved.base_poses_lead)
+    own, of_all = leads
+    assert not own[0], 'a first solution needs the lifter, for a frame does not tell front from back'
+    assert all(own[45 : 2 * FRAMES])
+    assert not any(own[3 * FRAMES + 15 :])
+    assert not any(of_all)

@@ -10,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from mocap_ros.config import SolverConfig
 from mocap_ros.engine.refinement import NewestFrames
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
@@ -22,7 +21,6 @@ from mocap_ros.tracking.refinement import (
     EXTRAPOLATION_SHARE,
     MAX_EXTRAPOLATION_STEPS,
     collect_newest_frames,
-    refine,
 )
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
@@ -190,14 +188,6 @@ def test_no_person_is_expected_behind_the_camera(truth: TrackSolution, track: Tr
     assert predict(track)[2] == pytest.approx(track.observed.virtual_camera.rotation[2] @ root)
 
 
-def test_after_a_single_solved_frame_the_person_stays(truth: TrackSolution, track: Track) -> None:
-    track.solution = keep(truth, 1)
-    theta, rotation, depth = predict(track)
-    np.testing.assert_array_equal(theta, truth.theta[0])
-    assert rotation == pytest.approx(truth.rotation[0], abs=1e-12)
-    assert depth == pytest.approx(track.observed.virtual_camera.rotation[2] @ truth.roots[0])
-
-
 def test_with_a_lifter_a_new_frame_starts_from_its_lifted_pose(model: BasePoses, track: Track) -> None:
     depth, turn = track.solved.roots[-1, 2], Rotation.from_rotvec([0.0, 1.0, 0.0]).as_matrix()
     pose = 0.7 * model.poses(track.solved.theta[-1] + 0.2 * model.std) @ turn.T / depth
@@ -257,11 +247,3 @@ def test_a_refinement_replaces_the_newest_states_and_no_others(
         np.testing.assert_array_equal(states[4], [2.0] * FIRST + residual)
         assert stature == pytest.approx((states[3] @ per_bone).mean(), rel=1e-12)
         assert fit == pytest.approx(rms / body_px, nan_ok=True)
-
-
-def test_the_noise_is_averaged_over_the_window(model: BasePoses, track: Track) -> None:
-    config = replace(SolverConfig(), max_iterations=2)
-    noise = {n: refine([track], [(FIRST, n)], model, config)[0].noise ** 2 for n in (0, FIXED)}
-    share = np.exp(-4 / 9)  # of the old noise: 4 of 9 frames were solved
-    assert noise[FIXED] - share * track.solved.noise**2 < (1 - share) * 0.01**2
-    assert noise[0] < noise[FIXED]

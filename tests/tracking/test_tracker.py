@@ -14,19 +14,14 @@ from hypothesis import strategies as st
 import mocap_ros.tracking.tracker as tracker_module
 from mocap_ros.config import Config, with_settings
 from mocap_ros.errors import FrameDropped, SkeletonError
-from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.people import MotionKind
 from mocap_ros.skeleton import CMU15, CORE_COUNT
 from mocap_ros.tracking.tracker import Tracker
-from tests.support.paths import ROOT
 from tests.support.synthetic_walk import Walk, make_walk
 
-DEMO = ROOT / 'mocap_ros' / 'demo' / 'demo.npz'
 CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
 STEP_NS = 33_333_333
 CONFIG = with_settings(Config(), {'solver.components': 8, 'solver.prior_weight': 1e-5})
@@ -147,19 +142,6 @@ def test_outputs_belong_to_the_caller_and_early_deferred_work_does_not_change_th
         eager.run_deferred_work()
 
 
-def test_swapped_frames_are_undone_and_counted(walk_model: BasePoses) -> None:
-    _, _, points, _ = make_walk(walk_model, frames=60)
-    mirror = np.array(CMU15.mirror)
-    swapped = np.isin(np.arange(60), [20, 21, 22, 23, 40, 41])
-    plain, disturbed = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
-    for frame in range(60):
-        (a,) = plain.update(frame * STEP_NS, people(points, frame), CAMERA)
-        seen = points[:, mirror] if swapped[frame] else points
-        (b,) = disturbed.update(frame * STEP_NS, people(seen, frame), CAMERA)
-        assert (a.joints == b.joints).all(), frame
-    assert (plain.swapped_frames, disturbed.swapped_frames) == (0, 6)
-
-
 @pytest.mark.parametrize(
     ('lag', 'window', 'delay'), [(0.09, 2.0, 3), (0.3, 0.2, 9), (0.5, 2.0, 15), (2.0, 2.0, 60)]
 )
@@ -235,21 +217,6 @@ def test_arbitrary_keypoints_give_finite_output(walk_model: BasePoses, data: st.
         for person in tracker.update(frame * STEP_NS, seen, CAMERA):
             assert np.isfinite(person.joints).all()
             assert person.rotation @ person.rotation.T == pytest.approx(np.eye(3), abs=1e-6)
-
-
-def test_a_walk_is_classified_as_periodic_and_a_jump_is_not() -> None:
-    sequence = load_sequence(DEMO)
-    tracker = Tracker(load_base_pose_models('auto'), Config())
-    camera = sequence.intrinsics(1.0)
-    motions = {}
-    for stamp, keypoints in zip(sequence.timestamps, sequence.keypoints, strict=True):
-        seen = Person2D('p', sequence.joint_names, np.nan_to_num(keypoints[:, :2]), np.nan_to_num(keypoints[:, 2]))
-        for person in tracker.update(round(stamp * 1e9), [seen], camera):
-            motions[stamp] = person.motion
-    walk, jump = motions[sequence.timestamps[120]], motions[sequence.timestamps[310]]
-    assert (walk.kind, walk.category) == (MotionKind.PERIODIC, 'walk')
-    assert walk.cadence == pytest.approx(0.9, abs=1.1 * 0.029)  # Hz; measured: 0.871 and 0.874
-    assert jump.kind is MotionKind.NON_PERIODIC
 
 
 @pytest.mark.parametrize('stage', ['refine', 'make_people', 'advance_extremities'])

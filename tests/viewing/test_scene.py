@@ -17,10 +17,8 @@ from mocap_ros.viewing.scene import (
     SceneKeypoints,
     ScenePerson,
     SidedPoints,
-    choose_joint_colours,
     find_undone_swaps,
     image_corners,
-    list_colour_key,
 )
 from tests.support.scenes import INTRINSICS, make_keypoints, make_scene, make_scene_person
 from tests.support.swinging_body import make_swinging_body
@@ -53,15 +51,6 @@ def test_a_swap_of_another_person_is_not_taken_for_the_persons() -> None:
     other = replace(other, points=other.points[:, MIRROR])
     assert not find_swaps(anna, other, own).any()
     assert find_swaps(ben, own, other).all()
-
-
-def test_people_differ_in_colour_and_so_do_the_sides_of_one_person() -> None:
-    two = make_scene()
-    colours = [choose_joint_colours(two, index) for index in (0, 1)]
-    assert not set(colours[0]) & set(colours[1])
-    one = replace(two, people=two.people[:1])
-    left, right = (choose_joint_colours(one, 0)[CMU15.index(joint)] for joint in ('lknee', 'rknee'))
-    assert {('left', left), ('right', right)} <= set(list_colour_key(one))
 
 
 def test_the_space_holds_the_people() -> None:

@@ -1,21 +1,26 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""People who are none are never more than tentative, and those who are there stay who they are."""
+"""People come, are tentative, are delayed, go and are forgotten; detections that are none make no people."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mocap_ros.config import Config, with_settings
+from mocap_ros.errors import FrameDropped
 from mocap_ros.keypoints.identities import TENTATIVE_FORGET_S
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Array
+from mocap_ros.tracking.delayed_output import find_delayed_frame, find_oldest_needed_ns
 from mocap_ros.tracking.tracker import Tracker
+from tests.support.frozen_state import list_values
 from tests.support.synthetic_walk import make_walk
 from tests.support.tracks import CAMERA, STEP_NS
 
@@ -103,3 +108,83 @@ def test_fragments_and_new_ids_make_no_people(tracker: Tracker, points: Array, n
         detections, people = detections + len(seen), people + len(published)
     assert detections > 1.1 * people
     assert tracker.unusable_people == detections - people
+
+
+FORGET_ALL_S = 3.0  # s, in these tests
+VISIT_FRAMES = 20  # of a visit
+
+
+def make_tracker(model: BasePoses, **values: float) -> Tracker:
+    settings = {'solver.components': 8, 'solver.prior': 'pca', 'tracker.forget_all_after': FORGET_ALL_S, **values}
+    return Tracker(model, with_settings(Config(), settings))
+
+
+def visit(tracker: Tracker, first_frame: int, points: Array) -> list[tuple[Person3D, ...]]:
+    """Track two people without ids for some frames."""
+    output = []
+    for frame in range(VISIT_FRAMES):
+        people = [Person2D('', CMU15.joints, points[frame] + [shift, 0], np.ones(15)) for shift in (0, 400)]
+        output.append(tracker.update((first_frame + frame) * STEP_NS, people, CAMERA))
+    return output
+
+
+def wait(tracker: Tracker, first_frame: int, seconds: float) -> int:
+    """Track empty images, and return the number of the next frame."""
+    last = first_frame + round(seconds * 30)
+    for frame in range(first_frame, last):
+        assert tracker.update(frame * STEP_NS, [], CAMERA) == () or frame < first_frame + 30
+    return last
+
+
+@pytest.mark.parametrize('lag', [0.0, 0.2])
+def test_after_a_long_absence_a_tracker_is_as_new(walk_model: BasePoses, lag: float) -> None:
+    points = make_walk(walk_model, VISIT_FRAMES)[2]
+    used, new = (make_tracker(walk_model, **{'tracker.lag': lag}) for _ in range(2))
+    visit(used, 0, points)
+    back = wait(used, VISIT_FRAMES, FORGET_ALL_S + 1.0)
+    for tracker in (used, new):
+        tracker.update(back * STEP_NS, [], CAMERA)
+    later = [visit(tracker, back + 1, points) for tracker in (used, new)]
+    assert list_values(tuple(later[0])) == list_values(tuple(later[1]))
+    assert {p.id for p in later[0][-1]} == {'person_1', 'person_2'}
+    with pytest.raises(FrameDropped):
+        used.update((back - 1) * STEP_NS, [], CAMERA)
+
+
+def test_after_a_shorter_absence_names_are_remembered(walk_model: BasePoses) -> None:
+    points = make_walk(walk_model, VISIT_FRAMES)[2]
+    tracker = make_tracker(walk_model)
+    visit(tracker, 0, points)
+    back = wait(tracker, VISIT_FRAMES, FORGET_ALL_S - 1.0)
+    assert {p.id for p in visit(tracker, back, points)[-1]} == {'person_1', 'person_2'}
+
+
+def delay(stamps_ns: list[int], lag_s: float) -> list[tuple[int, int]]:
+    """Return the stamp of each frame with that of the frame that is output after it, both in ns."""
+    waiting: list[int] = []
+    out, has_begun = [], False
+    for stamp_ns in stamps_ns:
+        waiting.append(stamp_ns)
+        first, has_begun = find_delayed_frame(waiting, lag_s, has_begun=has_begun)
+        waiting = waiting[first:]
+        if has_begun:
+            out.append((stamp_ns, waiting[0]))
+    return out
+
+
+@given(
+    steps_ms=st.lists(st.integers(1, 400), min_size=2, max_size=60),
+    lag_s=st.floats(0.001, 1.0),
+)
+def test_stamps_never_go_back_and_delays_are_bounded(steps_ms: list[int], lag_s: float) -> None:
+    stamps_ns = [int(s) for s in np.cumsum(steps_ms) * 1_000_000]
+    out = delay(stamps_ns, lag_s)
+    shown = [s for _, s in out]
+    assert shown == sorted(shown)
+    for now_ns, shown_ns in out[1:]:
+        index = stamps_ns.index(shown_ns)
+        assert now_ns - shown_ns >= lag_s / 2 * 1e9 - 1
+        following_ns = stamps_ns[index + 1] if index + 1 < len(stamps_ns) else now_ns
+        assert now_ns - following_ns <= 1.5 * lag_s * 1e9 + 1, 'a later frame is older than the lag by a half'
+        needed = [s for s in stamps_ns if s <= find_oldest_needed_ns(now_ns, lag_s)]
+        assert not needed or shown_ns >= needed[-1]

@@ -1,31 +1,165 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Deferred work: when it is due, its slices, when it ends without a result; no person waits for ever."""
+"""Checks of hypotheses: what replaces a solution, when they are due, their slices, and that no person waits."""
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, with_settings, with_values
+from mocap_ros.geometry.rotations import rotation_from_vector
+from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_poses
-from mocap_ros.people import Motion, MotionKind
+from mocap_ros.people import Motion, MotionKind, Person3D
+from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, WINDOW_COST, DeferredWork, Work
-from mocap_ros.tracking.hypotheses import HypothesisChecker, Slices
+from mocap_ros.tracking.hypotheses import HypothesisChecker, Slices, classify_as_other
 from mocap_ros.tracking.schedule import NEW_TRACK_S, CheckSchedule, Classification
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
-from tests.support.synthetic_walk import make_walk
+from mocap_ros.tracking.tracker import Tracker
+from tests.support.synthetic_walk import Walk, make_walk
 from tests.support.tracks import CAMERA, STEP_NS, change, track_walk
 
+FRAMES = 45
+CONFIG = with_settings(Config(), {'solver.prior': 'pca', 'tracker.components': 20})
+
+
+@pytest.fixture(scope='module')
+def walk(walk_model: BasePoses) -> Walk:
+    return make_walk(walk_model, frames=FRAMES + 35)
+
+
+@pytest.fixture(scope='module')
+def tracker(walk_model: BasePoses, walk: Walk) -> Tracker:
+    """A tracker that has found the right model and the right solution of a walk."""
+    return track_walk({'jump': load_base_poses('jump'), 'walk': walk_model}, CONFIG, walk[2][:FRAMES])
+
+
+@pytest.fixture(scope='module')
+def track(tracker: Tracker) -> Track:
+    (track,) = tracker.tracks
+    assert track.solved.model_name == 'walk'
+    return track
+
+
+@pytest.fixture(scope='module')
+def checker(tracker: Tracker) -> HypothesisChecker:
+    return HypothesisChecker(tracker.models, CONFIG)
+
+
+def turn_round(solution: TrackSolution) -> TrackSolution:
+    """Return the wrong solution in which the person faces the other way, in the pose that the image then shows."""
+    half_turn = rotation_from_vector(np.array([0.0, 0.0, np.pi]))
+    return replace(solution, rotation=solution.rotation @ half_turn, theta=np.zeros_like(solution.theta))
+
+
+def measure_error(joints: Array, walk_model: BasePoses, walk: Walk, frames: NDArray[np.intp]) -> float:
+    """Return the mean error in mm of joints (n, J, 3) about the body's origin, after one scale."""
+    theta, cameras, _, _ = walk
+    truth = walk_model.poses(theta[frames]) @ np.swapaxes(cameras.rotation[frames], -1, -2)
+    scaled = joints * (joints * truth).sum() / (joints * joints).sum()
+    return float(np.linalg.norm(scaled - truth, axis=-1).mean() * 1e3)
+
+
+def finish(slices: Slices[Any]) -> Any:
+    """Do all slices at once, and return the result."""
+    try:
+        while True:
+            next(slices)
+    except StopIteration as end:
+        return end.value
+
+
+def test_a_wrong_model_is_replaced_and_the_right_one_is_kept(track: Track, checker: HypothesisChecker) -> None:
+    wrong = change(track, solution=track.solved.change_model('jump', checker.models['jump']))
+    found = finish(checker.check(wrong, 'walk'))
+    assert (found.model_name, len(found.theta)) == ('walk', FRAMES)
+    assert found.noise < 0.01
+    for restarts in (0, 1):  # from the poses so far, and from scratch
+        checked = track.copy()
+        checked.schedule.pending_restarts = restarts
+        assert finish(checker.check(checked, 'jump')) is None
+
+
+@pytest.mark.parametrize(('std_ratio', 'is_replaced'), [(0.98, False), (0.93, True), (1.05, False)])
+def test_a_margin_keeps_the_choice_of_the_model(
+    track: Track, checker: HypothesisChecker, std_ratio: float, is_replaced: bool
+) -> None:
+    """A twin of the model with a slightly tighter prior is slightly more likely, which is not enough."""
+    walk_model = checker.models['walk']
+    twin = replace(walk_model, std=std_ratio * walk_model.std)
+    found = finish(HypothesisChecker({**checker.models, 'twin': twin}, CONFIG).check(track, 'twin'))
+    assert (found is not None) is is_replaced
+    assert found is None or found.model_name == 'twin'
+
+
+def test_the_tracker_finds_back_to_the_right_solution(walk_model: BasePoses, walk: Walk) -> None:
+    """A wrong solution is given to a person; checks replace it within a second."""
+    injected = track_walk({'jump': load_base_poses('jump'), 'walk': walk_model}, CONFIG, walk[2][:FRAMES])
+    (track,) = injected.tracks
+    track.solution = turn_round(track.solved)
+    restarts, errors = [], []
+    for frame in range(FRAMES, FRAMES + 35):
+        seen = Person2D('', CMU15.joints, walk[2][frame], np.ones(15))
+        (person,) = injected.update(frame * STEP_NS, [seen], CAMERA)
+        restarts.append(track.schedule.pending_restarts)
+        errors.append(measure_error(centre(person)[None], walk_model, walk, np.array([frame])))
+    assert max(restarts) > 0, 'the rise of the image noise was noticed'
+    assert errors[0] > 100
+    assert max(errors[-5:]) < 60
+
+
+def centre(person: Person3D) -> Array:
+    return np.asarray(person.core - person.core.mean(axis=0))
+
+
+def test_first_solutions_have_all_frames_and_the_likeliest_model(track: Track, checker: HypothesisChecker) -> None:
+    unsolved = change(track, solution=None)
+    solutions = checker.initialise([unsolved, unsolved], ['jump', 'walk'])
+    assert [(s.model_name, len(s.theta)) for s in solutions] == [('walk', FRAMES)] * 2
+    assert solutions[0].theta == pytest.approx(solutions[1].theta, abs=1e-9), 'people of a batch are independent'
+    assert unsolved.solution is None
+
+
+def test_a_walk_of_a_full_section_is_classified(track: Track, checker: HypothesisChecker) -> None:
+    config = with_settings(CONFIG, {'classifier.section': 1.2, 'classifier.walk_residual': 0.2})
+    classification = finish(replace(checker, config=config).classify_motion(track))
+    assert classification is not None
+    assert (classification.motion.kind, classification.periodic_model_name) == (MotionKind.PERIODIC, 'walk')
+    strict = with_settings(config, {'classifier.amplitude': 0.9})
+    other = finish(replace(checker, config=strict).classify_motion(track))
+    assert other is not None
+    assert (other.motion.kind, other.periodic_model_name) == (MotionKind.NON_PERIODIC, '')
+    assert other.motion.category == 'walk'
+
+
+def test_a_short_section_is_enough_for_who_has_walked_before(track: Track, checker: HypothesisChecker) -> None:
+    config = with_settings(CONFIG, {'classifier.walk_residual': 0.2})
+    checker = replace(checker, config=config)
+    assert finish(checker.classify_motion(track)) is None, '1.5 s of 2 s'
+    other = classify_as_other(track)
+    walked = track.copy()
+    walked.schedule.last_periodic_ns, walked.schedule.classification = 0, other
+    classification = finish(checker.classify_motion(walked))
+    assert classification is not None
+    assert (classification.motion.kind, classification.periodic_model_name) == (MotionKind.PERIODIC, 'walk')
+    assert checker.still_repeats(walked, classification)
+    assert checker.still_repeats(walked, other), 'other motion need not repeat itself'
+
+
 S = 10**9  # ns
-FRAMES = 61
-NOW = (FRAMES - 1) * STEP_NS
+WORK_FRAMES = 61
+NOW = (WORK_FRAMES - 1) * STEP_NS
 LATE = NOW + 9 * S
-CONFIG = with_values(Config(), {'solver.prior': 'pca', 'tracker.components': 10})
+WORK_CONFIG = with_values(Config(), {'solver.prior': 'pca', 'tracker.components': 10})
 CHECK_SLICES, CHECK_COST = 20, 12_000
 WALK = Motion(MotionKind.PERIODIC, 'walk', 0.01, 1.0)
 
@@ -53,12 +187,12 @@ class IdleChecker(HypothesisChecker):
 
 @pytest.fixture(scope='module')
 def known(walk_model: BasePoses) -> Track:
-    (track,) = track_walk({'walk': walk_model}, CONFIG, make_walk(walk_model, FRAMES)[2]).tracks
+    (track,) = track_walk({'walk': walk_model}, WORK_CONFIG, make_walk(walk_model, WORK_FRAMES)[2]).tracks
     return track
 
 
 @pytest.fixture
-def track(known: Track) -> Track:
+def idle(known: Track) -> Track:
     """A track of two seconds of which nothing is due."""
     return with_schedule(known, 'ann', LATE, LATE)
 
@@ -82,7 +216,7 @@ def begin(work: DeferredWork, *tracks: Track) -> Work:
     return work.begun
 
 
-def finish(work: DeferredWork, track: Track) -> None:
+def finish_work(work: DeferredWork, track: Track) -> None:
     """Do the work that is due, as if frames without news followed."""
     work.advance([track], track.stamps_ns[-1])
     while work.begun is not None:
@@ -93,7 +227,7 @@ def test_the_work_that_is_latest_in_proportion_to_its_interval_begins(
     known: Track, models: dict[str, BasePoses]
 ) -> None:
     def choose(*due: tuple[str, int, int, float]) -> tuple[str, bool]:
-        work = DeferredWork(HypothesisChecker(models, CONFIG), ('jump', 'walk'), 0.5)
+        work = DeferredWork(HypothesisChecker(models, WORK_CONFIG), ('jump', 'walk'), 0.5)
         begun = begin(work, *(with_schedule(known, *one) for one in due))
         assert begun.then.schedule.check_count == begun.track.schedule.check_count == int(begun.is_check)
         return begun.track.id, begun.is_check
@@ -106,7 +240,7 @@ def test_the_work_that_is_latest_in_proportion_to_its_interval_begins(
 
 
 def test_a_frame_is_followed_by_as_many_slices_as_the_budget_allows(known: Track) -> None:
-    checker = IdleChecker({}, CONFIG)
+    checker = IdleChecker({}, WORK_CONFIG)
     work, track = DeferredWork(checker, ('walk',), 0.5), with_schedule(known, 'ann', 0, LATE)
     counts = [0]
     while counts == [0] or work.begun is not None:
@@ -122,7 +256,7 @@ def test_a_frame_is_followed_by_as_many_slices_as_the_budget_allows(known: Track
 
 def test_no_person_waits_for_ever_and_new_people_come_first(known: Track) -> None:
     """Forty people want more than can be done; one of them is new."""
-    checker = IdleChecker({}, CONFIG)
+    checker = IdleChecker({}, WORK_CONFIG)
     work = DeferredWork(checker, ('walk',), 5.0)
     people = [change(with_schedule(known, f'old {i}', NOW, NOW, 5.0), first_ns=-100 * S) for i in range(40)]
     new_checks = 0
@@ -145,14 +279,14 @@ def test_no_person_waits_for_ever_and_new_people_come_first(known: Track) -> Non
 
 def test_work_that_fails_is_not_repeated_for_ever(known: Track, models: dict[str, BasePoses]) -> None:
     """The next check is that of the next model; here the first model of the two does not exist."""
-    work = DeferredWork(HypothesisChecker(models, CONFIG), ('missing', 'walk'), 0.5)
+    work = DeferredWork(HypothesisChecker(models, WORK_CONFIG), ('missing', 'walk'), 0.5)
     track = with_schedule(known, 'ann', 0, LATE)
     with pytest.raises(KeyError, match='missing'):
         work.advance([track], NOW)
     assert (work.begun, track.schedule.check_count) == (None, 1)
     assert track.schedule.next_check_ns > NOW
     track.schedule.next_check_ns = 0
-    finish(work, track)
+    finish_work(work, track)
     assert track.schedule.check_count == 2
     assert track.schedule.next_check_ns > NOW
 
@@ -170,31 +304,31 @@ def test_work_that_fails_is_not_repeated_for_ever(known: Track, models: dict[str
     ],
 )
 def test_work_ends_where_its_track_is_not_what_it_was(
-    track: Track, models: dict[str, BasePoses], is_check: bool, event: str, is_kept: bool, is_due: bool
+    idle: Track, models: dict[str, BasePoses], is_check: bool, event: str, is_kept: bool, is_due: bool
 ) -> None:
-    work = DeferredWork(HypothesisChecker(models, CONFIG), ('jump', 'walk'), 0.5, frame_budget=1)
-    track.schedule.be_due(0, is_check=is_check)
-    begun, tracks = begin(work, track), [track]
+    work = DeferredWork(HypothesisChecker(models, WORK_CONFIG), ('jump', 'walk'), 0.5, frame_budget=1)
+    idle.schedule.be_due(0, is_check=is_check)
+    begun, tracks = begin(work, idle), [idle]
     assert begun.is_check is is_check
     if event == 'camera':
-        track.change_camera(replace(CAMERA, focal=600.0), 600.0)
+        idle.change_camera(replace(CAMERA, focal=600.0), 600.0)
     elif event == 'sides':
-        is_swapped = track.swap_filter.is_swapped.copy()
+        is_swapped = idle.swap_filter.is_swapped.copy()
         is_swapped[-3] = True
-        track.swap_filter = replace(track.swap_filter, is_swapped=is_swapped)
+        idle.swap_filter = replace(idle.swap_filter, is_swapped=is_swapped)
     elif event == 'noise':
-        track.schedule.baseline_noise = track.solved.noise / 2
+        idle.schedule.baseline_noise = idle.solved.noise / 2
         if not is_check:
             return  # a classification needs no other model
     elif event == 'another person of the same id':
-        tracks = [track.copy()]
+        tracks = [idle.copy()]
     elif event == 'forgotten':
         tracks = []
     work.advance(tracks, NOW)
     assert (work.begun is begun) is is_kept
     assert (work.begun is not None) is (is_kept or is_due), 'what is due begins again'
     if is_due:
-        assert track.schedule.check_count == (2 if is_check else 0)
+        assert idle.schedule.check_count == (2 if is_check else 0)
 
 
 def walk_on(track: Track, *, stops: bool) -> None:
@@ -210,11 +344,11 @@ def walk_on(track: Track, *, stops: bool) -> None:
 
 @pytest.mark.parametrize('stops', [False, True])
 def test_periodic_motion_ends_when_the_newest_poses_do_not_repeat_the_last_cycle(
-    track: Track, models: dict[str, BasePoses], stops: bool
+    idle: Track, models: dict[str, BasePoses], stops: bool
 ) -> None:
-    walk_on(track, stops=stops)
-    DeferredWork(IdleChecker(models, CONFIG), ('jump', 'walk'), 0.5).advance([track], NOW)
-    found = track.schedule.classification
+    walk_on(idle, stops=stops)
+    DeferredWork(IdleChecker(models, WORK_CONFIG), ('jump', 'walk'), 0.5).advance([idle], NOW)
+    found = idle.schedule.classification
     assert (found.motion.kind is MotionKind.NON_PERIODIC) == stops
     assert found.periodic_model_name == ('' if stops else 'walk')
 
