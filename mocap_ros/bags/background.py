@@ -32,11 +32,7 @@ def start_recorder(
     attachments: Sequence[Attachment] = (),
     definitions: Mapping[str, TypeDefinition] = MappingProxyType({}),
 ) -> BackgroundRecorder:
-    """Start a `BackgroundRecorder` with a new folder in `recorder.folder`, named by the time in ns.
-
-    Raises:
-        RecordingError: The folder cannot be written, or too little disk space is left.
-    """
+    """Start a `BackgroundRecorder` with a new folder in `recorder.folder`, named by the time in ns."""
     while True:
         with suppress(FolderTaken):  # by another recorder since it was chosen
             folder = choose_bag_folder(Path(config.folder), time_ns)
@@ -47,17 +43,10 @@ class BackgroundRecorder:
     """A `Recorder` that receives messages in batches, closes chunks every 0.1 s, and syncs the disk every 0.2 s.
 
     Args:
-        folder: Folder of the new bag.
-        config: Configuration of the recorder; `backlog` limits the number of waiting batches.
-        attachments: Files to attach to each file of the bag.
         definitions: Definitions of message types, by name, that differ from this package's.
 
     Attributes:
-        folder: Folder of the bag.
         refused_count: Number of the batches that `put` has refused.
-
-    Raises:
-        RecordingError: The folder exists or cannot be written, or too little disk space is left.
     """
 
     def __init__(
@@ -96,9 +85,6 @@ class BackgroundRecorder:
             records: Messages to write, and topics to add before their first message.
             even_if_full: Whether to queue the records even if as many wait as may.
             share: Share of the queue that these records may fill together with others.
-
-        Raises:
-            RecordingError: The recording has failed.
         """
         self.check()
         batch = tuple(records)
@@ -128,11 +114,7 @@ class BackgroundRecorder:
             raise error
 
     def close(self) -> None:
-        """Write the waiting batches and finish the bag.
-
-        Raises:
-            RecordingError: The disk is full or fails.
-        """
+        """Write the waiting batches and finish the bag."""
         with self._wake:
             self._closing = True
             self._wake.notify()

@@ -197,9 +197,6 @@ def read_run(bag: Bag) -> RecordedRun:
     A further file of a split bag begins with the last messages of every latched topic and the parameters. Where it
     is read with the files before it, these messages are left out; where it is read alone, they come before its
     first input.
-
-    Raises:
-        InputError: The bag cannot be read, or a message on a journal topic is not a journal entry.
     """
     topics = [t for t in bag.topics_of_type([JOURNAL]) if t.endswith('/journal')]
     latched = find_latched_inputs(bag) if topics else set()

@@ -71,16 +71,8 @@ class McapFile:
     Messages are collected in chunks. A chunk is closed when it reaches the configured size, or by `flush`.
     Every method may raise OSError where the disk is full or fails.
 
-    Args:
-        path: Path of the new file.
-        config: Compression and size of the chunks.
-
     Attributes:
-        path: Path of the file.
         statistics: Number and times of the messages written so far.
-
-    Raises:
-        OSError: The file exists or cannot be written.
     """
 
     def __init__(self, path: Path, config: RecorderConfig) -> None:

@@ -67,15 +67,9 @@ Item = ScannedMessage | Attachment | Metadata
 class McapScan:
     """An iterable of everything that can be read of an MCAP file, in the order of the file.
 
-    Args:
-        path: Path of the file.
-
     Attributes:
         losses: Sentences about what could not be read, as far as the scan has advanced.
         position: Number of the bytes scanned so far.
-
-    Raises:
-        OSError: The file cannot be read; also while the scan advances.
     """
 
     def __init__(self, path: Path) -> None:

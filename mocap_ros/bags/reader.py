@@ -70,11 +70,7 @@ class Bag:
             system, as an object with the methods of a path (`upath.UPath`).
 
     Attributes:
-        path: Path of the bag.
         duration_s: Time in s between the first and the last message.
-
-    Raises:
-        InputError: There is no bag at the path, or the bag cannot be read.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -139,9 +135,6 @@ class Bag:
         Args:
             keypoints_topic: Keypoint topic; the CameraInfo with the longest common namespace is chosen.
             name: CameraInfo topic to choose instead.
-
-        Raises:
-            InputError: The topic `name` does not exist, or several topics share equally much of the namespace.
         """
         candidates = self.topics_of_type([CAMERA_INFO])
         if name is not None:
@@ -163,14 +156,8 @@ class Bag:
     ) -> Iterator[BagMessage]:
         """Yield the messages of the topics in the order of their log times.
 
-        Args:
-            topics: The topics.
-            start_ns: Log time before which messages are left out, in ns; None to begin with the first.
-            stop_ns: Log time from which on messages are left out, in ns; None to end with the last.
-
-        Raises:
-            InputError: The bag is damaged, holds a message type that cannot be converted, or holds fewer messages
-                than it states; the last error is raised after all messages, and only if the whole bag is read.
+        - `start_ns`: Log time before which messages are left out, in ns; None to begin with the first.
+        - `stop_ns`: Log time from which on messages are left out, in ns; None to end with the last.
         """
         connections = [c for c in self._connections if c.topic in topics]
         if not connections:
@@ -192,11 +179,7 @@ class Bag:
             raise InputError(self._advise(f'only {message_count} of {expected} messages on {names} could be read'))
 
     def _make_converter(self, connection: Connection) -> Convert:
-        """Return the converter of a topic's messages; types unknown to this package stay as they are.
-
-        Raises:
-            InputError: The bag does not define the type of the connection, or the definition cannot be parsed.
-        """
+        """Return the converter of a topic's messages; types unknown to this package stay as they are."""
         recorded_type, definition, is_ros1 = connection.msgtype, connection.msgdef, self._is_ros1
         msgtype = self._types[connection.id]
         own_hash = typestore().hash_rihs01(msgtype) if msgtype in typestore().types else ''

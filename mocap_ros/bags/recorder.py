@@ -110,21 +110,12 @@ class Recorder:
     Every method raises RecordingError if the disk is full or fails, or if the bag is closed.
 
     Args:
-        folder: Folder of the new bag; missing parent folders are created.
-        config: Compression, limits of chunks and files, and the disk space to leave free.
-        attachments: Files to attach to each file of the bag.
         name: Beginning of the file names; by default the name of the folder.
         definitions: Definitions of message types, by name, that differ from this package's.
         executor: Runs what waits for the disk; by default, the methods wait themselves.
 
     Attributes:
-        folder: Folder of the bag.
         ros_distro: Distribution of ROS 2 that the bag names; by default the one on which this program runs.
-        topics: The topics that have been added, by name.
-
-    Raises:
-        FolderTaken: The folder exists.
-        RecordingError: The folder cannot be written, or too little disk space is left.
     """
 
     def __init__(
@@ -183,9 +174,6 @@ class Recorder:
         """Add a topic of any message type, unless the bag has it: readers accept one description of a topic only.
 
         The last messages of a latched topic are repeated at the start of each further file.
-
-        Raises:
-            RecordingError: The bag has the topic with another type.
         """
         declared = self.topics.get(topic.name, topic)
         if declared.type != topic.type:
@@ -229,17 +217,13 @@ class Recorder:
     ) -> None:
         """Append a message; flush when `chunk_seconds` of log time have passed since the last flush.
 
-        Args:
-            topic: Absolute name of the topic.
-            msgtype: Message type, such as `sensor_msgs/msg/CameraInfo`.
-            data: The message as CDR.
-            log_time_ns: Time of receipt, in ns; for an output, the time of its publication.
-            publish_time_ns: Time at which the publisher sent the message, in ns.
-            repeat_keys: What the message is about, such as the names of coordinate frames. A further file begins
-                with the messages of latched topics and those with keys, but for those whose keys are all among the
-                keys of a later message of the topic. A message with None is not repeated and replaces none.
-            may_begin_file: Whether the bag may continue in a further file with this message. What that file
-                repeats gets the log time of this message.
+        - `log_time_ns`: Time of receipt, in ns; for an output, the time of its publication.
+        - `publish_time_ns`: Time at which the publisher sent the message, in ns.
+        - `repeat_keys`: What the message is about, such as the names of coordinate frames. A further file begins
+          with the messages of latched topics and those with keys, but for those whose keys are all among the
+          keys of a later message of the topic. A message with None is not repeated and replaces none.
+        - `may_begin_file`: Whether the bag may continue in a further file with this message. What that file
+          repeats gets the log time of this message.
         """
         if topic not in self.topics or self.topics[topic].type != msgtype:
             self.declare_topic(topic, msgtype)

@@ -67,15 +67,6 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
     Each file of the other bag with a readable message, attachment or metadata becomes a file of the new bag; one
     that cannot be opened is a loss. The new bag is written as `<out>.partial` and renamed when it is complete. If
     the recovery fails or is interrupted, the new bag is deleted, and so is what a killed recovery left there.
-
-    Args:
-        path: Bag folder, or a .mcap or .db3 file; it is not changed.
-        out: Folder of the new bag.
-        report_progress: Called repeatedly with the number of processed bytes and of all bytes.
-
-    Raises:
-        InputError: There is no file of a bag, or no message could be read.
-        RecordingError: The new bag cannot be written.
     """
     files = list_recoverable_files(path)
     if not files:
@@ -108,11 +99,7 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
 
 
 def list_recoverable_files(path: Path) -> list[Path]:
-    """Return the files of a bag in the order of their numbers, each one as it is or else compressed.
-
-    Args:
-        path: Bag folder, or a file of a bag; there are no files if it is anything else.
-    """
+    """Return the files of a bag in the order of their numbers, each one as it is or else compressed."""
     if not path.is_dir():
         return [path] if path.suffix in (*ROS2_SUFFIXES, PACKED_SUFFIX) else []
     packed = [f for f in path.iterdir() if f.suffix == PACKED_SUFFIX and f.with_suffix('').suffix in ROS2_SUFFIXES]
@@ -121,13 +108,7 @@ def list_recoverable_files(path: Path) -> list[Path]:
 
 
 class _FileCopy:
-    """Copies everything that can be read of one file into the new bag.
-
-    Args:
-        name: Path of the file in the bag, for the report.
-        recorder: Recorder of the new bag.
-        report: Report to which recovered messages and losses are added.
-    """
+    """Copies everything that can be read of one file into the new bag."""
 
     def __init__(self, name: Path, recorder: Recorder, report: RecoveryReport) -> None:
         self._name = name
@@ -137,12 +118,7 @@ class _FileCopy:
         self._has_begun = False  # whether anything of the file is in the new bag
 
     def run(self, folder: Path, size: int) -> Iterator[int]:
-        """Copy what can be read; yield the number of bytes read so far, of a size.
-
-        Args:
-            folder: Folder for a temporary copy, where the file cannot be read in its place.
-            size: Number of bytes of the file.
-        """
+        """Copy what can be read; yield the number of bytes read so far, of a size."""
         try:
             if self._name.exists() and not self._name.is_file():
                 raise OSError('not a file')

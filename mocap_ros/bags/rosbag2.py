@@ -76,16 +76,9 @@ def make_topic(
 ) -> Topic:
     """Describe a topic.
 
-    Args:
-        name: Absolute name.
-        msgtype: Message type.
-        latched: Whether the durability is transient local.
-        qos: QoS profiles that the publishers offer, of which equal ones are held once. If there is none, or none
-            that is transient local for a latched topic, one reliable profile takes their place.
-        definition: Definition of the message type; by default, this package's.
-
-    Raises:
-        RecordingError: No definition is given, and this package does not define the message type.
+    - `qos`: QoS profiles that the publishers offer, of which equal ones are held once. If there is none, or none
+      that is transient local for a latched topic, one reliable profile takes their place.
+    - `definition`: Definition of the message type; by default, this package's.
     """
     text, type_hash = definition or _generate_definition(msgtype)
     profiles = tuple(q for i, q in enumerate(qos) if q not in qos[:i])
@@ -148,13 +141,7 @@ class MessageStatistics:
 def describe_bag(
     topics: Iterable[Topic], files: Mapping[str, MessageStatistics], ros_distro: str
 ) -> dict[str, Any]:
-    """Return the content of metadata.yaml.
-
-    Args:
-        topics: All topics, including those without messages.
-        files: Statistics of the files by name, in the order of recording.
-        ros_distro: Name of the distribution on which the bag was recorded; empty where it is unknown.
-    """
+    """Return the content of metadata.yaml."""
 
     def summarise(files: Iterable[MessageStatistics]) -> dict[str, Any]:
         filled = [f for f in files if f.first_ns >= 0]

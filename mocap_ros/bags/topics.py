@@ -122,15 +122,7 @@ def find_people_topics(bag: Bag, name: str | None = None) -> dict[str, Source]:
     Keypoints come either on one topic for all people or, from ROS4HRI, on one topic for each body beside the topic
     that lists the tracked bodies.
 
-    Args:
-        bag: Bag to search.
-        name: Topic to choose where the bag holds several; for ROS4HRI, the topic that lists the tracked bodies.
-
-    Returns:
-        The source of each topic.
-
-    Raises:
-        InputError: The bag holds no such topic, or several while `name` is missing; the message lists them.
+    - `name`: Topic to choose where the bag holds several; for ROS4HRI, the topic that lists the tracked bodies.
     """
     groups = {topic: {topic: Source.KEYPOINTS} for topic in bag.topics_of_type(KEYPOINT_TYPES)}
     tracked_topics = [t for t in bag.topics_of_type([HRI_IDS]) if t == name or t.endswith(TRACKED_SUFFIX)]

@@ -102,11 +102,7 @@ class _Node:
 
 
 def load_bvh(path: Path) -> BvhMotion:
-    """Read a BVH file.
-
-    Raises:
-        InputError: the file is not BVH, or is damaged; the error names the file and the line.
-    """
+    """Read a BVH file."""
     lines = iter(enumerate(read_text(path, 'replace').splitlines(keepends=True), 1))
     with naming(path):
         nodes = _read_hierarchy(lines)

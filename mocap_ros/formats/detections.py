@@ -74,11 +74,7 @@ class Video:
     focal: float | None = None
 
     def find_focal_length(self, image_width: int, name: str = '--focal') -> float | None:
-        """Return the focal length in px, in images of this width in px; None where neither it nor hfov is given.
-
-        Raises:
-            InputError: it is no focal length in px in an image of this width; the error gives it this name.
-        """
+        """Return the focal length in px, in images of this width in px; None where nothing gives it."""
         if self.hfov is not None:
             return image_width / 2 / math.tan(math.radians(self.hfov / 2))
         if self.focal is not None:
@@ -96,11 +92,9 @@ class Detections:
     """All people in all frames.
 
     Attributes:
-        people: (F,) the people in each frame.
         stamps_ns: (F,) ns, strictly increasing.
         image_size: (width, height) in px, (0, 0) where unknown.
         intrinsics: intrinsics of the camera, or None where unknown.
-        frame_id: name of the camera's optical frame, or empty.
         notes: lines that say what the reader left out.
     """
 
@@ -125,16 +119,10 @@ def create_person(
 ) -> Person2D:
     """Validate the keypoints of a person from a file.
 
-    Args:
-        keypoints: (J, 3) x and y in px and the score; keypoints beyond the joints of the layout are left out.
-        layout_name: name of the keypoint layout; empty where it follows from `joint_names` or from the number of
-            keypoints.
-        person_id: id given by the detector, or empty.
-        joint_names: (J,) names of the joints, or empty; they are used if `layout_name` is empty.
-
-    Raises:
-        InputError: no layout has that number of keypoints, or a keypoint is not valid.
-        SkeletonError: the layout is unknown, or too few of its joints are known.
+    - `keypoints`: (J, 3) x and y in px and the score; keypoints beyond the joints of the layout are left out.
+    - `layout_name`: name of the keypoint layout; empty where it follows from `joint_names` or from the number of
+      keypoints.
+    - `joint_names`: (J,) names of the joints, or empty; they are used if `layout_name` is empty.
     """
     if not layout_name and not joint_names and len(keypoints) not in LAYOUT_BY_KEYPOINT_COUNT:
         raise InputError(
@@ -160,10 +148,6 @@ def arrange_frames(people_by_image: Mapping[Any, Sequence[Person2D]], video: Vid
 
     An id that two people of one frame have identifies neither, as the 0 that AlphaPose gives to all people if it
     does not track. It is left out wherever it occurs, and a line of `notes` says so.
-
-    Raises:
-        InputError: there are no frames, the frame rate is missing or above `MAX_FRAME_RATE_HZ`, the numbers are
-            too far apart for one video, or the images are of several.
     """
     if not people_by_image:
         raise InputError('no frames')
@@ -264,10 +248,6 @@ def select_person(
     Returns:
         The keypoints from the first frame with that person to the last, and lines for the user that say who was
         selected, what was left out and what was assumed.
-
-    Raises:
-        InputError: no person is seen, none has that id, the keypoints are not in px, or there are more than
-            `MAX_KEYPOINTS`.
     """
     tracks, ignored = associate_people(detections, settings)
     if not tracks:
@@ -298,9 +278,6 @@ def arrange_people(
 
     Returns:
         A sequence for each track, and lines on what was left out of the detections and assumed of them.
-
-    Raises:
-        InputError: the keypoints are not in px, or a person has more than `MAX_KEYPOINTS`.
     """
     _refuse_other_unit(detections)
     if not all(detections.image_size):

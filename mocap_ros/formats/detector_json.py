@@ -68,13 +68,7 @@ class _Entry(NamedTuple):
 
 
 class _Categories(NamedTuple):
-    """What a file says of joints and categories.
-
-    Attributes:
-        names: names of the joints by category.
-        general: those of all other people.
-        others: ids of the categories that are no people.
-    """
+    """What a file says of joints and categories."""
 
     names: dict[Any, Names]
     general: Names = ()
@@ -86,10 +80,8 @@ class _Found:
     """What a file or folder holds.
 
     Attributes:
-        people: people by image.
         entries: entry, (J, 3) keypoints and the names of the joints of each person.
         without_keypoints: number of detections without keypoints.
-        others: number of detections that are no people.
     """
 
     people: dict[ImageName, list[Person2D]] = field(default_factory=dict)
@@ -103,9 +95,6 @@ def load_json_folder(folder: Path, video: Video) -> Detections:
 
     `video` gives the frame rate, which is required unless the names are times, the image size, and the layout if
     it follows neither from names in the files nor from the number of keypoints.
-
-    Raises:
-        InputError: the folder has no such files, or a file is not valid; the error names the file and the person.
     """
     paths = sorted(folder.glob(f'*{FILE_SUFFIX}')) or sorted(folder.glob('*.json'))
     if not paths:
@@ -128,10 +117,6 @@ def load_json_file(path: Path, video: Video) -> Detections:
 
     An image's `frame_id` is the number of its frame, else its file name or its id order it. `video` is as for
     `load_json_folder`; a size in the file overrides that of the images.
-
-    Raises:
-        InputError: the file has none of these forms, or its content is not valid; the error names the file and the
-            entry.
     """
     content = read_json(path)
     with naming(path):

@@ -60,11 +60,7 @@ class ImageOrder(NamedTuple):
 
 
 def order_images(names: Iterable[ImageName]) -> ImageOrder:
-    """Return the order of different images.
-
-    Raises:
-        InputError: the names are those of several cameras or videos.
-    """
+    """Return the order of different images."""
     names = list(names)
     if all(isinstance(name, int) and abs(name) < MAX_FRAME_NUMBER for name in names):
         return ImageOrder({name: int(name) for name in sorted(names, key=int)}, {})

@@ -48,9 +48,6 @@ def iterate_arrays(
     """Yield those of the keys that an .npz file has, in its order, and their arrays.
 
     `kind` says in messages what the file should be, with article.
-
-    Raises:
-        InputError: the file cannot be read, or holds more than `max_bytes`.
     """
     key = ''
     try:

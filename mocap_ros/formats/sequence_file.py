@@ -212,11 +212,7 @@ def load_sequence(path: str | Path) -> KeypointSequence:
 
 
 def validate_sequence(array_by_key: Mapping[str, NDArray[np.generic]]) -> KeypointSequence:
-    """Return the sequence of arrays that have the keys, the shapes and the units of a sequence file.
-
-    Raises:
-        InputError: an array is missing or not valid; the error names the key and the frame.
-    """
+    """Return the sequence of arrays that have the keys, the shapes and the units of a sequence file."""
     arrays = ArrayReader(array_by_key)
     timestamps = arrays.read_numbers('timestamps', (None,))
     frames = len(timestamps)
@@ -268,9 +264,6 @@ def validate_camera(
     """Return the image size (width, height) in px, the camera matrix and the distortion of a file's arrays.
 
     The camera matrix (3, 3) in px and the distortion coefficients are None where they are missing.
-
-    Raises:
-        InputError: an array is not valid, or `image_size` is missing; the error names the key.
     """
     arrays = ArrayReader(array_by_key)
     size = arrays.read_numbers('image_size', (2,))
@@ -290,11 +283,7 @@ def validate_camera(
 
 
 def check_timestamps(timestamps: Array) -> None:
-    """Check that timestamps (F,) in s can be those of a video.
-
-    Raises:
-        InputError: a timestamp is out of range or not later than the one before, or the unit seems to be another.
-    """
+    """Check that timestamps (F,) in s can be those of a video."""
     invalid = ~(np.abs(timestamps) < MAX_TIMESTAMP_S) | (timestamps < 0)
     if invalid.any():
         frame = int(invalid.argmax())
@@ -379,11 +368,7 @@ def is_result_file(path: Path) -> bool:
 
 
 def load_result_file(path: Path) -> StoredResult:
-    """Read and validate a result file.
-
-    Raises:
-        InputError: the file is not a result, or its content is not valid; the error names the file and the key.
-    """
+    """Read and validate a result file."""
     with naming(path):
         array_by_key = read_arrays(path, {*READ_KEYS, *INPUT_KEYS}, 'a result of reconstruct')
         arrays = ArrayReader(array_by_key)

@@ -27,11 +27,7 @@ def list_pixel_files(path: Path) -> list[Path]:
 
 
 def load_pixel_files(path: Path, video: Video) -> Detections:
-    """Load the people of a file or folder of Sports2D; the files have the times.
-
-    Raises:
-        InputError: a file has another content, such as 3D markers; the error names the line.
-    """
+    """Load the people of a file or folder of Sports2D; the files have the times."""
     people_by_stamp: dict[int, list[Person2D]] = {}
     for file in list_pixel_files(path):
         person_id = file.stem.rpartition('person')[2]

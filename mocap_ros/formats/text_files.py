@@ -29,10 +29,6 @@ def read_text(path: Path, errors: str = 'strict', max_bytes: int = MAX_FILE_BYTE
     """Read a UTF-8 file of at most `max_bytes`, with or without a byte-order mark.
 
     `errors` says what to do about bytes that are not UTF-8, as in `bytes.decode`.
-
-    Raises:
-        InputError: the path is not that of a file, or the file is too large or not UTF-8; the error names the
-            path.
     """
     try:
         with open_input_file(path) as file:
@@ -74,10 +70,6 @@ def check_output(path: Path, *sources: Path) -> None:
     Args:
         path: path of the file.
         sources: input files, which must not be overwritten.
-
-    Raises:
-        MocapError: `path` is one of the sources, a folder or a named pipe, or its folder does not exist or is not
-            writable; the error names the file.
     """
     if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
         raise MocapError(f'{path}: not written, because it is the input file')
@@ -100,10 +92,6 @@ def replace_output(path: Path, *sources: Path) -> Iterator[Path]:
     block leaves the old file as it was, and nothing of the new one. A link stays, and the file that it points to
     is replaced; an existing file keeps its permissions. Paths in /dev and /proc and devices are written directly:
     then `path` itself is yielded.
-
-    Raises:
-        MocapError: `check_output`, which has the same arguments, refuses the path, or the file cannot be written;
-            the error names `path`, also if the block raised it with the name of the temporary file.
     """
     check_output(path, *sources)
     if path.exists() and (not path.is_file() or path.absolute().parts[1:2] in (('dev',), ('proc',))):

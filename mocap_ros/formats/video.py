@@ -66,10 +66,6 @@ class VideoReader:
         left_out: number of images that were left out so far.
         ending: after the last image, a line that says where the video ended if the file states that it is longer;
             else empty.
-
-    Raises:
-        InputError: the path cannot be opened, holds no video, or one that PyAV cannot decode; the error names it.
-        MocapError: PyAV is not installed.
     """
 
     def __init__(self, path: Path, *, is_camera: bool = False) -> None:
@@ -254,11 +250,7 @@ def _describe(error: Exception) -> str:
 
 
 def write_video(path: Path, images: Iterable[tuple[float, NDArray[np.uint8]]]) -> None:
-    """Write an .mp4 of times in s and images (H, W, 3), red, green and blue, all of the size of the first.
-
-    Raises:
-        MocapError: PyAV is not installed, or cannot write it.
-    """
+    """Write an .mp4 of times in s and images (H, W, 3), red, green and blue, all of the size of the first."""
     try:
         import av
     except ImportError:

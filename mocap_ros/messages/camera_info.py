@@ -84,15 +84,10 @@ def encode_camera_info(header: Header, camera: CameraInfo) -> bytes:
 def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
     """Decode the image size and the intrinsics of a sensor_msgs/CameraInfo.
 
-    Args:
-        raw: CDR bytes.
-        rectified: whether the keypoints were detected in the rectified image. Then the projection matrix P is
-            used (K where P is not set), and no distortion.
+    - `rectified`: whether the keypoints were detected in the rectified image. Then the projection matrix P is
+      used (K where P is not set), and no distortion.
 
     A matrix or a distortion that cannot be used is left out, and `CameraInfo.note` says so.
-
-    Raises:
-        InputError: the bytes are not a CameraInfo, or neither its matrix nor its size can be used.
     """
     message = decode(raw, CAMERA_INFO)
     name, matrix = 'k', np.asarray(message.k, np.float64).reshape(3, 3)

@@ -50,10 +50,7 @@ class OutputMessage:
     """A message to publish and to record.
 
     Attributes:
-        topic: relative name of the topic.
-        type: name of the message type, such as `visualization_msgs/msg/MarkerArray`.
         stamp_ns: `header.stamp` in ns.
-        data: the message as CDR.
     """
 
     topic: str

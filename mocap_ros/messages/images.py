@@ -117,19 +117,7 @@ ENCODINGS = tuple(_ENCODINGS)  # names of the encodings that are read
 
 
 def decode_image(raw: bytes, msgtype: str, limits: NodeConfig) -> tuple[Header, Pixels]:
-    """Decode an image.
-
-    Args:
-        raw: CDR bytes.
-        msgtype: one of `IMAGE_TYPES`.
-        limits: limits on the length of a text.
-
-    Returns:
-        The header, and the image (H, W, 3) as red, green and blue.
-
-    Raises:
-        InputError: the message is not valid, or of an encoding that is not read; the error names the field.
-    """
+    """Decode an image of one of `IMAGE_TYPES`: its header, and red, green and blue (H, W, 3)."""
     message = decode(raw, msgtype)
     header = validate_header(message.header, limits)
     if msgtype == COMPRESSED_IMAGE:

@@ -65,14 +65,7 @@ BODY_FORMATS = (ZED18, ZED34, ZED38, ZED38)  # by the field `body_format`: 18, 3
 def decode_frame(raw: bytes, msgtype: str, limits: NodeConfig, size: ImageSize) -> KeypointsFrame:
     """Decode and validate a message of any type that holds all people of an image.
 
-    Args:
-        raw: CDR bytes.
-        msgtype: one of `KEYPOINT_TYPES`, or its name in an older package.
-        limits: parameters that limit the number of people and joints and the length of texts.
-        size: (width, height) of the image in px, (0, 0) where unknown; a Keypoints2DArray gives its own.
-
-    Raises:
-        InputError: the message is not valid; the error names the field, and the person if the fault is in one.
+    - `size`: (width, height) of the image in px, (0, 0) where unknown; a Keypoints2DArray gives its own.
     """
     if msgtype == KEYPOINTS:
         return decode_keypoints(raw, limits)
@@ -153,9 +146,6 @@ def decode_body(raw: bytes, body_id: str, size: ImageSize, limits: NodeConfig) -
     """Decode a Skeleton2D: the header of the image, and the person.
 
     The normalised coordinates are multiplied by the size of the image. The id is that in the name of the topic.
-
-    Raises:
-        InputError: the message is not valid, or the size of the image is unknown; the error names the field.
     """
     message = decode_input(raw, HRI_SKELETON)
     header = validate_header(message.header, limits)
@@ -171,11 +161,7 @@ def decode_body(raw: bytes, body_id: str, size: ImageSize, limits: NodeConfig) -
 
 
 def decode_ids(raw: bytes, limits: NodeConfig) -> tuple[Header, tuple[str, ...]]:
-    """Decode an IdsList: the header of the image, and the ids of all bodies that are tracked in it.
-
-    Raises:
-        InputError: the message is not valid, there are too many ids, or an id is too long.
-    """
+    """Decode an IdsList: the header of the image, and the ids of all bodies that are tracked in it."""
     message = decode_input(raw, HRI_IDS)
     if len(message.ids) > limits.max_people:
         raise InputError(f'ids: {len(message.ids)}, more than {limits.max_people}')

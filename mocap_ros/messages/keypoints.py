@@ -33,10 +33,8 @@ class KeypointsFrame:
     """The people in one image.
 
     Attributes:
-        header: header of the image.
         image_width: px, 0 where unknown.
         image_height: px, 0 where unknown.
-        people: people in the order of the message.
         without_keypoints: number of detections of people without keypoints; models that find boxes have no others.
     """
 
@@ -48,11 +46,7 @@ class KeypointsFrame:
 
 
 def decode_keypoints(raw: bytes, limits: NodeConfig) -> KeypointsFrame:
-    """Decode and validate a Keypoints2DArray.
-
-    Raises:
-        InputError: the message is not valid; the error names the field, and the person if the fault is in one.
-    """
+    """Decode and validate a Keypoints2DArray."""
     message = decode_input(raw, KEYPOINTS)
     header = validate_header(message.header, limits)
     people = read_people('people', message.people, lambda p: _read_person(p, message.image_width, limits), limits)
@@ -62,11 +56,7 @@ def decode_keypoints(raw: bytes, limits: NodeConfig) -> KeypointsFrame:
 def read_people(
     field: str, entries: Sequence[Any], read_person: Callable[[Any], Person2D | None], limits: NodeConfig
 ) -> tuple[Person2D, ...]:
-    """Read the entries of the field that lists people; `read_person` returns None where an entry is no person.
-
-    Raises:
-        InputError: there are too many people, one is not valid, or an id occurs twice; the error names the field.
-    """
+    """Read the entries of the field that lists people; `read_person` returns None where an entry is no person."""
     if len(entries) > limits.max_people:
         raise InputError(f'{field}: {len(entries)}, more than {limits.max_people}')
     people = []
@@ -105,21 +95,12 @@ def _read_person(person: Any, image_width: int, limits: NodeConfig) -> Person2D:
 def validate_person(
     person_id: str, joints: tuple[str, ...], points: Array, score: Array, image_width: int, field: str = ''
 ) -> Person2D:
-    """Validate the keypoints of a person from any message type.
+    """Validate the keypoints of a person from any message type: points (J, 2) in px and scores (J,).
 
-    Args:
-        person_id: id given by the detector, or empty.
-        joints: (J,) joint names.
-        points: (J, 2) image points in px.
-        score: (J,) confidence scores.
-        image_width: width of the image in px, 0 where unknown.
-        field: name of the field that holds the keypoints; empty where x, y and score are fields themselves.
+    - `field`: name of the field that holds the keypoints; empty where x, y and score are fields themselves.
 
     Returns:
         The person, in which unseen keypoints have NaN points and score 0.
-
-    Raises:
-        InputError: a keypoint is not valid; the error names the field and the index of the joint.
     """
     prefix = f'{field}: ' if field else ''
     fault = find_first_fault(points, score)

@@ -71,14 +71,10 @@ class Marker(NamedTuple):
 
     Attributes:
         namespace: text before the number; both together are the name of the marker.
-        number: value of the field `id`.
-        type: value of the field `type`.
         scale: (3,) m.
-        color: (4,) of the whole.
         points: (P, 3) m.
         colors: (P, 4) of each point; None where they have the colour of the whole.
         pose: (7,) position in m, and the quaternion x, y, z, w.
-        action: value of the field `action`.
     """
 
     namespace: str

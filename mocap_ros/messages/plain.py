@@ -54,15 +54,7 @@ def encode_plain(value: Any, msgtype: str) -> bytes:
 
 
 def decode_plain(raw: bytes, msgtype: str) -> SimpleNamespace:
-    """Decode CDR as plain values by the names of the fields: texts, numbers, arrays of numbers, lists of messages.
-
-    Args:
-        raw: CDR bytes.
-        msgtype: name of the expected message type, which does not consist of numbers of one type alone.
-
-    Raises:
-        InputError: the bytes are not a message of that type.
-    """
+    """Decode CDR as values by the names of fields: texts, numbers, arrays of numbers, lists of messages."""
     data = raw[len(ENCAPSULATION) :]
     try:
         message, end = _find_codec((Nodetype.NAME, msgtype), '>' if raw[:2] == BIG_ENDIAN else '<').read(data, 0)

@@ -140,12 +140,7 @@ class RecordedSkeletons(NamedTuple):
 
 
 def decode_skeletons(raw: bytes) -> RecordedSkeletons:
-    """Decode a Skeleton3DArray, with joints, root covariances and vertical in the camera's optical frame.
-
-    Raises:
-        InputError: the bytes are no Skeleton3DArray, its camera pose is not valid, or a person does not have the
-            joints of a known skeleton; the error names the field.
-    """
+    """Decode a Skeleton3DArray, with joints, root covariances and vertical in the camera's optical frame."""
     message = decode_plain(raw, SKELETONS)
     pose = None
     with naming('camera_pose'):

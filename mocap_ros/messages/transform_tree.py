@@ -95,16 +95,7 @@ class TransformTree:
         self._newest_ns = 0  # stamp of the transform that came last on /tf
 
     def add(self, raw: bytes, *, is_static: bool) -> None:
-        """Add the transforms of a TFMessage.
-
-        Args:
-            raw: CDR bytes.
-            is_static: whether the message came on /tf_static.
-
-        Raises:
-            InputError: the bytes are no TFMessage, a transform is not valid, or there are more than `MAX_FRAMES`
-                frames; nothing was added.
-        """
+        """Add the transforms of a TFMessage."""
         added = [_read_transform(i, stamped) for i, stamped in enumerate(_decode(raw))]
         names = {child for child, *_ in added}
         links = self._links
@@ -126,16 +117,10 @@ class TransformTree:
     ) -> RigidTransform:
         """Return the transform from one frame to another at a time, or a little before it.
 
-        Args:
-            target: name of the frame in which coordinates are wanted.
-            source: name of the frame in which coordinates are given.
-            stamp_ns: ns, the time.
-            tolerance_s: s; how far the time may be outside the transforms that are known, where the nearest holds.
-            earlier_s: s; how long before that each frame is wanted, before the newest transform where that holds:
-                so the two places of a frame tell its motion, however late its transforms are.
-
-        Raises:
-            InputError: the frames are not connected, or not at this time.
+        - `stamp_ns`: ns, the time.
+        - `tolerance_s`: s; how far the time may be outside the transforms that are known, where the nearest holds.
+        - `earlier_s`: s; how long before that each frame is wanted, before the newest transform where that holds:
+          so the two places of a frame tell its motion, however late its transforms are.
         """
         source, target = source.lstrip('/'), target.lstrip('/')
         up, down = self._list_ancestors(source), self._list_ancestors(target)
@@ -197,10 +182,6 @@ def is_of_people_only(raw: bytes, prefix: str) -> bool:
     Such messages say nothing of the camera. A node that publishes people on /tf receives them itself, and a bag of
     its run has them on the topic of the inputs. Robots have frames with such names too, as `head_camera`, but no
     body and torso of the same name above them.
-
-    Args:
-        raw: CDR bytes; bytes that are no TFMessage are not of people.
-        prefix: text before the name of every link.
     """
     root, torso = (f'{prefix}{link}_' for link in (ROOT_LINK, TORSO_LINK))
     if root.encode() not in raw and any(raw[_COUNT]):  # decoding a large message takes 0.3 s

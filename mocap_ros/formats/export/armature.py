@@ -54,13 +54,10 @@ class _Bone(NamedTuple):
     """A bone of the armature.
 
     Attributes:
-        name: name of the bone.
-        parent: name of the parent bone, empty for the root.
         start: joint of the model at which the bone starts. If its parent starts at the same joint, the bone starts
             `SHORT_BONE_M` from there, in its direction in the T-pose, and this point rotates with the parent.
         end: joint of the model at which the bone ends, empty for a bone of the length `SHORT_BONE_M`. Such a bone
             rotates with its branches if it is in `BRANCHES`, else with its parent.
-        rest: direction in the T-pose.
         segment: core joint about which the segment of this bone turns; empty for a bone without a segment.
     """
 
@@ -123,10 +120,8 @@ BRANCHES = {
 def build_armature(joints: Array, fps: float, orientation: Array | None = None) -> BvhMotion:
     """Build the armature of a motion.
 
-    Args:
-        joints: (F, J, 3) m, y up, in the order of `skeleton.CMU15` or `skeleton.BODY26`.
-        fps: frame rate in Hz.
-        orientation: (F, J, 4) quaternions x, y, z, w of the segments, in the frame of the joints; None if unknown.
+    - `joints`: (F, J, 3) m, y up, in the order of `skeleton.CMU15` or `skeleton.BODY26`.
+    - `orientation`: (F, J, 4) quaternions x, y, z, w of the segments, in the frame of the joints; None if unknown.
 
     Returns:
         The armature and its motion, with offsets and positions in cm.

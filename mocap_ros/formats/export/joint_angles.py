@@ -73,9 +73,7 @@ def compute_joint_angles(joints: Array, fps: float) -> Array:
 
     They are angles in degrees, without jumps by a full turn, and positions in m.
 
-    Args:
-        joints: (F, 15, 3) m, y up, in the order of `skeleton.CMU15`, all finite.
-        fps: mean frame rate in Hz.
+    - `joints`: (F, 15, 3) m, y up, in the order of `skeleton.CMU15`, all finite.
     """
     from scipy.spatial.transform import Rotation
 
@@ -155,12 +153,10 @@ def _wrap(angle: Array) -> Array:
 def _measure_limb(upper: Array, lower: Array, sign: float, bend: float, fps: float) -> tuple[Array, ...]:
     """Return flexion, adduction, rotation and bend (F,) in rad of a limb.
 
-    Args:
-        upper: (F, 3) directions of the upper bone, downwards, in the axes of the parent.
-        lower: (F, 3) directions of the lower bone, likewise.
-        sign: 1 for the right and -1 for the left side.
-        bend: 1 if the lower bone is bent forwards (elbow), -1 if backwards (knee).
-        fps: mean frame rate in Hz.
+    - `upper`: (F, 3) directions of the upper bone, downwards, in the axes of the parent.
+    - `lower`: (F, 3) directions of the lower bone, likewise.
+    - `sign`: 1 for the right and -1 for the left side.
+    - `bend`: 1 if the lower bone is bent forwards (elbow), -1 if backwards (knee).
     """
     from scipy.spatial.transform import Rotation
 

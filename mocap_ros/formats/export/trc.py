@@ -22,11 +22,7 @@ HEADINGS = 'DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOr
 def save_trc(path: Path, names: Sequence[str], joints: Array, fps: float) -> None:
     """Write joints as the markers of a TRC file.
 
-    Args:
-        path: path of the file.
-        names: (J,) names of the joints.
-        joints: (F, J, 3) m, y up; NaN where unknown, which leaves the fields of the marker empty.
-        fps: frame rate in Hz.
+    - `joints`: (F, J, 3) m, y up; NaN where unknown, which leaves the fields of the marker empty.
     """
     frames = len(joints)
     numbers = range(1, len(names) + 1)

@@ -59,10 +59,6 @@ def load_amc(motion: Path, skeleton: Path) -> dict[str, Array]:
     Returns:
         The positions (F, 3) of the end of each bone and of `root`, by name, in the skeleton's frame (y up) and in
         the skeleton's unit of length.
-
-    Raises:
-        InputError: a file is not valid, or the motion is of another skeleton; the error names the file and, if one
-            line is at fault, that line.
     """
     from scipy.spatial.transform import Rotation
 

@@ -36,10 +36,6 @@ def load_c3d(path: Path) -> tuple[dict[str, Array], float | None]:
         The positions (F, 3) of each marker in the file's frame and unit, NaN where it was not seen, by its label
         without the subject's name (`anna:`), unless several subjects have such a marker. And the unit in m, or
         None where the file does not name it.
-
-    Raises:
-        InputError: the file cannot be read; the error names the file.
-        MocapError: `ezc3d` is not installed.
     """
     try:
         is_installed = find_spec('ezc3d') is not None

@@ -82,9 +82,6 @@ def map_to_model(positions: Mapping[str, Array], markers: MarkerMap | None = Non
     """Return the joints (F, 15, 3) of the model from positions (F, 3) by the name of a rig's joint or marker.
 
     They are in the same frame and unit. `markers` is by default the map of the known rig that fits.
-
-    Raises:
-        InputError: joints or markers are missing; the error lists their names.
     """
     if markers is None:
         markers = _recognise_rig(positions)
@@ -148,11 +145,7 @@ def load_marker_map(path: Path) -> MarkerMap:
 
 
 def infer_unit(joints: Array) -> float:
-    """Return the unit of length in m of joints (F, 15, 3) of `skeleton.CMU15`, by the stature of the people.
-
-    Raises:
-        InputError: no unit of `LENGTH_UNITS_M` gives a stature from `MIN_STATURE_M` to `MAX_STATURE_M`.
-    """
+    """Return the unit of length in m of joints (F, 15, 3) of `skeleton.CMU15`, by the stature of the people."""
     height = estimate_stature(joints, CMU15)
     for metres in LENGTH_UNITS_M.values():
         if MIN_STATURE_M <= height * metres <= MAX_STATURE_M:

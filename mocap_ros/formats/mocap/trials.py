@@ -107,9 +107,6 @@ def load_trials(
     part of its name before the `_`, and as category the name of its folder.
 
     `report_progress` iterates over the files and may show the progress.
-
-    Raises:
-        InputError: there is nothing to read, or a file is not valid; the error names the file and the place.
     """
     manifests: dict[Path, Manifest] = {}
     trials: list[Trial] = []
