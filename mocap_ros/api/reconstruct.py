@@ -127,7 +127,7 @@ class PoseSequence:
             translation=translation,
             vertical=result.vertical,
             vertical_std=result.vertical_std,
-            contact=np.full((len(result.seen), 2), np.nan) if result.contact is None else result.contact,
+            contact=result.foot_contact,
             world_from_camera=result.world_from_camera,
             floor_std=result.floor_std,
             is_scale_known=result.virtual_camera.intrinsics.is_focal_known,

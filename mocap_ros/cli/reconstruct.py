@@ -31,7 +31,7 @@ from mocap_ros.formats.text_files import check_output, read_text, replace_output
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.keyframes.taylor import DepthChoice, parse_depth_choices
-from mocap_ros.offline.whole_sequence import Report, SequenceResult, reconstruct_sequence, report_part
+from mocap_ros.offline.whole_sequence import Report, SequenceResult, reconstruct_sequence, report_part, share_floor
 from mocap_ros.runtime import save_results
 from mocap_ros.runtime.summary import summarise
 
@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
     sequences, endings = load_sequences(args, config, all_people=args.all_people), ['']
     if args.all_people:
         endings = choose_endings([sequence.person_id for sequence in sequences])
-    done: list[save_results.ReconstructedSequence] = []
+    done: list[tuple[KeypointSequence, str, SequenceResult]] = []
     is_all_saved, count = True, len(sequences)
     with ShareBar('reconstruct') as report:
         for index, (sequence, ending) in enumerate(zip(sequences, endings, strict=True)):
@@ -115,16 +115,20 @@ def run(args: argparse.Namespace) -> int:
                     raise
                 print_note(f'{error} (person {sequence.person_id!r} is left out)')
                 continue
+            done.append((sequence, ending, result))
+        found, saved_endings, results = zip(*done, strict=True)
+        results = share_floor(results, [sequence.timestamps for sequence in found], config.tracker)
+        for sequence, ending, result in zip(found, saved_endings, results, strict=True):
             summary = summarise([sequence], [result], config)
-            done.append(save_results.ReconstructedSequence(sequence, result, summary))
+            reconstructed = save_results.ReconstructedSequence(sequence, result, summary)
             try:
-                _save(args, done[-1], [add_ending(path, ending) for path in outputs], sources)
+                _save(args, reconstructed, [add_ending(path, ending) for path in outputs], sources)
             except InputError as error:  # nor one whom a format cannot hold
                 if count == 1:
                     raise
                 print_note(f'{error} (person {sequence.person_id!r} is not saved)')
                 is_all_saved = False
-    summary = summarise([found.sequence for found in done], [found.result for found in done], config)
+    summary = summarise(found, results, config)
     return finish(args.input, summary, is_strict=args.strict) or int(not is_all_saved)
 
 

@@ -35,7 +35,7 @@ as its poses Q_t are,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -99,8 +99,9 @@ class SequenceResult:
     orientation: Array | None = None
     # (F, J) True where nothing shows how a segment is turned about its own axis; None likewise
     turn_inferred: NDArray[np.bool_] | None = None
-    contact: Array | None = None  # (F, 2) probabilities that left and right foot stand; None likewise
+    contact: Array | None = None  # (F, 4) probabilities of `solvers.contacts`; None likewise
     floor: Floor | None = None  # the floor on which the person stands; None if nothing shows it
+    shared_world: Array | None = None  # the `world_from_camera` of another person on the same floor
 
     @property
     def core(self) -> Array:
@@ -110,9 +111,18 @@ class SequenceResult:
     @property
     def world_from_camera(self) -> Array:
         """(4, 4) m, from the optical frame to the person's world (`geometry.level`); NaN without joints."""
+        if self.shared_world is not None:
+            return self.shared_world
         if self.floor is not None:
             return build_world(self.joints, self.floor.upward, self.floor.camera_height)
         return build_world(self.joints, average_vertical(self.vertical, self.vertical_std), None)
+
+    @property
+    def foot_contact(self) -> Array:
+        """(F, 2) probabilities that the left and the right foot stand; NaN where they were not computed."""
+        if self.contact is None:
+            return np.full((len(self.joints), 2), np.nan)
+        return np.maximum(self.contact[:, ::2], self.contact[:, 1::2])
 
     @property
     def floor_std(self) -> float:
@@ -241,22 +251,62 @@ def _find_floor(result: SequenceResult, observed: ObservedWindow, config: Tracke
     """Return a result with the feet that stand and their floor, by `tracker.camera_height` of its true size."""
     points = join_body(observed.rays, observed.weight, observed.extremities)
     contact = find_contacts(*points, result.joints, result.vertical, observed.times)
-    result = replace(result, contact=np.maximum(contact[:, ::2], contact[:, 1::2]))
+    result = replace(result, contact=contact)
     upward = average_vertical(result.vertical, result.vertical_std)
-    is_metric = config.camera_height > 0 and observed.virtual_camera.intrinsics.is_focal_known
     if not np.isfinite(upward).all():
         return result
     tilt_std = float(np.nanmean(result.vertical_std))
-    if is_metric and read_given_vertical(config) is not None:
-        tilt_std = CALIBRATED_TILT_STD
-    before = Floor(upward, config.camera_height if is_metric else None, tilt_std)
-    size_share = math.hypot(config.body_height_std / config.body_height, POSE_SHARE)
-    fit = fit_floor(result.joints, contact, observed.times, before, size_share)
-    if fit is None or not is_metric:
-        return result if fit is None else replace(result, floor=fit.floor)
-    vertical = np.tile(fit.floor.upward, (len(contact), 1)), np.full(len(contact), fit.floor.tilt_std)
-    joints = fit.place(result.joints)
-    return replace(result, joints=joints, vertical=vertical[0], vertical_std=vertical[1], floor=fit.floor)
+    if config.camera_height > 0 and observed.virtual_camera.intrinsics.is_focal_known:
+        is_given = read_given_vertical(config) is not None
+        floor = Floor(upward, config.camera_height, CALIBRATED_TILT_STD if is_given else tilt_std)
+        return _stand_on(result, observed.times, floor, config)
+    fit = fit_floor(result.joints, contact, observed.times, Floor(upward, None, tilt_std), _assume_share(config))
+    return result if fit is None else replace(result, floor=fit.floor)
+
+
+def _stand_on(result: SequenceResult, times: Array, floor: Floor, config: TrackerConfig) -> SequenceResult:
+    """Return a result of the size that a floor below a camera of known height shows, if feet stand."""
+    contact, share = result.contact, _assume_share(config)
+    fit = None if contact is None else fit_floor(result.joints, contact, times, floor, share)
+    if fit is None:
+        return result
+    upward, std = np.tile(fit.floor.upward, (len(times), 1)), np.full(len(times), fit.floor.tilt_std)
+    return replace(result, joints=fit.place(result.joints), vertical=upward, vertical_std=std, floor=fit.floor)
+
+
+def _assume_share(config: TrackerConfig) -> float:
+    """Return the standard deviation of the size of a body, as a share of it."""
+    return math.hypot(config.body_height_std / config.body_height, POSE_SHARE)
+
+
+def share_floor(
+    results: Sequence[SequenceResult], times: Sequence[Array], config: TrackerConfig
+) -> tuple[SequenceResult, ...]:
+    """Return people of one recording on one floor, and in one world, that of the first.
+
+    Where the height of the camera is not known, each of them shows it as well as body heights are known, and their
+    sizes become those with which all stand on the floor of the mean height.
+    """
+    floors, people = [r.floor for r in results if r.floor is not None], list(results)
+    if len(floors) > 1 and not config.camera_height:
+        trust = np.array([floor.tilt_std**-2 for floor in floors])
+        upward = trust @ [floor.upward for floor in floors]
+        upward /= np.linalg.norm(upward)
+        level, share = Floor(upward, None), _assume_share(config)
+        fits = [
+            fit_floor(r.joints, r.contact, t, level, share)
+            for r, t in zip(people, times, strict=True)
+            if r.contact is not None
+        ]
+        heights = np.array([fit.floor.camera_height for fit in fits if fit is not None], float)
+        if len(heights):
+            height = math.exp(float(np.log(heights).mean()))
+            level = Floor(upward, height, height_std=height * share / math.sqrt(len(heights)))
+            stood = [_stand_on(r, t, level, config) for r, t in zip(people, times, strict=True)]
+            std = float(trust.sum()) ** -0.5
+            people = [replace(r, vertical_std=np.full_like(r.vertical_std, std)) for r in stood]
+    first = next((r for r in people if r.floor is not None), people[0])
+    return tuple(replace(r, shared_world=first.world_from_camera) for r in people)
 
 
 def _blank_frames(result: SequenceResult, is_blank: NDArray[np.bool_]) -> SequenceResult:

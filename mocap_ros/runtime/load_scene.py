@@ -29,7 +29,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import average_vertical
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.offline.whole_sequence import Report, SequenceResult, reconstruct_sequence, report_part
+from mocap_ros.offline.whole_sequence import Report, SequenceResult, reconstruct_sequence, report_part, share_floor
 from mocap_ros.people import MotionKind
 from mocap_ros.runtime.frame_assembly import is_stamp_missing
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
@@ -127,8 +127,8 @@ def _reconstruct_people(
     intrinsics = sequences[0].intrinsics(nominal)
     people: list[ScenePerson] = []
     keypoints: dict[Skeleton, list[SceneKeypoints]] = {}
-    verticals, stds, skeleton, failures = [], [], CMU15, []
-    reconstructed: list[tuple[KeypointSequence, SequenceResult]] = []
+    failures = []
+    reconstructed: list[tuple[KeypointSequence, str, NDArray[np.intp], SequenceResult]] = []
     report(0.0)
     for index, sequence in enumerate(sequences):
         person_id = sequence.person_id or f'person_{index + 1}'
@@ -142,17 +142,17 @@ def _reconstruct_people(
             failures.append(str(error))
             lines.append(f'{path}: person {person_id!r} left out: {error}')
             continue
-        reconstructed.append((sequence, result))
-        skeleton = result.skeleton
-        verticals.append(result.vertical)
-        stds.append(result.vertical_std)
+        reconstructed.append((sequence, person_id, frames, result))
+    if not reconstructed:
+        raise InputError(failures[-1])
+    shown, ids, places, results = zip(*reconstructed, strict=True)
+    results = share_floor(results, [sequence.timestamps for sequence in shown], options.config.tracker)
+    for sequence, person_id, frames, result in zip(shown, ids, places, results, strict=True):
         people.append(_make_person(person_id, frames, result, result.solution.residual, intrinsics))
         part = _make_keypoints(sequence, frames)
         keypoints.setdefault(part.skeleton, []).append(part)
-    if not people:
-        raise InputError(failures[-1])
     truth = sequences[0].truth if len(sequences) == 1 else None
-    summary = summarise([s for s, _ in reconstructed], [r for _, r in reconstructed], options.config)
+    skeleton, summary = results[0].skeleton, summarise(shown, results, options.config)
     scene = Scene(
         title=path.name,
         stamps_ns=stamps.tolist(),
@@ -162,7 +162,9 @@ def _reconstruct_people(
         intrinsics=intrinsics,
         truth=None if truth is None else select_true_joints(truth.joints, truth.joint_names, skeleton),
         skeleton=skeleton,
-        vertical=average_vertical(np.concatenate(verticals), np.concatenate(stds)),
+        vertical=average_vertical(
+            np.concatenate([r.vertical for r in results]), np.concatenate([r.vertical_std for r in results])
+        ),
     )
     return scene, summary
 

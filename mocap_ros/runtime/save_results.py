@@ -116,11 +116,10 @@ def _save_npz(path: Path, reconstruction: ReconstructedSequence) -> None:
         'theta': result.solution.theta,
         'vertical': result.vertical,
         'vertical_std': result.vertical_std,
+        'contact': result.foot_contact.astype('f4'),
         'world_from_camera': result.world_from_camera,
         'floor_std': np.array(result.floor_std),
     }
-    if result.contact is not None:
-        arrays['contact'] = result.contact
     arrays |= {key: a for key, a in zip(('camera_matrix', 'distortion'), camera, strict=True) if a is not None}
     if (summary := reconstruction.summary) is not None:
         arrays |= {'grade': np.array(summary.grade), 'summary': np.array(str(summary))}

@@ -2,13 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from mocap_ros.config import TrackerConfig
 from mocap_ros.geometry.level import Floor, build_world
+from mocap_ros.offline.whole_sequence import SequenceResult, share_floor
 from mocap_ros.skeleton import BODY26
 from mocap_ros.solvers.floor import HEEL_M, TOE_M, fit_floor
 
@@ -72,6 +76,34 @@ def test_a_floor_is_found_by_feet_and_leaves_the_size() -> None:
     assert ahead[:2] == pytest.approx([0.25, 0.0], abs=1e-6)
     assert world[:3, :3] @ world[:3, :3].T == pytest.approx(np.eye(3))
     assert np.linalg.det(world[:3, :3]) == pytest.approx(1.0)
+
+
+def test_several_people_stand_on_one_floor_in_one_world() -> None:
+    people = [stand() * 0.95, (stand() + np.cross(UPWARD, [0.0, 0.0, 1.0])) * 1.05]
+    found = []
+    for joints in people:
+        fit = fit_floor(joints, CONTACT, TIMES, Floor(UPWARD, None, math.radians(3)), 0.08)
+        assert fit is not None
+        rest: Any = (
+            np.ones((FRAMES, 26), bool),
+            BODY26,
+            '',
+            None,
+            None,
+            np.tile(UPWARD, (FRAMES, 1)),
+            CONTACT[:, 0],
+        )
+        found.append(replace(SequenceResult(joints, *rest), contact=CONTACT, floor=fit.floor))
+    first, second = share_floor(found, [TIMES, TIMES], TrackerConfig())
+    heights = [result.floor and result.floor.camera_height for result in (first, second)]
+    assert heights == pytest.approx([CAMERA_HEIGHT_M] * 2, rel=0.03)
+    assert (first.world_from_camera == second.world_from_camera).all()
+    for result, joints, size in ((first, people[0], 1 / 0.95), (second, people[1], 1 / 1.05)):
+        world = result.world_from_camera
+        heels = result.joints[:, BODY26.index('lheel')] @ world[:3, :3].T + world[:3, 3]
+        assert heels[:, 2] == pytest.approx(HEEL_M, abs=0.02)
+        bodies = [np.linalg.norm(j[:, 0] - j[:, 1], axis=1).mean() for j in (result.joints, joints)]
+        assert bodies[0] / bodies[1] == pytest.approx(size, abs=0.015)
 
 
 def sit(joints: Array) -> Array:
