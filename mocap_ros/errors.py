@@ -134,5 +134,5 @@ def suggest(word: object, known: Mapping[str, str] | Iterable[str], otherwise: s
 
 
 def tell_installation(extra: str) -> str:
-    """Return the commands that install an optional part of this package, such as `view`."""
-    return f"pip install 'mocap_ros[{extra}]' (in its source folder: pip install -e '.[{extra}]')"
+    """Return the command that installs an optional part of this package, such as `video`."""
+    return f"pip install -e '.[{extra}]' in the source folder of mocap_ros"

@@ -12,7 +12,8 @@ from mocap_ros.errors import ModelError
 
 MEDIAPIPE_SUFFIX = '.task'  # of the model bundles of MediaPipe's Tasks API
 ONNX_SUFFIX = '.onnx'
-MODEL_FORMATS = "MediaPipe's pose landmarker (.task), or RTMPose or MoveNet (.onnx)"  # in the words of messages
+# in the words of messages
+MODEL_FORMATS = "MediaPipe's pose landmarker (.task), or YOLO-pose, RTMPose or MoveNet (.onnx)"
 
 
 def load_detector(model: Path | None, max_people: int = 1) -> Detector:
@@ -36,7 +37,7 @@ def load_detector(model: Path | None, max_people: int = 1) -> Detector:
     if suffix != ONNX_SUFFIX:
         raise ModelError(f'{model}: unknown file type; expected {MODEL_FORMATS}')
 
-    from mocap_ros.detectors import movenet, rtmpose
+    from mocap_ros.detectors import movenet, rtmpose, yolo_pose
     from mocap_ros.detectors.onnx_model import OnnxModel
 
     network = OnnxModel(model)
@@ -47,7 +48,8 @@ def load_detector(model: Path | None, max_people: int = 1) -> Detector:
         return movenet.SinglePoseMoveNet(network)
     if movenet.is_multi_pose(shapes):
         return movenet.MultiPoseMoveNet(network, max_people)
+    if yolo_pose.is_yolo_pose(shapes):
+        return yolo_pose.YoloPose(network, max_people)
     found = ' and '.join(str(shape) for shape in shapes)
-    raise ModelError(
-        f'{model}: gives arrays of the form {found}; expected {rtmpose.OUTPUT_FORM}, or {movenet.OUTPUT_FORM}'
-    )
+    forms = ', or '.join(module.OUTPUT_FORM for module in (yolo_pose, rtmpose, movenet))
+    raise ModelError(f'{model}: gives arrays of the form {found}; expected {forms}')

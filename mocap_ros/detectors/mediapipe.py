@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,8 @@ Array = NDArray[np.float64]
 
 KEYPOINTS = 33  # of BlazePose
 MS_PER_S = 1000.0  # the Tasks API takes whole milliseconds
+STDERR = 2  # the file descriptor
+BLANK_SIDE = 64  # px
 BUNDLED_COMPLEXITY = 1  # of the model that comes with MediaPipe; 0 and 2 would be downloaded
 
 
@@ -40,6 +43,19 @@ def _import_mediapipe(place: str) -> Any:
             f'{place}needs MediaPipe: {tell_installation("mediapipe")}' + ('' if missing else f' ({error})')
         ) from None
     return mediapipe
+
+
+@contextmanager
+def _without_log() -> Iterator[None]:
+    """Silence what MediaPipe's libraries write on stderr, which is no concern of the user and has no setting."""
+    kept, nowhere = os.dup(STDERR), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, STDERR)
+    try:
+        yield
+    finally:
+        os.dup2(kept, STDERR)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def _convert(people: Iterable[Iterable[Any]], image: Image) -> Array:
@@ -62,12 +78,14 @@ class MediaPipe:
             num_poses=max_people,
         )
         try:
-            self._landmarker = vision.PoseLandmarker.create_from_options(options)
+            with _without_log():
+                self._landmarker = vision.PoseLandmarker.create_from_options(options)
         except (RuntimeError, ValueError) as error:
             reason = ' '.join(str(error).split('\n')[0].split())
             raise ModelError(f'{model}: no model of the pose landmarker ({reason})') from None
         self._mediapipe = mediapipe
         self._last_ms = -1
+        self._has_seen = False
 
     def detect(self, image: Image, time_s: float) -> Array:
         """Find the people; see `Detector`."""
@@ -75,11 +93,15 @@ class MediaPipe:
         picture = self._mediapipe.Image(
             image_format=self._mediapipe.ImageFormat.SRGB, data=np.ascontiguousarray(image)
         )
-        return _convert(self._landmarker.detect_for_video(picture, self._last_ms).pose_landmarks, image)
+        with nullcontext() if self._has_seen else _without_log():
+            people = self._landmarker.detect_for_video(picture, self._last_ms).pose_landmarks
+        self._has_seen = True
+        return _convert(people, image)
 
     def close(self) -> None:
         """Release the model."""
-        self._landmarker.close()
+        with _without_log():
+            self._landmarker.close()
 
 
 class BundledMediaPipe:
@@ -95,14 +117,21 @@ class BundledMediaPipe:
                 'pip install mediapipe==0.10.21, for Python 3.10 to 3.12'
             )
         self.name = f'MediaPipe {mediapipe.__version__}'
+        self._has_seen = False
         try:
-            self._pose = solutions.pose.Pose(model_complexity=BUNDLED_COMPLEXITY)
+            with _without_log():
+                self._pose = solutions.pose.Pose(model_complexity=BUNDLED_COMPLEXITY)
+                self._pose.process(
+                    np.zeros((BLANK_SIDE, BLANK_SIDE, 3), np.uint8)
+                )  # else its start is logged later
         except (RuntimeError, FileNotFoundError) as error:
             raise ModelError(f'{place}that of MediaPipe {mediapipe.__version__} fails ({error})') from None
 
     def detect(self, image: Image, time_s: float) -> Array:  # noqa: ARG002 - this interface takes no time
         """Find the person; see `Detector`."""
-        landmarks = self._pose.process(np.ascontiguousarray(image)).pose_landmarks
+        with nullcontext() if self._has_seen else _without_log():
+            landmarks = self._pose.process(np.ascontiguousarray(image)).pose_landmarks
+        self._has_seen = True
         return _convert([landmarks.landmark] if landmarks else [], image)
 
     def close(self) -> None:

@@ -53,8 +53,8 @@ class Box(NamedTuple):
         return Box(x - width / 2, y - height / 2, width, height)
 
 
-def cut_out(image: Image, box: Box, size: tuple[int, int]) -> Image:
-    """Return a rectangle of an image, resized to (width, height) in px; black where it lies outside the image."""
+def cut_out(image: Image, box: Box, size: tuple[int, int], ground: int = 0) -> Image:
+    """Return a rectangle of an image, resized to (width, height) in px; `ground` outside of the image."""
     scale = size[0] / box.width, size[1] / box.height  # px of the result per px of the image
     sides = image.shape[1], image.shape[0]
     # the part of the result that shows the image, in whole px
@@ -63,7 +63,7 @@ def cut_out(image: Image, box: Box, size: tuple[int, int]) -> Image:
         min(side, math.floor((end - start) * s + 1e-9))
         for side, end, start, s in zip(size, sides, box[:2], scale, strict=True)
     ]
-    out = np.zeros((size[1], size[0], 3), np.uint8)
+    out = np.full((size[1], size[0], 3), ground, np.uint8)
     if low[0] < high[0] and low[1] < high[1]:
         source = (
             max(box.left + low[0] / scale[0], 0.0),

@@ -18,7 +18,12 @@ Outputs = list[NDArray[np.float32]]
 DEFAULT_INPUT_SIDE = 256  # px, of the input of a network that takes any size; MoveNet's multi-pose model wants it
 ERRORS_ONLY = 3  # level of onnxruntime's log: its warnings about graphics cards are no concern of the user
 CHANNELS = 3  # red, green, blue
-NUMBER_TYPES = {'tensor(float)': np.float32, 'tensor(int32)': np.int32, 'tensor(uint8)': np.uint8}
+NUMBER_TYPES = {
+    'tensor(float)': np.float32,
+    'tensor(float16)': np.float16,
+    'tensor(int32)': np.int32,
+    'tensor(uint8)': np.uint8,
+}
 
 
 class OnnxModel:

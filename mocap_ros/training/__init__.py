@@ -1,4 +1,4 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Training of base poses and of the lifter; only the lifter's needs PyTorch (`pip install mocap_ros[train]`)."""
+"""Training of base poses and of the lifter; only the lifter's needs PyTorch (`pip install -e '.[train]'`)."""

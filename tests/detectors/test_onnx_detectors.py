@@ -1,11 +1,12 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""RTMPose and MoveNet, as networks of their form find people made of blobs."""
+"""YOLO-pose, RTMPose and MoveNet, as networks of their form find people made of blobs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,11 @@ FRAMES = 12
 SAVE_SINGLE: dict[str, Callable[[Path], Path]] = {
     'rtmpose': blob_people.save_rtmpose,
     'movenet': blob_people.save_movenet,
+}
+SAVE_SEVERAL: dict[str, Callable[[Path], Path]] = {
+    'movenet': blob_people.save_multi_pose_movenet,
+    'yolo11': blob_people.save_yolo_pose,
+    'yolo26': partial(blob_people.save_yolo_pose, one_each=True),
 }
 
 
@@ -72,8 +78,9 @@ def test_nobody_is_seen_in_empty_images_and_somebody_who_comes_back_is_seen(mode
     check_found(found, person + [200.0, 20.0], 1.0)
 
 
-def test_movenet_for_several_people_finds_each(tmp_path: Path) -> None:
-    model = blob_people.save_multi_pose_movenet(tmp_path / 'multi.onnx')
+@pytest.mark.parametrize('save', SAVE_SEVERAL.values(), ids=SAVE_SEVERAL)
+def test_a_model_for_several_people_finds_each(tmp_path: Path, save: Callable[[Path], Path]) -> None:
+    model = save(tmp_path / 'multi.onnx')
     left, right = walk(1)[0] - [150.0, 0.0], walk(1)[0] + [150.0, 0.0]
     image = draw([left, right])
     found = load_detector(model, 6).detect(image, 0.0)

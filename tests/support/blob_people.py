@@ -4,7 +4,7 @@
 """People made of coloured blobs, videos of them, and networks that find the blobs.
 
 Keypoint j of a person is a blob of the colour `COLOURS[j]` on a black ground. The networks have the inputs and the
-outputs of RTMPose and MoveNet. The response of keypoint j at a pixel of the colour c is
+outputs of YOLO-pose, RTMPose and MoveNet. The response of keypoint j at a pixel of the colour c is
 
     r_j = max(0, 1 - |c - COLOURS[j]|^2 / TOLERANCE^2)
 """
@@ -68,7 +68,7 @@ def write_video(
     path: Path, images: Sequence[np.ndarray], times_s: Sequence[float], codec: str = 'ffv1', pixels: str = 'bgr0'
 ) -> Path:
     """Write images (H, W, 3) with their times; without loss by default."""
-    av = pytest.importorskip('av', reason="needs PyAV: pip install 'mocap_ros[video]'")
+    av = pytest.importorskip('av', reason="needs PyAV: pip install -e '.[video]'")
     with av.open(str(path), 'w') as container:
         stream = container.add_stream(codec, rate=30)
         stream.height, stream.width = images[0].shape[:2]
@@ -86,8 +86,8 @@ class Graph:
     """A network under construction; each method adds a step and returns the name of its result."""
 
     def __init__(self) -> None:
-        self.onnx = pytest.importorskip('onnx', reason="needs onnx: pip install 'mocap_ros[test]'")
-        pytest.importorskip('onnxruntime', reason="needs onnxruntime: pip install 'mocap_ros[video]'")
+        self.onnx = pytest.importorskip('onnx', reason="needs onnx: pip install -e '.[test]'")
+        pytest.importorskip('onnxruntime', reason="needs onnxruntime: pip install -e '.[video]'")
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
 
@@ -167,11 +167,8 @@ def save_movenet(path: Path, side: int = 192) -> Path:
     return graph.save(path, [1, side, side, 3], 'INT32', [found])
 
 
-def save_multi_pose_movenet(path: Path, width: int = 256, height: int = 192) -> Path:
-    """Write a network of the form of MoveNet for several people, which sees one in each half of the image."""
-    graph = Graph()
-    pixels = graph.add('Cast', 'image', to=graph.onnx.TensorProto.FLOAT)
-    response = graph.respond(graph.add('Transpose', pixels, perm=[0, 3, 1, 2]))
+def locate_in_halves(graph: Graph, response: str, height: int, width: int) -> list[tuple[str, str]]:
+    """Return y, x in shares of the image and the score (1, 17, 3), and the person's score (1, 1), in each half."""
     people = []
     for half in (np.arange(width) < width / 2, np.arange(width) >= width / 2):
         part = graph.add('Mul', response, graph.constant(half[None, None, None]))
@@ -180,6 +177,49 @@ def save_multi_pose_movenet(path: Path, width: int = 256, height: int = 192) -> 
             'ReduceMax', graph.add('Slice', found, *(graph.constant([v], np.int64) for v in (2, 3, 2))),
             graph.constant([1], np.int64), keepdims=0,
         )  # fmt: skip
+        people.append((found, score))
+    return people
+
+
+def save_yolo_pose(path: Path, *, one_each: bool = False, side: int = 640) -> Path:
+    """Write a network of the form of YOLO-pose that sees one person in each half of the image.
+
+    It has two candidates for each, or with `one_each`, as YOLO26, one.
+    """
+    graph = Graph()
+    response = graph.respond(graph.add('Mul', 'image', graph.constant(255.0)))
+    rows = []
+    for number, (found, score) in enumerate(locate_in_halves(graph, response, side, side)):
+        y, x, seen = (
+            graph.add('Slice', found, *(graph.constant([v], np.int64) for v in (c, c + 1, 2))) for c in range(3)
+        )
+        pixels = [graph.add('Mul', share, graph.constant(float(side))) for share in (x, y)]
+        shape = graph.constant([1, 3 * KEYPOINTS], np.int64)
+        numbers = graph.add('Reshape', graph.add('Concat', *pixels, seen, axis=2), shape)
+        left = number * side / 2
+        if one_each:
+            head = [graph.constant([[left, 0, left + side / 2, side]]), score, graph.constant([[0.0]])]
+            rows.append(graph.add('Concat', *head, numbers, axis=1))
+            continue
+        for shift in (0, 9):  # px; a second candidate that is less likely
+            box = graph.constant([[left + side / 4 + shift, side / 2, side / 2, side]])
+            less = graph.add('Mul', score, graph.constant(1 - shift / 100))
+            rows.append(graph.add('Concat', box, less, graph.add('Add', numbers, graph.constant(shift)), axis=1))
+    count, length = (300, 57) if one_each else (8400, 56)
+    rows.append(graph.constant(np.zeros((count - len(rows), length))))
+    table = graph.add('Concat', *rows, axis=0)
+    table = table if one_each else graph.add('Transpose', table, perm=[1, 0])
+    output = graph.add('Unsqueeze', table, graph.constant([0], np.int64))
+    return graph.save(path, [1, 3, side, side], 'FLOAT', [output])
+
+
+def save_multi_pose_movenet(path: Path, width: int = 256, height: int = 192) -> Path:
+    """Write a network of the form of MoveNet for several people, which sees one in each half of the image."""
+    graph = Graph()
+    pixels = graph.add('Cast', 'image', to=graph.onnx.TensorProto.FLOAT)
+    response = graph.respond(graph.add('Transpose', pixels, perm=[0, 3, 1, 2]))
+    people = []
+    for found, score in locate_in_halves(graph, response, height, width):
         numbers = graph.add('Reshape', found, graph.constant([1, 3 * KEYPOINTS], np.int64))
         corners = graph.constant(np.zeros((1, 4)))
         people.append(graph.add('Concat', numbers, corners, score, axis=1))

@@ -23,7 +23,7 @@ NETWORKS = {
 
 def require_mediapipe() -> Any:
     """Return the module `mediapipe`, or skip the test where it is missing or has no model."""
-    mediapipe = pytest.importorskip('mediapipe', reason="needs MediaPipe: pip install 'mocap_ros[mediapipe]'")
+    mediapipe = pytest.importorskip('mediapipe', reason="needs MediaPipe: pip install -e '.[mediapipe]'")
     if not hasattr(mediapipe, 'solutions'):
         pytest.skip(f'MediaPipe {mediapipe.__version__} has no model; needs 0.10.21')
     return mediapipe

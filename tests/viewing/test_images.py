@@ -119,7 +119,7 @@ def test_a_film_without_images_is_white_and_one_without_pyav_says_what_to_instal
     save_sequence(tmp_path / 'short.npz', short)
     monkeypatch.setitem(sys.modules, 'av', None)
     assert main(['view', str(tmp_path / 'short.npz'), *QUICK_OPTIONS, '-o', str(tmp_path / 'film.mp4')]) == 1
-    assert "film.mp4: a film needs PyAV: pip install 'mocap_ros[video]'" in capsys.readouterr().err
+    assert "film.mp4: a film needs PyAV: pip install -e '.[video]'" in capsys.readouterr().err
 
 
 def test_the_images_of_a_bag_are_those_of_its_camera(tmp_path: Path) -> None:
