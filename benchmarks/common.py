@@ -243,10 +243,13 @@ def train_base_poses(
     return model.rescale(TrackerConfig().body_height / model.stature)
 
 
-def provide_held_out() -> tuple[BasePoses, dict[str, Any]]:
-    """Return base poses of all motions and parameters with a lifter, which saw none of `HELD_OUT_SUBJECTS`."""
+def provide_held_out(*others: str) -> tuple[BasePoses, dict[str, Any]]:
+    """Return base poses of all motions and parameters with a lifter, which saw none of `HELD_OUT_SUBJECTS`.
+
+    The base poses saw none of `others` either.
+    """
     choose_capture('motion')
-    return train_base_poses(without_subjects=HELD_OUT_SUBJECTS), {'solver.prior': str(HELD_OUT_LIFTER)}
+    return train_base_poses(without_subjects=(*HELD_OUT_SUBJECTS, *others)), {'solver.prior': str(HELD_OUT_LIFTER)}
 
 
 def _fill_in(parameters: Parameters) -> dict[str, Any]:

@@ -12,6 +12,8 @@ were not trained on the tested people. Sections of `--only`:
     live        the tracker's newest frame
     recordings  the recorded detections of `data/detections`, 12 joints of the limbs
     extremities where heads and feet point, and how far off toes, hands and faces are
+    labs        people of two other labs whom the lifter (`--set solver.prior=FILE`) was not trained on, by posture
+                and by where the wrists are; `lifter_heldout.npz` saw others of these labs
 
 `--persons training` tests other people, for tuning. `--against FILE` compares with the JSON of an earlier run,
 view by view.
@@ -22,7 +24,7 @@ from __future__ import annotations
 import argparse
 import json
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from itertools import product
@@ -33,12 +35,14 @@ import common
 import numpy as np
 import yaml
 from common import WAYS, View
-from detected import DETECTORS, ViewOptions, choose_trials, list_views
+from detected import CLEAN, DETECTORS, ViewOptions, choose_trials, list_views, load_middle, load_motion
 from numpy.typing import NDArray
-from report import Records, Report, cross, group, run
+from report import Records, Report, Section, cross, group, run
 
+from mocap_ros.models import model_file
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
+from mocap_ros.training.example_arrays import find_trunks
 
 Array = NDArray[np.float64]
 
@@ -59,11 +63,18 @@ OUTER = {
     'face': tuple((n, 'head') for n in ('nose', 'leye', 'reye', 'lear', 'rear')),
 }
 
+LABS = ('ui_', 'pf_')  # how their trials begin
+LAB_POINTS = (CLEAN, 'mediapipe')
+# Postures, by the least height of the hips above the lower ankle in lengths of a leg, and places of the wrists.
+POSTURES = {'standing': 0.88, 'knees bent': 0.65, 'low or seated': -1.0}
+PLACES = ['above the shoulders', 'hanging', 'at the trunk', 'ahead', 'aside']
+NEAR_M = 0.25  # m, from the middle of the trunk to a wrist that is at the trunk
 
-def load_models(args: argparse.Namespace) -> tuple[BasePoses, dict[str, Any]]:
-    """Return base poses and parameters with a lifter; those of `--set` have precedence."""
+
+def load_models(args: argparse.Namespace, *others: str) -> tuple[BasePoses, dict[str, Any]]:
+    """Return base poses, without `others` too, and parameters with a lifter; those of `--set` have precedence."""
     given = {name: yaml.safe_load(text) for name, _, text in (a.partition('=') for a in args.set)}
-    model, parameters = common.provide_held_out()
+    model, parameters = common.provide_held_out(*others)
     return model, parameters | given
 
 
@@ -215,6 +226,74 @@ def report_extremities(report: Report) -> dict[str, Any]:
     return {'extremities': records}
 
 
+def list_lab_trials(seen: Collection[str], count: int) -> list[str]:
+    """Return the longest trials of `LABS` that were not seen, `count` of each lab, kind of motion and person."""
+    groups: dict[tuple[str, ...], list[tuple[int, str]]] = {}
+    for name, row in load_motion()[2].items():
+        if name.startswith(LABS) and name not in seen:
+            groups.setdefault((name[:2], row['category']), []).append((-int(row['frames']), name))
+    return [name for group in groups.values() for _, name in sorted(group)[:count]]
+
+
+def describe_frames(trial: str, frames: int) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
+    """Return the posture (F,) of each frame and the places of the wrists (F, 2), by the true joints."""
+    poses, joints = load_middle(trial, frames) / 1e3, load_motion()[1]
+    hip, knee, ankle, shoulder, wrist = (
+        poses[:, [joints.index(s + n) for s in 'lr']] for n in ('hip', 'knee', 'ankle', 'shoulder', 'wrist')
+    )
+    leg = (np.linalg.norm(hip - knee, axis=-1) + np.linalg.norm(knee - ankle, axis=-1)).mean(axis=1)
+    height = (hip[..., 1].mean(axis=1) - ankle[..., 1].min(axis=1)) / leg
+    middle = hip.mean(axis=1)
+    length = np.linalg.norm(shoulder.mean(axis=1) - middle, axis=-1, keepdims=True)
+    bodies = poses[:, None, [joints.index(n) for n in BODY26.joints]].astype(np.float32)
+    trunks = find_trunks(bodies)[:, 0]
+    x, y, z = np.moveaxis((wrist - middle[:, None]) @ trunks, -1, 0)
+    at = [z > length, z < 0.1 * length, np.hypot(x, y) < NEAR_M, x > np.abs(y) - NEAR_M, x < np.inf]
+    return np.select([height > h for h in POSTURES.values()], [*POSTURES], ''), np.select(at, PLACES, '')
+
+
+def measure_lab_view(options: ViewOptions, view: View, joints: Array) -> Records:
+    """Return the errors in mm of the frames of each posture, and those of the wrists at each place."""
+    found, truth = common.align_scale(joints[:, :CORE_COUNT], view.true_poses)
+    known, error = np.isfinite(found).all(axis=(1, 2)), np.abs(found - truth) * 1e3
+    postures, places = describe_frames(options.trial, options.frames)
+    wrists = error[:, [CMU15.index(j) for j in ('lwrist', 'rwrist')]]
+    turned = common.compute_pose_errors(found, truth, similarity=True)
+    all_frames = np.linalg.norm(error, axis=-1).mean(axis=1), turned
+    all_wrists = np.linalg.norm(wrists, axis=-1), wrists[..., 2]
+    records = []
+    for part, labels, errors in (('body', postures, all_frames), ('wrists', places, all_wrists)):
+        for kind in np.unique(labels):
+            own = (kind == labels.T) & known
+            means = [float(e.T[own].mean()) for e in errors] if own.any() else [0.0, 0.0]
+            records.append({'part': part, 'kind': str(kind), 'count': int(own.sum()), 'errors': means})
+    return records
+
+
+def report_labs(report: Report) -> dict[str, Any]:
+    frames, count = (SHORT_FRAMES, 4) if report.quick else (MAX_FRAMES, 16)
+    persons = {r['subject'] for n, r in load_motion()[2].items() if n.startswith(LABS)}
+    model, parameters = load_models(report.args, *sorted(persons))
+    seen: Any = model_file.load_lifter(parameters['solver.prior']).provenance['trials']
+    records = []
+    for options in common.show_progress(list_views(list_lab_trials(seen, count), LAB_POINTS, frames, [0]), 'labs'):
+        view = options.make_view()
+        for way in WAYS:
+            joints = common.reconstruct(way, view, model, parameters)
+            about = {**asdict(options), 'lab': options.trial[:2], 'way': way}
+            records += [{**about, **r} for r in measure_lab_view(options, view, joints)]
+
+    def show(some: Records) -> str:
+        means = np.average([r['errors'] for r in some], axis=0, weights=[r['count'] for r in some])
+        return '{:.0f} / {:.0f}'.format(*means)
+
+    for part, unit in (('body', 'MPJPE / PA'), ('wrists', 'error / along the line of sight')):
+        mine = [{**r, 'points': f'{r["detector"]}, {r["way"]}'} for r in records if r['part'] == part]
+        mine += [{**r, 'kind': f'all of {r["lab"]}'} for r in mine]
+        report.table(*cross(mine, 'kind', 'points', show), f'People of other labs, {part}: {unit}, mm')
+    return {'labs': records}
+
+
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--persons', choices=('held-out', 'training'), default='held-out')
     parser.add_argument('--detectors', nargs='+', choices=DETECTORS, default=list(DETECTORS))
@@ -224,5 +303,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 if __name__ == '__main__':
-    sections = {way: partial(report_errors, way=way) for way in WAYS}
-    run(__doc__, {**sections, 'recordings': report_recordings, 'extremities': report_extremities}, add_options)
+    sections: dict[str, Section] = {way: partial(report_errors, way=way) for way in WAYS}
+    sections |= {'recordings': report_recordings, 'extremities': report_extremities, 'labs': report_labs}
+    run(__doc__, sections, add_options)

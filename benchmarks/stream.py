@@ -1,13 +1,11 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The node and its recorder under long and heavy streams over DDS. Sections of `--only`:
+"""The node and its recorder under many hours' worth of stream over DDS, as fast as the node takes it.
 
-soak   many hours' worth of stream as fast as the node takes it: three people at the stamps of a camera of 30 Hz,
-       and the next image follows when the skeletons of the one before have come. People come and go, the detector
-       restarts, time loops, parameters change, and recordings end, are counted and removed
-loads  more people, images and cameras than a node can take, and a subscriber that does not read: the age of an
-       image when its skeletons arrive, and whether every image is answered or counted as dropped
+Three people come at the stamps of a camera of 30 Hz, and the next image follows when the skeletons of the one
+before have come. People come and go, the detector restarts, time loops, parameters change, and recordings end, are
+counted and removed.
 """
 
 from __future__ import annotations
@@ -15,27 +13,24 @@ from __future__ import annotations
 import argparse
 import random
 import shutil
-import struct
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from itertools import count, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from node import IMAGE_SIZE, Peer, make_crowd, measure_usage, run_node
+from node import Peer, measure_usage, run_node
 from report import Report, run
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.cdr import Header, decode
+from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import encode_keypoints
-from mocap_ros.ros.diagnostics import DIAGNOSTICS
 from mocap_ros.units import NS_PER_S
 
 HZ = 30  # Hz, rate of the stamps
@@ -53,14 +48,6 @@ HOUR_S = 3600.0  # s
 # Parameters that are set in turn; the last ones restore the first.
 CHANGES = (('tracker.iterations', 3), ('node.queue', 20), ('tracker.iterations', 2), ('node.queue', 10))
 RELIABLE = 'qos_overrides./keypoints.subscription.reliability:=reliable'
-
-LOAD_S, QUICK_LOAD_S = 15.0, 3.0  # s of each load
-WARM_UP_S = 1.0  # s at the start of each load, which do not count
-GAP_NS = 100 * NS_PER_S  # between the stamps of two loads, so that nobody is continued
-TEMPLATES = 60  # messages that are encoded before a load; encoding 50 people takes too long for 200 Hz
-STAMP, STAMP_OFFSET = struct.Struct('<iI'), 4  # s and ns of the stamp in a message, and the byte where they are
-SETTLE_S = 15.0  # s after a load, in which the last answers and a status come
-OF_ALL_TOPICS = 'dropped: queue full'  # the one number in the diagnostics that is not of images alone
 
 
 class Crowd:
@@ -252,94 +239,10 @@ def report_soak(report: Report) -> dict[str, Any]:
     return {'node': one.node, 'counts': one.counts}
 
 
-# People in each image, images a second of each camera, and number of cameras, by the names of the loads.
-LOADS: Mapping[str, tuple[int, float, int]] = {
-    '3 people, 30 Hz': (3, 30.0, 1),
-    'the same, from two cameras': (3, 30.0, 2),
-    '1 person, 200 Hz': (1, 200.0, 1),
-    '50 people, 30 Hz': (50, 30.0, 1),
-    '50 people, 200 Hz': (50, 200.0, 1),
-}
-
-
-class StatusReader:
-    """Reads the numbers of images from the node's diagnostics."""
-
-    def __init__(self, peer: Peer) -> None:
-        from mocap_ros.ros.message_types import load_interface_class
-
-        self._values: dict[str, str] = {}
-        peer.node.create_subscription(load_interface_class(DIAGNOSTICS), '/diagnostics', self._read, 10, raw=True)
-
-    def _read(self, raw: bytes) -> None:
-        (status,) = decode(raw, DIAGNOSTICS).status
-        self._values = {v.key: v.value for v in status.values}
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Numbers of images so far: accepted, invalid, dropped and lost, by reason."""
-        kinds = ('accepted', 'invalid', 'dropped', 'lost')
-        return {k: int(v) for k, v in self._values.items() if k.startswith(kinds) and k != OF_ALL_TOPICS}
-
-
-def send_load(peer: Peer, status: StatusReader, name: str, seconds: float, first_ns: int) -> list[object]:
-    """Send a load, and account for its images; return the row of the table."""
-    people, hz, cameras = LOADS[name]
-    crowd = make_crowd(people)[:TEMPLATES]
-    templates = [
-        [bytearray(encode_keypoints(Header(1, f'camera{n}'), IMAGE_SIZE, frame)) for frame in crowd]
-        for n in range(cameras)
-    ]
-    before, sent = status.counts, dict[int, float]()
-    peer.arrived.clear()
-    start_s = due_s = time.perf_counter()
-    for number in count():
-        if time.perf_counter() - start_s > WARM_UP_S + seconds:
-            break
-        peer.spin_until(due_s)
-        peer.executor.spin_once(timeout_sec=0.0)
-        for camera in range(cameras):
-            stamp = first_ns + round((number + camera / cameras) / hz * NS_PER_S)
-            raw = templates[camera][number % TEMPLATES]
-            STAMP.pack_into(raw, STAMP_OFFSET, *divmod(stamp, NS_PER_S))
-            sent[stamp] = time.perf_counter()
-            peer.keypoints.publish(bytes(raw))
-        due_s += 1 / hz
-    elapsed_s = time.perf_counter() - start_s
-
-    def count_images() -> dict[str, int]:
-        return {k: v - before.get(k, 0) for k, v in status.counts.items()}
-
-    peer.wait(lambda: sum(count_images().values()) >= len(sent), SETTLE_S)
-    counts = count_images()
-    order = [stamp for stamp in peer.arrived if stamp in sent]
-    if any(later < earlier for earlier, later in pairwise(order)):
-        print(f'{name}: an older image was answered after a newer one')
-    ages_ms = [(peer.arrived[s] - sent[s]) * 1e3 for s in order if sent[s] - start_s > WARM_UP_S]
-    by_kind = [sum(v for k, v in counts.items() if k.startswith(kind)) for kind in ('dropped', 'invalid', 'lost')]
-    accounted = [counts.get('accepted', 0), *by_kind]
-    shown = (f'{np.percentile(ages_ms, p):.0f}' if ages_ms else None for p in (50, 99, 100))
-    achieved = len(sent) / cameras / elapsed_s
-    return [name, f'{achieved:.0f}', len(sent), *accounted, len(sent) - sum(accounted), *shown]
-
-
-def report_loads(report: Report) -> None:
-    rows = []
-    with run_recording_node() as (peer, process):
-        status = StatusReader(peer)
-        peer.wait(lambda: status.counts)
-        for number, name in enumerate(list(LOADS)[: 3 if report.quick else None], 1):
-            seconds = QUICK_LOAD_S if report.quick else LOAD_S
-            rows.append(send_load(peer, status, name, seconds, number * GAP_NS))
-        assert process.poll() is None
-    header = ['load', 'Hz achieved', 'images sent', 'answered', 'dropped', 'refused', 'lost before the node']
-    report.table([*header, 'unaccounted', 'age: median, ms', '99 %', 'worst'], rows, page='overload.loads')
-
-
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--hours', type=float, default=8.0, help='h of stream of the soak (default: %(default)s)')
     parser.add_argument('--minutes', type=float, default=600.0, help='after which it ends (default: %(default)s)')
 
 
 if __name__ == '__main__':
-    run(__doc__, {'soak': report_soak, 'loads': report_loads}, add_options)
+    run(__doc__, {'soak': report_soak}, add_options)
