@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.engine import lifter as engine
 from mocap_ros.models.lifter_input import JOINT_COUNT, MIRROR_PERMUTATION, encode_histories, sample_histories
-from mocap_ros.models.network import RoundedNetwork
+from mocap_ros.models.network import Layers, RoundedNetwork
 from mocap_ros.skeleton import CMU15, CORE_COUNT
 
 Array = NDArray[np.float64]
@@ -73,9 +73,9 @@ def concatenate_lifted(parts: Sequence[LiftedPoses]) -> LiftedPoses:
 class Lifter:
     """The trained network, with its batch normalisation folded into the layers."""
 
-    # (in, out) weights and (out,) biases of each layer: the first layer, then the two layers of each residual
-    # block, then the last layer
-    layers: tuple[tuple[Array32, Array32], ...]
+    # weights and biases of each layer: the first layer, then the two layers of each residual block, then the last;
+    # in half precision, as in a file, or more
+    layers: Layers
     provenance: Mapping[str, object]
     network: RoundedNetwork = field(init=False, repr=False)  # the layers, with the weights rounded to integers
 

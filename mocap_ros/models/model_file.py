@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields
 from functools import cache
@@ -24,6 +24,7 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import OUTPUT_COUNT, Lifter
 from mocap_ros.models.lifter_input import FEATURE_COUNT, HISTORY_SLOTS_S
 from mocap_ros.models.motion_predictor import MotionPredictor
+from mocap_ros.models.network import Layers
 from mocap_ros.models.velocity_correction import VelocityCorrection
 from mocap_ros.npz_file import open_npz, write_npz
 from mocap_ros.skeleton import CMU15, Skeleton, keypoint_layout
@@ -221,15 +222,12 @@ def decode_lifter(data: bytes, source: str) -> Lifter:
             raise ValueError(f'format {meta["format"]!r}, expected {LIFTER_FORMAT!r}')
         if not isinstance(meta['provenance'], dict):
             raise ValueError('provenance: expected a mapping')
-        layers = tuple(
-            (np.ascontiguousarray(arrays[f'w{i}'], np.float32), np.asarray(arrays[f'b{i}'], np.float32))
-            for i in range(len(arrays) // 2)
-        )
+        layers = tuple((arrays[f'w{i}'], arrays[f'b{i}']) for i in range(len(arrays) // 2))
         _check_lifter(layers)
         return Lifter(layers, meta['provenance'])
 
 
-def _check_lifter(layers: Sequence[tuple[Array32, Array32]]) -> None:
+def _check_lifter(layers: Layers) -> None:
     """Raise `ValueError` for shapes and values of a lifter's layers that no training produces."""
     if len(layers) < 2 or len(layers) % 2:
         raise ValueError(f'{len(layers)} layers, expected an even number of at least 2')
@@ -238,5 +236,5 @@ def _check_lifter(layers: Sequence[tuple[Array32, Array32]]) -> None:
     for i, (weights, bias) in enumerate(layers):
         if weights.shape != (sizes[i], sizes[i + 1]) or bias.shape != (sizes[i + 1],):
             raise ValueError(f'layer {i}: shapes {weights.shape}, {bias.shape}')
-        if max(np.abs(weights).max(), np.abs(bias).max()) > MAX_PARAMETER:
+        if max(float(np.abs(weights).max()), float(np.abs(bias).max())) > MAX_PARAMETER:
             raise ValueError(f'layer {i}: numbers beyond {MAX_PARAMETER:g}')

@@ -25,6 +25,8 @@ from mocap_ros.engine import lifter as engine
 
 Array32 = NDArray[np.float32]
 Codes = NDArray[Any]  # of 8 or 16 bits
+Floats = NDArray[np.floating[Any]]
+Layers = Sequence[tuple[Floats, Floats]]  # weights (in, out) and biases (out,) of layers, one after the other
 
 
 class RoundedNetwork(NamedTuple):
@@ -43,7 +45,7 @@ class RoundedNetwork(NamedTuple):
     last_bias: Array32  # (O,) biases of the last layer
 
     @staticmethod
-    def from_layers(layers: Sequence[tuple[Array32, Array32]]) -> RoundedNetwork:
+    def from_layers(layers: Layers) -> RoundedNetwork:
         """Round the weights (in, out), with biases (out,), of the first layer, the blocks of two, and the last."""
         (first, _), *blocks, (last, last_bias) = layers
         rounded = [_round_weights(weights, np.int8) for weights, _ in blocks]
@@ -55,8 +57,8 @@ class RoundedNetwork(NamedTuple):
             np.array([codes for codes, _ in rounded], np.int8).reshape(len(blocks), width, filled),
             np.array([scales for _, scales in rounded], np.float32).reshape(len(blocks), width),
             *_round_weights(last, np.int16),
-            np.array([bias for _, bias in layers[:-1]]),
-            np.ascontiguousarray(last_bias),
+            np.array([bias for _, bias in layers[:-1]], np.float32),
+            np.ascontiguousarray(last_bias, np.float32),
         )
 
     def evaluate(self, features: Array32) -> Array32:
@@ -64,8 +66,9 @@ class RoundedNetwork(NamedTuple):
         return engine.evaluate(features, *self)
 
 
-def _round_weights(weights: Array32, kind: type[np.int8 | np.int16]) -> tuple[Codes, Array32]:
+def _round_weights(given: Floats, kind: type[np.int8 | np.int16]) -> tuple[Codes, Array32]:
     """Return the codes (in, out or more) of weights (in, out) as integers of a kind, and the scales (in,)."""
+    weights = np.asarray(given, np.float32)
     scales = np.abs(weights).max(axis=1) / np.float32(np.iinfo(kind).max)
     codes = np.rint(weights / np.where(scales > 0, scales, 1)[:, None])
     return np.asarray(np.pad(codes, [(0, 0), (0, -codes.shape[1] % 16)]), kind), scales

@@ -13,6 +13,7 @@ from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.bags.mcap_file import Attachment
@@ -39,7 +40,7 @@ def provenance_attachments(config: Config, models: Mapping[str, BasePoses]) -> t
     }
     lifter = load_prior_lifter(config.solver.prior, next(iter(models.values())).skeleton)
     if lifter is not None:
-        weights = [array for layer in lifter.layers for array in layer]
+        weights = [np.asarray(array, np.float32) for layer in lifter.layers for array in layer]
         provenance['lifter'] = _describe_origin(weights, lifter.provenance)
     return (
         Attachment('mocap_ros.yaml', 'application/yaml', to_yaml(config).encode()),

@@ -117,7 +117,8 @@ class LifterNetwork(nn.Module):  # type: ignore[misc, unused-ignore]
             MocapError: the lifter has other layers than this network.
         """
         layers = [
-            (torch.from_numpy(weight.T.copy()), torch.from_numpy(bias.copy())) for weight, bias in lifter.layers
+            (torch.from_numpy(weight.T.astype('f4')), torch.from_numpy(bias.astype('f4')))
+            for weight, bias in lifter.layers
         ]
         own = [*(linear for linear, *_ in self.hidden), self.last]
         if [weight.shape for weight, _ in layers] != [linear.weight.shape for linear in own]:

@@ -90,7 +90,8 @@ def face_newest_points(points: Array, weight: Array, focal: float) -> tuple[Arra
 def round_layers(layers: Sequence[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
     """Return layers with the weights of each input rounded to multiples: of 1/127 of the largest, or 1/32767."""
     rounded = []
-    for number, (weights, bias) in enumerate(layers):
+    for number, (given, bias) in enumerate(layers):
+        weights = np.asarray(given, np.float32)
         largest = 127 if 0 < number < len(layers) - 1 else 32767
         step = np.abs(weights).max(axis=1, keepdims=True) / largest
         rounded.append((np.where(step > 0, step * np.round(weights / np.maximum(step, 1e-30)), 0), bias))
