@@ -311,14 +311,12 @@ def collect_frame(
         frame: index of the frame.
         core: (P, 15, 3) m.
         camera: (3, 3) rotation from the real to the virtual camera.
-        lifted: (F, 26, 3) in the unit of rays; None without a lifter.
-        std: likewise.
+        lifted, std: (F, 26, 3) in the unit of rays; None without a lifter.
         rays: (F, 15, 2) of the core.
         weight: (F, 15).
         other_rays: (F, 11, 2) of the extremities; None if none were seen.
         other_weight: (F, 11).
-        out_lifted: (P, 26, 3), NaN before; written only with a lifter.
-        out_std: likewise.
+        out_lifted, out_std: (P, 26, 3), NaN before; written only with a lifter.
         out_rays: (P, 26, 2), 0 before.
         out_weight: (P, 26), 0 before.
     """
@@ -657,12 +655,7 @@ cdef class Body:
 
         Args:
             start: (N,) the state before the first frame.
-            core: with the next five, the attributes of `ExtremityEvidence` in all frames.
-            lifted: likewise.
-            lifted_std: likewise.
-            rays: likewise.
-            weight: likewise.
-            noise: likewise.
+            core, lifted, lifted_std, rays, weight, noise: the attributes of `ExtremityEvidence` in all frames.
             stature: m.
             steps: (F,) s, time since the frame before; infinite for the first.
         """

@@ -164,9 +164,7 @@ def sample_body_histories(
         first: index of the first frame.
         oldest: index of the oldest frame that may take part.
         joints: J.
-        slots: with the next two as of `sample_histories`.
-        max_gap_s: likewise.
-        tolerance_s: likewise.
+        slots, max_gap_s, tolerance_s: as of `sample_histories`.
     """
     cdef Py_ssize_t f, j, core = weight.shape[1], count = times.shape[0] - oldest
     points, scores = np.zeros((count, joints, 2)), np.zeros((count, joints))
@@ -362,14 +360,10 @@ def decode(
 
     Args:
         outputs: of the network.
-        features: this and the next three are what `encode` returned.
-        newest: likewise.
-        size: likewise.
-        rotation: likewise.
+        features, newest, size, rotation: what `encode` returned.
         mirror: (J,) counterparts of the joints on the other side.
         core: J_c.
-        min_log_std: with the next one the range of logarithms of deviations, in units.
-        max_log_std: likewise.
+        min_log_std, max_log_std: the range of logarithms of deviations, in units.
     """
     cdef Py_ssize_t n, j, m, i, seen, joints = mirror.shape[0], stds = 3 * joints  # where log deviations begin
     cdef double total, unit, across, along, log_across, log_along

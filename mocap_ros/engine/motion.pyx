@@ -263,8 +263,7 @@ def read_motion(Rows filters, Vector times, Stack located, Py_ssize_t left_hip, 
         filters: (P, R) as of `filter_motion`.
         times: (P,) s; where a filter is not at this time, the joints are those located, and all else is NaN.
         located: (P, J, 3) m.
-        left_hip: index of the joint.
-        right_hip: likewise.
+        left_hip, right_hip: index of the joint.
     """
     cdef Py_ssize_t p, j, i, people = located.shape[0], count = located.shape[1], size = 3 * (count + 1)
     cdef double variance
@@ -299,10 +298,7 @@ def build_inputs(
     """Return the inputs x (P, 2, I) of people and of the mirror images, neither centred nor scaled.
 
     Args:
-        velocity: this and the next three are attributes of `VelocityPast`.
-        joints: likewise.
-        earlier: likewise.
-        axes: likewise.
+        velocity, joints, earlier, axes: attributes of `VelocityPast`.
         spans: (T,) s.
         mirror: (J + 1,) counterparts of the joints and of the root.
         hips: (2,) indices.
@@ -370,21 +366,10 @@ def correct_velocity(
     """Return what is to be added to the velocities (P, J, 3) m/s, limited (the l_j).
 
     Args:
-        velocity: this and the next four are the attributes of `VelocityPast`.
-        std: likewise.
-        joints: likewise.
-        earlier: likewise.
-        axes: likewise.
+        velocity, std, joints, earlier, axes: the attributes of `VelocityPast`.
         needed: index of the span without which nothing is corrected.
-        spans: with the next two as of `build_inputs`.
-        mirror: likewise.
-        hips: likewise.
-        centre: with the next five the attributes of `VelocityCorrection`.
-        scale: likewise.
-        weight_0: likewise.
-        bias_0: likewise.
-        weight_1: likewise.
-        bias_1: likewise.
+        spans, mirror, hips: as of `build_inputs`.
+        centre, scale, weight_0, bias_0, weight_1, bias_1: the attributes of `VelocityCorrection`.
     """
     cdef Py_ssize_t p, j, i, a, k, n, people = joints.shape[0], count = joints.shape[1], outputs = bias_1.shape[0]
     cdef const double[:, :, ::1] inputs = build_inputs(velocity, joints, earlier, axes, spans, mirror, hips)
@@ -450,8 +435,7 @@ def add_correction(
     """Correct velocities (P, J, 3), their deviations (P, J) and covariances (P, 3, 3) in place (`tracking.output`).
 
     Args:
-        velocity: of the filter.
-        std: likewise.
+        velocity, std: of the filter.
         covariance: likewise, of the velocity between the hips.
         correction: (P, J, 3); 0 where nothing is corrected.
         hips: (2,) indices.

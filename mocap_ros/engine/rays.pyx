@@ -97,8 +97,7 @@ def convert_to_rays(
     Args:
         points: (F, S, 2) px.
         score: (F, S), NaN or 0 for keypoints that were not seen.
-        weights: as of `map_joints`.
-        score_factor: likewise.
+        weights, score_factor: as of `map_joints`.
         min_score: least score of a keypoint that counts.
         focal_lengths: (2,) px.
         center: (2,) px.

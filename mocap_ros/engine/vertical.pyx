@@ -182,8 +182,7 @@ def find_upward(Stack joints, Vector masses, const long long[:, ::1] sides, Py_s
         joints: poses in any unit.
         masses: (J_c,) shares of the body's mass.
         sides: (2, 4) left and right shoulder, hip, knee and ankle.
-        neck: index of the joint.
-        pelvis: likewise.
+        neck, pelvis: index of the joint.
         support_ahead: b.
         min_length: guards divisions by lengths.
     """
@@ -223,14 +222,10 @@ def find_standing(
     Stack joints, const long long[:, ::1] sides, Py_ssize_t neck, Py_ssize_t pelvis, double min_length,
     double standing_deg, double seated_deg,
 ):
-    """Return the shares (N,) to which poses stand; the first arguments are those of `find_upward`.
+    """Return the shares (N,) to which poses stand.
 
     Args:
-        joints: likewise.
-        sides: likewise.
-        neck: likewise.
-        pelvis: likewise.
-        min_length: likewise.
+        joints, sides, neck, pelvis, min_length: as of `find_upward`.
         standing_deg: who has a hip that is bent by no more stands.
         seated_deg: who has both hips bent by more does not.
     """
