@@ -31,6 +31,7 @@ from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, MIN_JUDGED_FRAMES, 
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import (
+    MAX_METRES,
     describe_other_unit,
     describe_points_outside,
     describe_transposed_size,
@@ -176,8 +177,8 @@ class Tracker:
             person, joint = fault.index
             raise InputError(f'people[{person}]: {fault.field}[{joint}]: {fault.what}')
         points, score = mark_unseen(points, score)
-        for i, (own, seen) in enumerate(zip(points, score, strict=True)):
-            if other_unit := describe_other_unit(own, seen, self._image_size[0]):
+        for i in np.flatnonzero(~(np.abs(points) > MAX_METRES).any(axis=(1, 2))).tolist():
+            if other_unit := describe_other_unit(points[i], score[i], self._image_size[0]):
                 raise InputError(f'people[{i}]: x, y: {other_unit}')
         detected = [Person2D(*p) for p in zip(names, [self._joint_names] * len(names), points, score, strict=True)]
         check_ids('ids', detected)

@@ -32,7 +32,7 @@ SMOOTHING_REACH_STD = 10.0  # standard deviations; frames farther away would wei
 FRAMES_PER_BLOCK = 1024  # frames averaged at once; bounds the memory, which grows with its square
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class VirtualCamera:
     """Virtual cameras that face one person: one for each frame, or one for all frames."""
 

@@ -101,7 +101,7 @@ def _find_part(joint: str) -> int:
     return PARTS.index('arms') if joint.endswith(_ARM_JOINTS) else PARTS.index('shoulders')
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class ViterbiPaths:
     """The likeliest path to each of the eight states of the newest frame, in the order of `SWAPPED_PARTS`."""
 
@@ -112,7 +112,7 @@ class ViterbiPaths:
     last_seen_s: Array  # (8, J) s, time at which each joint was last seen; -inf if never
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class SwapFilter:
     """Filter that finds the parts of one person's body whose left and right are swapped; it is immutable."""
 

@@ -61,7 +61,7 @@ TENTATIVE_COST = 0.5  # person sizes; a known person gets a detection sooner tha
 MIRROR = np.array(CMU15.mirror)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Detection:
     """One detected person of whom enough was seen to be tracked."""
 

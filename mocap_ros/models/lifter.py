@@ -40,7 +40,7 @@ BONE_SUM_PER_STATURE = 2.42  # 1, sum of all bone lengths over stature; mean of 
 OUTPUT_COUNT = 5 * JOINT_COUNT  # x, y and z of each joint; log standard deviations of x and y together, and of z
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class LiftedPoses:
     """3D poses of N frames along the axes of the camera's optical frame (x right, y down, z forward)."""
 

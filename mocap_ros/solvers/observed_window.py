@@ -64,7 +64,7 @@ MAX_SPAN_S = (
 ShotFinder = Callable[[Array, Array, Array], list[slice]]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class ObservedWindow:
     """One person's joints in some frames, and the virtual cameras that face the person."""
 

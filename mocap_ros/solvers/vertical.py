@@ -116,7 +116,7 @@ class _Sums(NamedTuple):
 NO_SUMS = _Sums()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Vertical:
     """What is known of the vertical of a camera; it is immutable, and `advance` returns a new one.
 

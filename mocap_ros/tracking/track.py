@@ -143,16 +143,17 @@ class Track:
             dropped = min(
                 dropped, max(bisect_right(self.stamps_ns, find_oldest_needed_ns(stamp_ns, lag_s)) - 1, 0)
             )
-        swapped, time_s = self.swap_filter.is_swapped[dropped:], (stamp_ns - self.first_ns) / NS_PER_S
-        seen = detection.rays, detection.weight, detection.size
-        self.swap_filter = self.swap_filter.update(time_s, *seen, dropped)
-        is_changed = (self.swap_filter.is_swapped[:-1] != swapped).any(axis=1)
-        unchanged = int(is_changed.argmax()) if is_changed.any() else len(is_changed)
+        before, time_s = self.swap_filter.is_swapped[dropped:], (stamp_ns - self.first_ns) / NS_PER_S
+        self.swap_filter = self.swap_filter.update(
+            time_s, detection.rays, detection.weight, detection.size, dropped
+        )
+        swapped, unchanged = self.swap_filter.is_swapped[:-1], len(before)
+        if swapped.tobytes() != before.tobytes():
+            unchanged = int((swapped != before).any(axis=1).argmax())
+            self.schedule.check_at(stamp_ns)
         lifted = self.observed.lifted if unchanged else None
         if lifted is not None:
             lifted = lifted.select_frames(slice(dropped, dropped + unchanged))
-        if unchanged < len(is_changed):
-            self.schedule.check_at(stamp_ns)
         if self.solution is not None:
             self.solution = self.solution.drop_oldest(dropped)
         self.given_id, self.has_newest_id = detection.given_id or self.given_id, bool(detection.given_id)
