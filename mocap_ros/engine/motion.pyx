@@ -83,13 +83,18 @@ cdef void pose(
     const double* theta, Py_ssize_t count, const double* rotation, const double* root, Rows mean, Stack components,
     double size, double* out,
 ) noexcept nogil:
-    cdef Py_ssize_t j, k, i
+    cdef Py_ssize_t j, k, i, values = 3 * mean.shape[0]
     cdef double[3] point
+    cdef const double* component
+    for i in range(values):
+        out[i] = (&mean[0, 0])[i]
+    for k in range(count):
+        component = &components[k, 0, 0]
+        for i in range(values):
+            out[i] += theta[k] * component[i]
     for j in range(mean.shape[0]):
         for i in range(3):
-            point[i] = mean[j, i]
-            for k in range(count):
-                point[i] += theta[k] * components[k, j, i]
+            point[i] = out[3 * j + i]
         for i in range(3):
             out[3 * j + i] = size * (dot(rotation + 3 * i, point) + root[i])
 

@@ -90,7 +90,7 @@ class Detection:
             points, score = np.array([people[i].points for i in own]), np.array([people[i].score for i in own])
             rays, weight, others = convert_body_to_rays(points, score, joints, intrinsics, min_score)
             sizes = measure_sizes(rays, weight)
-            usable = (np.count_nonzero(weight, axis=1) >= min_joints) & show_people(sizes)
+            usable = ((weight > 0).sum(axis=1) >= min_joints) & show_people(sizes)
             for n in np.flatnonzero(usable).tolist():
                 given_id = '' if people[own[n]].id == UNTRACKED_ID else people[own[n]].id
                 found[own[n]] = Detection(given_id, rays[n], weight[n], float(sizes[n]), others.select_frames(n))
