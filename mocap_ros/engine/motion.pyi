@@ -55,3 +55,25 @@ def add_correction(
     correction_factor: float,
     root_factor: float,
 ) -> None: ...
+def estimate_joint_std(
+    posterior: Array,
+    weight: Array,
+    lifter_std: Array,
+    noise: Array,
+    seen_factor: float,
+    inferred_factor: float,
+    floor: float,
+    lifter_seen_factor: float,
+    lifter_inferred_factor: float,
+    noise_factor: float,
+) -> Array: ...
+def estimate_root_covariance(
+    joints: Array,
+    std: Array,
+    sizes: Array,
+    left_hip: int,
+    right_hip: int,
+    factor: float,
+    across: float,
+    along: float,
+) -> Array: ...

@@ -478,3 +478,68 @@ def add_correction(
             for k in range(3):
                 covariance[p, i, k] *= square(root_factor * std_factor)
                 covariance[p, i, k] += square(root_factor * correction_factor) * at_root[i] * at_root[k]
+
+
+def estimate_joint_std(
+    Rows posterior, Rows weight, Stack lifter_std, Vector noise, double seen_factor, double inferred_factor, double floor,
+    double lifter_seen_factor, double lifter_inferred_factor, double noise_factor,
+):
+    """Return the standard deviations (P, J) m of joints; formulas and factors are in `models.joint_std`.
+
+    Args:
+        posterior: (P, J) m.
+        weight: (P, J or more) scores, 0 for inferred joints.
+        lifter_std: (P, J or more, 3) m, NaN where not lifted.
+        noise: (P,) m.
+        seen_factor, inferred_factor, floor: h of seen and inferred joints, and the floor in m.
+        lifter_seen_factor, lifter_inferred_factor, noise_factor: f, g and n.
+    """
+    cdef Py_ssize_t p, j
+    cdef double length
+    result = np.empty((posterior.shape[0], posterior.shape[1]))
+    cdef double[:, ::1] out = result
+    for p in range(posterior.shape[0]):
+        for j in range(posterior.shape[1]):
+            length = sqrt(dot(&lifter_std[p, j, 0], &lifter_std[p, j, 0]))
+            if not isfinite(length):
+                length = posterior[p, j] * (seen_factor if weight[p, j] > 0 else inferred_factor)
+                out[p, j] = sqrt(square(length) + square(floor))
+            elif weight[p, j] > 0:
+                out[p, j] = sqrt(square(lifter_seen_factor * length) + square(noise_factor * noise[p]))
+            else:
+                out[p, j] = lifter_inferred_factor * length
+    return result
+
+
+def estimate_root_covariance(
+    Stack joints, Rows std, Rows sizes, Py_ssize_t left_hip, Py_ssize_t right_hip, double factor, double across,
+    double along,
+):
+    """Return the covariances (P, 3, 3) m^2 of roots; the formula is in `tracking.body_size`.
+
+    Args:
+        joints: (P, J, 3) m of people of the assumed size.
+        std: (P, J) m.
+        sizes: (P, 3), each a `BodySize`.
+        left_hip, right_hip: indices of the joints.
+        factor: F.
+        across, along: shares of a joint's variance in a direction across and along the line of sight.
+    """
+    cdef Py_ssize_t p, i, k
+    cdef double variance
+    cdef double[3] root
+    result = np.empty((joints.shape[0], 3, 3))
+    cdef double[:, :, ::1] out = result
+    for p in range(joints.shape[0]):
+        for i in range(3):
+            root[i] = (joints[p, left_hip, i] + joints[p, right_hip, i]) / 2
+        variance = square(factor * (std[p, left_hip] + std[p, right_hip]) / 2)
+        for i in range(3):
+            for k in range(3):
+                out[p, i, k] = (variance * (along - across) / dot(root, root) + square(sizes[p, 1])) * root[i] * root[k]
+            out[p, i, i] += variance * across
+        out[p, 2, 2] += square(sizes[p, 2] * root[2])
+        for i in range(3):
+            for k in range(3):
+                out[p, i, k] *= square(sizes[p, 0])
+    return result

@@ -18,6 +18,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.engine import motion as engine
+
 Array = NDArray[np.float64]
 
 LIFTER_FACTOR_SEEN = 0.7  # 1, f: factor on the lifter's standard deviations of seen joints, tuned as described
@@ -30,25 +32,16 @@ VARIANCE_ACROSS = 1 / 6  # of the whole variance, in each direction across the l
 VARIANCE_ALONG = 2 / 3  # of the whole variance, along the line of sight
 
 
-def estimate_joint_std(
-    posterior_std: Array,
-    inferred: NDArray[np.bool_],
-    lifter_std: Array | None = None,
-    noise: float | Array = 0.0,
-) -> Array:
-    """Estimate the standard deviation in m of each joint position (..., J), relative to the body's origin.
+def estimate_joint_std(posterior_std: Array, weight: Array, lifter_std: Array, noise: Array) -> Array:
+    """Estimate the standard deviations (P, J) m of joint positions of people, relative to the body's origin.
 
-    `posterior_std` (..., J) in m is that of the solver; `lifter_std` (..., J or more, 3) in m, NaN for frames that
-    were not lifted; `noise` in m that of the image at the body.
+    `posterior_std` (P, J) in m is that of the solver; `weight` (P, J or more) are scores, 0 for inferred joints;
+    `lifter_std` (P, J or more, 3) in m, NaN for frames that were not lifted; `noise` (P,) in m that of the image
+    at the body.
     """
-    factor = np.where(inferred, POSTERIOR_FACTOR_INFERRED, POSTERIOR_FACTOR_SEEN)
-    posterior = np.sqrt((factor * posterior_std) ** 2 + POSTERIOR_FLOOR_M**2)
-    if lifter_std is None:
-        return np.asarray(posterior)
-    length = np.sqrt((lifter_std[..., : posterior_std.shape[-1], :] ** 2).sum(axis=-1))
-    seen = np.sqrt((LIFTER_FACTOR_SEEN * length) ** 2 + (NOISE_FACTOR_SEEN * noise) ** 2)
-    lifted = np.where(inferred, LIFTER_FACTOR_INFERRED * length, seen)
-    return np.where(np.isfinite(length), lifted, posterior)
+    of_posterior = POSTERIOR_FACTOR_SEEN, POSTERIOR_FACTOR_INFERRED, POSTERIOR_FLOOR_M
+    of_lifter = LIFTER_FACTOR_SEEN, LIFTER_FACTOR_INFERRED, NOISE_FACTOR_SEEN
+    return engine.estimate_joint_std(posterior_std, weight, lifter_std, noise, *of_posterior, *of_lifter)
 
 
 def compute_joint_covariance(std: Array, position: Array) -> Array:

@@ -39,9 +39,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import TrackerConfig
+from mocap_ros.engine import motion as engine
 from mocap_ros.errors import ConfigError
 from mocap_ros.geometry.level import Floor
-from mocap_ros.models.joint_std import compute_joint_covariance
+from mocap_ros.models.joint_std import VARIANCE_ACROSS, VARIANCE_ALONG
 from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.floor import POSE_SHARE
@@ -161,9 +162,5 @@ def assume_size(config: TrackerConfig, person_id: str = '', *, is_focal_known: b
 
 def estimate_root_covariance(joints: Array, std: Array, sizes: Sequence[BodySize]) -> Array:
     """Return the covariances (P, 3, 3) m^2 of roots, of joints (P, J, 3) m of the assumed size."""
-    ratio, share, focal_share = np.array(sizes).T
-    roots = (joints[:, HIPS[0]] + joints[:, HIPS[1]]) / 2
-    covariance = compute_joint_covariance(ROOT_FACTOR * (std[:, HIPS[0]] + std[:, HIPS[1]]) / 2, roots)
-    covariance += share[:, None, None] ** 2 * roots[:, :, None] * roots[:, None, :]
-    covariance[:, 2, 2] += (focal_share * roots[:, 2]) ** 2
-    return np.asarray(covariance * ratio[:, None, None] ** 2)
+    shares = VARIANCE_ACROSS, VARIANCE_ALONG
+    return engine.estimate_root_covariance(joints, std, np.array(sizes), *HIPS, ROOT_FACTOR, *shares)

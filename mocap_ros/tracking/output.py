@@ -166,8 +166,7 @@ def find_joint_std(tracks: Sequence[Track], seen: ExtremityEvidence) -> Array:
     """Return the standard deviations (P, J) m of the core joints of P people of the assumed size."""
     posterior = np.array([t.solved.joint_std for t in tracks])
     size = np.array([[1 / t.solved.stature_ratio] for t in tracks])
-    inferred = seen.weight[:, :CORE_COUNT] == 0
-    return estimate_joint_std(size * posterior, inferred, seen.lifted_std, seen.noise[:, None])
+    return estimate_joint_std(size * posterior, seen.weight, seen.lifted_std, seen.noise)
 
 
 def make_people(

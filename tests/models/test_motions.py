@@ -158,22 +158,24 @@ def test_walkers_show_the_vertical(rng: np.random.Generator) -> None:
     assert find_upward(np.zeros((0, 15, 3))).shape == (0, 3)
 
 
-POSTERIOR_STD = np.array([0.01, 0.01, 0.05])  # m
-INFERRED = np.array([False, True, False])
-LIFTER_STD = np.array([[0.02, 0.03, 0.06], [0.02, 0.03, 0.06], [np.nan] * 3])  # m; 0.07 m together
+POSTERIOR_STD = np.array([[0.01, 0.01, 0.05]])  # m
+SEEN = np.array([[1.0, 0.0, 1.0]])  # scores
+LIFTER_STD = np.array([[[0.02, 0.03, 0.06], [0.02, 0.03, 0.06], [np.nan] * 3]])  # m; 0.07 m together
+UNLIFTED = np.full((1, 3, 3), np.nan)
 
 
 def test_the_lifter_decides_where_it_lifted_and_noise_and_hiding_make_joints_less_certain() -> None:
-    posterior = estimate_joint_std(POSTERIOR_STD, INFERRED)
-    seen, inferred, not_lifted = estimate_joint_std(POSTERIOR_STD, INFERRED, LIFTER_STD)
-    noisy = estimate_joint_std(POSTERIOR_STD, INFERRED, LIFTER_STD, 0.03)
+    (posterior,) = estimate_joint_std(POSTERIOR_STD, SEEN, UNLIFTED, np.zeros(1))
+    seen, inferred, not_lifted = estimate_joint_std(POSTERIOR_STD, SEEN, LIFTER_STD, np.zeros(1))[0]
+    (noisy,) = estimate_joint_std(POSTERIOR_STD, SEEN, LIFTER_STD, np.full(1, 0.03))
     assert posterior[1] > posterior[0] > joint_std.POSTERIOR_FLOOR_M
     assert inferred > seen
     assert (seen, inferred) == pytest.approx((0.7 * 0.07, 0.8 * 0.07))
     assert not_lifted == posterior[2]
     assert noisy[0] > seen
     assert noisy[1:].tolist() == [inferred, not_lifted], 'the image says nothing of it, and the posterior knows it'
-    assert estimate_joint_std(np.zeros(3), INFERRED) == pytest.approx(joint_std.POSTERIOR_FLOOR_M)
+    (least,) = estimate_joint_std(np.zeros((1, 3)), SEEN, UNLIFTED, np.zeros(1))
+    assert least == pytest.approx(joint_std.POSTERIOR_FLOOR_M)
 
 
 def test_covariances_are_longest_along_the_line_of_sight(rng: np.random.Generator) -> None:
