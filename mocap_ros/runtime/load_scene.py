@@ -38,7 +38,7 @@ from mocap_ros.runtime.load_results import RecordedPeople, find_skeletons_topic,
 from mocap_ros.runtime.summary import Summary, summarise
 from mocap_ros.skeleton import CMU15, Skeleton, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
-from mocap_ros.viewing.scene import Mark, MarkKind, Scene, SceneKeypoints, ScenePerson
+from mocap_ros.viewing.scene import Mark, Scene, SceneKeypoints, ScenePerson
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -344,7 +344,7 @@ def _build_bag_scene(
         ),
         image_size=resolve_image_size(stated=detections.image_size, configured=implied_size),
         intrinsics=intrinsics,
-        marks=tuple(Mark(t, MarkKind.DROP, why) for t, (_, why) in zip(times, drops, strict=True)),
+        marks=tuple(Mark(t, why) for t, (_, why) in zip(times, drops, strict=True)),
         skeleton=skeleton,
     )
 

@@ -29,7 +29,8 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.skeleton import Skeleton
 from mocap_ros.viewing.plots import INFERRED_COLOUR, TRUTH_COLOUR, make_printable
 from mocap_ros.viewing.scene import (
-    MARK_COLOURS,
+    DROP_COLOUR,
+    DROP_NAME,
     PALE_COLOUR,
     TRAIL_JOINT,
     Scene,
@@ -157,10 +158,9 @@ def _describe_scene(scene: Scene, packer: _Packer) -> dict[str, Any]:
         'floorY': scene.floor_y,
         'toLevel': scene.to_level.tolist(),
         'marks': [
-            {'time': m.time_s, 'kind': m.kind.value, 'text': m.text, 'colour': MARK_COLOURS[m.kind]}
-            for m in scene.marks
+            {'time': m.time_s, 'kind': DROP_NAME, 'text': m.text, 'colour': DROP_COLOUR} for m in scene.marks
         ],
-        'markKinds': [[k.value, MARK_COLOURS[k]] for k in MARK_COLOURS if any(m.kind is k for m in scene.marks)],
+        'markKinds': [[DROP_NAME, DROP_COLOUR]] if scene.marks else [],
         'colourKey': list_colour_key(scene),
         'inferredColour': INFERRED_COLOUR,
         'paleColour': PALE_COLOUR,

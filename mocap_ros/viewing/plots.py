@@ -39,29 +39,17 @@ MIN_IMAGE_SIZE_PX = 1.0  # px; guards the panel's limits if all keypoints are in
 
 @dataclass(frozen=True, eq=False)
 class PlotData:
-    """A reconstruction with its input, to be drawn.
+    """A reconstruction with its input, to be drawn."""
 
-    Attributes:
-        times: (F,) s.
-        joints: (F, J, 3) m, camera optical frame; NaN in frames without a result.
-        seen: (F, J) True where a joint was seen, False where it was inferred.
-        skeleton: skeleton of the joints.
-        truth: (F, J, 3) m, same joints; or None.
-        keypoints: (F, Jk, 3) x and y in px, and confidence score; None to draw no 2D input.
-        keypoint_skeleton: layout of the keypoints.
-        projected: (F, J, 2) px, the joints in the image; drawn where there is an image behind them.
-        images: images (H, W, 3) of some frames, by frame.
-    """
-
-    times: Array
-    joints: Array
-    seen: NDArray[np.bool_]
-    skeleton: Skeleton
-    truth: Array | None = None
-    keypoints: Array | None = None
-    keypoint_skeleton: Skeleton = CMU15
-    projected: Array | None = None
-    images: Mapping[int, NDArray[np.uint8]] = field(default_factory=dict)
+    times: Array  # (F,) s
+    joints: Array  # (F, J, 3) m, camera optical frame; NaN in frames without a result
+    seen: NDArray[np.bool_]  # (F, J) True where a joint was seen, False where it was inferred
+    skeleton: Skeleton  # of the joints
+    truth: Array | None = None  # (F, J, 3) m, same joints
+    keypoints: Array | None = None  # (F, Jk, 3) x and y in px, and confidence score; None to draw no 2D input
+    keypoint_skeleton: Skeleton = CMU15  # layout of the keypoints
+    projected: Array | None = None  # (F, J, 2) px, the joints in the image; drawn where an image is behind them
+    images: Mapping[int, NDArray[np.uint8]] = field(default_factory=dict)  # (H, W, 3) of some frames, by frame
 
 
 def make_printable(name: str) -> str:
@@ -118,25 +106,15 @@ def draw_poses_figure(data: PlotData, frames: Sequence[int], title: str, labels:
     if error_mm is not None:
         _draw_error(figure.add_subplot(grid[-1, :]), data, error_mm, frames)
     figure.suptitle(make_printable(title), fontsize=11, y=0.97, parse_math=False)
-    figure.legend(
-        handles=_make_legend_handles(data),
-        loc='upper center',
-        bbox_to_anchor=(0.5, 0.955),
-        ncols=5,
-        fontsize=9,
-        frameon=False,
-    )
-    return figure
-
-
-def _make_legend_handles(data: PlotData) -> list[Line2D]:
     colours = {'left': LEFT_COLOUR, 'right': RIGHT_COLOUR, 'middle': MIDDLE_COLOUR}
     handles = [Line2D([], [], color=colour, linewidth=1.8, label=side) for side, colour in colours.items()]
     if data.truth is not None:
         handles.append(Line2D([], [], color=TRUTH_COLOUR, linewidth=4, label='truth'))
-    label = 'not seen, filled in by the model'
-    handles.append(Line2D([], [], linestyle='', marker='o', markersize=4, color=INFERRED_COLOUR, label=label))
-    return handles
+    dot: dict[str, Any] = {'linestyle': '', 'marker': 'o', 'markersize': 4, 'color': INFERRED_COLOUR}
+    handles.append(Line2D([], [], label='not seen, filled in by the model', **dot))
+    place: dict[str, Any] = {'loc': 'upper center', 'bbox_to_anchor': (0.5, 0.955)}
+    figure.legend(handles=handles, ncols=5, fontsize=9, frameon=False, **place)
+    return figure
 
 
 def _draw_input(axes: Any, data: PlotData, keypoints: Array, frame: int) -> None:
@@ -180,30 +158,21 @@ def _draw_pose(axes: Any, data: PlotData, frame: int, projection: Any, radius: f
 def _draw_error(axes: Any, data: PlotData, error_mm: Array, frames: Sequence[int]) -> None:
     """Draw the 3D error and the share of inferred joints over time."""
     (line,) = axes.plot(data.times, error_mm, color='black', linewidth=1, label='3D error')
-    frame_lines = [
-        axes.axvline(data.times[f], color=TRUTH_COLOUR, linewidth=1, label='frames above') for f in frames
-    ]
+    drawn = [axes.axvline(data.times[f], color=TRUTH_COLOUR, linewidth=1, label='frames above') for f in frames]
     if len(data.times) > 1:
         axes.set_xlim(data.times[0], data.times[-1])
     axes.set_ylim(0, None)
     axes.set_xlabel('time, s', fontsize=9)
     axes.set_ylabel('3D error, mm', fontsize=9)
-
     share_axes = axes.twinx()
-    inferred_share = (~data.seen).mean(axis=1)
-    share_axes.fill_between(data.times, 0, inferred_share, color=INFERRED_COLOUR, alpha=0.35, linewidth=0)
-    band = Patch(color=INFERRED_COLOUR, alpha=0.35, linewidth=0, label='joints not seen')
+    style: dict[str, Any] = {'color': INFERRED_COLOUR, 'alpha': 0.35, 'linewidth': 0}
+    share_axes.fill_between(data.times, 0, (~data.seen).mean(axis=1), **style)
     share_axes.set_ylim(0, 1)
     share_axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     share_axes.set_ylabel('joints not seen', fontsize=9)
-    share_axes.legend(
-        handles=[line, band, *frame_lines[:1]],
-        loc='lower left',
-        bbox_to_anchor=(0, 0.97),
-        ncols=3,
-        fontsize=8,
-        frameon=False,
-    )
+    handles = [line, Patch(label='joints not seen', **style), *drawn[:1]]
+    place: dict[str, Any] = {'loc': 'lower left', 'bbox_to_anchor': (0, 0.97)}
+    share_axes.legend(handles=handles, ncols=3, fontsize=8, frameon=False, **place)
     axes.set_zorder(share_axes.get_zorder() + 1)
     axes.patch.set_visible(False)
     for panel in (axes, share_axes):

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 from functools import cached_property
 from typing import NamedTuple
 
@@ -49,59 +48,31 @@ MIN_DEPTH_M = 0.1  # m; nearer joints have no image point that could be drawn
 MIN_PART_JOINTS = 2  # pairs of joints of a part that must be seen on both sides; one alone may be an outlier
 
 
-class MarkKind(Enum):
-    """What a mark on the time line stands for; the value is its name in the legend."""
-
-    DROP = 'input dropped'
+DROP_NAME, DROP_COLOUR = 'input dropped', '#d62728'  # of marks on the time line; red
 
 
-MARK_COLOURS = {MarkKind.DROP: '#d62728'}
-
-
-@dataclass(frozen=True)
-class Mark:
-    """An event on the time line.
-
-    Attributes:
-        time_s: s from the beginning of the scene.
-        kind: what happened.
-        text: details, such as the reason of a drop.
-    """
+class Mark(NamedTuple):
+    """An input that was dropped: s from the beginning of the scene, and why."""
 
     time_s: float
-    kind: MarkKind
     text: str
 
 
 @dataclass(frozen=True, eq=False)
 class ScenePerson:
-    """A reconstructed person in the N frames in which there is a skeleton.
-
-    Attributes:
-        id: id of the person.
-        frames: (N,) indices of the frames, increasing.
-        joints: (N, J, 3) m.
-        std: (N, J) m, standard deviation of each joint; NaN where unknown.
-        inferred: (N, J) True where the joint was not seen and was inferred.
-        intrinsics: intrinsics of the camera.
-        residual: (N,) px, RMS reprojection error; NaN where unknown.
-        cadence: (N,) Hz; NaN where the motion is not periodic.
-        motion: (N,) kind of motion, as in `people.MotionKind`.
-        predicted: (N,) True where the person was not detected.
-        tentative: (N,) True where the person was seen too shortly to be certain.
-    """
+    """A reconstructed person in the N frames in which there is a skeleton."""
 
     id: str
-    frames: Indices
-    joints: Array32
-    std: Array32
-    inferred: Mask
-    intrinsics: Intrinsics
-    residual: Array32
-    cadence: Array32
-    motion: NDArray[np.uint8]
-    predicted: Mask
-    tentative: Mask
+    frames: Indices  # (N,) indices of the frames, increasing
+    joints: Array32  # (N, J, 3) m
+    std: Array32  # (N, J) m, standard deviation of each joint; NaN where unknown
+    inferred: Mask  # (N, J) True where the joint was not seen and was inferred
+    intrinsics: Intrinsics  # of the camera
+    residual: Array32  # (N,) px, RMS reprojection error; NaN where unknown
+    cadence: Array32  # (N,) Hz; NaN where the motion is not periodic
+    motion: NDArray[np.uint8]  # (N,) kind of motion, as in `people.MotionKind`
+    predicted: Mask  # (N,) True where the person was not detected
+    tentative: Mask  # (N,) True where the person was seen too shortly to be certain
 
     @property
     def image(self) -> Array32:
@@ -112,17 +83,11 @@ class ScenePerson:
 
 @dataclass(frozen=True, eq=False)
 class SceneKeypoints:
-    """All detections of one keypoint layout; several rows may be of one frame.
+    """All detections of one keypoint layout; several rows may be of one frame."""
 
-    Attributes:
-        skeleton: the layout.
-        frames: (N,) index of the frame of each detection, not decreasing.
-        points: (N, Jk, 2) px; NaN where a keypoint was not seen.
-    """
-
-    skeleton: Skeleton
-    frames: Indices
-    points: Array32
+    skeleton: Skeleton  # the layout
+    frames: Indices  # (N,) index of the frame of each detection, not decreasing
+    points: Array32  # (N, Jk, 2) px; NaN where a keypoint was not seen
 
     @staticmethod
     def merge(parts: Sequence[SceneKeypoints]) -> SceneKeypoints:
@@ -134,48 +99,29 @@ class SceneKeypoints:
 
 
 class SceneImages(NamedTuple):
-    """Reduced images of the camera.
+    """Reduced images of the camera."""
 
-    Attributes:
-        frames: (N,) frames of the scene to which they belong, increasing.
-        jpegs: (N,) their bytes as JPEG.
-        step: how many images of the recording there are for each of them.
-    """
-
-    frames: Indices
-    jpegs: tuple[bytes, ...]
-    step: int
+    frames: Indices  # (N,) frames of the scene to which they belong, increasing
+    jpegs: tuple[bytes, ...]  # (N,) their bytes as JPEG
+    step: int  # how many images of the recording there are for each of them
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """All that is drawn of a recording.
+    """All that is drawn of a recording."""
 
-    Attributes:
-        title: name of the recording.
-        stamps_ns: (F,) ns, increasing times of the frames.
-        people: the reconstructed people.
-        keypoints: the 2D input, one entry a keypoint layout; empty where it is unknown.
-        image_size: (width, height) in px.
-        intrinsics: intrinsics of the camera.
-        marks: events, in the order of their times.
-        truth: (F, J, 3) m, true joints of one person, NaN where unknown; or None.
-        skeleton: skeleton of the joints.
-        vertical: (3,) unit vector upwards in the camera's optical frame; NaN where it is not known.
-        images: images behind the points, or None.
-    """
-
-    title: str
-    stamps_ns: Sequence[int]
+    title: str  # name of the recording
+    stamps_ns: Sequence[int]  # (F,) ns, increasing times of the frames
     people: tuple[ScenePerson, ...]
-    keypoints: tuple[SceneKeypoints, ...]
-    image_size: tuple[int, int]
-    intrinsics: Intrinsics
-    marks: tuple[Mark, ...] = ()
-    truth: Array32 | None = None
+    keypoints: tuple[SceneKeypoints, ...]  # the 2D input, one entry a keypoint layout; empty where it is unknown
+    image_size: tuple[int, int]  # (width, height) in px
+    intrinsics: Intrinsics  # of the camera
+    marks: tuple[Mark, ...] = ()  # in the order of their times
+    truth: Array32 | None = None  # (F, J, 3) m, true joints of one person, NaN where unknown
     skeleton: Skeleton = CMU15
+    # (3,) unit vector upwards in the camera's optical frame; NaN where it is not known
     vertical: Array = field(default_factory=lambda: np.full(3, np.nan))
-    images: SceneImages | None = None
+    images: SceneImages | None = None  # behind the points
 
     @cached_property
     def times(self) -> Array:
@@ -184,7 +130,7 @@ class Scene:
 
     @cached_property
     def _coordinates(self) -> Array:
-        """(K, 3) m, joints of all people in all frames, or one point before the camera where there are none."""
+        # (K, 3) m, joints of all people in all frames, or one point before the camera where there are none
         joints = [person.joints.reshape(-1, 3) for person in self.people]
         known = [own[np.isfinite(own).all(axis=1)] for own in joints]
         return np.concatenate([*known, np.empty((0, 3))]) if any(map(len, known)) else np.array([[0.0, 0.0, 4.0]])
@@ -206,10 +152,7 @@ class Scene:
 
     @cached_property
     def floor_y(self) -> float:
-        """Y of the floor in m in the frame of the level camera.
-
-        It is that of the lowest joints, since the true floor is not known.
-        """
+        """Y in m, in the frame of the level camera, of the lowest joints, since the true floor is not known."""
         down = self.to_level[1].astype(np.float32)
         lowest = [np.fmax.reduce(person.joints @ down, axis=1) for person in self.people if len(person.frames)]
         known = [own[np.isfinite(own)] for own in lowest]
@@ -218,8 +161,8 @@ class Scene:
     @cached_property
     def swapped(self) -> tuple[Mask, ...]:
         """(N,) for each person, True in the frames in which an exchange of left and right was undone."""
-        inputs = [SidedPoints.find(keypoints) for keypoints in self.keypoints]
-        return tuple(find_undone_swaps(person, inputs, self.skeleton) for person in self.people)
+        detected = SidedPoints.find(self.keypoints)
+        return tuple(find_undone_swaps(person, detected, self.skeleton) for person in self.people)
 
     def to_plot_data(self) -> PlotData:
         """Return the person who is seen in most frames, with the nearest detections, for a picture."""
@@ -231,23 +174,15 @@ class Scene:
         projected[person.frames] = person.image
         detected = max(self.keypoints, key=lambda k: len(k.frames), default=None)
         if detected is not None:
-            centre = np.full((len(self.stamps_ns), 2), np.nan)
-            centre[person.frames] = person.image[:, [self.skeleton.index(j) for j in SIDED_JOINTS]].mean(axis=1)
-            distance = np.linalg.norm(SidedPoints.find(detected).centre - centre[detected.frames], axis=1)
+            centre = projected[:, [self.skeleton.index(j) for j in SIDED_JOINTS]].mean(axis=1)
+            distance = np.linalg.norm(SidedPoints.find([detected]).centre - centre[detected.frames], axis=1)
             order = np.argsort(-np.nan_to_num(distance, nan=np.inf), kind='stable')  # the nearest comes last
             keypoints = np.full((len(self.stamps_ns), len(detected.skeleton.joints), 3), np.nan)
             keypoints[detected.frames[order], :, :2] = detected.points[order]
             keypoints[..., 2] = np.isfinite(keypoints[..., 0])
-        return PlotData(
-            times=self.times,
-            joints=joints,
-            seen=seen,
-            skeleton=self.skeleton,
-            truth=None if self.truth is None else self.truth.astype(np.float64),
-            keypoints=keypoints,
-            keypoint_skeleton=CMU15 if detected is None else detected.skeleton,
-            projected=projected,
-        )
+        truth = None if self.truth is None else self.truth.astype(np.float64)
+        layout = CMU15 if detected is None else detected.skeleton
+        return PlotData(self.times, joints, seen, self.skeleton, truth, keypoints, layout, projected)
 
 
 def image_corners(image_size: tuple[int, int], intrinsics: Intrinsics) -> Array:
@@ -284,76 +219,60 @@ def list_colour_key(scene: Scene) -> list[tuple[str, str]]:
 
 
 class SidedPoints(NamedTuple):
-    """The keypoints whose sides detectors exchange.
+    """The keypoints of N detections whose sides detectors exchange."""
 
-    Attributes:
-        frames: (N,) index of the frame of each detection.
-        points: (N, 12, 2) px, those that are `SIDED_JOINTS`; NaN where not seen or not in the layout.
-        centre: (N, 2) px, their mean; NaN where none was seen.
-    """
-
-    frames: Indices
-    points: Array32
-    centre: Array32
+    frames: Indices  # (N,) index of the frame of each detection
+    points: Array32  # (N, 12, 2) px, those that are `SIDED_JOINTS`; NaN where not seen or not in the layout
+    centre: Array32  # (N, 2) px, their mean; NaN where none was seen
 
     @staticmethod
-    def find(keypoints: SceneKeypoints) -> SidedPoints:
-        """Return these keypoints of all detections of a layout."""
-        names = canonical_joint_names(keypoints.skeleton.joints)
-        points = np.full((len(keypoints.points), len(SIDED_JOINTS), 2), np.nan, np.float32)
-        for column, joint in enumerate(SIDED_JOINTS):
-            if joint in names:
-                points[:, column] = keypoints.points[:, names.index(joint)]
+    def find(keypoints: Sequence[SceneKeypoints]) -> SidedPoints:
+        """Return these keypoints of all detections of some layouts."""
+        parts = [np.empty((0, len(SIDED_JOINTS), 2), np.float32)]
+        for detected in keypoints:
+            names = canonical_joint_names(detected.skeleton.joints)
+            parts.append(np.full((len(detected.points), len(SIDED_JOINTS), 2), np.nan, np.float32))
+            for column, joint in enumerate(SIDED_JOINTS):
+                if joint in names:
+                    parts[-1][:, column] = detected.points[:, names.index(joint)]
+        points = np.concatenate(parts)
         count = np.isfinite(points).sum(axis=1)
         centre = np.nansum(points, axis=1) / np.where(count > 0, count, np.nan)
-        return SidedPoints(keypoints.frames, points, centre.astype(np.float32))
+        frames = np.concatenate([np.empty(0, np.intp), *(detected.frames for detected in keypoints)])
+        return SidedPoints(frames, points, centre.astype(np.float32))
 
 
-def find_undone_swaps(person: ScenePerson, keypoints: Sequence[SidedPoints], skeleton: Skeleton = CMU15) -> Mask:
+def find_undone_swaps(person: ScenePerson, detected: SidedPoints, skeleton: Skeleton = CMU15) -> Mask:
     """Find the frames in which the result has left and right of a part of the body otherwise than the detector.
 
     e = mean |x_j - y_j| and e' = mean |x_m(j) - y_j| over the joints j of a part that are seen on both sides, with
     x the detector's keypoints, y the result in the image and m(j) the same joint of the other side. A swap was
     undone if e' < `MAX_EXCHANGED_ERROR` e and e > `MIN_SWAP_ERROR` times the extent of the person's image. Of
     several detections in a frame, the one that fits the person best counts; those elsewhere are passed over.
-
-    Args:
-        person: the person in N frames.
-        keypoints: the detector's keypoints.
-        skeleton: skeleton of the person's joints.
-
-    Returns:
-        (N,) True in these frames.
+    Returns (N,) True in these of the person's N frames.
     """
     swapped = np.zeros(len(person.frames), bool)
     if not len(person.frames):
         return swapped
     row_of_frame = np.full(int(person.frames[-1]) + 2, -1)
     row_of_frame[person.frames] = np.arange(len(person.frames))
-    best = np.full(len(person.frames), np.inf)
     image = person.image[:, [skeleton.index(joint) for joint in SIDED_JOINTS]]
     extent = np.maximum(np.ptp(image, axis=1).max(axis=1), 1.0)
-    centre = image.mean(axis=1)
-    for detections in keypoints:
-        rows = row_of_frame[np.minimum(detections.frames, len(row_of_frame) - 1)]
-        distance = np.linalg.norm(detections.centre - centre[rows], axis=1)
-        near = np.flatnonzero((rows >= 0) & (distance < MAX_CENTRE_DISTANCE * extent[rows]))
-        own = rows[near]
-        cost, verdict = _compare_sides(detections.points[near], image[own], extent[own])
-        order = np.argsort(-cost, kind='stable')  # of several detections in a frame the best comes last
-        last = np.full(len(best), -1)
-        last[own[order]] = order
-        chosen = last[np.unique(own)]
-        chosen = chosen[cost[chosen] < best[own[chosen]]]
-        best[own[chosen]], swapped[own[chosen]] = cost[chosen], verdict[chosen]
+    rows = row_of_frame[np.minimum(detected.frames, len(row_of_frame) - 1)]
+    distance = np.linalg.norm(detected.centre - image.mean(axis=1)[rows], axis=1)
+    near = np.flatnonzero((rows >= 0) & (distance < MAX_CENTRE_DISTANCE * extent[rows]))
+    own = rows[near]
+    cost, is_undone = _compare_sides(detected.points[near], image[own], extent[own])
+    order = np.lexsort((cost, own))
+    found, best = np.unique(own[order], return_index=True)
+    swapped[found] = is_undone[order[best]]
     return swapped & ~person.predicted
 
 
 def _compare_sides(points: Array32, image: Array32, extent: Array32) -> tuple[Array32, Mask]:
     """Compare detected `SIDED_JOINTS` (N, 12, 2) with a person's, as they are and with left and right exchanged.
 
-    Returns:
-        (N,) sums of the parts' smaller errors in extents (N,) of the person's image, (N,) if a swap was undone.
+    Returns sums (N,) of the smaller errors of the parts in extents (N,) of the image, and where a swap was undone.
     """
     mirror = np.roll(np.arange(len(SIDED_JOINTS)), len(SIDED_JOINTS) // 2)
     both = np.isfinite(points[..., 0])

@@ -28,7 +28,6 @@ from mocap_ros.runtime.load_keypoints import InputOptions
 from mocap_ros.runtime.load_scene import SceneOptions, load_scene
 from mocap_ros.runtime.playback import DEFAULT_FRAME_ID
 from mocap_ros.runtime.replay import ReplayOptions, replay
-from mocap_ros.viewing.scene import MarkKind
 from tests.support.pipeline_inputs import FAST_CONFIG
 
 FRAMES = 20
@@ -90,7 +89,6 @@ def test_a_bag_is_drawn_as_it_was_recorded(bag: Path, sequence: KeypointSequence
     assert rows.sum() == 2
     assert keypoints.points[rows][0] == pytest.approx(sequence.keypoints[3, :, :2], abs=1e-3, nan_ok=True)
     (drop,) = scene.marks
-    assert drop.kind is MarkKind.DROP
     assert drop.time_s == pytest.approx(scene.times[7])
     assert 'repeats' in drop.text
 

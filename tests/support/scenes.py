@@ -12,7 +12,7 @@ import numpy as np
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.people import MotionKind
 from mocap_ros.skeleton import CMU15
-from mocap_ros.viewing.scene import Mark, MarkKind, Scene, SceneKeypoints, ScenePerson
+from mocap_ros.viewing.scene import Mark, Scene, SceneKeypoints, ScenePerson
 from tests.support.swinging_body import make_swinging_body
 
 INTRINSICS = Intrinsics(600.0, (320.0, 240.0), is_focal_known=True)
@@ -59,5 +59,5 @@ def make_scene(frames: int = 40) -> Scene:
         keypoints=(make_keypoints([anna, ben]),),
         image_size=(640, 480),
         intrinsics=INTRINSICS,
-        marks=(Mark(0.5, MarkKind.DROP, 'too late'),),
+        marks=(Mark(0.5, 'too late'),),
     )

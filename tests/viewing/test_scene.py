@@ -28,7 +28,7 @@ LEGS = [CMU15.index(side + joint) for side in 'lr' for joint in ('hip', 'knee', 
 
 
 def find_swaps(person: ScenePerson, *inputs: SceneKeypoints) -> np.ndarray:
-    return find_undone_swaps(person, [SidedPoints.find(keypoints) for keypoints in inputs])
+    return find_undone_swaps(person, SidedPoints.find(inputs))
 
 
 @pytest.mark.parametrize('joints', [list(range(15)), LEGS], ids=['whole body', 'legs'])
