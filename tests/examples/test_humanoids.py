@@ -1,0 +1,94 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The examples for humanoids: a robot of capsules with the joints of a Unitree G1, and SONIC's messages."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from mocap_ros.skeleton import BODY26
+from tests.support.modules import load_module
+from tests.support.paths import ROOT
+
+JOINTS = BODY26.joints
+ROBOT = ROOT / 'tests' / 'data' / 'humanoid.xml'
+# m; a person who stands and faces +x with hanging arms
+STANDING = {
+    'head': (0, 0, 1.6), 'neck': (0, 0, 1.45), 'pelvis': (0, 0, 0.95), 'lhip': (0, 0.1, 0.9),
+    'lknee': (0, 0.1, 0.48), 'lankle': (0, 0.1, 0.08), 'lshoulder': (0, 0.18, 1.42),
+    'lelbow': (0, 0.18, 1.12), 'lwrist': (0, 0.18, 0.86),
+}  # fmt: skip
+
+
+def stand(**turns: Rotation) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return joints and orientations of a person who stands but for the turns of some segments."""
+    joints = np.zeros((len(JOINTS), 3))
+    for name, place in STANDING.items():
+        joints[JOINTS.index(name)] = place
+        if name.startswith('l'):
+            joints[JOINTS.index('r' + name[1:])] = np.array(place) * (1, -1, 1)
+    identity = Rotation.identity()
+    return joints, np.array([turns.get(name, identity).as_quat() for name in JOINTS])
+
+
+def turn(axis: str, degrees: float) -> Rotation:
+    return Rotation.from_euler(axis, degrees, degrees=True)
+
+
+BENT = {'lelbow': turn('y', -90), 'relbow': turn('y', -90)}
+
+
+@pytest.mark.parametrize(
+    ('turns', 'angles'),
+    [
+        ({}, {}),
+        ({'lshoulder': turn('x', 60), 'lelbow': turn('x', 60) * turn('y', -90)}, {'left_shoulder_roll_joint': 60}),
+        ({'lelbow': turn('y', 0)}, {'left_elbow_joint': 90}),
+        ({'rhip': turn('y', -50), 'rknee': turn('y', 0)}, {'right_hip_pitch_joint': -50, 'right_knee_joint': 50}),
+    ],
+)
+def test_a_robot_takes_the_pose_of_a_person(turns: dict[str, Any], angles: dict[str, float]) -> None:
+    mink = pytest.importorskip('mink')
+    robot = load_module(ROOT / 'examples' / 'humanoid.py').Humanoid(str(ROBOT))
+    for _ in range(5):
+        row = robot.follow(*stand(**(BENT | turns)), mink.SE3.identity())
+    found = dict(zip(robot.joint_names, np.degrees(row[7:]), strict=True))
+    assert found == pytest.approx(dict.fromkeys(robot.joint_names, 0.0) | angles, abs=1.5)
+    assert row[:7] == pytest.approx([0, 0, 0.95 * 0.72 / 0.82, 0, 0, 0, 1], abs=0.02)
+
+
+def test_a_message_for_sonic_has_the_fields_of_the_protocol() -> None:
+    sonic = load_module(ROOT / 'examples' / 'sonic.py')
+    forward = turn('z', 30)
+    joints, turns = stand()
+    turned = (forward * Rotation.from_quat(turns)).as_quat()
+    fields = sonic.convert(joints @ forward.as_matrix().T, turned) | {'frame_index': np.array([7], '<i8')}
+    message = sonic.pack(fields)
+    assert len(message) == 2080
+    assert message[:4] == b'pose'
+    header = json.loads(message[4:1284].rstrip(b'\0'))
+    assert {f['name']: (f['dtype'], f['shape']) for f in header.pop('fields')} == {
+        'joint_pos': ('f32', [1, 29]),
+        'joint_vel': ('f32', [1, 29]),
+        'smpl_joints': ('f32', [1, 24, 3]),
+        'smpl_pose': ('f32', [1, 21, 3]),
+        'body_quat': ('f32', [1, 4]),
+        'frame_index': ('i64', [1]),
+    }
+    assert header == {'v': 3, 'endian': 'le', 'count': 1}
+    assert Rotation.from_quat(np.roll(fields['body_quat'][0], -1)).as_rotvec() == pytest.approx(
+        forward.as_rotvec()
+    )
+    assert fields['smpl_joints'][0, 15] == pytest.approx(
+        joints[JOINTS.index('head')] - joints[JOINTS.index('pelvis')]
+    )
+    pose = np.zeros((21, 3))
+    pose[15], pose[16] = (0, 0, -np.pi / 2), (0, 0, np.pi / 2)  # SMPL rests with its arms stretched to the sides
+    assert fields['smpl_pose'][0] == pytest.approx(pose, abs=1e-6)
