@@ -18,7 +18,7 @@ import numpy as np
 # The first joints of skeleton_definition. A segment has the name of the joint about which it turns.
 ARMS = ['lshoulder', 'lelbow', 'lwrist', 'rshoulder', 'relbow', 'rwrist']
 JOINTS = ['head', 'neck', *ARMS, 'pelvis', 'lhip', 'lknee', 'lankle', 'rhip', 'rknee', 'rankle']
-LEG, ROBOT_LEG = ('lhip', 'lknee', 'lankle'), ('left_hip_yaw_link', 'left_knee_link', 'left_ankle_roll_link')
+LEG = ['left_hip_yaw_link', 'left_knee_link', 'left_ankle_roll_link', 'right_hip_yaw_link']
 LINKS = [('pelvis', 'pelvis', 2.0), ('neck', 'torso_link', 1.0)]  # segment, link of the robot, weight
 for side in ('left', 'right'):
     LINKS += [(side[0] + joint, f'{side}_{joint}_yaw_link', 1.0) for joint in ('hip', 'shoulder')]
@@ -28,18 +28,15 @@ BENT = mink.SO3(np.array([2**-0.5, 0, 2**-0.5, 0]))  # from the axes of a hangin
 STEPS, FPS = 3, 30.0  # steps of the solver a frame, which starts from the frame before; frames/s of the CSV
 
 
-def measure(leg):
-    """Return the length of a chain of points."""
-    return np.linalg.norm(np.diff(leg, axis=0), axis=1).sum()
-
-
 class Humanoid:
     """The robot in the pose of a person."""
 
     def __init__(self, path):
         self.robot, self.targets = mink.Configuration(mujoco.MjModel.from_xml_path(path)), []
         self.joint_names = [self.robot.model.joint(j).name for j in range(1, self.robot.model.njnt)]
-        self.leg = measure([self.robot.get_transform_frame_to_world(n, 'body').translation() for n in ROBOT_LEG])
+        links = [self.robot.get_transform_frame_to_world(name, 'body').translation() for name in (*LEG, 'pelvis')]
+        self.leg = np.linalg.norm(np.diff(links[:3], axis=0), axis=1).sum()
+        self.hips = (links[0] + links[3]) / 2 - links[4]
         for segment, link, weight in LINKS:
             rest = self.robot.get_transform_frame_to_world(link, 'body').rotation()
             task = mink.FrameTask(link, 'body', 5.0 * (link == 'pelvis'), weight, lm_damping=0.01)
@@ -47,11 +44,12 @@ class Humanoid:
 
     def follow(self, joints, turns, world):
         """Return a row of the CSV for joints (J, 3), orientations (J, 4) and a transform to a frame with z up."""
-        scale = self.leg / measure([joints[JOINTS.index(name)] for name in LEG])
-        root = scale * world.apply(joints[JOINTS.index('pelvis')])
+        lhip, lknee, lankle, rhip = (world.apply(joints[i]) for i in (9, 10, 11, 12))
+        leg = np.linalg.norm(np.diff([lhip, lknee, lankle], axis=0), axis=1).sum()
+        hips = self.leg / leg * (lhip + rhip) / 2
         for index, rest, task in self.targets:
             turn = world.rotation() @ mink.SO3(np.roll(turns[index], 1)) @ rest
-            task.set_target(mink.SE3.from_rotation_and_translation(turn, root))
+            task.set_target(mink.SE3.from_rotation_and_translation(turn, hips - turn.apply(self.hips)))
         for _ in range(STEPS):
             step = mink.solve_ik(self.robot, [task for *_, task in self.targets], 1.0, 'daqp', damping=1e-3)
             self.robot.integrate_inplace(step, 1.0)
