@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ast
 import dataclasses
-import enum
 import inspect
 import subprocess
 import sys
@@ -20,24 +19,20 @@ import mocap_ros
 # Every public name: bases of exceptions, members of classes, and signatures without types. A change here changes
 # the public API: name it in CHANGELOG.md, and raise the version as semantic versioning says.
 PUBLIC: dict[str, str] = {
-    'BasePoses': 'aligned_by_heading components explained '
-    "fit(trials, *, name, joint_names='cmu15', components=45, alignment='rotation', mirror=False, bodies=0, "
-    'provenance=None) joint_names load(name_or_path) mean name poses(self, theta) provenance '
-    'rescale(self, factor) save(self, path) stature std truncate(self, k) weights(self, poses)',
+    'BasePoses': 'aligned_by_heading components explained fit joint_names load mean name poses provenance rescale '
+    'save skeleton stature std truncate weights',
     'Config': '(solver=..., classifier=..., tracker=..., node=..., recorder=..., keyframes=...)',
     'ConfigError': 'MocapError',
-    'Evaluation': 'abs_mpjpe_mm accel_mm_s2 as_dict(self) bone_std_mm e_paper_cm failed_frames fps frames joints '
+    'Evaluation': 'abs_mpjpe_mm accel_mm_s2 as_dict bone_std_mm e_paper_cm failed_frames fps frames joints '
     'metric_mpjpe_mm mpjpe_mm pa_mpjpe_mm residual_px root_mm seq_mpjpe_mm',
     'FrameDropped': 'MocapError',
     'GroundTruth': '(joints, joint_names)',
     'InputError': 'MocapError',
     'KeypointSequence': '(keypoints, joint_names, timestamps, image_size, camera_matrix=None, distortion=None, '
-    "truth=None, person_id='', frame_id='', recorded_ns=(), calibration=None, focal_source='') "
-    'is_camera_known stamps_ns',
+    "truth=None, person_id='', frame_id='', recorded_ns=(), calibration=None, focal_source='')",
     'MocapError': 'Exception',
     'ModelError': 'MocapError',
     'Motion': 'cadence category kind residual',
-    'MotionKind': 'UNKNOWN PERIODIC NON_PERIODIC',
     'Person3D': 'age core id inferred joint_names joints motion orientation predicted residual root '
     'root_covariance root_velocity root_velocity_covariance rotation scale scale_known skeleton std tentative '
     'translation turn_inferred unseen_for velocity velocity_std',
@@ -46,9 +41,7 @@ PUBLIC: dict[str, str] = {
     'vertical vertical_std weights world_from_camera',
     'RecordingError': 'MocapError',
     'SkeletonError': 'MocapError',
-    'Tracker': '(joint_names, *, image_size, camera_matrix=None, distortion=None, '
-    "model='auto', parameters=None) output_time_s reset(self) update(self, time_s, people, *, ids=()) vertical "
-    'vertical_std',
+    'Tracker': "(joint_names, *, image_size, camera_matrix=None, distortion=None, model='auto', parameters=None)",
     'evaluate': "(joints, truth=None, *, truth_names='cmu15', times=None, limbs_only=False)",
     'read': "(path, *, person=None, topic=None, camera_info=None, fps=None, image_size=None, layout='', "
     'detector=None, hfov=None, focal=None)',
@@ -57,39 +50,25 @@ PUBLIC: dict[str, str] = {
     'write': '(path, result)',
 }
 
-RESULTS = ('BasePoses', 'Evaluation', 'Motion', 'Person3D', 'PoseSequence')  # not created by their constructors
-# Members that give objects of classes that are not exported.
-PRIVATE_MEMBERS = {'BasePoses': ['skeleton'], 'KeypointSequence': ['intrinsics', 'person']}
-
 
 def describe(name: str) -> str:
-    """Return the signature of a public function, or the base of an exception, or the members of a class."""
+    """Return a signature without types, the base of an exception, or the members of a class of results."""
     value = getattr(mocap_ros, name)
-    if inspect.isfunction(value):
-        return describe_signature(value)
-    if issubclass(value, Exception):
+    if isinstance(value, type) and issubclass(value, Exception):
         return value.__base__.__name__
-    if issubclass(value, enum.Enum):
-        return ' '.join(value.__members__)
-    shown = {key: describe_signature(getattr(value, key, None)) for key in list_members(name)}
-    own = [] if name in RESULTS else [describe_signature(value)]
-    return ' '.join([*own, *(key + signature for key, signature in shown.items())])
-
-
-def list_members(name: str) -> list[str]:
-    """Return the public members of a class; fields only of classes that users do not create."""
-    value = getattr(mocap_ros, name)
-    fields = {field.name for field in dataclasses.fields(value)} if dataclasses.is_dataclass(value) else set()
-    members = {key for owner in value.__mro__[:-1] for key in vars(owner)} - fields
-    members |= fields if name in RESULTS else set()
-    return sorted(key for key in members if not key.startswith('_') and key not in PRIVATE_MEMBERS.get(name, []))
-
-
-def describe_signature(function: object) -> str:
-    """Return names, kinds and defaults of the parameters, groups of parameters as dots; empty for an attribute."""
-    if not callable(function):
-        return ''
-    signature = inspect.signature(function)
+    if name not in (
+        'Config',
+        'GroundTruth',
+        'KeypointSequence',
+        'Tracker',
+        'evaluate',
+        'read',
+        'reconstruct',
+        'write',
+    ):
+        members = {*dir(value), *getattr(value, '__dataclass_fields__', ())}
+        return ' '.join(sorted(member for member in members if not member.startswith('_')))
+    signature = inspect.signature(value)
     plain = [
         p.replace(annotation=p.empty, default=... if dataclasses.is_dataclass(p.default) else p.default)
         for p in signature.parameters.values()

@@ -17,11 +17,9 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader
@@ -276,19 +274,6 @@ def test_mcap_reads_the_file_by_its_index(recorded: tuple[Path, list[Message]]) 
     assert inside['relative_file_paths'] == [f'{folder.name}_0.mcap']
     assert inside['starting_time']['nanoseconds_since_epoch'] == START_NS
     assert inside['duration']['nanoseconds'] == (FRAMES - 1) * STEP_NS
-
-
-def test_mcap_ros2_decodes_the_messages(recorded: tuple[Path, list[Message]]) -> None:
-    folder, written = recorded
-    with (folder / f'{folder.name}_0.mcap').open('rb') as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        read = [(m.log_time, message) for _, _, m, message in reader.iter_decoded_messages(['/keypoints'])]
-    assert len(read) == FRAMES
-    for (time_ns, decoded), (_, log_time_ns, _, data) in zip(read, written[1:], strict=True):
-        expected = decode(data, KEYPOINTS)
-        assert time_ns == log_time_ns
-        assert decoded.header.stamp.nanosec == expected.header.stamp.nanosec
-        np.testing.assert_array_equal(decoded.people[0].x, expected.people[0].x)
 
 
 def test_recorders_that_start_at_once_have_folders_of_their_own(tmp_path: Path) -> None:

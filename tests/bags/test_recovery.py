@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from mocap_ros.bags.mcap_file import Attachment
@@ -21,7 +20,6 @@ from mocap_ros.bags.mcap_scan import MAGIC
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.recovery import recover
-from mocap_ros.bags.rosbag2 import encode_yaml, make_topic
 from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError, RecordingError
@@ -30,7 +28,6 @@ from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION
 from mocap_ros.units import NS_PER_S
 
-METADATA = {'offered_qos_profiles': encode_yaml([dict(q) for q in make_topic('/keypoints', KEYPOINTS).qos])}
 FRAMES = 120  # enough for several chunks and, with a limit of 1 s, several files
 STEP_NS = 33_000_000  # between two frames; about 30 Hz
 CHUNK_SECONDS = 0.25  # s, time after which a chunk is closed
@@ -230,29 +227,6 @@ def test_messages_of_the_write_ahead_log_are_recovered(tmp_path: Path) -> None:
     assert listings == {tuple(names)}  # SQLite would write an index of the log, bag.db3-shm
     assert read_frames(tmp_path / 'whole') == list(range(FRAMES))
     assert sorted(f.name for f in tmp_path.iterdir()) == ['bag', 'killed', 'whole']
-
-
-def test_messages_that_are_none_of_ros_2_are_counted_and_metadata_are_kept(tmp_path: Path) -> None:
-    topic = make_topic('/keypoints', KEYPOINTS)
-    with (tmp_path / 'x.mcap').open('wb') as stream:
-        writer = McapWriter(stream)
-        writer.start('ros2', 'test')
-        schema = writer.register_schema(KEYPOINTS, topic.encoding, topic.definition.encode())
-        encodings = {'/keypoints': ('cdr', schema), '/json': ('json', schema), '/bare': ('cdr', 0)}
-        for name, (encoding, schema_id) in encodings.items():
-            channel = writer.register_channel(name, encoding, schema_id, METADATA)
-            for i, raw in enumerate(MESSAGES[:3]):
-                writer.add_message(channel, i * STEP_NS, raw, i * STEP_NS)
-        writer.add_metadata('robot', {'name': 'ann'})
-        writer.finish()  # type: ignore[no-untyped-call]
-    report = recover(tmp_path / 'x.mcap', tmp_path / 'out')
-    assert report.messages == {'/keypoints': 3}
-    assert [loss.partition('x.mcap: ')[2] for loss in report.losses] == [
-        '3 messages of /json are lost, because they are no messages of ROS 2',
-        '3 messages of /bare are lost, because they are no messages of ROS 2',
-    ]
-    with (tmp_path / 'out' / 'out_0.mcap').open('rb') as stream:
-        assert {m.name: m.metadata for m in make_reader(stream).iter_metadata()}['robot'] == {'name': 'ann'}
 
 
 def test_an_interrupted_recovery_leaves_no_bag(tmp_path: Path) -> None:

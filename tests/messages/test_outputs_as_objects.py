@@ -5,24 +5,19 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocap_ros.config import Config, with_values
-from mocap_ros.errors import InputError
-from mocap_ros.geometry.rigid_transform import RigidTransform
-from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header, decode, encode, typestore
 from mocap_ros.messages.plain import decode_plain
-from mocap_ros.messages.skeletons import SKELETONS, PredictedFrame, decode_skeletons, encode_skeletons
+from mocap_ros.messages.skeletons import PredictedFrame
 from mocap_ros.people import Motion, MotionKind, Person3D, PredictedPerson
 from mocap_ros.runtime.outputs import SWITCHED_OUTPUTS, OutputEncoder
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton
@@ -104,49 +99,3 @@ def list_numbers(value: Any) -> Any:
     if not hasattr(value, '__msgtype__'):
         return value
     return np.concatenate([np.ravel(list_numbers(v)) for name, v in vars(value).items() if name != '__msgtype__'])
-
-
-@settings(max_examples=20)
-@given(header=HEADERS, people=make_people(), data=st.data())
-def test_damaged_skeletons_are_input_errors_or_those_of_the_library(
-    header: Header, people: list[Person3D], data: st.DataObject
-) -> None:
-    raw = encode_skeletons(header, people)
-    cut = raw[: data.draw(st.integers(0, len(raw) - 1))]
-    with pytest.raises(InputError, match='not a mocap_ros_msgs/msg/Skeleton3DArray'):
-        decode_skeletons(cut)
-    damaged = bytearray(raw)
-    for at in data.draw(st.lists(st.integers(0, len(raw) - 1), max_size=5)):
-        damaged[at] = data.draw(st.integers(0, 255))
-    for content in (bytes(damaged), data.draw(st.binary(max_size=200))):
-        with suppress(InputError):
-            decode_skeletons(content)
-        try:
-            decoded = decode(content, SKELETONS)
-        except InputError:
-            continue
-        with suppress(InputError):  # the library takes texts beyond the end
-            check_plain(decode_plain(content, SKELETONS), decoded)
-
-
-@given(people=make_people(), step_s=st.sampled_from([0.0, 0.1]))
-def test_people_are_placed_together_as_alone(people: list[Person3D], step_s: float) -> None:
-    pose, before = (RigidTransform.from_numbers((x, -2.0, 0.25, 0.6, 0.0, -0.8, 0.0)) for x in (1.5, 1.4))
-    camera = CameraPlacement('optical', pose, before if step_s else None, step_s)
-    for person, placed in zip(people, camera.place(people), strict=True):
-        motion = np.array([0.1, 0.0, 0.0]) / step_s if step_s else np.zeros(3)
-        expected = replace(
-            person,
-            joints=pose.apply(person.joints),
-            velocity=pose.rotate(person.velocity) + motion,
-            orientation=(Rotation.from_quat(pose.quaternion) * Rotation.from_quat(person.orientation)).as_quat(),
-            root_covariance=pose.rotation @ person.root_covariance @ pose.rotation.T,
-            root_velocity_covariance=pose.rotation @ person.root_velocity_covariance @ pose.rotation.T,
-        )
-        signs = np.sign((placed.orientation * expected.orientation).sum(axis=1, keepdims=True))
-        expected = replace(expected, orientation=expected.orientation * signs)
-        for name, value in vars(expected).items():
-            if isinstance(value, np.ndarray) and value.dtype == np.float64:
-                np.testing.assert_allclose(getattr(placed, name), value, atol=1e-12)
-            elif not isinstance(value, np.ndarray):
-                assert getattr(placed, name) is value

@@ -22,7 +22,6 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mocap_ros.bags.journal import (
-    JOURNAL,
     Journal,
     Verdict,
     read_run,
@@ -30,7 +29,7 @@ from mocap_ros.bags.journal import (
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.rosbag2 import make_topic
-from mocap_ros.bags.topics import Source, list_input_types
+from mocap_ros.bags.topics import Source
 from mocap_ros.cli.main import main
 from mocap_ros.config import Config, RecorderConfig, Value, from_yaml, values, with_values
 from mocap_ros.demo.scene import make_recording
@@ -38,8 +37,7 @@ from mocap_ros.errors import ConfigError, InputError, RecordingError
 from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.messages import cdr
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
-from mocap_ros.messages.cdr import create_message, decode, encode, typestore
-from mocap_ros.messages.foreign_types import HRI_SKELETON
+from mocap_ros.messages.cdr import decode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION
 from mocap_ros.messages.transforms import TRANSFORMS
@@ -50,7 +48,6 @@ from mocap_ros.runtime.provenance import RECORDED_PACKAGES
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.bag_writing import DEFINITION
 from tests.support.camera_infos import camera_info, encode_ros1_camera_info, make_ros1_header
-from tests.support.foreign_messages import make_hri_inputs
 from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import (
     FAST_CONFIG,
@@ -146,21 +143,6 @@ def test_a_split_bag_and_each_of_its_files_replay(
     assert replay_skeletons(tmp_path / 'split', tmp_path / 'again', ReplayOptions()) == skeletons
     for file in files:
         assert replay_skeletons(file, tmp_path / f'{file.stem}.out', ReplayOptions())
-
-
-@pytest.mark.parametrize(
-    'values', [{}, {'input': '1e999'}, {'input': '[' * 5000}, {'input': '1', 'lost': '"many"'}]
-)
-def test_an_invalid_journal_is_reported_with_its_topic(
-    values: dict[str, str], tmp_path: Path, stream: list[bytes]
-) -> None:
-    pairs = [create_message('diagnostic_msgs/msg/KeyValue', key=k, value=v) for k, v in values.items()]
-    line = create_message(JOURNAL, level=0, name='lost', message='', hardware_id='', values=pairs)
-    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        recorder.write('/keypoints', KEYPOINTS, stream[0], START_NS, START_NS)
-        recorder.write('/other/journal', JOURNAL, encode(line, JOURNAL), START_NS, START_NS)
-    with pytest.raises(InputError, match=r'^.*bag: /other/journal: the message is not a journal entry$'):
-        replay_skeletons(tmp_path / 'bag', tmp_path / 'out')
 
 
 def test_an_interrupted_replay_is_repeated_on_resume(
@@ -388,16 +370,6 @@ def test_everything_is_played_on_its_recorded_topics(played_bag: Path) -> None:
     recorded = {'/left/keypoints', '/left/camera_info', '/skeleton_definition'}
     assert {t.name for t in playback.topics} == {t.recorded for t in playback.topics} == recorded
     assert playback.count == len(list(playback)) == PLAYED_FRAMES + 2
-
-
-def test_bodies_of_ros4hri_keep_their_topics(tmp_path: Path) -> None:
-    inputs = make_hri_inputs(0)
-    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        for source, raw, topic in inputs:
-            recorder.write(topic, list_input_types(HRI_SKELETON)[source], raw, 1, 1)
-    playback = Playback(tmp_path / 'bag', to='people')
-    assert {t.name for t in playback.topics} == {topic for _, _, topic in inputs}
-    assert {m.raw for m in playback} == {raw for _, raw, _ in inputs}
 
 
 @pytest.mark.parametrize('is_calibrated', [False, True])
