@@ -290,7 +290,8 @@ def report_labs(report: Report) -> dict[str, Any]:
     for part, unit in (('body', 'MPJPE / PA'), ('wrists', 'error / along the line of sight')):
         mine = [{**r, 'points': f'{r["detector"]}, {r["way"]}'} for r in records if r['part'] == part]
         mine += [{**r, 'kind': f'all of {r["lab"]}'} for r in mine]
-        report.table(*cross(mine, 'kind', 'points', show), f'People of other labs, {part}: {unit}, mm')
+        table = cross(mine, 'kind', 'points', show)
+        report.table(*table, f'People of other labs, {part}: {unit}, mm', f'detectors.labs_{part}')
     return {'labs': records}
 
 

@@ -21,13 +21,12 @@ of the examples unless noted.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mocap_ros.engine import rays as engine
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.models.lifter_input import HISTORY_SLOTS_S, JOINT_COUNT, MAX_INTERPOLATION_GAP_S, MIRROR_PERMUTATION
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
-from mocap_ros.training.example_arrays import Array, RandomArrays
+from mocap_ros.training.example_arrays import Array, Bools, RandomArrays
 from mocap_ros.training.postures import FACE, FEET, HANDS, joint_indices, limb_indices
 
 # Confidence scores.
@@ -123,6 +122,7 @@ _HIDDEN_LIMBS = ('larm', 'rarm', 'lleg', 'rleg', 'legs', 'arms', 'lfoot', 'rfoot
 _MIDLINE = joint_indices('head', 'neck', 'pelvis')
 _FACE = joint_indices(*FACE)
 
+_AGO = HISTORY_SLOTS_S.astype(np.float32)  # s, of each slot
 _SLOT_INTERVALS_S = np.diff(HISTORY_SLOTS_S).astype(np.float32)  # s from each slot to the next older one
 _HAS_TWIN = np.arange(JOINT_COUNT) != MIRROR_PERMUTATION
 _ERROR_FACTOR, _LOST_FACTOR, _DIM_FACTOR = np.array(
@@ -134,7 +134,7 @@ _ERROR_FACTOR, _LOST_FACTOR, _DIM_FACTOR = np.array(
 ).T
 
 
-def _list_swapped_joints() -> NDArray[np.bool_]:
+def _list_swapped_joints() -> Bools:
     """Return (P, 2, J) which joints a swap of each of `SWAPPED_PARTS` exchanges, without and with their ends."""
     ends = {'legs': ('lhip', 'rhip'), 'arms': ('lshoulder', 'rshoulder')}
     out = np.ones((len(SWAPPED_PARTS), 2, JOINT_COUNT), bool)
@@ -160,22 +160,21 @@ class DetectorErrors:
         self,
         image: Array,
         depth: Array,
-        is_recorded: NDArray[np.bool_],
-        is_known: NDArray[np.bool_],
-        is_precise: NDArray[np.bool_],
+        is_recorded: Bools,
+        is_known: Bools,
+        is_precise: Bools,
     ) -> tuple[Array, Array]:
-        """Return what detectors would detect: the true image points with random errors and gaps.
+        """Return what detectors would detect of true image points: the same with random errors and gaps.
 
         Args:
-            image: (N, T, J, 2) m at the person's distance, true image points.
-            depth: (N, J) m, depth of the newest joints, by which the far side of the body is known.
-            is_recorded: (N, T) True for slots of the history at which the motion has a frame.
-            is_known: (N, J) True for joints that the motion has.
-            is_precise: (N,) True for examples without noise.
+            image: (N, T, J, 2) m at the person's distance.
+            depth: (N, J) m, of the newest joints, by which the far side of the body is known.
+            is_recorded: (N, T) whether the motion has a frame at a slot of the history.
+            is_known: (N, J) whether the motion has a joint.
+            is_precise: (N,) whether an example is without noise.
 
         Returns:
-            (N, T, J, 2) m, detected image points, arbitrary where the score is 0, and (N, T, J) confidence scores
-            in [0, 1], 0 for joints that were not seen.
+            (N, T, J, 2) m, any value where the score is 0, and (N, T, J) scores in [0, 1], 0 where not seen.
         """
         image, score = self._add_noise(image, depth, is_precise)
         image, score = self._swap_sides(image, score)
@@ -183,7 +182,7 @@ class DetectorErrors:
         image, score = self._derive_midline(image, np.where(hidden, np.float32(0), score))
         return self._interpolate_gaps(image, score)
 
-    def _add_noise(self, image: Array, depth: Array, is_precise: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def _add_noise(self, image: Array, depth: Array, is_precise: Bools) -> tuple[Array, Array]:
         """Return noisy points (N, T, J, 2) and their confidence scores (N, T, J)."""
         random = self.random
         count, slots = image.shape[:2]
@@ -191,33 +190,31 @@ class DetectorErrors:
         score = good + JOINT_SCORE_STD * random.normal(count, 1, JOINT_COUNT)
         frame_std = random.uniform(0, MAX_FRAME_SCORE_STD, count, 1, 1)
         score = score + frame_std * random.normal(count, slots, JOINT_COUNT)
-        score = np.where(self._draw_dim(depth, slots), self._draw_dim_scores(good), score)
+        is_dim = self._draw_dim(depth)
+        newest, oldest = random.uniform(0, 1, 2, count, 1, JOINT_COUNT) * good
+        score = np.where(is_dim, newest + _AGO[:, None] / _AGO[-1] * (oldest - newest), score)
         score = np.clip(score, np.float32(MIN_SCORE), np.float32(1))
         exponent = random.uniform(0, MAX_SCORE_EXPONENT, count, 1, 1)
         factor = np.exp(JOINT_NOISE_LOG_STD * random.normal(count, 1, JOINT_COUNT)) * _ERROR_FACTOR
         noise_factor = factor * np.minimum((score / good) ** -exponent, np.float32(MAX_ERROR_FACTOR))
-        white = self._draw_sizes(WHITE_RANGE_M, count) * random.normal(count, slots, JOINT_COUNT, 2)
-        noise = self._draw_sizes(WANDER_RANGE_M, count) * self._draw_wander(count) + white
-        constant = self._draw_sizes(CONSTANT_RANGE_M, count) * random.normal(count, 1, JOINT_COUNT, 2)
+        white = random.log_uniform(WHITE_RANGE_M, count, 1, 1, 1) * random.normal(count, slots, JOINT_COUNT, 2)
+        noise = random.log_uniform(WANDER_RANGE_M, count, 1, 1, 1) * self._draw_wander(count) + white
+        constant = random.log_uniform(CONSTANT_RANGE_M, count, 1, 1, 1) * random.normal(count, 1, JOINT_COUNT, 2)
         error = noise_factor[..., None] * noise + factor[..., None] * constant
         noisy = image + np.where(is_precise[:, None, None, None], np.float32(0), error)
         noisy, score = self._lose_joints(noisy, score)
         return noisy, np.where(random.chance(count, CONSTANT_SCORE_SHARE, axes=2), np.float32(1), score)
 
-    def _draw_sizes(self, size_range: tuple[float, float], count: int) -> Array:
-        """Return log-uniform numbers (N, 1, 1, 1)."""
-        return np.exp(self.random.uniform(*np.log(size_range), count, 1, 1, 1))
-
     def _draw_wander(self, count: int) -> Array:
         """Return unit errors (N, T, J, 2) that wander with a time constant of their own in each example."""
-        tau = self._draw_sizes(WANDER_TIME_RANGE_S, count)[:, 0]
+        tau = self.random.log_uniform(WANDER_TIME_RANGE_S, count, 1, 1)
         out = self.random.normal(count, len(HISTORY_SLOTS_S), JOINT_COUNT, 2)
         for slot, interval in enumerate(_SLOT_INTERVALS_S, start=1):
             keep = np.exp(-interval / tau)
             out[:, slot] = keep * out[:, slot - 1] + np.sqrt(1 - keep**2) * out[:, slot]
         return out
 
-    def _draw_times(self, share: Array, length: Array) -> NDArray[np.bool_]:
+    def _draw_times(self, share: Array, length: Array) -> Bools:
         """Return (N, T, J) whether a joint is in a state that it enters and leaves at random.
 
         Args:
@@ -231,26 +228,20 @@ class DetectorErrors:
             out[:, slot] = chance[:, slot] < share + (out[:, slot - 1] - share) * keep
         return out
 
-    def _draw_dim(self, depth: Array, slots: int) -> NDArray[np.bool_]:
+    def _draw_dim(self, depth: Array) -> Bools:
         count = len(depth)
         is_far = depth > depth[:, MIRROR_PERMUTATION]
         is_near = depth < depth[:, MIRROR_PERMUTATION]
         factor = np.where(is_far, FAR_SIDE_FACTOR, np.where(is_near, NEAR_SIDE_FACTOR, 1)).astype(np.float32)
         share = self.random.uniform(0, MAX_DIM_SHARE, count, 1) * factor * _DIM_FACTOR
-        return self._draw_times(share, self._draw_sizes(DIM_TIME_RANGE_S, count)[:, :, 0, 0])[:, :slots]
-
-    def _draw_dim_scores(self, good: Array) -> Array:
-        """Return scores (N, T, J) of dim joints, which change steadily between two scores below good ones."""
-        newest, oldest = self.random.rng.random((2, len(good), 1, JOINT_COUNT), dtype=np.float32) * good
-        ago = (HISTORY_SLOTS_S / HISTORY_SLOTS_S[-1]).astype(np.float32)[:, None]
-        return np.asarray(newest + ago * (oldest - newest))
+        return self._draw_times(share, self.random.log_uniform(DIM_TIME_RANGE_S, count, 1))
 
     def _lose_joints(self, image: Array, score: Array) -> tuple[Array, Array]:
         """Return points (N, T, J, 2) and scores (N, T, J), in which some joints are somewhere else for a while."""
         random, rng = self.random, self.random.rng
         count = len(image)
-        share = self._draw_sizes(LOST_SHARE_RANGE, count)[:, :, 0, 0] * _LOST_FACTOR
-        is_lost = self._draw_times(share, self._draw_sizes(LOST_TIME_RANGE_S, count)[:, :, 0, 0])
+        share = self.random.log_uniform(LOST_SHARE_RANGE, count, 1) * _LOST_FACTOR
+        is_lost = self._draw_times(share, self.random.log_uniform(LOST_TIME_RANGE_S, count, 1))
         distance = MIN_LOST_M + MEAN_LOST_M * rng.standard_exponential((count, 1, JOINT_COUNT), dtype=np.float32)
         angle = random.uniform(0, 2 * np.pi, count, 1, JOINT_COUNT)
         away = distance[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -260,14 +251,6 @@ class DetectorErrors:
         lower = np.maximum(score * random.uniform(*LOST_SCORE_RANGE, count, 1, JOINT_COUNT), np.float32(MIN_SCORE))
         return np.where(is_lost[..., None], lost, image), np.where(is_noticed, lower, score)
 
-    def _draw_spans(self, max_slots: NDArray[np.intp], slots: int) -> NDArray[np.bool_]:
-        """Return (N, T, 1) whether each slot lies within a random span of at most `max_slots` (N,) slots."""
-        count = len(max_slots)
-        length = self.random.rng.integers(1, max_slots + 1)[:, None]
-        first = self.random.rng.integers(np.maximum(MIN_SPAN_START, 1 - length), slots, (count, 1))
-        slot = np.arange(slots)
-        return ((slot >= first) & (slot < first + length))[..., None]
-
     def _swap_sides(self, image: Array, score: Array) -> tuple[Array, Array]:
         """Exchange left and right in a span of slots, for all joints, the legs or the arms."""
         count, slots = score.shape[:2]
@@ -275,8 +258,11 @@ class DetectorErrors:
         has_ends = self.random.chance(count, WHOLE_LIMB_SHARE).astype(np.intp)
         part = _SWAPPED_JOINTS[number, has_ends]
         is_whole = np.array([p == 'all' for p in SWAPPED_PARTS])[number]
-        spans = self._draw_spans(np.where(is_whole, MAX_SPAN_SLOTS, MAX_PART_SWAP_SLOTS), slots)
-        swapped = spans & self.random.chance(count, SWAP_SHARE, axes=2) & part[:, None]
+        length = self.random.rng.integers(1, np.where(is_whole, MAX_SPAN_SLOTS, MAX_PART_SWAP_SLOTS) + 1)[:, None]
+        first = self.random.rng.integers(np.maximum(MIN_SPAN_START, 1 - length), slots, (count, 1))
+        slot = np.arange(slots)
+        is_within = ((slot >= first) & (slot < first + length))[..., None]
+        swapped = is_within & self.random.chance(count, SWAP_SHARE, axes=2) & part[:, None]
         image = np.where(swapped[..., None], image[:, :, MIRROR_PERMUTATION], image)
         return image, np.where(swapped, score[:, :, MIRROR_PERMUTATION], score)
 
@@ -307,7 +293,7 @@ class DetectorErrors:
         is_given[:, _MIDLINE] = True
         return image, np.where(is_given[:, None], score, np.float32(0))
 
-    def _hide_behind_head(self, depth: Array) -> NDArray[np.bool_]:
+    def _hide_behind_head(self, depth: Array) -> Bools:
         """Return (N, J) which points of the face are hidden by the head, in some examples."""
         face = depth[:, _FACE]
         out = np.zeros(depth.shape, bool)
@@ -315,7 +301,7 @@ class DetectorErrors:
         out[:, _FACE] = is_behind & self.random.chance(len(depth), HIDDEN_FACE_SHARE, axes=1)
         return out
 
-    def _hide(self, image: Array, is_recorded: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _hide(self, image: Array, is_recorded: Bools) -> Bools:
         """Return (N, T, J) whether a joint is not seen.
 
         Single points are missing, limbs are hidden, midline joints are lacking, or the image's border cuts the
@@ -341,7 +327,7 @@ class DetectorErrors:
         hidden[:, 0] &= has_enough | ~is_recorded[:, :1]
         return np.asarray(hidden)
 
-    def _is_beyond_border(self, image: Array) -> NDArray[np.bool_]:
+    def _is_beyond_border(self, image: Array) -> Bools:
         """Return (N, T, J) whether a point is below, right or left of a border at a random distance."""
         count = len(image)
         direction = self.random.rng.integers(0, 3, count)
@@ -369,23 +355,19 @@ def make_gap_patterns(rng: np.random.Generator, count: int) -> Array:
     slots = len(HISTORY_SLOTS_S)
     out = np.zeros((count, slots, slots), np.float32)
     for i, pattern in enumerate(out):
-        has_frame = _draw_frames(rng, slots)
-        if i < SINGLE_FRAME_PATTERNS:
-            has_frame = np.arange(slots) < 1
+        has_frame = _draw_frames(rng, slots) & (i >= SINGLE_FRAME_PATTERNS)
         has_frame[0] = True
-        frames = np.flatnonzero(has_frame)
-        for slot in range(slots):
-            newer, older = frames[frames <= slot][-1], frames[frames >= slot][:1]
-            if has_frame[slot]:
-                pattern[slot, slot] = 1
-            elif len(older) and HISTORY_SLOTS_S[older[0]] - HISTORY_SLOTS_S[newer] <= MAX_INTERPOLATION_GAP_S:
-                gap = HISTORY_SLOTS_S[older[0]] - HISTORY_SLOTS_S[newer]
-                share = (HISTORY_SLOTS_S[slot] - HISTORY_SLOTS_S[newer]) / gap
-                pattern[slot, newer], pattern[slot, older[0]] = 1 - share, share
+        times = HISTORY_SLOTS_S[has_frame]
+        older = np.searchsorted(times, HISTORY_SLOTS_S)  # frame at the time of each slot, or before
+        gap = np.append(np.diff(times, prepend=0), np.inf)[older]
+        units = np.eye(slots)[has_frame]
+        interpolated = np.transpose([np.interp(HISTORY_SLOTS_S, times, unit[has_frame]) for unit in units])
+        is_seen = has_frame | (gap <= MAX_INTERPOLATION_GAP_S)
+        pattern[:, has_frame] = np.where(is_seen[:, None], interpolated, 0)
     return out
 
 
-def _draw_frames(rng: np.random.Generator, slots: int) -> NDArray[np.bool_]:
+def _draw_frames(rng: np.random.Generator, slots: int) -> Bools:
     """Return (T,) which slots have a frame: all, or fewer by dropped frames, a new person or a low frame rate."""
     kind = rng.random()
     has_frame = np.ones(slots, bool)

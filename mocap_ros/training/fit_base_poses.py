@@ -32,13 +32,10 @@ MIN_WEIGHT_STD_M = 1e-4  # m; base poses that vary less are numerical noise, and
 
 
 def align_to_mean(poses: Array, shares: Array, align: Callable[[Array, Array], Array]) -> tuple[Array, Array]:
-    """Align centred poses (N, J, 3) in m to their own mean by rotations (generalised Procrustes analysis).
+    """Align centred poses (N, J, 3) in m to their own mean by rotations, `fit_rotation` or `fit_heading_rotation`.
 
-    The first pose is the first estimate of the mean, and so determines the orientation of the result. `align` is
-    `fit_rotation` or `fit_heading_rotation`, and the shares (N,) of the poses in the mean have the sum 1.
-
-    Returns:
-        (J, 3) m, mean pose, and (N, J, 3) m, aligned poses.
+    The first pose is the first estimate of the mean, and so determines the orientation of the result. The shares
+    (N,) of the poses in the mean have the sum 1. Returns the mean (J, 3) and the aligned poses (N, J, 3).
     """
     mean = poses[0]
     for _ in range(MAX_ALIGNMENT_PASSES):
@@ -73,13 +70,11 @@ def _transfer_to_random_bodies(
     poses: Array, skeleton: Skeleton, count: int, rng: np.random.Generator
 ) -> list[Array]:
     """Return `count` copies of a motion (F, J, 3) with random bone lengths, the same left and right."""
-    names = [skeleton.joints[c] for _, c in skeleton.bones]
-    shared_names = [min(n, skeleton.joints[skeleton.mirror[skeleton.index(n)]]) for n in names]
+    names = [min(skeleton.joints[c], skeleton.joints[skeleton.mirror[c]]) for _, c in skeleton.bones]
     out = []
     for _ in range(count):
-        by_name = {n: 1 + BODY_SPREAD * rng.standard_normal() for n in sorted(set(shared_names))}
-        factor = np.array([by_name[n] for n in shared_names])
-        out.append(scale_bones(poses, skeleton, factor))
+        by_name = {n: 1 + BODY_SPREAD * rng.standard_normal() for n in sorted(set(names))}
+        out.append(scale_bones(poses, skeleton, np.array([by_name[n] for n in names])))
     return out
 
 
@@ -115,17 +110,14 @@ def fit_base_poses(
 
     Args:
         trials: arrays (F_i, J, 3) in m, z up.
-        shares: weight of each trial, which its poses share, such as from `balance.balance_trials`; by default
-            every pose weighs the same.
+        shares: weight of each trial, which its poses share; by default every pose weighs the same.
         name: motion category of the model.
         skeleton: names and bones of the J joints.
-        components: largest number of base poses; those with a standard deviation below `MIN_WEIGHT_STD_M` are
-            dropped.
+        components: largest number of base poses, without those that hardly vary.
         alignment: `rotation` to align poses by any rotation, `heading` to rotate them about the vertical only.
         mirror: whether to add the mirror image of every pose.
         bodies: number of bodies with random bone lengths to which each trial is transferred in addition.
-        provenance: further entries of the model's provenance; those of the training itself replace any of the same
-            name.
+        provenance: further entries of the model's provenance, besides those of the training itself.
         labels: names of the trials for error messages; their numbers by default.
 
     Raises:
@@ -180,13 +172,8 @@ def _principal_components(
 ) -> tuple[Array, Array, float]:
     """Return the principal components of poses (N, J, 3) with weights (N,) about their mean (J, 3).
 
-    Returns:
-        (K, J, 3) orthonormal components by decreasing variance, the entry of largest magnitude positive; their
-            (K,)
-        variances in m^2; and the total variance in m^2.
-
-    Raises:
-        ModelError: No component varies by `MIN_WEIGHT_STD_M`.
+    These are (K, J, 3), orthonormal, by decreasing variance, with the entry of largest magnitude positive; then
+    come their variances (K,) and the total variance in m^2.
     """
     flat = (poses - mean).reshape(len(poses), -1)
     variance, vectors = np.linalg.eigh(flat.T @ (shares[:, None] * flat))

@@ -109,12 +109,9 @@ class LifterNetwork(nn.Module):  # type: ignore[misc, unused-ignore]
     def copy_weights(self, lifter: Lifter, features: Tensor) -> None:
         """Copy the weights of a lifter, so that this network computes the same in evaluation mode.
 
-        A lifter's batch norms are folded into its layers. They are unfolded with the mean and the variance of each
-        unit on the features (N, FEATURE_COUNT) of examples. The weights are brought to the size of those of a new
-        network, since the effect of a step of the optimiser depends on it.
-
-        Raises:
-            MocapError: the lifter has other layers than this network.
+        A lifter's batch norms, folded into its layers, are unfolded with the mean and the variance of each unit on
+        the features (N, FEATURE_COUNT) of examples. The weights get the size of those of a new network, on which
+        the effect of a step of the optimiser depends. Raises `MocapError` if the layers are others.
         """
         layers = [
             (torch.from_numpy(weight.T.astype('f4')), torch.from_numpy(bias.astype('f4')))
@@ -161,18 +158,15 @@ class LifterNetwork(nn.Module):  # type: ignore[misc, unused-ignore]
 
 
 def compute_loss(out: Tensor, batch: ExampleBatch, uncertainty: float) -> tuple[Tensor, Tensor]:
-    """Compute the loss L = mean_j a_j |P_j - P*_j| + uncertainty * 0.1 m * mean_j a_j NLL_j.
+    """Return the loss L in m, and the mean distance (J,) in m of each joint, of any value where it is not known.
 
+        L = mean_j a_j |P_j - P*_j| + uncertainty * 0.1 m * mean_j a_j NLL_j
         NLL_j = 2 log sigma_xy + sqrt(3) e_xy / sigma_xy + log sigma_z + sqrt(2) e_z / sigma_z
 
-    a_j is 1 for the core, `EXTREMITY_WEIGHT` for other joints and 0 where the true joint is not known; means are
-    over the core's joints. P_j and P*_j are the estimated and the true position, NLL_j the negative log
-    likelihood, of Laplace's distribution in depth and of its rotationally symmetric counterpart in the image. e_xy
-    is the error of joint j in the image and e_z its error in depth. The errors enter the likelihood without
-    gradient, so it trains the standard deviations only.
-
-    Returns:
-        The loss L in m, and the (J,) mean distance of each joint in m, of any value where it is not known.
+    a_j is 1 for the core, `EXTREMITY_WEIGHT` for other joints and 0 where the true joint P*_j is not known; means
+    are over the core's joints. NLL_j is the negative log likelihood of Laplace's distribution in depth and of its
+    rotationally symmetric counterpart in the image; the errors e enter it without gradient, so that it trains the
+    standard deviations only.
     """
     newest, target = torch.from_numpy(batch.newest), torch.from_numpy(batch.target)
     pose = out[:, : 3 * JOINT_COUNT].reshape(-1, JOINT_COUNT, 3)
@@ -233,21 +227,17 @@ def train_lifter(
     """Train a lifter; the same trials, settings and library versions give the same lifter, interrupted or not.
 
     Args:
-        trials: arrays (F, J, 3) of `skeleton.BODY26` or (F, J_c, 3) of `skeleton.CMU15` in m, z up, 30 frames per
-            second.
-        shares: (N,) share of each trial in the examples, as from `balance.balance_trials`.
+        trials: (F, J, 3) of `skeleton.BODY26` or (F, J_c, 3) of `skeleton.CMU15` in m, z up, 30 frames a second.
+        shares: (N,) share of each trial in the examples, as from `balance_trials`.
         settings: settings of the training.
         provenance: entries of the lifter's provenance; the settings and the last mean error on examples are added.
-        start: lifter whose weights are the initial ones, and whose batch norms stay as they are; by default the
-            weights are random.
-        checkpoint: state of a training with the same arguments, which goes on from there; only the number of steps
-            may differ.
+        start: lifter with the initial weights, whose batch norms stay as they are; by default they are random.
+        checkpoint: state of a training with the same arguments but for the number of steps, which goes on there.
         keep: function that is given a checkpoint every `CHECKPOINT_BLOCKS` blocks of examples.
-        progress: function that wraps the iteration over the steps, for example to show a progress bar.
+        progress: function that wraps the iteration over the steps.
 
     Raises:
-        MocapError: the checkpoint is of a training with other settings or other trials, or the lifter to start
-            from has other layers.
+        MocapError: the checkpoint is of a training with other settings or trials, or `start` has other layers.
     """
     torch.manual_seed(settings.seed)
     torch.set_flush_denormal(True)
@@ -280,8 +270,7 @@ class _Training:
 
     Attributes:
         step: number of steps that were made.
-        mean_error: m, running average of the mean error of the core's joints on examples that are new to the
-            network.
+        mean_error: m, running average of the mean error of the core's joints on examples that are new.
         averaged: network with the running average of the weights.
     """
 
@@ -312,7 +301,11 @@ class _Training:
         loss.backward()
         nn.utils.clip_grad_norm_(self._network.parameters(), MAX_GRADIENT_NORM)
         self._optimiser.step()
-        _update_average(self.averaged, self._network, min(settings.average, 1 - 1 / self.step))
+        states = zip(self.averaged.state_dict().values(), self._network.state_dict().values(), strict=True)
+        with torch.no_grad():
+            for average, current in states:
+                if average.is_floating_point():
+                    average.lerp_(current, max(1 - settings.average, 1 / self.step))
         if is_new:
             change = float(distance[:CORE_COUNT].mean()) - self.mean_error
             self.mean_error += change * max(ERROR_AVERAGE_RATE, 1 / self.step)
@@ -362,12 +355,3 @@ class _Training:
 def _rate_factor(step: int, steps: int) -> float:
     """Return the learning rate of step 1, 2, ... as a share of the highest one."""
     return min(1.0, step / max(WARM_UP_SHARE * steps, 1), (steps + 1 - step) / max(DECAY_SHARE * steps, 1))
-
-
-def _update_average(averaged: LifterNetwork, network: LifterNetwork, decay: float) -> None:
-    """Move the averaged weights towards those of the network: average = decay average + (1 - decay) weights."""
-    with torch.no_grad():
-        states = zip(averaged.state_dict().values(), network.state_dict().values(), strict=True)
-        for average, current in states:
-            if average.is_floating_point():
-                average.lerp_(current, 1 - decay)

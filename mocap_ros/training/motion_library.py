@@ -21,9 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.skeleton import BODY26
-
-Array = NDArray[np.float32]
-Array64 = NDArray[np.float64]
+from mocap_ros.training.example_arrays import Array, Array64, Bools
 
 FPS = 30  # frames per second of the trials and of the library
 
@@ -55,7 +53,7 @@ class MotionLibrary:
     """
 
     bone_vectors: Array
-    has_extremities: NDArray[np.bool_]
+    has_extremities: Bools
     first_frame: NDArray[np.intp]
     cumulative_probability: Array64
 

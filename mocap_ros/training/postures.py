@@ -219,10 +219,9 @@ _LEG_RANGES = np.radians(_read_ranges(*(_LEG[c] for c in ('thigh', 'out', 'shank
 # (P, 2) rows of `LEGS` of a leg and of the other one
 _LEGS_OF = np.array([[_LEG['name'].index(n) for n in (legs.split(',') * 2)[:2]] for legs in _POSTURE['legs']])
 # (P, 2, 2) joints that bodies rest on, twice the same if it is one pair; those who hang rest on nothing
-_RESTS_ON = np.array(
-    [[_sides(j) for j in (r.replace('-', 'hip').split(',') * 2)[:2]] for r in _POSTURE['rests_on']]
-)
 _IS_FREE = np.array([r == '-' for r in _POSTURE['rests_on']])
+_PAIRS = [(r.replace('-', 'hip').split(',') * 2)[:2] for r in _POSTURE['rests_on']]
+_RESTS_ON = np.array([[_sides(j) for j in pair] for pair in _PAIRS])
 _OFFSETS = _read_ranges(*(_PLACE[c] for c in ('forward', 'outwards', 'up')))
 _ELBOWS, _FINGERS = _read_vectors(_PLACE['elbow']), _read_vectors(_PLACE['hand'])
 _IS_FLAT = np.array([h != '-' for h in _PLACE['hand']])
@@ -239,7 +238,9 @@ def _share_places() -> Array:
             row[_PLACE['name'].index(name)] += 1 / len(names)
     out[-1] *= ARMS_SHARE
     out[-1, 0] = 1 - ARMS_SHARE
-    return np.asarray(out.cumsum(axis=1))
+    out = out.cumsum(axis=1)
+    out[:, -1] = 1  # despite rounding
+    return out
 
 
 _PLACE_SHARES = _share_places()
