@@ -60,7 +60,7 @@ from mocap_ros.solvers.classification import choose_category
 from mocap_ros.solvers.contacts import find_contacts
 from mocap_ros.solvers.extremities import SEGMENT_OF, attach, collect_evidence, smooth_extremities
 from mocap_ros.solvers.floor import POSE_SHARE, fit_floor
-from mocap_ros.solvers.image_roll import find_roll, is_upside_down, lift_turned, turn_upright
+from mocap_ros.solvers.image_roll import find_camera_roll, find_roll, lift_turned, turn_about_axis, turn_upright
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, explains_as_well, let_base_poses_lead
 from mocap_ros.solvers.observed_window import ObservedWindow, observe_sequence
 from mocap_ros.solvers.vertical import (
@@ -352,16 +352,17 @@ def choose_vertical(observed: ObservedWindow, joints: Array, config: TrackerConf
     The poses (F, J, 3) are in any unit, in the axes of the real camera.
     """
     if config.vertical == AUTO:
-        sign = -1.0 if _is_upside_down(observed) else 1.0
-        return Verticals(*find_vertical(observed.times, Stances.of(joints), sign))
+        roll = _find_camera_roll(observed)
+        direction, std = find_vertical(observed.times, Stances.of(turn_about_axis(joints, roll)))
+        return Verticals(turn_about_axis(direction, -roll), std)
     given, frames = read_given_vertical(config), len(observed.times)
     if given is None:
         return Verticals(np.full((frames, 3), np.nan), np.full(frames, np.nan))
     return _repeat_vertical(given, frames)
 
 
-def _is_upside_down(observed: ObservedWindow) -> bool:
-    return is_upside_down(observed.rays, observed.weight, observed.times)
+def _find_camera_roll(observed: ObservedWindow) -> float:
+    return find_camera_roll(observed.rays, observed.weight, observed.times)
 
 
 def _repeat_vertical(given: Vertical, frames: int) -> Verticals:
@@ -382,7 +383,7 @@ def _lift(
     if given is not None:
         known, roll = _repeat_vertical(given, len(observed.times)), find_roll(given.direction)
     else:
-        roll = math.pi if _is_upside_down(observed) else 0.0
+        roll = _find_camera_roll(observed)
     direction = None if known is None else camera.to_virtual_camera(known.direction[:, None])[:, 0]
     in_lifter = (None, None) if given is None or known is None else (direction, known.std)
     lifted = lift_turned(lifter, *observed.sample_unlifted_histories(), roll, *in_lifter)

@@ -70,15 +70,10 @@ MAX_STEP_S = 0.2  # s; longest time that one frame stands for
 UNIT_TOLERANCE = 0.01  # 1; difference of a given direction's length from 1 that rounding may cause
 
 
-def _measure_levelness(upward: Array, sign: float) -> Array:
-    """Return the shares (N,) to which directions (N, 3) are up for a camera, upside down if the sign is -1."""
-    angle_deg = np.degrees(np.arccos((-sign * upward[:, 1]).clip(-1, 1)))
+def _measure_levelness(upward: Array) -> Array:
+    """Return the shares (N,) to which directions (N, 3) are up for a level camera."""
+    angle_deg = np.degrees(np.arccos((-upward[:, 1]).clip(-1, 1)))
     return np.asarray(((LEVEL_DEG[1] - angle_deg) / (LEVEL_DEG[1] - LEVEL_DEG[0])).clip(0, 1))
-
-
-def _measure_standing(stances: Stances, sign: float) -> Array:
-    """Return the shares (N,) to which people stand upright before a camera, upside down if the sign is -1."""
-    return stances.standing * _measure_levelness(stances.upward, sign)
 
 
 def _add_prior(
@@ -231,13 +226,13 @@ def turn_towards_vertical(
     return LiftedPoses(joints, lifted.std)
 
 
-def find_vertical(times: Array, stances: Stances, sign: float = 1.0) -> tuple[Array, Array]:
+def find_vertical(times: Array, stances: Stances) -> tuple[Array, Array]:
     """Return the vertical of a whole sequence, found from all its frames.
 
     Args:
         times: (F,) s, increasing.
-        stances: what the F poses of one person show, in the optical frame of the camera; NaN where there is none.
-        sign: 1, or -1 where the camera is upside down.
+        stances: what the F poses of one person show, in the optical frame of the camera, turned by
+            `image_roll.find_camera_roll`; NaN where there is none.
 
     Returns:
         (F, 3) unit vectors and (F,) rad, their standard deviations; NaN where no frame has a pose.
@@ -249,11 +244,11 @@ def find_vertical(times: Array, stances: Stances, sign: float = 1.0) -> tuple[Ar
     steps = np.minimum(np.diff(times, append=times[-1]), MAX_STEP_S)
     steps[-1] = steps[-2] if len(steps) > 1 else MAX_STEP_S
     weight = np.where(known, np.maximum(steps, 1e-9), 0.0)
-    standing = _measure_standing(stances, sign)
-    is_level = weight * (_measure_levelness(stances.upward, sign) > 0)
+    levelness = _measure_levelness(stances.upward)
+    standing, is_level = stances.standing * levelness, weight * (levelness > 0)
     directions, seconds = engine.find_sequence(times, stances.upward, is_level, standing)
     std_deg = np.minimum(DIRECTION_STD_DEG * np.sqrt(CORRELATION_S / np.maximum(seconds, 1e-9)), MAX_STD_DEG)
     same = np.tile([0.0, -1.0, 0.0], (len(times), 1))
     shares = known.astype(float), standing, np.maximum(stances.standing - standing, 0.0)
     sums = [engine.find_sequence(times, same, weight, np.ascontiguousarray(s))[1] for s in shares]
-    return _add_prior(directions, std_deg, sign, *sums)
+    return _add_prior(directions, std_deg, 1.0, *sums)

@@ -92,7 +92,9 @@ FORMS: dict[str, Callable[[Frames], Any]] = {
         for f, p in enumerate(k)
     ],
     'YOLO to_json': lambda k: [[make_yolo_person(p)] for p in k],
-    'YOLO with a dog': lambda k: [[make_yolo_person(BODY[:51], name='dog'), make_yolo_person(p)] for p in k],
+    'YOLO with a dog and a sofa': lambda k: [
+        [*(make_yolo_person(BODY[:51], name=name) for name in ('dog', 'sofa')), make_yolo_person(p)] for p in k
+    ],
     'YOLO with zeroed points': lambda k: [[make_yolo_person(set_unseen(p, (0, 0), 0.4))] for p in k],
     'points at (-1, -1)': lambda k: [[make_yolo_person(set_unseen(p, (-1, -1), 0.9))] for p in k],
     'NaN points': lambda k: [[make_yolo_person(set_unseen(p, (np.nan, np.nan), 0.9))] for p in k],

@@ -23,7 +23,7 @@ from mocap_ros.models.upward_direction import Stances, find_standing, find_upwar
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers import vertical as module
-from mocap_ros.solvers.image_roll import CameraSide, find_sides, is_upside_down, lift_turned
+from mocap_ros.solvers.image_roll import CameraSide, find_camera_roll, find_sides, lift_turned
 from mocap_ros.solvers.vertical import (
     Vertical,
     find_vertical,
@@ -100,7 +100,9 @@ def test_where_all_lie_or_stand_on_their_hands_a_level_camera_is_likeliest(
     rng: np.random.Generator, lying: tuple[float, float, float], sign: float
 ) -> None:
     stances = Stances(scatter(rng, 90, 4.0, np.array(lying) * [1, sign, 1]), np.ones(90))
-    directions, std = find_vertical(np.arange(90) / 30, stances, sign)
+    half_turn = np.array([sign, sign, 1.0])
+    directions, std = find_vertical(np.arange(90) / 30, Stances(stances.upward * half_turn, stances.standing))
+    directions = directions * half_turn
     live = Vertical.begin(0, stances.select(np.arange(90) < 1), sign)
     live = live.advance(STEP_NS, stances.select(np.arange(90) == 1), sign)
     for direction, std_rad in ((directions[40], std[40]), (live.direction, live.std)):
@@ -282,8 +284,24 @@ def test_a_somersault_does_not_turn_a_camera_and_a_wrong_start_is_mended(points:
         assert (found[0], found[-1]) == (at_once, at_end)
         assert sum(np.diff(found)) <= 1
         body = np.where(np.isin(np.arange(60), turned)[:, None, None], -upright, upright)
-        assert not is_upside_down(body, np.ones((60, 15)), times)
-    assert is_upside_down(np.tile(-upright, (5, 1, 1)), np.ones((5, 15)), times[:5]), 'a short sequence'
+        assert find_camera_roll(body, np.ones((60, 15)), times) == 0
+    short = np.tile(-upright, (5, 1, 1))
+    assert find_camera_roll(short, np.ones((5, 15)), times[:5]) == math.pi
+
+
+@pytest.mark.parametrize('roll_deg', [90.0, -90.0])
+@pytest.mark.parametrize('lengths', [0.5, 2.0])
+def test_who_travels_across_the_body_stands_before_a_camera_on_its_side(
+    points: Array, roll_deg: float, lengths: float
+) -> None:
+    body = points - CAMERA.center
+    body = body - body.mean(axis=1, keepdims=True)
+    height, along = np.ptp(body[0, :, 1]), np.linspace(0, 1, FRAMES)[:, None]
+    body[..., 0] += lengths * height * along
+    roll = math.radians(roll_deg)
+    turned = turn(body, -roll, Intrinsics(1.0, (0.0, 0.0), is_focal_known=True))
+    found = find_camera_roll(turned, np.ones((FRAMES, 15)), np.arange(FRAMES) / 30)
+    assert found == pytest.approx(roll if lengths > 1 else 0.0)
 
 
 @pytest.mark.parametrize(('roll_deg', 'is_given'), [(180, True), (90, True), (-35, True), (180, False)])
