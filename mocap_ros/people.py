@@ -89,6 +89,7 @@ class Person3D:
         skeleton: names and order of the joints; the first are always those of `skeleton.CMU15`, the core.
         orientation: (J, 4) quaternions x, y, z, w of the body segment that turns about each joint, to the frame of
             `joints` (`solvers.body_segments` has the axes); NaN if unknown.
+        contact: (2,) probabilities that the left and the right foot stand; NaN if unknown.
         turn_inferred: (J,) True where nothing in the image shows how that segment is turned about its own axis.
     """
 
@@ -113,6 +114,7 @@ class Person3D:
     skeleton: Skeleton = CMU15
     orientation: Array = field(default_factory=lambda: _unknown(len(CMU15.joints), 4))
     turn_inferred: NDArray[np.bool_] = field(default_factory=lambda: np.ones(len(CMU15.joints), bool))
+    contact: Array = field(default_factory=lambda: _unknown(2))
 
     def __repr__(self) -> str:
         if self.predicted:

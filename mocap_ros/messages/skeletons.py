@@ -32,6 +32,7 @@ SKELETON_DEFINITION = MOCAP_ROS_MSGS + 'SkeletonDefinition'
 CAMERAS = MOCAP_ROS_MSGS + 'WeakPerspectiveCameraArray'
 PREDICTIONS = MOCAP_ROS_MSGS + 'Predictions'
 MAX_TIME_S = 1.0  # s; so far the motion predictor was trained
+FEET = 2  # left and right
 MAX_TIMES = 20  # more than a planner has use for; bounds what a message costs
 
 
@@ -84,6 +85,7 @@ def _list_fields(person: Person3D) -> dict[str, Any]:
         'unseen_for': person.unseen_for,
         'joint_orientation': person.orientation,
         'turn_inferred': person.turn_inferred,
+        'contact': person.contact[np.isfinite(person.contact)],
     }
 
 
@@ -128,6 +130,7 @@ class RecordedPerson(NamedTuple):
     scale: float
     translation: Array
     root_covariance: Array
+    contact: Array  # (2,) probabilities that left and right foot stand; NaN if unknown
 
 
 class RecordedSkeletons(NamedTuple):
@@ -175,6 +178,7 @@ def _read_person(person: SimpleNamespace, pose: RigidTransform | None) -> Record
         scale=person.camera[0],
         translation=person.camera[5:7],
         root_covariance=covariance if pose is None else pose.rotate_covariance(covariance),
+        contact=np.asarray(person.contact if len(person.contact) == FEET else [np.nan] * FEET, float),
     )
 
 

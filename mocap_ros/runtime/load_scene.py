@@ -47,7 +47,8 @@ Row = TypeVar('Row')
 MAX_PEOPLE = 16  # people who are reconstructed; those who are seen most, since each one takes seconds
 VIEWED_FORMATS = f'{KEYPOINT_FORMATS}, or a result (.npz, .mcap)'
 VIEWED_KINDS = (*KEYPOINT_KINDS, InputKind.RESULT)
-CAMERA_KEYS = ('scale', 'translation', 'vertical', 'vertical_std', 'scale_known')  # of a result file
+# of a result file; older ones have no contacts
+CAMERA_KEYS = ('scale', 'translation', 'vertical', 'vertical_std', 'scale_known', 'contact')
 # Fields of a `RecordedPerson` that a `ScenePerson` has as well, with their types there.
 PERSON_FIELDS = {
     'joints': np.float32,
@@ -58,6 +59,7 @@ PERSON_FIELDS = {
     'motion': np.uint8,
     'predicted': np.bool_,
     'tentative': np.bool_,
+    'contact': np.float32,
 }
 MAX_VERTICAL = 2.0  # length of a unit vector, far beyond its rounding; a longer one is damaged
 
@@ -148,7 +150,9 @@ def _reconstruct_people(
     shown, ids, places, results = zip(*reconstructed, strict=True)
     results = share_floor(results, [sequence.timestamps for sequence in shown], options.config.tracker)
     for sequence, person_id, frames, result in zip(shown, ids, places, results, strict=True):
-        people.append(_make_person(person_id, frames, result, result.solution.residual, intrinsics))
+        people.append(
+            _make_person(person_id, frames, result, result.solution.residual, intrinsics, result.foot_contact)
+        )
         part = _make_keypoints(sequence, frames)
         keypoints.setdefault(part.skeleton, []).append(part)
     truth = sequences[0].truth if len(sequences) == 1 else None
@@ -189,7 +193,9 @@ def _make_keypoints(sequence: KeypointSequence, frames: NDArray[np.intp]) -> Sce
     return SceneKeypoints(layout, frames[rows], points[rows])
 
 
-def _make_person(person_id: str, frames: Any, result: Any, residual: Array, intrinsics: Intrinsics) -> ScenePerson:
+def _make_person(
+    person_id: str, frames: Any, result: Any, residual: Array, intrinsics: Intrinsics, contact: Array
+) -> ScenePerson:
     """Return the person of a `SequenceResult` or `StoredResult`, in those of its frames that have a skeleton."""
     rows = np.isfinite(result.joints).all(axis=(1, 2))
     joints, seen = result.joints[rows].astype(np.float32), result.seen[rows]
@@ -205,6 +211,7 @@ def _make_person(person_id: str, frames: Any, result: Any, residual: Array, intr
         motion=np.full(len(joints), MotionKind.UNKNOWN, np.uint8),
         predicted=np.asarray(~seen.any(axis=1)),
         tentative=np.zeros(len(joints), bool),
+        contact=contact[rows].astype(np.float32),
     )
 
 
@@ -219,6 +226,7 @@ def _load_result_scene(path: Path, person: str | None) -> Scene:
     scale, translation = arrays.read_numbers('scale', (count,)), arrays.read_numbers('translation', (count, 2))
     vertical = arrays.read_numbers('vertical', (count, 3)), arrays.read_numbers('vertical_std', (count,))
     is_focal_known = arrays.read_flags('scale_known', ())
+    contact = arrays.read_numbers('contact', (count, 2)) if 'contact' in arrays else np.full((count, 2), np.nan)
     if result.sequence is not None and result.sequence.is_camera_known:
         intrinsics, size = result.sequence.intrinsics(1.0), result.sequence.image_size
     else:
@@ -227,7 +235,7 @@ def _load_result_scene(path: Path, person: str | None) -> Scene:
     return Scene(
         title=path.name,
         stamps_ns=result.stamps_ns,
-        people=(_make_person('person_1', frames, result, result.residual, intrinsics),),
+        people=(_make_person('person_1', frames, result, result.residual, intrinsics, contact),),
         keypoints=() if result.sequence is None else (_make_keypoints(result.sequence, frames),),
         image_size=size,
         intrinsics=intrinsics,

@@ -219,6 +219,7 @@ def _iterate_people(reconstruction: ReconstructedSequence) -> Iterator[Person3D 
     """Yield the person of each frame, or None where the result has no skeleton."""
     result, nan = reconstruction.result, float('nan')
     cameras, translation = result.cameras_in_real_image()
+    contact = result.foot_contact
     times = np.asarray(reconstruction.sequence.timestamps)
     velocity = central_velocity(times, result.joints)
     first = last_seen = math.nan
@@ -245,6 +246,7 @@ def _iterate_people(reconstruction: ReconstructedSequence) -> Iterator[Person3D 
             age=float(times[frame] - first),
             unseen_for=float(times[frame] - last_seen),
             skeleton=result.skeleton,
+            contact=contact[frame],
         )
         if result.orientation is not None and result.turn_inferred is not None:
             turns = result.orientation[frame], result.turn_inferred[frame]

@@ -148,6 +148,7 @@ def make_person(person_id: str, joint_count: int, intrinsics: Intrinsics, frames
         motion=np.zeros(frames, np.uint8),
         predicted=np.zeros(frames, bool),
         tentative=np.zeros(frames, bool),
+        contact=np.full((frames, 2), np.nan, np.float32),
     )
 
 

@@ -32,6 +32,8 @@ from mocap_ros.viewing.scene import (
     DROP_COLOUR,
     DROP_NAME,
     PALE_COLOUR,
+    STANDING_COLOUR,
+    STANDS,
     TRAIL_JOINT,
     Scene,
     SceneKeypoints,
@@ -143,6 +145,11 @@ def _describe_scene(scene: Scene, packer: _Packer) -> dict[str, Any]:
         'cadencePerStep': CADENCE_STEP,
         'joints': list(scene.skeleton.joints),
         'bones': [list(bone) for bone in scene.skeleton.bones],
+        'feet': [
+            [i for i, joint in enumerate(scene.skeleton.joints) if joint in (f'{side}heel', f'{side}toe')]
+            or [scene.skeleton.index(f'{side}ankle')]
+            for side in 'lr'
+        ],
         'trailJoint': scene.skeleton.index(TRAIL_JOINT),
         'people': [
             _describe_person(scene, index, packer, Steps(metre_step, pixel_step))
@@ -163,6 +170,7 @@ def _describe_scene(scene: Scene, packer: _Packer) -> dict[str, Any]:
         'markKinds': [[DROP_NAME, DROP_COLOUR]] if scene.marks else [],
         'colourKey': list_colour_key(scene),
         'inferredColour': INFERRED_COLOUR,
+        'standingColour': STANDING_COLOUR,
         'paleColour': PALE_COLOUR,
         'truthColour': TRUTH_COLOUR,
     }
@@ -187,6 +195,7 @@ def pack_person(
         | person.tentative.astype(np.uint8) << 1
         | swapped.astype(np.uint8) << 2
         | person.motion << 4
+        | (person.contact > STANDS) @ np.array([1, 2], np.uint8) << 6
     )
     inferred = person.inferred.astype(np.int32) @ (1 << np.arange(person.inferred.shape[1], dtype=np.int32))
     std = np.minimum(np.round(np.nan_to_num(person.std, nan=np.inf) / STD_STEP), UNKNOWN_STD)

@@ -48,6 +48,8 @@ MIN_DEPTH_M = 0.1  # m; nearer joints have no image point that could be drawn
 MIN_PART_JOINTS = 2  # pairs of joints of a part that must be seen on both sides; one alone may be an outlier
 
 
+STANDING_COLOUR = '#222222'  # of the disc under a foot that stands
+STANDS = 0.5  # 1; probability from which a foot is drawn as one that stands
 DROP_NAME, DROP_COLOUR = 'input dropped', '#d62728'  # of marks on the time line; red
 
 
@@ -73,6 +75,7 @@ class ScenePerson:
     motion: NDArray[np.uint8]  # (N,) kind of motion, as in `people.MotionKind`
     predicted: Mask  # (N,) True where the person was not detected
     tentative: Mask  # (N,) True where the person was seen too shortly to be certain
+    contact: Array32  # (N, 2) probabilities that the left and the right foot stand; NaN where unknown
 
     @property
     def image(self) -> Array32:
@@ -213,6 +216,8 @@ def list_colour_key(scene: Scene) -> list[tuple[str, str]]:
     """Return names and colours that the viewers explain besides those of inferred joints."""
     sides = [('left', choose_side_colour('l')), ('right', choose_side_colour('r'))]
     key = sides if len(scene.people) == 1 else [('darker: right side', MIDDLE_COLOUR)]
+    if any((person.contact > STANDS).any() for person in scene.people):
+        key = [*key, ('foot that stands', STANDING_COLOUR)]
     if any(person.predicted.any() or person.tentative.any() for person in scene.people):
         key = [*key, ('predicted or tentative', PALE_COLOUR)]
     return key if scene.truth is None else [*key, ('truth', TRUTH_COLOUR)]

@@ -33,7 +33,7 @@ PUBLIC: dict[str, str] = {
     'MocapError': 'Exception',
     'ModelError': 'MocapError',
     'Motion': 'cadence category kind residual',
-    'Person3D': 'age core id inferred joint_names joints motion orientation predicted residual root '
+    'Person3D': 'age contact core id inferred joint_names joints motion orientation predicted residual root '
     'root_covariance root_velocity root_velocity_covariance rotation scale scale_known skeleton std tentative '
     'translation turn_inferred unseen_for velocity velocity_std',
     'PoseSequence': 'base_poses contact cost floor_std is_scale_known iterations joint_names joints message '

@@ -53,6 +53,7 @@ def make_person(draw: st.DrawFn, skeleton: Skeleton) -> Person3D:
         skeleton=skeleton,
         orientation=Rotation.random(count, rng).as_quat(),
         turn_inferred=rng.random(count) < 0.5,
+        contact=rng.random(2) * draw(st.sampled_from([1.0, np.nan])),
     )
 
 

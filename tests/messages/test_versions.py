@@ -5,18 +5,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from mocap_ros.bags.reader import Bag
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import CDR_ALIGNMENT_BYTES, Header, decode, typestore
+from mocap_ros.messages.cdr import CDR_ALIGNMENT_BYTES, MOCAP_ROS_MSGS, Header, decode, typestore
 from mocap_ros.messages.foreign_types import OPENPOSE_POSES
 from mocap_ros.messages.markers import MARKERS, MarkerEncoder
+from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons, encode_skeletons
 from mocap_ros.messages.versions import compare_versions, make_converter
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from tests.support.camera_infos import camera_info, encode_ros1_camera_info
@@ -25,6 +31,28 @@ from tests.support.people import make_person_3d
 
 BOX = 'test_msgs/msg/Box'
 ITEM = 'test_msgs/msg/Item'
+
+
+@pytest.mark.parametrize('contact', [[0.9, 0.25], [np.nan, np.nan]])
+def test_skeletons_of_a_bag_have_contacts_but_for_those_of_an_older_version(
+    tmp_path: Path, contact: list[float]
+) -> None:
+    older = get_typestore(Stores.ROS2_JAZZY)
+    text = typestore().generate_msgdef(SKELETONS)[0]
+    older.register(get_types_from_msg(text.replace('float32[] contact\n', ''), SKELETONS))
+    assert 'contact' not in dict(older.fielddefs[MOCAP_ROS_MSGS + 'Skeleton3D'][1])
+    assert compare_versions(typestore(), older, SKELETONS) == ([MOCAP_ROS_MSGS + 'Skeleton3D.contact'], [])
+    person = replace(make_person_3d('anna'), contact=np.array(contact))
+    raw = encode_skeletons(Header(1, 'camera'), [person])
+    for name, store, expected in (('new', typestore(), contact), ('old', older, [np.nan, np.nan])):
+        with Rosbag2Writer(tmp_path / name, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            connection = writer.add_connection('/skeletons', SKELETONS, typestore=store)
+            writer.write(connection, 1, make_converter(typestore(), store, SKELETONS)(raw))
+        with Bag(tmp_path / name) as bag:
+            (message,) = bag.messages(['/skeletons'])
+        (read,) = decode_skeletons(message.raw).people
+        assert read.contact == pytest.approx(expected, nan_ok=True)
+        assert read.joints == pytest.approx(person.joints)
 
 
 def make_store(box: str, item: str = 'float64 x') -> Typestore:

@@ -35,6 +35,7 @@ def make_scene_person(person_id: str, frames: Sequence[int], place: Sequence[flo
         motion=np.full(count, MotionKind.PERIODIC, np.uint8),
         predicted=np.zeros(count, bool),
         tentative=np.zeros(count, bool),
+        contact=np.tile([1.0, 0.0], (count, 1)).astype(np.float32),
     )
 
 

@@ -86,7 +86,8 @@ def test_the_arrays_are_those_of_the_scene_to_a_millimetre(scene: Scene) -> None
         inferred = arrays['inferred'] >> np.arange(15) & 1
         assert (inferred == person.inferred).all()
         assert ((arrays['state'][:, 0] & 1) == person.predicted).all()
-        assert ((arrays['state'][:, 0] >> 4) == person.motion).all()
+        assert ((arrays['state'][:, 0] >> 4 & 3) == person.motion).all()
+        assert ((arrays['state'][:, :1] >> [6, 7] & 1) == (person.contact > 0.5)).all()
         assert ((arrays['cadence'][:, 0] == NOT_A_NUMBER) == np.isnan(person.cadence)).all()
     points = page.read(page.scene['keypoints'][0]['arrays']['points'])
     assert (points[7] == NOT_A_NUMBER).all()

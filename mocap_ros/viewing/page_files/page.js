@@ -11,6 +11,7 @@
   const TRAIL_S = 2; // s; length of the trails
   const JOINT_RADIUS_M = 0.028; // m; joints stand out from bones and hide nothing
   const BONE_RADIUS_M = 0.016; // m
+  const [DISC_RADIUS_M, DISC_HEIGHT_M, DISC_DROP_M] = [0.14, 0.01, 0.03]; // under a foot that stands
   const BODY_RADIUS_M = 0.9; // m; of the sphere that holds a person, for the distance of the view
   const MAX_RATIO = 2; // canvas pixels per CSS pixel; more is not seen and takes time
   const MIN_RATIO = 0.5; // canvas pixels per CSS pixel; less is too coarse to read
@@ -255,6 +256,7 @@
       this.bones = make(new THREE.CylinderGeometry(1, 1, 1, 6, 1, true), lit(), count * bones.length);
       const cloud = new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.13, depthWrite: false });
       this.clouds = make(new THREE.IcosahedronGeometry(1, 1), cloud, count * joints.length);
+      this.discs = make(new THREE.CylinderGeometry(1, 1, 1, 24), lit(), 2 * count); // under feet that stand
       const grey = new THREE.MeshLambertMaterial();
       this.truth = truth ? make(new THREE.CylinderGeometry(1, 1, 1, 5, 1, true), grey, bones.length) : null;
       const trails = new THREE.BufferGeometry();
@@ -301,10 +303,21 @@
       mesh.setColorAt(mesh.count++, this.colour.set(colour));
     }
 
+    // A level disc under the points of a foot.
+    placeDisc(person, row, points) {
+      const middle = points.reduce((sum, joint) => sum.add(this.jointOf(person, row, joint, new THREE.Vector3())),
+        new THREE.Vector3()).multiplyScalar(1 / points.length);
+      this.turn.copy(this.world.quaternion).invert();
+      middle.add(new THREE.Vector3(0, -DISC_DROP_M, 0).applyQuaternion(this.turn));
+      this.matrix.compose(middle, this.turn, this.size.set(DISC_RADIUS_M, DISC_HEIGHT_M, DISC_RADIUS_M));
+      this.discs.setMatrixAt(this.discs.count, this.matrix);
+      this.discs.setColorAt(this.discs.count++, this.colour.set(this.scene.standingColour));
+    }
+
     update(frame) {
-      const { people, bones, joints, truth, seconds } = this.scene;
+      const { people, bones, joints, feet, truth, seconds } = this.scene;
       const [from, to] = this.points;
-      const meshes = [this.joints, this.bones, this.clouds, ...(this.truth ? [this.truth] : [])];
+      const meshes = [this.joints, this.bones, this.clouds, this.discs, ...(this.truth ? [this.truth] : [])];
       for (const mesh of meshes) mesh.count = 0;
       let trailPoints = 0;
       const mean = new THREE.Vector3();
@@ -316,6 +329,11 @@
         if (row < 0) continue;
         const state = person.state[row];
         const isPale = state & 3; // predicted or tentative
+        feet.forEach((points, side) => {
+          if (state >> 6 + side & 1 && points.every((joint) => this.isKnown(person, row, joint))) {
+            this.placeDisc(person, row, points);
+          }
+        });
         bones.forEach(([a, b], bone) => {
           if (!this.isKnown(person, row, a) || !this.isKnown(person, row, b)) return;
           this.jointOf(person, row, a, from);
