@@ -12,13 +12,7 @@ Indices: TypeAlias = NDArray[np.int64]
 Codes: TypeAlias = NDArray[Any]  # of 8 or 16 bits
 
 def sample_histories(
-    points: Array,
-    weight: Array,
-    times: Array,
-    frames: Indices,
-    slots: Array,
-    max_gap_s: float,
-    tolerance_s: float,
+    points: Array, weight: Array, times: Array, frames: Indices, slots: Array, max_gap_s: float, tolerance_s: float
 ) -> tuple[Array, Array]: ...
 def sample_body_histories(
     rays: Array,
