@@ -18,10 +18,9 @@ persons who were left out.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import common
 import numpy as np
@@ -46,6 +45,7 @@ from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.prediction import sample_past
 
 Array = NDArray[np.float64]
+Samples = TypeVar('Samples', Past, Features)
 
 FRAMES_A_TRIAL = 240  # from the middle of each trial
 WARM_UP = 15  # frames at the beginning of a trial that are left out
@@ -114,7 +114,7 @@ def list_views() -> list[tuple[str, int, int]]:
     return first + [view for pair in zip(later, again, strict=False) for view in pair]
 
 
-def collect(frames: int) -> tuple[list[Past], Array, NDArray[np.str_]]:
+def collect(frames: int) -> tuple[Past, Array, NDArray[np.str_]]:
     """Track trials until so many frames are tracked.
 
     Returns:
@@ -132,64 +132,66 @@ def collect(frames: int) -> tuple[list[Past], Array, NDArray[np.str_]]:
         for frame, tracker, person in track_scene(scene, model, parameters):
             if person.predicted or frame < WARM_UP or frame % STEP:
                 continue
-            (track,) = tracker.tracks
             upward = None if tracker.vertical is None else tracker.vertical.direction
-            pasts.append(sample_past(track, upward))
+            pasts.append(sample_past(tracker.tracks, upward))
             persons.append(rows[trial]['subject'])
             futures.append(look_ahead(truth, frame, TIMES_S) + person.root - scene.root[frame])
         done += scene.view.frames
-    return pasts, np.array(futures), np.array(persons)
+    return _join(*pasts), np.array(futures), np.array(persons)
 
 
-def fit_predictor(pasts: Sequence[Past], future: Array, persons: NDArray[np.str_]) -> MotionPredictor:
+def fit_predictor(past: Past, future: Array, persons: NDArray[np.str_]) -> MotionPredictor:
     """Return the predictor that is fitted to N samples of N persons.
 
     `future` (N, K, J, 3) m are the true joints at the `TIMES_S` after, moved so that the root was right at the
     newest frame; NaN where not known.
     """
-    features = compute_features(pasts)
-    now = np.array([past.joints for past in pasts])
+    features, now = compute_features(past), past.joints
     predicted = np.full(future.shape, np.nan)
     for left_out in np.array_split(np.random.default_rng(0).permutation(np.unique(persons)), FOLDS):
         is_out = np.isin(persons, left_out)
-        draft = _fit_network(*_add_others(pasts, features, future - now[:, None], np.flatnonzero(~is_out)))
+        draft = _fit_network(*_add_others(past, features, future - now[:, None], np.flatnonzero(~is_out)))
         rows = np.flatnonzero(is_out)
-        ahead = draft.predict_all([pasts[i] for i in rows.tolist()], np.tile(TIMES_S, (len(rows), 1)))
+        ahead = draft.predict(_select(past, rows), np.tile(TIMES_S, (len(rows), 1)))
         predicted[rows] = now[rows, None] + ahead.joints
     root_variance, limb_variance = _fit_variances(
         predicted,
         future,
         features.line_of_sight,
-        np.array([past.std for past in pasts]),
+        past.std,
         features.root_squares,
         features.limb_squares,
     )
-    fitted = _fit_network(*_add_others(pasts, features, future - now[:, None], np.arange(len(pasts))))
+    fitted = _fit_network(*_add_others(past, features, future - now[:, None], np.arange(len(now))))
     return replace(fitted, root_variance=root_variance, limb_variance=limb_variance)
 
 
 def _add_others(
-    pasts: Sequence[Past], features: Features, displacement: Array, rows: NDArray[np.intp]
+    past: Past, features: Features, displacement: Array, rows: NDArray[np.intp]
 ) -> tuple[Features, Array]:
     """Return features and displacements of some samples, and of these again turned or moved, as of the module."""
     rng = np.random.default_rng(0)
     turned, moved = (rng.choice(rows, round(s * len(rows)), replace=False) for s in (TURNED_SHARE, MOVED_SHARE))
-    others = [pasts[i]._replace(heading=rng.standard_normal(3)) for i in turned]
-    further = []
-    for i in moved:
-        past = pasts[i]
-        drawn = np.cross(past.upward, rng.standard_normal(3))
+    other_way = _select(past, turned)._replace(heading=rng.standard_normal((len(turned), 3)))
+    pushed, further = _select(past, moved), []
+    for i, upward in enumerate(pushed.upward):
+        drawn = np.cross(upward, rng.standard_normal(3))
         velocity = rng.uniform(*MOVED_RANGE_M_S) * drawn / np.linalg.norm(drawn)
-        earlier = past.earlier - np.array(PAST_S)[:, None, None] * velocity
-        others.append(past._replace(velocity=past.velocity + velocity, earlier=earlier))
-        further.append(displacement[i] + np.array(TIMES_S)[:, None, None] * velocity)
-    joined = _join(Features(*(values[rows] for values in features)), compute_features(others))
+        pushed.earlier[i] -= np.array(PAST_S)[:, None, None] * velocity
+        pushed.velocity[i] += velocity
+        further.append(displacement[moved[i]] + np.array(TIMES_S)[:, None, None] * velocity)
+    joined = _join(_select(features, rows), compute_features(_join(other_way, pushed)))
     return joined, np.concatenate([displacement[rows], displacement[turned], np.array(further)])
 
 
-def _join(first: Features, second: Features) -> Features:
-    """Return the features of two groups of samples as those of one."""
-    return Features(*map(np.concatenate, zip(first, second, strict=True)))
+def _select(samples: Samples, rows: NDArray[np.intp]) -> Samples:
+    """Return some of the samples."""
+    return type(samples)(*(values[rows] for values in samples))
+
+
+def _join(*groups: Samples) -> Samples:
+    """Return groups of samples as one."""
+    return type(groups[0])(*map(np.concatenate, zip(*groups, strict=True)))
 
 
 def _fit_network(features: Features, displacement: Array) -> MotionPredictor:
@@ -319,10 +321,10 @@ def main() -> None:
     parser.add_argument('-o', '--output', type=Path, default=FILE, metavar='FILE')
     parser.add_argument('--frames', type=int, default=68_700, metavar='N', help='to track (15 minutes)')
     args = parser.parse_args()
-    pasts, futures, persons = collect(args.frames)
-    predictor = fit_predictor(pasts, futures, persons)
+    past, futures, persons = collect(args.frames)
+    predictor = fit_predictor(past, futures, persons)
     write_npz(args.output, {name: array.astype('f4') for name, array in asdict(predictor).items()})
-    print(f'{args.output}: fitted to {len(pasts)} samples')
+    print(f'{args.output}: fitted to {len(futures)} samples')
 
 
 if __name__ == '__main__':

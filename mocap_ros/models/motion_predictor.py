@@ -29,7 +29,6 @@ deviation of the joints; c and e hold 95 of 100 errors of left-out persons (`ben
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -56,23 +55,23 @@ LEAST_LENGTH = 1e-6  # 1 or m; guards the division by the length of a direction 
 
 
 class Past(NamedTuple):
-    """What is known of a person's motion, in m, m/s and the camera's optical frame."""
+    """What is known of the motions of N people, in m, m/s and the camera's optical frame."""
 
-    joints: Array  # (J, 3) at the newest frame, in the order of `skeleton.CMU15`
-    velocity: Array  # (J, 3) there
-    std: Array  # (J,) m, standard deviations there
-    earlier: Array  # (6, J, 3) at each of the `PAST_S` before
-    heading: Array  # (3,) direction in which the body faces
-    upward: Array  # (3,) unit vector upwards
+    joints: Array  # (N, J, 3) at the newest frame, in the order of `skeleton.CMU15`
+    velocity: Array  # (N, J, 3) there
+    std: Array  # (N, J) m, standard deviations there
+    earlier: Array  # (N, 6, J, 3) at each of the `PAST_S` before
+    heading: Array  # (N, 3) directions in which the bodies face
+    upward: Array  # (N, 3) unit vectors upwards
 
 
 class Displacements(NamedTuple):
-    """Prediction of a person, or of each of N people, at T times ahead."""
+    """Predictions of N people at T times ahead."""
 
-    joints: Array  # (..., T, J, 3) m, by which each joint moves
-    # (..., T, J) m, standard deviation of each joint about the root then, with that at the newest frame
+    joints: Array  # (N, T, J, 3) m, by which each joint moves
+    # (N, T, J) m, standard deviation of each joint about the root then, with that at the newest frame
     std: Array
-    root_covariance: Array  # (..., T, 3, 3) m^2, what the prediction adds to the covariance of the root
+    root_covariance: Array  # (N, T, 3, 3) m^2, what the prediction adds to the covariance of the root
 
 
 class Features(NamedTuple):
@@ -107,14 +106,10 @@ class MotionPredictor:
     limb_variance: Array  # (K, J, 4) the e
 
     def predict(self, past: Past, times: Array) -> Displacements:
-        """Return the prediction at times (T,) in s after the newest frame, not negative."""
-        return Displacements(*(values[0] for values in self.predict_all([past], times[None])))
-
-    def predict_all(self, pasts: Sequence[Past], times: Array) -> Displacements:
         """Return the predictions of N >= 1 people at times (N, T) in s after their newest frames, not negative."""
-        features = compute_features(pasts)
+        features = compute_features(past)
         inputs = np.concatenate([self.build_inputs(features), self.build_inputs(mirror(features))])
-        own, mirrored = self._run(inputs).reshape(2, len(pasts), len(self.times), -1, 3)
+        own, mirrored = self._run(inputs).reshape(2, len(times), len(self.times), -1, 3)
         moved = (own + mirrored[:, :, [*CMU15.mirror, -1]] * MIRRORED) / 2
         axes, to_optical = features.line_of_sight, features.body.swapaxes(1, 2)
         joints = moved[:, :, :-1] @ to_optical[:, None] + (moved[:, :, -1] @ axes.swapaxes(1, 2))[:, :, None]
@@ -123,11 +118,10 @@ class MotionPredictor:
         knots = (0.0, *self.times.tolist())
         weights = [_interpolate(knots, tuple(own)) for own in times.tolist()]
         displaced, varied = (np.array(parts) for parts in zip(*weights, strict=True))  # (N, T, K)
-        now = np.array([past.std for past in pasts])[:, None]
         lengthened = axes[:, None] * (varied @ root_variance)[:, :, None]
         return Displacements(
             (displaced @ joints.reshape(*joints.shape[:2], -1)).reshape(*times.shape, *joints.shape[2:]),
-            np.sqrt(now**2 + varied @ limb_variance),
+            np.sqrt(past.std[:, None] ** 2 + varied @ limb_variance),
             lengthened @ axes[:, None].swapaxes(2, 3),
         )
 
@@ -173,9 +167,9 @@ def _interpolate(knots: tuple[float, ...], times: tuple[float, ...]) -> tuple[Ar
     return linear[:, 1:], linear[:, 1:] * longer[:, None]
 
 
-def compute_features(pasts: Sequence[Past]) -> Features:
+def compute_features(past: Past) -> Features:
     """Return what the predictions of N people depend on (formulas of the module)."""
-    joints, velocity, std, earlier, heading, up = (np.array(values) for values in zip(*pasts, strict=True))
+    joints, velocity, std, earlier, heading, up = past
     root, root_velocity, earlier_roots = _centre(joints), _centre(velocity), _centre(earlier)
     about, about_velocity = joints - root[:, None], velocity - root_velocity[:, None]
     forward = _make_horizontal(heading, up)
@@ -187,7 +181,7 @@ def compute_features(pasts: Sequence[Past]) -> Features:
     own = np.concatenate([root_velocity[:, None], way, mean_velocity[:, None]], axis=1) @ line_of_sight
     ahead = np.concatenate([root_velocity[:, None], -way[:, HEADING_PAST]], axis=1) @ forward[:, :, None]
     facing = forward[:, None] @ line_of_sight  # (N, 1, 3)
-    last = np.zeros((len(pasts), 2, 3))
+    last = np.zeros((len(joints), 2, 3))
     last[:, 0, :2], last[:, 0, 2] = facing[:, 0, :2], 1.0
     last[:, 1, 2] = (about.mean(axis=1) * up).sum(axis=1)
     limbs = np.concatenate(
@@ -210,14 +204,14 @@ def compute_features(pasts: Sequence[Past]) -> Features:
         ],
         axis=1,
     )
-    root_squares = np.stack([np.ones(len(pasts)), speed**2, activity, accuracy**2], axis=1)
+    root_squares = np.stack([np.ones(len(joints)), speed**2, activity, accuracy**2], axis=1)
     limb_squares = np.repeat(root_squares[:, None], squared.shape[1], axis=1)
     limb_squares[:, :, 1] = squared
     return Features(
         line_of_sight,
         body,
         np.concatenate([own, ahead * facing, last], axis=1).swapaxes(1, 2),
-        (limbs @ body[:, None]).reshape(len(pasts), -1),
+        (limbs @ body[:, None]).reshape(len(joints), -1),
         gates,
         np.where(np.isnan(std), ACCURACY_M, std).clip(*STD_RANGE_M),
         root_squares,

@@ -40,7 +40,7 @@ VELOCITY_STD_M_S = 0.5  # m/s; what the velocity may have changed by in a gap
 MIN_CLEARANCE_M = 0.1  # m; a predicted body must stay this far in front of the camera, or its image is meaningless
 OPTICAL_AXIS = np.array([0.0, 0.0, 1.0])  # direction away from the camera, in its optical frame
 UPRIGHT_CAMERA = np.array([0.0, -1.0, 0.0])  # direction upwards in the optical frame of a level camera
-_AGO = np.array(PAST_S)
+_AGO = np.array([0.0, *PAST_S])
 
 
 def predict_people(
@@ -82,10 +82,9 @@ def predict_ahead(
         return []
     ages = [(stamp_ns - track.stamps_ns[-1]) / NS_PER_S for track in tracks]
     times = np.array(ages)[:, None] + np.array(times_s)
-    pasts, ahead = _predict(tracks, times, upward, sizes)
-    joints, std = np.array([past.joints for past in pasts]), np.array([past.std for past in pasts])
-    covariances = estimate_root_covariance(joints, std, sizes)
-    joints = joints * np.array([size.ratio for size in sizes])[:, None, None]
+    past, ahead = _predict(tracks, times, upward, sizes)
+    covariances = estimate_root_covariance(past.joints, past.std, sizes)
+    joints = past.joints * np.array([size.ratio for size in sizes])[:, None, None]
     predicted = joints[:, None] + ahead.joints, ahead.std, covariances[:, None] + ahead.root_covariance
     return [
         [PredictedPerson(track.id, *then) for then in zip(*of_person, strict=True)]
@@ -93,40 +92,33 @@ def predict_ahead(
     ]
 
 
-def sample_pasts(tracks: Sequence[Track], upward: Array | None = None) -> list[Past]:
+def sample_past(tracks: Sequence[Track], upward: Array | None = None) -> Past:
     """Return the motions of the cores of people of the assumed size up to their newest frames."""
-    frames, upward = [t.newest for t in tracks], UPRIGHT_CAMERA if upward is None else upward
-    located = locate_joints(tracks, frames, np.array([0.0, *PAST_S]))
-    motion = find_motion(tracks, frames, np.ascontiguousarray(located[:, 0]))
+    frames = [t.newest for t in tracks]
+    located = locate_joints(tracks, frames, _AGO)
+    joints, velocity, *_ = motion = find_motion(tracks, frames, np.ascontiguousarray(located[:, 0]))
+    is_known = ~np.isnan(located[..., :1, :1])
+    # without a filter, or in the first frame
+    simple = np.where(is_known[:, 1], (joints - located[:, 1]) / _AGO[1], 0.0)
+    velocity = np.where(np.isfinite(velocity).all(axis=(1, 2), keepdims=True), velocity, simple)
+    earlier = np.where(is_known, located, joints[:, None] - _AGO[:, None, None] * velocity[:, None])[:, 1:]
     std = find_joint_std(tracks, collect_seen(tracks, frames, motion.joints))
-    pasts = []
-    for p, track in enumerate(tracks):
-        newest, velocity, positions = motion.joints[p], motion.velocity[p], located[p, 1:]
-        is_known = ~np.isnan(positions[:, 0, 0])
-        if not np.isfinite(velocity).all():  # without a filter, or in the first frame
-            velocity = (newest - positions[0]) / PAST_S[0] if is_known[0] else np.zeros_like(newest)
-        earlier = np.where(is_known[:, None, None], positions, newest - _AGO[:, None, None] * velocity)
-        heading = track.solved.rotation[track.newest, :, 0]
-        pasts.append(
-            Past(newest, velocity, std[p], earlier, heading, UPRIGHT_CAMERA if upward is None else upward)
-        )
-    return pasts
+    heading = np.array([t.solved.rotation[t.newest, :, 0] for t in tracks])
+    up = np.broadcast_to(UPRIGHT_CAMERA if upward is None else upward, heading.shape)
+    return Past(joints, velocity, std, earlier, heading, up)
 
 
 def _predict(
-    tracks: Sequence[Track],
-    times: Array,
-    upward: Array | None,
-    sizes: Sequence[BodySize],
-) -> tuple[list[Past], Displacements]:
-    """Return what is known of the persons of N >= 1 tracks, and predictions at times (N, T) in s after that.
+    tracks: Sequence[Track], times: Array, upward: Array | None, sizes: Sequence[BodySize]
+) -> tuple[Past, Displacements]:
+    """Return what is known of N >= 1 people, and predictions at times (N, T) in s after that.
 
-    Predictions are enlarged to the persons' sizes. Who is not nearer already stays `MIN_CLEARANCE_M` before the
+    Predictions are enlarged to the people's sizes. Who is not nearer already stays `MIN_CLEARANCE_M` before the
     camera.
     """
-    pasts = sample_pasts(tracks, upward)
-    ahead = load_motion_predictor().predict_all(pasts, times)
-    depths = np.array([past.joints[:, 2] for past in pasts])[:, None]
+    past = sample_past(tracks, upward)
+    ahead = load_motion_predictor().predict(past, times)
+    depths = past.joints[:, None, :, 2]
     ratio = np.array([size.ratio for size in sizes])[:, None, None]
     least = np.minimum(_measure_clearance(depths), MIN_CLEARANCE_M / ratio[..., 0])
     too_near = np.maximum(least - _measure_clearance(depths + ahead.joints[..., 2]), 0.0)
@@ -134,7 +126,7 @@ def _predict(
     displaced = Displacements(
         moved * ratio[..., None], ahead.std * ratio, ahead.root_covariance * ratio[..., None] ** 2
     )
-    return pasts, displaced
+    return past, displaced
 
 
 def _measure_clearance(depths: Array) -> Array:
