@@ -26,7 +26,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solveh_banded
 
 from mocap_ros.geometry.level import Floor
 from mocap_ros.models.upward_direction import find_standing
@@ -72,6 +71,8 @@ def fit_floor(joints: Array, contact: Array, times: Array, before: Floor, size_s
         before: the vertical, and the height of the camera if it is known.
         size_share: standard deviation of the size of the body, as a share of it.
     """
+    from scipy.linalg import solveh_banded  # 22 MB that a live tracker does not need
+
     known = np.flatnonzero(np.isfinite(joints).all(axis=(1, 2)))
     if len(known) < 3 or not before.tilt_std <= MAX_TILT_STD:
         return None
