@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
-from mocap_ros.skeleton import Skeleton
 
 Array = NDArray[np.float64]
 
@@ -109,8 +108,3 @@ def compute_errors(
         'accel_mm_s2': mean_mm(acceleration_error) * fps**2 if len(acceleration_error) else float('nan'),
         **counts,
     }
-
-
-def compute_bone_std_mm(poses: Array, skeleton: Skeleton) -> float:
-    """Return the mean over the bones of the standard deviation (mm) of their lengths in poses (F, J, 3) m."""
-    return float(np.nanstd(skeleton.bone_lengths(poses), axis=0).mean() * 1e3)

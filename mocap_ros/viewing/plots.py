@@ -74,11 +74,6 @@ def draw_bones(axes: Any, points: Array, skeleton: Skeleton, colour: str | None 
         )
 
 
-def project_from_side(joints: Array) -> Array:
-    """Return (..., J, 2) the view of joints (..., J, 3) from the left of the camera: depth to the right."""
-    return np.stack([joints[..., 2], joints[..., 1]], axis=-1)
-
-
 def draw_poses_figure(data: PlotData, frames: Sequence[int], title: str, labels: Sequence[str]) -> Figure:
     """Draw some frames in columns with labels: the 2D input, then the 3D result from the camera and from the side.
 
@@ -90,8 +85,9 @@ def draw_poses_figure(data: PlotData, frames: Sequence[int], title: str, labels:
     figure = Figure(figsize=(2.1 * len(frames) + 0.6, 2.35 * rows + 0.4), dpi=110)
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(rows, len(frames), hspace=0.08, wspace=0.05, top=0.88)
-    radius = _compute_radius(data, frames)
-    projections = ((lambda j: j[..., :2], 'from the camera'), (project_from_side, 'from the side'))
+    poses = (data.joints if data.truth is None else data.truth)[list(frames)]
+    radius = float(np.nanmax(np.abs(_centre(poses)), initial=MIN_RADIUS_M)) * RADIUS_MARGIN
+    projections = ((lambda j: j[..., :2], 'from the camera'), (lambda j: j[..., [2, 1]], 'from the side'))
     for column, frame in enumerate(frames):
         panels = [figure.add_subplot(grid[row, column]) for row in range(2 + has_input)]
         panels[0].set_title(labels[column], fontsize=9)
@@ -187,12 +183,6 @@ def _compute_error_mm(data: PlotData) -> Array | None:
     core = slice(None) if np.isfinite(data.truth).any(axis=(0, 2)).all() else slice(CORE_COUNT)
     error = np.linalg.norm(_centre(data.joints) - _centre(data.truth), axis=-1)
     return np.asarray(error[:, core].mean(axis=1) * 1e3)
-
-
-def _compute_radius(data: PlotData, frames: Sequence[int]) -> float:
-    """Return half the width (m) of the 3D panels, into which the poses of all drawn frames fit."""
-    poses = data.joints[list(frames)] if data.truth is None else data.truth[list(frames)]
-    return float(np.nanmax(np.abs(_centre(poses)), initial=MIN_RADIUS_M)) * RADIUS_MARGIN
 
 
 def _centre(poses: Array) -> Array:

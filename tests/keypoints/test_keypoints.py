@@ -15,7 +15,7 @@ from mocap_ros.errors import SkeletonError
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.extremities import convert_body_to_rays, exchange_body_sides, join_body, split_body
-from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, resolve_image_size
+from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_image_size
 from mocap_ros.keypoints.joint_map import JointMap, build_joint_map
 from mocap_ros.keypoints.left_right import PARTS
 from mocap_ros.keypoints.rays import convert_to_rays
@@ -146,44 +146,29 @@ def test_places_of_people_show_another_size_of_the_image(
     assert re.search(fault, places.describe_fault()) if fault else not places.describe_fault()
 
 
-STATED, CAMERA, CONFIGURED = (1920, 1080), (640, 480), (1280, 720)
-
-
-def make_keypoints(*points: tuple[float, float]) -> np.ndarray:
-    """Return seen keypoints (1, J, 3) at these places, and one far outside that is not seen."""
-    return np.array([[*((x, y, 0.9) for x, y in points), (9000.0, 9000.0, 0.0)]])
-
-
-def test_the_order_is_message_camera_user_and_then_the_keypoints() -> None:
-    keypoints = make_keypoints((2000, 100))
-    order = {'stated': STATED, 'camera': CAMERA, 'configured': CONFIGURED}
-    for name, size in order.items():
-        known = {n: s for n, s in order.items() if list(order).index(n) >= list(order).index(name)}
-        assert resolve_image_size(**known, keypoints=keypoints) == size
-    assert resolve_image_size(keypoints=keypoints) == (2560, 1440)
-    assert resolve_image_size() == UNKNOWN_SIZE
-
-
-@pytest.mark.parametrize('unknown', [None, (0, 0), (640, 0), (0, 480)])
-def test_a_size_without_both_sides_is_unknown(unknown: tuple[int, int] | None) -> None:
-    assert resolve_image_size(stated=unknown, camera=unknown, configured=CONFIGURED) == CONFIGURED
-    assert resolve_image_size(stated=unknown, camera=unknown, configured=unknown) == UNKNOWN_SIZE
+STATED, CAMERA, CONFIGURED, UNKNOWN = (1920, 1080), (640, 480), (1280, 720), (640, 0)
 
 
 @pytest.mark.parametrize(
-    ('point', 'size'),
+    ('known', 'point', 'size'),
     [
-        ((640, 480), (640, 480)),
-        ((641, 10), (1280, 720)),
-        ((10, 481), (1280, 720)),
-        ((1920, 1080), (1920, 1080)),
-        ((8000, 10), (7680, 4320)),
+        ((STATED, CAMERA, CONFIGURED), (2000, 100), STATED),
+        ((None, CAMERA, CONFIGURED), (2000, 100), CAMERA),
+        (((0, 0), UNKNOWN, CONFIGURED), (2000, 100), CONFIGURED),
+        ((None, None, UNKNOWN), (2000, 100), (2560, 1440)),
+        ((None, None, None), (640, 480), (640, 480)),
+        ((None, None, None), (10, 481), (1280, 720)),
+        ((None, None, None), (8000, 10), (7680, 4320)),
+        ((None, None, None), None, UNKNOWN_SIZE),
     ],
 )
-def test_the_smallest_common_size_that_holds_the_seen_keypoints_is_assumed(
-    point: tuple[float, float], size: tuple[int, int]
+def test_the_size_of_the_image_is_that_of_message_camera_user_or_the_smallest_that_holds_the_keypoints(
+    known: tuple[ImageSize | None, ...], point: tuple[float, float] | None, size: ImageSize
 ) -> None:
-    assert resolve_image_size(keypoints=make_keypoints(point)) == size
+    stated, camera, configured = known
+    keypoints = None if point is None else np.array([[(*point, 0.9), (9000.0, 9000.0, 0.0)]])  # one is not seen
+    found = resolve_image_size(stated=stated, camera=camera, configured=configured, keypoints=keypoints)
+    assert found == size
 
 
 Array = NDArray[np.float64]

@@ -110,19 +110,6 @@ def test_frames_that_are_dropped_leave_the_decisions_about_later_ones(walk: np.n
     assert before.update(*newest, dropped=FRAMES).is_swapped.shape == (1, 3)
 
 
-def test_the_filter_goes_on_in_converted_points(walk: np.ndarray) -> None:
-    before = run_filter(SwapFilter(SIDES), walk[:40])
-    one = before.update(40 / 30, walk[40], SEEN[40], 60.0).paths
-    other = before.convert_points(lambda p: 2 * p + 7).update(40 / 30, 2 * walk[40] + 7, SEEN[40], 120.0).paths
-    assert one is not None
-    assert other is not None
-    np.testing.assert_allclose(other.points, 2 * one.points + 7)
-    np.testing.assert_allclose(other.velocity, 2 * one.velocity, atol=1e-9)
-    np.testing.assert_allclose(other.cost, one.cost, atol=1e-9)
-    disabled = SwapFilter(SIDES, enabled=False)
-    assert disabled.convert_points(np.negative) is disabled
-
-
 def step_plainly(
     paths: ViterbiPaths, time_s: float, points: np.ndarray, weight: np.ndarray, body_size: float
 ) -> ViterbiPaths:

@@ -5,16 +5,12 @@
 
 from __future__ import annotations
 
-import copy
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mocap_ros.errors import MocapError
 from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
 from mocap_ros.models import lifter, model_file
 from mocap_ros.models.base_poses import BasePoses
@@ -142,25 +138,3 @@ def test_numpy_and_pytorch_agree(walk_model: BasePoses, rng: np.random.Generator
     assert plain_lifter.evaluate(folded.layers, batch.features) == pytest.approx(expected, abs=1e-4)
     found = folded.network.evaluate(batch.features.reshape(100, 2, -1)).reshape(expected.shape)
     assert found == pytest.approx(expected, abs=0.02), 'weights are rounded to integers'
-
-
-def test_an_interrupted_training_gives_the_same_lifter(
-    walk_model: BasePoses, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    torch = pytest.importorskip('torch', reason='training is optional: pip install mocap_ros[train]')
-    from mocap_ros.training import lifter as training
-
-    torch.set_num_threads(1)
-    monkeypatch.setattr(training, 'BLOCK_BATCHES', 2)
-    monkeypatch.setattr(training, 'CHECKPOINT_BLOCKS', 1)
-    data, settings = make_trials(walk_model, rng), training.TrainingSettings(steps=20, batch=16, width=32)
-    checkpoints: list[Any] = []
-    whole = training.train_lifter(
-        data, EQUAL_SHARES, settings, {}, keep=lambda state: checkpoints.append(copy.deepcopy(state))
-    )
-    assert [c['step'] for c in checkpoints] == [4, 8, 12, 16, 20]
-    resumed = training.train_lifter(data, EQUAL_SHARES, settings, {}, checkpoint=checkpoints[1])
-    assert all((a[0] == b[0]).all() for a, b in zip(whole.layers, resumed.layers, strict=True))
-    other = training.TrainingSettings(steps=20, batch=16, width=64)
-    with pytest.raises(MocapError, match='other settings'):
-        training.train_lifter(data, EQUAL_SHARES, other, {}, checkpoint=checkpoints[1])

@@ -106,16 +106,6 @@ def test_the_solver_gets_the_px_of_a_camera_that_faces_the_person(single_camera:
     assert window.focal == CAMERA.focal
 
 
-@pytest.mark.parametrize('perspective', [True, False])
-def test_a_nominal_focal_length_or_a_setting_selects_weak_perspective(perspective: bool) -> None:
-    keypoints, times, _ = make_person()
-    nominal = replace(CAMERA, is_focal_known=perspective)
-    config = replace(CONFIG, perspective=not perspective)
-    observed = observe_sequence(keypoints, CMU15.joints, times, nominal, config)
-    assert observed.build_solver_window().focal == np.inf
-    assert observed.points == pytest.approx(observe().points), 'px are those of the nominal camera'
-
-
 @SINGLE_CAMERA
 def test_selected_frames_and_excluded_points_leave_the_others_as_they_are(single_camera: bool) -> None:
     observed = lift(observe(single_camera), load_shipped_lifter())

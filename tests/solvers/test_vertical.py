@@ -196,16 +196,6 @@ def test_poses_are_turned_towards_the_vertical_by_how_uncertain_their_depths_are
     assert ((turned[1] > 0.5) & (turned[1] < 1)).all()
 
 
-def test_who_sits_or_is_not_known_is_not_turned(rng: np.random.Generator) -> None:
-    seated = LiftedPoses(POSES['seated'][None], np.full((1, 15, 3), 0.1))
-    standing = make_lifted(rng, 1, 0.1)
-    for lifted, vertical in ((seated, UP), (standing, np.full(3, np.nan))):
-        std = np.full(1, 0.02)
-        assert np.array_equal(turn_towards_vertical(lifted, vertical[None], std).joints, lifted.joints)
-    lost = LiftedPoses(np.full((1, 15, 3), np.nan), standing.std)
-    assert np.isnan(turn_towards_vertical(lost, UP[None], np.full(1, 0.1)).joints).all()
-
-
 def test_a_given_vertical_is_never_changed_by_what_people_do(rng: np.random.Generator) -> None:
     given_vertical = read_given_vertical(TrackerConfig(vertical='0 -0.8, -0.6'))
     assert given_vertical is not None

@@ -237,6 +237,12 @@ def test_the_work_that_is_latest_in_proportion_to_its_interval_begins(
     assert choose(new, ('old', NOW - S, LATE, 2.0)) == ('new', True)
     assert choose(new, later) == ('old', True)
     assert choose(new, later, ('moving', LATE, NOW - S, 0.1)) == ('moving', False), 'two of half a second'
+    work, due = (
+        DeferredWork(HypothesisChecker(models, WORK_CONFIG), ('jump', 'walk'), 0.5),
+        with_schedule(known, 'b', 0, 0),
+    )
+    work.advance([change(due, stamps_ns=(0, NOW - STEP_NS)), change(due, is_tentative=True)], NOW)
+    assert work.begun is None, 'of certain people of the newest frame alone'
 
 
 def test_a_frame_is_followed_by_as_many_slices_as_the_budget_allows(known: Track) -> None:

@@ -20,7 +20,6 @@ from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.delayed_output import find_delayed_frame, find_oldest_needed_ns
 from mocap_ros.tracking.tracker import Tracker
-from tests.support.frozen_state import list_values
 from tests.support.synthetic_walk import make_walk
 from tests.support.tracks import CAMERA, STEP_NS
 
@@ -145,7 +144,7 @@ def test_after_a_long_absence_a_tracker_is_as_new(walk_model: BasePoses, lag: fl
     for tracker in (used, new):
         tracker.update(back * STEP_NS, [], CAMERA)
     later = [visit(tracker, back + 1, points) for tracker in (used, new)]
-    assert list_values(tuple(later[0])) == list_values(tuple(later[1]))
+    np.testing.assert_equal(*([[vars(p) for p in people] for people in visited] for visited in later))
     assert {p.id for p in later[0][-1]} == {'person_1', 'person_2'}
     with pytest.raises(FrameDropped):
         used.update((back - 1) * STEP_NS, [], CAMERA)
@@ -170,6 +169,15 @@ def delay(stamps_ns: list[int], lag_s: float) -> list[tuple[int, int]]:
         if has_begun:
             out.append((stamp_ns, waiting[0]))
     return out
+
+
+@pytest.mark.parametrize('lag_s', [0.02, 1 / 30, 0.1, 0.22])
+def test_one_frame_follows_another_whatever_the_jitter(lag_s: float) -> None:
+    jitter = np.random.default_rng(0).uniform(-8, 8, 400)  # ms
+    stamps_ns = [int(i * STEP_NS + 1e6 * j) for i, j in enumerate(jitter)]
+    shown = [s for _, s in delay(stamps_ns, lag_s)]
+    last = stamps_ns.index(shown[-1]) + 1
+    assert shown[20:] == stamps_ns[last - len(shown) + 20 : last]
 
 
 @given(

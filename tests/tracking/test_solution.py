@@ -180,14 +180,6 @@ def test_a_new_frame_starts_where_the_last_movement_leads(
     assert turned == pytest.approx(share * np.array([0.01, 0.04, 0.0]), abs=1e-8)
 
 
-def test_no_person_is_expected_behind_the_camera(truth: TrackSolution, track: Track) -> None:
-    """At a few frames a second somebody who comes towards the camera and stops would be."""
-    roots = np.array([[0.3, 0.1, 2.0], [0.1, 0.1, 0.8]])
-    track.solution, track.stamps_ns = replace(keep(truth, 2), roots=roots), (0, STEP_NS, 2 * STEP_NS)
-    root = roots[1] + (roots[1] - roots[0]) / 3
-    assert predict(track)[2] == pytest.approx(track.observed.virtual_camera.rotation[2] @ root)
-
-
 def test_with_a_lifter_a_new_frame_starts_from_its_lifted_pose(model: BasePoses, track: Track) -> None:
     depth, turn = track.solved.roots[-1, 2], Rotation.from_rotvec([0.0, 1.0, 0.0]).as_matrix()
     pose = 0.7 * model.poses(track.solved.theta[-1] + 0.2 * model.std) @ turn.T / depth

@@ -96,7 +96,9 @@ def estimate_torso_lengths(points: Array, weight: Array, times: Array) -> Array:
     neck, pelvis = CMU15.index('neck'), CMU15.index('pelvis')
     torso_frames = np.flatnonzero((weight[:, [neck, pelvis]] > 0).all(axis=1))
     if not len(torso_frames):
-        return np.full(len(times), _estimate_image_size(points, weight))
+        seen = points[weight > 0]
+        size = max(float(np.sqrt(seen.var(axis=0).sum())), MIN_TORSO_PX) if len(seen) else 1.0
+        return np.full(len(times), size)
     length = np.linalg.norm(points[torso_frames, neck] - points[torso_frames, pelvis], axis=-1)
     knots = np.arange(times[0], times[-1] + TORSO_STEP_S, TORSO_STEP_S)
     first = np.searchsorted(times[torso_frames], knots - TORSO_HALF_WINDOW_S)
@@ -104,11 +106,6 @@ def estimate_torso_lengths(points: Array, weight: Array, times: Array) -> Array:
     known = np.flatnonzero(last > first)
     at_knots = [np.percentile(length[first[k] : last[k]], TORSO_PERCENTILE) for k in known]
     return np.maximum(np.interp(times, knots[known], at_knots), MIN_TORSO_PX)
-
-
-def _estimate_image_size(points: Array, weight: Array) -> float:
-    seen = points[weight > 0]
-    return max(float(np.sqrt(seen.var(axis=0).sum())), MIN_TORSO_PX) if len(seen) else 1.0
 
 
 BLOCK_FRAMES = 256  # frames on a side of the blocks computed at once; bounds the memory of the temporaries

@@ -224,7 +224,8 @@ def find_keyframe_set(poses: HalfPoses, half: BodyHalf, frames: int, config: Key
             nearest[section] = rows.argmin(axis=0)
             distance[section] = rows.min(axis=0)
         section_means = average_similar_poses(section_poses, averaging[selected], selected)
-        mean_poses = concatenate_poses(mean_poses, section_means)
+        both = ([getattr(p, f.name) for p in (mean_poses, section_means)] for f in fields(HalfPoses))
+        mean_poses = HalfPoses(*map(np.concatenate, both))
         first_matrix = first_matrix if len(first_matrix) else matrix
     well_represented = distance < config.beta
 
@@ -257,8 +258,3 @@ def average_similar_poses(poses: HalfPoses, averaging: Array32, keyframes: Indic
     return HalfPoses(
         poses.frames[keyframes], poses.times[keyframes], mean.astype(np.float32), poses.seen[keyframes]
     )
-
-
-def concatenate_poses(a: HalfPoses, b: HalfPoses) -> HalfPoses:
-    """Return the poses of `a` followed by those of `b`."""
-    return HalfPoses(*(np.concatenate([getattr(p, f.name) for p in (a, b)]) for f in fields(HalfPoses)))
