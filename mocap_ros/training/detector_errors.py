@@ -26,7 +26,7 @@ from mocap_ros.engine import rays as engine
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.models.lifter_input import HISTORY_SLOTS_S, JOINT_COUNT, MAX_INTERPOLATION_GAP_S, MIRROR_PERMUTATION
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
-from mocap_ros.training.example_arrays import Array, Bools, RandomArrays
+from mocap_ros.training.example_arrays import Array, Bools, RandomArrays, read_table
 from mocap_ros.training.postures import FACE, FEET, HANDS, joint_indices, limb_indices
 
 # Confidence scores.
@@ -49,20 +49,26 @@ WANDER_RANGE_M = (0.003, 0.04)  # m, of the part that wanders
 WANDER_TIME_RANGE_S = (0.08, 1.5)  # s, time constant tau of the wandering part, log-uniform
 WHITE_RANGE_M = (0.002, 0.035)  # m, of the part that is new in every frame
 JOINT_NOISE_LOG_STD = 0.3  # 1, standard deviation of the logarithm of k_j; makes heavy tails
-# Per joint: factor on the errors, on the share of lost joints and on that of dim joints; others as the trunk's.
-JOINT_FACTORS = {
-    'wrist': (1.3, 1.0, 1.0),
-    'elbow': (1.1, 0.6, 1.0),
-    'knee': (0.95, 0.5, 0.5),
-    'ankle': (1.0, 0.7, 0.4),
-    'hand': (1.5, 1.0, 1.0),
-    'toe': (1.1, 0.7, 0.4),
-    'heel': (1.1, 0.7, 0.4),
-    'nose': (0.5, 0.1, 0.05),
-    'eye': (0.5, 0.1, 0.05),
-    'ear': (0.6, 0.1, 0.1),
-}
-TRUNK_FACTORS = (0.9, 0.25, 0.1)
+# Of each joint: standard deviations in m of its offset in `synthesis`, which is fixed to the body, and factors on
+# the errors, on the share of lost joints and on that of dim joints.
+JOINTS = """
+joint     forward  sideways  up     errors  lost  dim
+head      0.05     0.01      0.05   0.9     0.25  0.1
+neck      0.02     0.005     0.03   0.9     0.25  0.1
+pelvis    0.03     0.005     0.03   0.9     0.25  0.1
+hip       0.02     0.025     0.03   0.9     0.25  0.1
+shoulder  0.02     0.02      0.02   0.9     0.25  0.1
+elbow     0.018    0.018     0.018  1.1     0.6   1.0
+wrist     0.018    0.018     0.018  1.3     1.0   1.0
+knee      0.018    0.018     0.02   0.95    0.5   0.5
+ankle     0.018    0.018     0.022  1.0     0.7   0.4
+toe       0.025    0.018     0.018  1.1     0.7   0.4
+heel      0.02     0.018     0.018  1.1     0.7   0.4
+hand      0.022    0.022     0.022  1.5     1.0   1.0
+nose      0.015    0.01      0.015  0.5     0.1   0.05
+eye       0.015    0.01      0.015  0.5     0.1   0.05
+ear       0.015    0.01      0.015  0.6     0.1   0.1
+"""
 
 # Lost joints: they are detected somewhere else for a while.
 LOST_SHARE_RANGE = (0.003, 0.12)  # share of the time in which a wrist is lost, log-uniform
@@ -125,13 +131,12 @@ _FACE = joint_indices(*FACE)
 _AGO = HISTORY_SLOTS_S.astype(np.float32)  # s, of each slot
 _SLOT_INTERVALS_S = np.diff(HISTORY_SLOTS_S).astype(np.float32)  # s from each slot to the next older one
 _HAS_TWIN = np.arange(JOINT_COUNT) != MIRROR_PERMUTATION
-_ERROR_FACTOR, _LOST_FACTOR, _DIM_FACTOR = np.array(
-    [
-        next((f for joint, f in JOINT_FACTORS.items() if name.endswith(joint)), TRUNK_FACTORS)
-        for name in BODY26.joints
-    ],
-    np.float32,
-).T
+_COLUMNS = read_table(JOINTS)
+JOINT_ROWS = [next(i for i, joint in enumerate(_COLUMNS['joint']) if n.endswith(joint)) for n in BODY26.joints]
+_ERROR_FACTOR, _LOST_FACTOR, _DIM_FACTOR = (
+    np.array(_COLUMNS[c], np.float32)[JOINT_ROWS] for c in ('errors', 'lost', 'dim')
+)
+OFFSET_STD_M = np.array([_COLUMNS[c] for c in ('forward', 'sideways', 'up')], np.float32).T  # (rows, 3)
 
 
 def _list_swapped_joints() -> Bools:

@@ -21,6 +21,15 @@ Array64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
+def read_table(text: str) -> dict[str, list[str]]:
+    """Return the columns of a table of words by the names in its first line; the second of a name is `name_2`."""
+    names, *rows = (line.split() for line in text.strip().splitlines())
+    out: dict[str, list[str]] = {}
+    for number, name in enumerate(names):
+        out[name if name not in out else f'{name}_2'] = [row[number] for row in rows]
+    return out
+
+
 class RandomArrays:
     """Random numbers from a seed; the same seed and calls give the same numbers."""
 

@@ -31,6 +31,7 @@ from mocap_ros.training.example_arrays import (
     axis_rotations,
     find_trunks,
     normalise,
+    read_table,
     rotate_points,
     rotations_from_vectors,
 )
@@ -42,21 +43,16 @@ FEET = ('ltoe', 'rtoe', 'lheel', 'rheel')
 HANDS = ('lhand', 'rhand')
 
 # Joints that move with a limb; the joint at which the limb begins is not among them.
-LIMBS = {
-    'larm': ('lelbow', 'lwrist', 'lhand'),
-    'rarm': ('relbow', 'rwrist', 'rhand'),
-    'lleg': ('lknee', 'lankle', 'ltoe', 'lheel'),
-    'rleg': ('rknee', 'rankle', 'rtoe', 'rheel'),
-    'lforearm': ('lwrist', 'lhand'),
-    'rforearm': ('rwrist', 'rhand'),
-    'lshank': ('lankle', 'ltoe', 'lheel'),
-    'rshank': ('rankle', 'rtoe', 'rheel'),
-    'lfoot': ('ltoe', 'lheel'),
-    'rfoot': ('rtoe', 'rheel'),
-    'lhand': ('lhand',),
-    'rhand': ('rhand',),
-    'head': ('head', *FACE),
+_OF_A_SIDE = {
+    'arm': ('elbow', 'wrist', 'hand'),
+    'leg': ('knee', 'ankle', 'toe', 'heel'),
+    'forearm': ('wrist', 'hand'),
+    'shank': ('ankle', 'toe', 'heel'),
+    'foot': ('toe', 'heel'),
+    'hand': ('hand',),
 }
+LIMBS = {s + limb: tuple(s + j for j in joints) for limb, joints in _OF_A_SIDE.items() for s in 'lr'}
+LIMBS['head'] = ('head', *FACE)
 
 # Directions of a leg in degrees: a and d of the thigh and of the shank, and by how much the toes point down. A
 # shank of `level` ends at the height of the hip, on the floor for somebody who sits on it.
@@ -191,14 +187,6 @@ def _sides(joint: str) -> list[int]:
     return joint_indices(*([joint, joint] if joint in BODY26.joints else ['l' + joint, 'r' + joint]))
 
 
-def _read_table(text: str) -> dict[str, list[str]]:
-    names, *rows = (line.split() for line in text.strip().splitlines())
-    out: dict[str, list[str]] = {}
-    for number, name in enumerate(names):
-        out[name if name not in out else f'{name}_2'] = [row[number] for row in rows]
-    return out
-
-
 def _read_ranges(*columns: list[str]) -> Array:
     """Return the ranges (rows, columns, 2) of texts such as `-5:25` and `0`; NaN for `level`."""
     pairs = [[c.replace('level', 'nan').split(':') for c in column] for column in columns]
@@ -209,7 +197,7 @@ def _read_vectors(column: list[str]) -> Array:
     return np.array([t.split(',') if t != '-' else [0, 0, 0] for t in column]).astype(np.float32)
 
 
-_LEG, _PLACE, _POSTURE = (_read_table(t) for t in (LEGS, PLACES, POSTURES))
+_LEG, _PLACE, _POSTURE = (read_table(t) for t in (LEGS, PLACES, POSTURES))
 KINDS = tuple(dict.fromkeys(_POSTURE['kind']))
 _SHARES = np.array([float(s) for s in _POSTURE['share']])
 _COUNT = len(_SHARES)

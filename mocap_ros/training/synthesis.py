@@ -29,7 +29,7 @@ from mocap_ros.models.lifter_input import (
     weigh_vertical,
 )
 from mocap_ros.skeleton import BODY26, CORE_COUNT
-from mocap_ros.training.detector_errors import DetectorErrors
+from mocap_ros.training.detector_errors import JOINT_ROWS, OFFSET_STD_M, DetectorErrors
 from mocap_ros.training.example_arrays import (
     Array,
     Array64,
@@ -63,25 +63,6 @@ SLIGHT_TILT_STD_RAD = 0.05  # rad, the same for all other bodies, as real floors
 # Offsets between the joints of motion capture and those of detectors, which define joints differently.
 PRECISE_SHARE = 0.2  # share of examples whose points have neither offsets nor noise; keeps precise points precise
 OFFSET_SIZE_RANGE = (0.3, 2.2)  # 1, factor on the offsets of an example, log-uniform; detectors differ
-# Standard deviations (forward, sideways, up) in m of the offset of each joint, constant over an example and the
-# same on both sides: joints of real detectors are 25 to 40 mm off, half of it fixed to the body.
-OFFSET_STD_M = {
-    'head': (0.05, 0.01, 0.05),
-    'neck': (0.02, 0.005, 0.03),
-    'pelvis': (0.03, 0.005, 0.03),
-    'hip': (0.02, 0.025, 0.03),
-    'shoulder': (0.02, 0.02, 0.02),
-    'elbow': (0.018, 0.018, 0.018),
-    'wrist': (0.018, 0.018, 0.018),
-    'knee': (0.018, 0.018, 0.02),
-    'ankle': (0.018, 0.018, 0.022),
-    'toe': (0.025, 0.018, 0.018),
-    'heel': (0.02, 0.018, 0.018),
-    'hand': (0.022, 0.022, 0.022),
-    'nose': (0.015, 0.01, 0.015),
-    'eye': (0.015, 0.01, 0.015),
-    'ear': (0.015, 0.01, 0.015),
-}
 
 # Cameras.
 TURNING_SHARE = 0.3  # share of examples in which camera or person turns beyond the recorded motion
@@ -119,6 +100,7 @@ _FRAMES_AGO = np.round(HISTORY_SLOTS_S * FPS).astype(int)  # frames from each sl
 # (J,) index of the joint whose factor on the bone length each joint shares: both sides, and all of a face.
 _SAME_FACTOR = np.minimum(np.arange(JOINT_COUNT), MIRROR_PERMUTATION)
 _SAME_FACTOR[joint_indices(*FACE)] = BODY26.index(FACE[0])
+_RIGHT = [right for _, right in BODY26.left_right_pairs]
 # (J,) number of the part of `PARTS` to which each joint belongs; the last for others
 _PART = np.array([*(next((i for i, p in enumerate(PARTS) if n.endswith(p)), len(PARTS)) for n in BODY26.joints)])
 # What can be left out of the examples.
@@ -232,19 +214,14 @@ class ExampleSynthesiser:
     def _draw_offsets(self, points: Array) -> Array:
         """Return offsets (N, T, J, 3) in m from the joints of motion capture to those of a detector.
 
-        They are fixed in the frame of the trunk, whose upward axis ends midway between the shoulders.
+        They are fixed in the frame of the trunk, constant over an example and the same on both sides: joints of
+        real detectors are 25 to 40 mm off, half of it so.
         """
         count = len(points)
-        out = np.zeros((count, 1, JOINT_COUNT, 3), np.float32)
-        for name, std in OFFSET_STD_M.items():
-            offset = np.array(std, np.float32) * self.random.normal(count, 3)
-            if name in BODY26.joints:
-                out[:, 0, BODY26.index(name)] = offset
-            else:
-                out[:, 0, BODY26.index('l' + name)] = offset
-                out[:, 0, BODY26.index('r' + name)] = offset * np.array([1, -1, 1], np.float32)
-        size = self.random.log_uniform(OFFSET_SIZE_RANGE, count, 1, 1)
-        return np.asarray((out[:, 0] * size)[:, None] @ np.swapaxes(find_trunks(points), -1, -2))
+        offsets = OFFSET_STD_M * self.random.normal(count, *OFFSET_STD_M.shape)
+        offsets = offsets[:, JOINT_ROWS] * self.random.log_uniform(OFFSET_SIZE_RANGE, count, 1, 1)
+        offsets[:, _RIGHT, 1] *= -1
+        return np.asarray(offsets[:, None] @ np.swapaxes(find_trunks(points), -1, -2))
 
     def _draw_cameras(self, count: int) -> Array:
         """Return rotations (N, T, 3, 3) from the body frame to the camera's optical frame; some turn slowly."""
