@@ -63,10 +63,11 @@ TURN_MARGIN = 0.12  # u by which a turned image must be more certain
 AXES_MARGIN = 0.05  # u by which a mirrored and turned image must be more certain than a turned one
 MIRROR_MARGIN = 0.15  # u by which a mirrored image must be more certain
 BACKWARDS_MARGIN = 0.03  # u, likewise where people walk backwards
-# People walk where they move by at least so far within a time, m and s. After `MIN_WALKED_M` m, of those who walk
-# forwards the share ahead of all movement is 0.9 and more, of those with exchanged sides 0.4 and less.
+# m, s; people walk where they move by at least so far within a time
 WALK_M, WALK_S = 0.9, 1.5
-MIN_WALKED_M, MAX_BACKWARDS_SHARE = 0.9, 0.4
+# m, 1; after so far, of those who walk forwards the share ahead of all movement is 0.9 and more, of those with
+# exchanged sides 0.4 and less
+MIN_WALKED_M, MAX_BACKWARDS_SHARE = 0.7, 0.4
 LOOK_S = 0.1  # s, from look to look at where people walk
 MAX_GAP_SHARE = 0.25  # 1; longest step from image to image, of `WALK_S`
 
