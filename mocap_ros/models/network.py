@@ -68,7 +68,9 @@ class RoundedNetwork(NamedTuple):
 
 def _round_weights(given: Floats, kind: type[np.int8 | np.int16]) -> tuple[Codes, Array32]:
     """Return the codes (in, out or more) of weights (in, out) as integers of a kind, and the scales (in,)."""
-    weights = np.asarray(given, np.float32)
-    scales = np.abs(weights).max(axis=1) / np.float32(np.iinfo(kind).max)
-    codes = np.rint(weights / np.where(scales > 0, scales, 1)[:, None])
-    return np.asarray(np.pad(codes, [(0, 0), (0, -codes.shape[1] % 16)]), kind), scales
+    weights = np.array(given, np.float32)
+    scales = np.maximum(weights.max(axis=1), -weights.min(axis=1)) / np.float32(np.iinfo(kind).max)
+    weights /= np.where(scales > 0, scales, 1)[:, None]
+    codes = np.zeros((len(weights), weights.shape[1] + -weights.shape[1] % 16), kind)
+    codes[:, : weights.shape[1]] = np.rint(weights, out=weights)
+    return codes, scales
