@@ -261,7 +261,7 @@ def encode(
     cdef Py_ssize_t count = weight.shape[0], slots = weight.shape[1], given = weight.shape[2]
     cdef double unit, x, y, camera_focal
     features = np.zeros((count, images, 3 * slots * joints + 4), np.float32)
-    found = np.zeros((count, joints, 2)), np.empty(count), np.tile(np.eye(3), (count, 1, 1))
+    found = np.zeros((count, joints, 2)), np.empty(count), np.zeros((count, 3, 3))
     cdef float[:, :, ::1] out = features
     cdef double[:, :, ::1] newest = found[0], rotation = found[2]
     cdef double[::1] size = found[1]
@@ -269,6 +269,7 @@ def encode(
     cdef double[:, ::1] score = np.empty((slots, given))
     for n in range(count):
         camera_focal = focal[n] if turns_cameras else INFINITY
+        rotation[n, 0, 0] = rotation[n, 1, 1] = rotation[n, 2, 2] = 1
         if isfinite(camera_focal):
             face_newest(points[n], weight[n], core, camera_focal, &rotation[n, 0, 0])
         unit = centre_points(points[n], weight[n], core, camera_focal, &rotation[n, 0, 0], centred, score)
