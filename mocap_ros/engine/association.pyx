@@ -123,16 +123,11 @@ def measure_distances(
 ):
     """Return the distances (D, P) and growths (D, P) of points (P, J, 2), (D, J, 2) with weights (P, J), (D, J).
 
-    Args:
-        expected: where the people are expected.
-        known: weights of these.
-        detected: detections, in the same unit.
-        seen: weights of these.
-        mirror: (J,) for each joint its counterpart on the other side of the body.
-        min_shared: number of joints that must be both known and seen; with fewer the distance is infinite.
-        min_size: added to each size, in the unit of the points.
-        few_shared: number of such joints below which centres and sizes are compared instead.
-        radius_offset: added to both radii, as a share of the larger size.
+    `expected` where the people are expected; `known` weights of these; `detected` detections, in the same unit;
+    `seen` weights of these; `mirror` (J,) for each joint its counterpart on the other side of the body;
+    `min_shared` number of joints that must be both known and seen, with fewer the distance is infinite; `min_size`
+    added to each size, in the unit of the points; `few_shared` number of such joints below which centres and sizes
+    are compared instead; `radius_offset` added to both radii, as a share of the larger size.
     """
     cdef Py_ssize_t p, d, j, people = known.shape[0], detections = seen.shape[0], joints = known.shape[1]
     cdef int shared

@@ -306,19 +306,11 @@ def collect_frame(
 ):
     """Write what one of F frames of a window says of person p: attributes of `ExtremityEvidence` of P people.
 
-    Args:
-        p: index of the person.
-        frame: index of the frame.
-        core: (P, 15, 3) m.
-        camera: (3, 3) rotation from the real to the virtual camera.
-        lifted, std: (F, 26, 3) in the unit of rays; None without a lifter.
-        rays: (F, 15, 2) of the core.
-        weight: (F, 15).
-        other_rays: (F, 11, 2) of the extremities; None if none were seen.
-        other_weight: (F, 11).
-        out_lifted, out_std: (P, 26, 3), NaN before; written only with a lifter.
-        out_rays: (P, 26, 2), 0 before.
-        out_weight: (P, 26), 0 before.
+    `p` index of the person; `frame` index of the frame; `core` (P, 15, 3) m; `camera` (3, 3) rotation from the
+    real to the virtual camera; `lifted`, `std` (F, 26, 3) in the unit of rays, None without a lifter; `rays` (F,
+    15, 2) of the core; `weight` (F, 15); `other_rays` (F, 11, 2) of the extremities, None if none were seen;
+    `other_weight` (F, 11); `out_lifted`, `out_std` (P, 26, 3), NaN before, written only with a lifter; `out_rays`
+    (P, 26, 2), 0 before; `out_weight` (P, 26), 0 before.
     """
     cdef Py_ssize_t j, i, known = core.shape[1]
     cdef double depth = 0
@@ -653,11 +645,9 @@ cdef class Body:
     ):
         """Return the states (F, N) of a person in the frames of a sequence, smoothed.
 
-        Args:
-            start: (N,) the state before the first frame.
-            core, lifted, lifted_std, rays, weight, noise: the attributes of `ExtremityEvidence` in all frames.
-            stature: m.
-            steps: (F,) s, time since the frame before; infinite for the first.
+        `start` (N,) the state before the first frame; `core`, `lifted`, `lifted_std`, `rays`, `weight`, `noise`
+        the attributes of `ExtremityEvidence` in all frames; `stature` m; `steps` (F,) s, time since the frame
+        before, infinite for the first.
         """
         cdef Py_ssize_t f, k, part, frames = core.shape[0]
         cdef int round_
@@ -705,17 +695,10 @@ def sum_derivatives(
 ):
     """Return the halved derivatives (7, 7) and (7,) of a point's sum of squares by d, t and b, at d = t = 0.
 
-    Args:
-        template: (3,) T of the point.
-        turn: (3, 3) R of the part.
-        size: m, e^b H.
-        origin: (3,) m, the anchor.
-        lifted: (3,) m, the point less the anchor in the lifted pose.
-        across: 1/m^2, information of the lifted pose across the line of sight.
-        along: 1/m^2, information along it.
-        ray: (2,) where the point was seen.
-        variance: m^2, of its image at the body.
-        share: g of the image.
+    `template` (3,) T of the point; `turn` (3, 3) R of the part; `size` m, e^b H; `origin` (3,) m, the anchor;
+    `lifted` (3,) m, the point less the anchor in the lifted pose; `across` 1/m^2, information of the lifted pose
+    across the line of sight; `along` 1/m^2, information along it; `ray` (2,) where the point was seen; `variance`
+    m^2, of its image at the body; `share` g of the image.
     """
     cdef Sums sums
     cdef double[3][7] slopes

@@ -181,13 +181,9 @@ def continue_paths(
 ):
     """Return the paths continued by a frame: which path each state continues (8,), then as `begin_paths`.
 
-    Args:
-        path_cost, path_points, velocity, last_seen_s: the attributes of `ViterbiPaths`.
-        time_s: s, of the frame.
-        points: (J, 2) as the detector labelled them.
-        weight: (J,) scores.
-        body_size: in the units of the points.
-        mirror, part, upper, lower: the attributes of `BodySides`.
+    `path_cost`, `path_points`, `velocity`, `last_seen_s` the attributes of `ViterbiPaths`; `time_s` s, of the
+    frame; `points` (J, 2) as the detector labelled them; `weight` (J,) scores; `body_size` in the units of the
+    points; `mirror`, `part`, `upper`, `lower` the attributes of `BodySides`.
     """
     cdef Py_ssize_t j, d, source, before, joints = mirror.shape[0]
     cdef int path, state, p, label, bit

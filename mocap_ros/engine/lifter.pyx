@@ -107,14 +107,9 @@ def sample_histories(
 ):
     """Return the points (N, T, J, 2) and scores (N, T, J) at the slots before some frames; 0 where not seen.
 
-    Args:
-        points: (F, J, 2) any unit.
-        weight: (F, J) scores, 0 where not seen.
-        times: (F,) s, increasing.
-        frames: (N,) the newest frame of each history.
-        slots: (T,) s before it, increasing.
-        max_gap_s: s; in longer gaps between frames joints count as not seen.
-        tolerance_s: s; a frame this near to a slot is taken as it is.
+    `points` (F, J, 2) any unit; `weight` (F, J) scores, 0 where not seen; `times` (F,) s, increasing; `frames`
+    (N,) the newest frame of each history; `slots` (T,) s before it, increasing; `max_gap_s` s, in longer gaps
+    between frames joints count as not seen; `tolerance_s` s, a frame this near to a slot is taken as it is.
     """
     cdef Py_ssize_t n, t, j, axis, after, before, nearest, older, newer
     cdef double time, to_after, to_before, share
@@ -153,18 +148,10 @@ def sample_body_histories(
 ):
     """Return what `sample_histories` does of the frames from `first` to the newest of a body, in rotated cameras.
 
-    Args:
-        rays: (F, J_c, 2) of the core.
-        weight: (F, J_c) scores.
-        other_rays: (F, J - J_c, 2) of the extremities; None if none were seen.
-        other_weight: (F, J - J_c).
-        rotation: (F, 3, 3), or (1, 3, 3) for all frames.
-        focal: of the rotated cameras.
-        times: (F,) s.
-        first: index of the first frame.
-        oldest: index of the oldest frame that may take part.
-        joints: J.
-        slots, max_gap_s, tolerance_s: as of `sample_histories`.
+    `rays` (F, J_c, 2) of the core; `weight` (F, J_c) scores; `other_rays` (F, J - J_c, 2) of the extremities, None
+    if none were seen; `other_weight` (F, J - J_c); `rotation` (F, 3, 3), or (1, 3, 3) for all frames; `focal` of
+    the rotated cameras; `times` (F,) s; `first` index of the first frame; `oldest` index of the oldest frame that
+    may take part; `joints` J; `slots`, `max_gap_s`, `tolerance_s` as of `sample_histories`.
     """
     cdef Py_ssize_t f, j, core = weight.shape[1], count = times.shape[0] - oldest
     points, scores = np.zeros((count, joints, 2)), np.zeros((count, joints))
@@ -247,15 +234,11 @@ def encode(
 ):
     """Return features (N, images, I), newest points (N, J, 2), units (N,) and rotations (N, 3, 3) of the cameras.
 
-    Args:
-        points: (N, T, J, 2) image points, or without the last of the joints.
-        weight: (N, T, J) scores, likewise.
-        focal: (N,) focal length, in the unit of the points; infinite if unknown.
-        upward: (N, 3) k v in the axes of the camera that took the points.
-        mirror: (J,) counterparts of the joints on the other side.
-        core: J_c.
-        turns_cameras: whether virtual cameras turn to the newest points, where the focal length is known.
-        images: 1, or 2 for the features of the mirror image as well.
+    `points` (N, T, J, 2) image points, or without the last of the joints; `weight` (N, T, J) scores, likewise;
+    `focal` (N,) focal length, in the unit of the points, infinite if unknown; `upward` (N, 3) k v in the axes of
+    the camera that took the points; `mirror` (J,) counterparts of the joints on the other side; `core` J_c;
+    `turns_cameras` whether virtual cameras turn to the newest points, where the focal length is known; `images` 1,
+    or 2 for the features of the mirror image as well.
     """
     cdef Py_ssize_t n, t, j, k, image, first, joints = mirror.shape[0]
     cdef Py_ssize_t count = weight.shape[0], slots = weight.shape[1], given = weight.shape[2]
@@ -359,12 +342,9 @@ def decode(
 ):
     """Return the joints and deviations (N, J, 3) that the outputs (N, 2, O) of both images mean on average.
 
-    Args:
-        outputs: of the network.
-        features, newest, size, rotation: what `encode` returned.
-        mirror: (J,) counterparts of the joints on the other side.
-        core: J_c.
-        min_log_std, max_log_std: the range of logarithms of deviations, in units.
+    `outputs` of the network; `features`, `newest`, `size`, `rotation` what `encode` returned; `mirror` (J,)
+    counterparts of the joints on the other side; `core` J_c; `min_log_std`, `max_log_std` the range of logarithms
+    of deviations, in units.
     """
     cdef Py_ssize_t n, j, m, i, seen, joints = mirror.shape[0], stds = 3 * joints  # where log deviations begin
     cdef double total, unit, across, along, log_across, log_along

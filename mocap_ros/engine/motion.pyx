@@ -105,16 +105,9 @@ def sample_joints(
 ):
     """Return the joints (T, J, 3) m of poses size (R (Q_0 + sum_k theta_k Q_k) + root); NaN before the first frame.
 
-    Args:
-        ago: (T,) s, not negative, times before a frame; positions are interpolated between those of the frames.
-        frame: index of the frame.
-        times: (F,) s.
-        theta: (F, K) m.
-        rotation: (F, 3, 3) R.
-        roots: (F, 3) m.
-        mean: (J, 3) m, Q_0.
-        components: (K or more, J, 3), Q_k.
-        size: of the person over that of the solution.
+    `ago` (T,) s, not negative, times before a frame, positions are interpolated between those of the frames;
+    `frame` index of the frame; `times` (F,) s; `theta` (F, K) m; `rotation` (F, 3, 3) R; `roots` (F, 3) m; `mean`
+    (J, 3) m, Q_0; `components` (K or more, J, 3), Q_k; `size` of the person over that of the solution.
     """
     cdef Py_ssize_t n, k, first, values = 3 * mean.shape[0], count = theta.shape[1]
     cdef double share, wanted
@@ -220,11 +213,9 @@ cdef void advance_filter(
 def filter_motion(double[:, ::1] filters, Vector times, Stack joints, Vector image_noise):
     """Advance the filters of P people in place.
 
-    Args:
-        filters: (P, R), each as `tracking.motion_filter.FILTER`, with N = J + 1; NaN before the first frame.
-        times: (P,) s; a frame that is not newer than the last changes nothing.
-        joints: (P, J, 3) m.
-        image_noise: (P,) m, at the body.
+    `filters` (P, R), each as `tracking.motion_filter.FILTER`, with N = J + 1, NaN before the first frame; `times`
+    (P,) s, a frame that is not newer than the last changes nothing; `joints` (P, J, 3) m; `image_noise` (P,) m, at
+    the body.
     """
     cdef Py_ssize_t p, j, i, count = joints.shape[1], size = 3 * (count + 1)
     cdef double squared, moved
@@ -264,11 +255,8 @@ def read_motion(Rows filters, Vector times, Stack located, Py_ssize_t left_hip, 
 
     The errors of both hips are mostly the same, so the variance of the point between them is their mean.
 
-    Args:
-        filters: (P, R) as of `filter_motion`.
-        times: (P,) s; where a filter is not at this time, the joints are those located, and all else is NaN.
-        located: (P, J, 3) m.
-        left_hip, right_hip: index of the joint.
+    `filters` (P, R) as of `filter_motion`; `times` (P,) s, where a filter is not at this time, the joints are
+    those located, and all else is NaN; `located` (P, J, 3) m; `left_hip`, `right_hip` index of the joint.
     """
     cdef Py_ssize_t p, j, i, people = located.shape[0], count = located.shape[1], size = 3 * (count + 1)
     cdef double variance
@@ -302,11 +290,8 @@ def build_inputs(
 ):
     """Return the inputs x (P, 2, I) of people and of the mirror images, neither centred nor scaled.
 
-    Args:
-        velocity, joints, earlier, axes: attributes of `VelocityPast`.
-        spans: (T,) s.
-        mirror: (J + 1,) counterparts of the joints and of the root.
-        hips: (2,) indices.
+    `velocity`, `joints`, `earlier`, `axes` attributes of `VelocityPast`; `spans` (T,) s; `mirror` (J + 1,)
+    counterparts of the joints and of the root; `hips` (2,) indices.
     """
     cdef Py_ssize_t p, k, j, i, a, own, other, count = joints.shape[1], times = spans.shape[0]
     cdef double length, value
@@ -380,11 +365,9 @@ def correct_velocity(
 ):
     """Return what is to be added to the velocities (P, J, 3) m/s, limited (the l_j).
 
-    Args:
-        velocity, std, joints, earlier, axes: the attributes of `VelocityPast`.
-        needed: index of the span without which nothing is corrected.
-        spans, mirror, hips: as of `build_inputs`.
-        centre, scale, weight_0, bias_0, weight_1, bias_1: the attributes of `VelocityCorrection`.
+    `velocity`, `std`, `joints`, `earlier`, `axes` the attributes of `VelocityPast`; `needed` index of the span
+    without which nothing is corrected; `spans`, `mirror`, `hips` as of `build_inputs`; `centre`, `scale`,
+    `weight_0`, `bias_0`, `weight_1`, `bias_1` the attributes of `VelocityCorrection`.
     """
     cdef Py_ssize_t p, j, i, a, k, n, people = joints.shape[0], count = joints.shape[1], outputs = bias_1.shape[0]
     cdef const double[:, :, ::1] inputs = build_inputs(velocity, joints, earlier, axes, spans, mirror, hips)
@@ -449,14 +432,8 @@ def add_correction(
 ):
     """Correct velocities (P, J, 3), their deviations (P, J) and covariances (P, 3, 3) in place (`tracking.output`).
 
-    Args:
-        velocity, std: of the filter.
-        covariance: likewise, of the velocity between the hips.
-        correction: (P, J, 3); 0 where nothing is corrected.
-        hips: (2,) indices.
-        std_factor: f.
-        correction_factor: g.
-        root_factor: h.
+    `velocity`, `std` of the filter; `covariance` likewise, of the velocity between the hips; `correction` (P, J,
+    3), 0 where nothing is corrected; `hips` (2,) indices; `std_factor` f; `correction_factor` g; `root_factor` h.
     """
     cdef Py_ssize_t p, j, i, k, count = velocity.shape[1]
     cdef double total, squared
@@ -486,13 +463,9 @@ def estimate_joint_std(
 ):
     """Return the standard deviations (P, J) m of joints; formulas and factors are in `models.joint_std`.
 
-    Args:
-        posterior: (P, J) m.
-        weight: (P, J or more) scores, 0 for inferred joints.
-        lifter_std: (P, J or more, 3) m, NaN where not lifted.
-        noise: (P,) m.
-        seen_factor, inferred_factor, floor: h of seen and inferred joints, and the floor in m.
-        lifter_seen_factor, lifter_inferred_factor, noise_factor: f, g and n.
+    `posterior` (P, J) m; `weight` (P, J or more) scores, 0 for inferred joints; `lifter_std` (P, J or more, 3) m,
+    NaN where not lifted; `noise` (P,) m; `seen_factor`, `inferred_factor`, `floor` h of seen and inferred joints,
+    and the floor in m; `lifter_seen_factor`, `lifter_inferred_factor`, `noise_factor` f, g and n.
     """
     cdef Py_ssize_t p, j
     cdef double length
@@ -517,13 +490,9 @@ def estimate_root_covariance(
 ):
     """Return the covariances (P, 3, 3) m^2 of roots; the formula is in `tracking.body_size`.
 
-    Args:
-        joints: (P, J, 3) m of people of the assumed size.
-        std: (P, J) m.
-        sizes: (P, 3), each a `BodySize`.
-        left_hip, right_hip: indices of the joints.
-        factor: F.
-        across, along: shares of a joint's variance in a direction across and along the line of sight.
+    `joints` (P, J, 3) m of people of the assumed size; `std` (P, J) m; `sizes` (P, 3), each a `BodySize`;
+    `left_hip`, `right_hip` indices of the joints; `factor` F; `across`, `along` shares of a joint's variance in a
+    direction across and along the line of sight.
     """
     cdef Py_ssize_t p, i, k
     cdef double variance

@@ -50,11 +50,8 @@ def map_joints(Stack points, Rows score, Stack weights, Rows score_factor):
 
     y_t = sum_s W_ts x_s, by the first alternative whose keypoints were all seen; NaN and 0 if there is none.
 
-    Args:
-        points: any unit.
-        score: 0 for keypoints that were not seen.
-        weights: (A, J, S) W.
-        score_factor: (A, J) factors on the least score.
+    `points` any unit; `score` 0 for keypoints that were not seen; `weights` (A, J, S) W; `score_factor` (A, J)
+    factors on the least score.
     """
     frames, joints = points.shape[0], score_factor.shape[1]
     mapped, mapped_score = np.empty((frames, joints, points.shape[2])), np.empty((frames, joints))
@@ -94,14 +91,9 @@ def convert_to_rays(
 ):
     """Return the rays (F, J, 2) and scores (F, J) of the joints; both are 0 for a joint that was not seen.
 
-    Args:
-        points: (F, S, 2) px.
-        score: (F, S), NaN or 0 for keypoints that were not seen.
-        weights, score_factor: as of `map_joints`.
-        min_score: least score of a keypoint that counts.
-        focal_lengths: (2,) px.
-        center: (2,) px.
-        lens: (9,) `Distortion.parameters`.
+    `points` (F, S, 2) px; `score` (F, S), NaN or 0 for keypoints that were not seen; `weights`, `score_factor` as
+    of `map_joints`; `min_score` least score of a keypoint that counts; `focal_lengths` (2,) px; `center` (2,) px;
+    `lens` (9,) `Distortion.parameters`.
     """
     cdef Py_ssize_t n, s, t
     cdef double max_ray = tan(MAX_RAY_ANGLE)  # beyond it no camera shows anything
@@ -131,11 +123,9 @@ def convert_to_rays(
 def drop_far_points(double[:, :, ::1] rays, double[:, ::1] weight, const long long[:, ::1] anchors, Vector reach):
     """Overwrite with 0 the extremities too far from the core to belong to it, which come after the core.
 
-    Args:
-        rays: (F, J, 2).
-        weight: (F, J) scores.
-        anchors: (E, 2) the two joints of the core between which each hangs; it stays where one was not seen.
-        reach: (E,) largest distance from there, as a share of the diagonal of the core's points.
+    `rays` (F, J, 2); `weight` (F, J) scores; `anchors` (E, 2) the two joints of the core between which each hangs,
+    it stays where one was not seen; `reach` (E,) largest distance from there, as a share of the diagonal of the
+    core's points.
     """
     cdef Py_ssize_t n, e, j, a, b, core = weight.shape[1] - reach.shape[0]
     cdef double diagonal, low_x, low_y, high_x, high_y

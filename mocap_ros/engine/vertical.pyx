@@ -49,15 +49,10 @@ def add_frame(
 ):
     """Return the new direction (3,), and what the frame adds: weight, seconds, people who stand and who are askew.
 
-    Args:
-        direction: (3,) of the frame before.
-        weight: s, that it has now.
-        step_s: s, time that the new frame stands for.
-        sign: 1, or -1 where the camera is upside down.
-        level_deg: up to this angle to up in the image, people stand as before a level camera.
-        last_level_deg: from this angle on, they do not.
-        upward: (P, 3) directions of the new frame.
-        standing: (P,) shares to which these people have straight hips.
+    `direction` (3,) of the frame before; `weight` s, that it has now; `step_s` s, time that the new frame stands
+    for; `sign` 1, or -1 where the camera is upside down; `level_deg` up to this angle to up in the image, people
+    stand as before a level camera; `last_level_deg` from this angle on, they do not; `upward` (P, 3) directions of
+    the new frame; `standing` (P,) shares to which these people have straight hips.
     """
     cdef Py_ssize_t p, i
     cdef double discounted, share, norm, level, stands, added = 0, seconds = 0, upright = 0, askew = 0
@@ -87,11 +82,8 @@ def add_frame(
 def find_sequence(Vector times, Rows upward, Vector weight, Vector standing):
     """Return the directions (F, 3) and the seconds (F,) of a whole sequence.
 
-    Args:
-        times: (F,) s, increasing.
-        upward: (F, 3) directions that poses show.
-        weight: (F,) s, time that each frame stands for; 0 where it shows nothing.
-        standing: (F,) shares to which the poses stand.
+    `times` (F,) s, increasing; `upward` (F, 3) directions that poses show; `weight` (F,) s, time that each frame
+    stands for, 0 where it shows nothing; `standing` (F,) shares to which the poses stand.
     """
     cdef Py_ssize_t t, i, frames = times.shape[0]
     cdef int round_
@@ -135,14 +127,9 @@ def turn_poses(
 ):
     """Return poses (F, J, 3) turned towards the vertical about the horizontal axes of their virtual cameras.
 
-    Args:
-        joints: (F, J, 3) lifted poses.
-        std: (F, J, 3) their deviations.
-        upward: (F, 3) directions upwards that they show.
-        vertical: (F, 3) in the same axes.
-        vertical_std: (F,) rad.
-        standing: (F,) shares to which they stand.
-        core: J_c.
+    `joints` (F, J, 3) lifted poses; `std` (F, J, 3) their deviations; `upward` (F, 3) directions upwards that they
+    show; `vertical` (F, 3) in the same axes; `vertical_std` (F,) rad; `standing` (F,) shares to which they stand;
+    `core` J_c.
     """
     cdef Py_ssize_t t, j
     cdef double angle, spread, radius, lean, turn, cosine, sine
@@ -178,13 +165,9 @@ def find_upward(Stack joints, Vector masses, const long long[:, ::1] sides, Py_s
                 double support_ahead, double min_length):
     """Return the directions upwards (N, 3) that poses (N, J, 3) show; the formula is in `models.upward_direction`.
 
-    Args:
-        joints: poses in any unit.
-        masses: (J_c,) shares of the body's mass.
-        sides: (2, 4) left and right shoulder, hip, knee and ankle.
-        neck, pelvis: index of the joint.
-        support_ahead: b.
-        min_length: guards divisions by lengths.
+    `joints` poses in any unit; `masses` (J_c,) shares of the body's mass; `sides` (2, 4) left and right shoulder,
+    hip, knee and ankle; `neck`, `pelvis` index of the joint; `support_ahead` b; `min_length` guards divisions by
+    lengths.
     """
     cdef Py_ssize_t n, j, s
     cdef int i
@@ -224,10 +207,8 @@ def find_standing(
 ):
     """Return the shares (N,) to which poses stand.
 
-    Args:
-        joints, sides, neck, pelvis, min_length: as of `find_upward`.
-        standing_deg: who has a hip that is bent by no more stands.
-        seated_deg: who has both hips bent by more does not.
+    `joints`, `sides`, `neck`, `pelvis`, `min_length` as of `find_upward`; `standing_deg` who has a hip that is
+    bent by no more stands; `seated_deg` who has both hips bent by more does not.
     """
     cdef Py_ssize_t n, s
     cdef double[3] trunk, thigh
