@@ -59,7 +59,6 @@ PAGE = 'Before.\n\n<!-- table: one -->\n<!-- end of table -->\n\nAfter.\n'
 
 
 def leave_run(root: Path, name: str, text: str, date: str = '2026-11-27', *, quick: bool = False) -> None:
-    """Leave what a benchmark leaves."""
     about = {'command': f'benchmarks/{name}.py', 'commit': 'abc', 'date': date, 'machine': 'm', 'quick': quick}
     folder = root / figures.BUILD
     folder.mkdir(parents=True, exist_ok=True)

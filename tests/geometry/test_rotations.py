@@ -104,7 +104,6 @@ def test_the_mean_leaves_out_what_is_not_known() -> None:
 
 
 def make_transform(seed: int) -> tuple[RigidTransform, np.ndarray]:
-    """Return a random transform, and the same as a matrix (4, 4)."""
     rng = np.random.default_rng(seed)
     rotation, matrix = Rotation.random(random_state=seed), np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation.as_matrix(), rng.normal(size=3)

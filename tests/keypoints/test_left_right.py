@@ -42,7 +42,6 @@ def walk(walk_model: BasePoses, rng: np.random.Generator) -> np.ndarray:
 
 
 def swap_frames(frames: np.ndarray, parts: np.ndarray = WHOLE) -> np.ndarray:
-    """Return the swapped parts (F, 3) of a swap of some parts in some frames."""
     return np.isin(np.arange(FRAMES), frames)[:, None] & parts
 
 

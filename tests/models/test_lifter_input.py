@@ -67,8 +67,6 @@ Layers = list[tuple[Array32, Array32]]
 
 
 def make_layers(rng: np.random.Generator, sizes: list[int], scale: float = 1.0) -> Layers:
-    """Return layers of these sizes, the first being that of the inputs."""
-
     def draw(*shape: int) -> Array32:
         return (scale * rng.normal(size=shape) / np.sqrt(shape[0])).astype(np.float32)
 

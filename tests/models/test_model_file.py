@@ -115,7 +115,6 @@ def test_every_value_of_a_model_is_checked(walk_model: BasePoses, case: str) -> 
 
 
 def change_layer(lifter_bytes: dict[str, Any], name: str, value: Any) -> dict[str, Any]:
-    """Return the arrays of a lifter's file with one number of an array changed."""
     array = lifter_bytes[name].astype(np.float64)
     array.flat[-1] = value
     return {name: array}

@@ -38,7 +38,6 @@ def make_past(
 
 
 def predict_one(past: Past, times: np.ndarray) -> Displacements:
-    """Return the prediction of one person at times (T,) s."""
     return Displacements(*(values[0] for values in load_motion_predictor().predict(past, times[None])))
 
 

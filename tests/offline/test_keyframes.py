@@ -87,7 +87,6 @@ def compute_selection_cost(well_represented: np.ndarray, times: np.ndarray) -> f
 
 
 def select_directly(represents: np.ndarray, times: np.ndarray, alpha: float, gap: float) -> list[int]:
-    """Select keyframes by direct evaluation of equations 1 to 4."""
     represents = represents | np.eye(len(times), dtype=bool)
     keyframes: list[int] = []
     while True:
@@ -336,7 +335,6 @@ def test_degenerate_keypoints(case: str) -> None:
 
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A real bag of the demo's first keypoints."""
     folder = tmp_path_factory.mktemp('keyframes')
     whole = make_recording().sequence()
     first = replace(

@@ -83,7 +83,6 @@ def look_around(seed: int, sizes: tuple[float, float, float] = (1.0, 1.0, 1.0), 
 
 
 def follow(evidence: ExtremityEvidence, step_s: float = STEP_S) -> NDArray[Any]:
-    """Return the fields of the states (F,) of a person."""
     states = [START[None]]
     for frame in range(len(evidence.core)):
         seen = ExtremityEvidence(*(np.ascontiguousarray(values[frame : frame + 1]) for values in evidence))
@@ -93,7 +92,6 @@ def follow(evidence: ExtremityEvidence, step_s: float = STEP_S) -> NDArray[Any]:
 
 
 def hide(evidence: ExtremityEvidence, joints: list[int], frames: slice = slice(None)) -> ExtremityEvidence:
-    """Return the evidence without image points and lifted positions of some joints."""
     weight, lifted = evidence.weight.copy(), evidence.lifted.copy()
     weight[frames, joints] = 0.0
     lifted[frames] = np.nan
@@ -108,7 +106,6 @@ def directions(joints: Array) -> Array:
 
 
 def angles_deg(first: Array, second: Array) -> Array:
-    """Return the angles (F, 3) in degrees between directions."""
     norms = np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1)
     return np.degrees(np.arccos(np.clip((first * second).sum(axis=-1) / norms, -1, 1)))
 

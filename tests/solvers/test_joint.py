@@ -90,7 +90,6 @@ def make_objective(
 
 
 def linearise(objective: JointObjective, state: State) -> engine.JointProblem:
-    """Return the problem at a state, with its normal equations."""
     problem = objective.compile(state)
     problem.begin(0.1)
     return problem
@@ -117,7 +116,6 @@ def test_cost_and_gradient_are_those_of_the_reference(
 
 
 def make_dense(problem: engine.JointProblem, batch: Batch) -> np.ndarray:
-    """Return the matrix (N n, N n) of the normal equations."""
     frames, n = problem.gradient.shape
     matrix = np.zeros((frames, n, frames, n))
     for t in range(frames):

@@ -36,7 +36,6 @@ SINGLE_CAMERA = pytest.mark.parametrize('single_camera', [False, True], ids=['ca
 
 
 def lift(observed: ObservedWindow, lifter: Lifter) -> ObservedWindow:
-    """Return the window with lifted poses of all frames."""
     return observed.append_lifted(lifter.lift(*observed.sample_unlifted_histories(), RAY_FOCAL))
 
 

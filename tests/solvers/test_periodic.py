@@ -82,7 +82,6 @@ def unseen(walk_model: BasePoses, rng: np.random.Generator) -> tuple[PeriodicObj
 
 
 def move(objective: PeriodicObjective, point: Point, step: np.ndarray) -> Point:
-    """Return the point after a step of series and cameras in one vector."""
     cameras = move_cameras(point.cameras, step[SERIES_UNKNOWNS:].reshape(FRAMES, CAMERA_UNKNOWNS))
     return objective.measure(point.series.with_step(step[:SERIES_UNKNOWNS]), cameras)
 
@@ -114,7 +113,6 @@ def dense_matrices(equations: PeriodicEquations) -> tuple[np.ndarray, np.ndarray
 
 
 def keep(objective: PeriodicObjective, *terms: str) -> PeriodicObjective:
-    """Return the objective with some of its terms beside those of the image."""
     return replace(
         objective,
         prior=objective.prior * ('prior' in terms),
@@ -285,7 +283,6 @@ def test_extreme_input_is_rejected_or_gives_finite_results(
 
 
 def swing(times: np.ndarray, cadence: float = CADENCE) -> np.ndarray:
-    """Weights (F, 3) of a motion with two harmonics."""
     phase = 2 * np.pi * cadence * times[:, None]
     return np.concatenate([np.sin(phase), 0.5 * np.cos(phase), 0.3 * np.sin(2 * phase + 1)], axis=1)
 

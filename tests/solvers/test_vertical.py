@@ -40,7 +40,6 @@ LEVEL = np.array([0.0, -math.cos(math.radians(10)), -math.sin(math.radians(10))]
 
 
 def scatter(rng: np.random.Generator, count: int, std_deg: float, up: np.ndarray = UP) -> np.ndarray:
-    """(count, 3) directions about one."""
     return Rotation.from_rotvec(np.radians(std_deg) * rng.normal(size=(count, 3))).apply(up)
 
 
@@ -49,7 +48,6 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def advance(vertical: Vertical | None, upward: np.ndarray, standing: float = 1.0) -> Vertical:
-    """Frame by frame, upward (F, P, 3)."""
     for directions in upward:
         stances = Stances(directions, np.full(len(directions), standing))
         if vertical is None:

@@ -40,7 +40,6 @@ def make_tracker(**values: object) -> Tracker:
 
 
 def feed(tracker: Tracker, first: int, last: int, camera: Intrinsics = CAMERA) -> list[np.ndarray]:
-    """Track some frames; the joints of the last person of each."""
     out = []
     for frame in range(first, last):
         keypoints = np.nan_to_num(SEQUENCE.keypoints[frame])
@@ -122,7 +121,6 @@ STEP_NS = 100_000_000
 
 
 def make_leaning(angle_deg: float) -> Person3D:
-    """Return a person who leans to the side by an angle."""
     turn = Rotation.from_rotvec([np.radians(angle_deg), 0, 0])
     return replace(make_person_3d('anna'), joints=turn.apply(UPRIGHT))
 

@@ -70,7 +70,6 @@ def measure_error(joints: Array, walk_model: BasePoses, walk: Walk, frames: NDAr
 
 
 def finish(slices: Slices[Any]) -> Any:
-    """Do all slices at once, and return the result."""
     try:
         while True:
             next(slices)
@@ -210,14 +209,12 @@ def with_schedule(
 
 
 def begin(work: DeferredWork, *tracks: Track) -> Work:
-    """Return the work that begins after a frame."""
     work.advance(tracks, NOW)
     assert work.begun is not None
     return work.begun
 
 
 def finish_work(work: DeferredWork, track: Track) -> None:
-    """Do the work that is due, as if frames without news followed."""
     work.advance([track], track.stamps_ns[-1])
     while work.begun is not None:
         work.advance([track], track.stamps_ns[-1])
@@ -371,7 +368,6 @@ def check(schedule: CheckSchedule, stamp_s: float, age_s: float, noise: float = 
 
 
 def classify(*found: tuple[float, Classification | None]) -> CheckSchedule:
-    """Return the schedule after classifications at times in s."""
     schedule = CheckSchedule()
     for stamp_s, classification in found:
         schedule.finish_classification(round(stamp_s * S), classification)

@@ -47,7 +47,6 @@ def see(points: Array, name: str = '', joints: Array | None = None) -> Person2D:
 
 
 def describe(people: tuple[Person3D, ...]) -> list[tuple[str, str]]:
-    """Return the id of each person, and whether the person is tentative, predicted or neither."""
     return [(p.id, 'tentative' if p.tentative else 'predicted' if p.predicted else 'seen') for p in people]
 
 
@@ -119,7 +118,6 @@ def make_tracker(model: BasePoses, **values: float) -> Tracker:
 
 
 def visit(tracker: Tracker, first_frame: int, points: Array) -> list[tuple[Person3D, ...]]:
-    """Track two people without ids for some frames."""
     output = []
     for frame in range(VISIT_FRAMES):
         people = [Person2D('', CMU15.joints, points[frame] + [shift, 0], np.ones(15)) for shift in (0, 400)]
@@ -128,7 +126,6 @@ def visit(tracker: Tracker, first_frame: int, points: Array) -> list[tuple[Perso
 
 
 def wait(tracker: Tracker, first_frame: int, seconds: float) -> int:
-    """Track empty images, and return the number of the next frame."""
     last = first_frame + round(seconds * 30)
     for frame in range(first_frame, last):
         assert tracker.update(frame * STEP_NS, [], CAMERA) == () or frame < first_frame + 30

@@ -151,7 +151,6 @@ def make_scene(model: BasePoses, start: list[float], velocity: list[float]) -> A
 def track_walk(
     model: BasePoses, start: list[float], velocity: list[float], values: Mapping[str, object] | None = None
 ) -> Tracker:
-    """Return a tracker that has seen the walk of `make_scene`."""
     tracker = Tracker(
         model, with_settings(Config(), {'solver.components': 8, 'tracker.predict_for': 1.0, **(values or {})})
     )

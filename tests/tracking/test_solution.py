@@ -59,7 +59,6 @@ def track(truth: TrackSolution) -> Track:
 
 
 def keep(truth: TrackSolution, frames: int) -> TrackSolution:
-    """Return the solution of the first frames."""
     return replace(truth, **{name: getattr(truth, name)[:frames] for name in STATES})
 
 

@@ -32,7 +32,6 @@ def points(walk_model: BasePoses) -> Array:
 
 
 def make_solution(frames: int) -> TrackSolution:
-    """Return a solution whose states differ in every frame."""
     number = np.arange(float(frames))
     return TrackSolution(
         model_name='walk',
@@ -178,7 +177,6 @@ UPPER = ~np.isin(CMU15.joints, LOWER_JOINTS)
 
 
 def see_part(image: Array, joints: NDArray[np.bool_], name: str = '') -> Detection:
-    """Return the detection of a person of whom only some joints were seen."""
     person = Person2D(name, CMU15.joints, image, np.where(joints, 0.9, 0.0))
     (detection,) = Detection.from_people([person], CAMERA, min_score=0.1, min_joints=6)
     assert detection is not None

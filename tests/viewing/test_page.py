@@ -229,7 +229,6 @@ START_NS = 10**18
 
 
 def publish(scene: LiveScene, frame: int) -> None:
-    """Publish three people side by side, the first with its keypoints."""
     people = make_scene_person('', range(PEOPLE), (0.0, 0.0, 5.0))
     people.joints[:] += np.arange(PEOPLE)[:, None, None] * [0.8, 0, 0] + [0.001 * frame, 0, 0]
     ids = [f'walker {i}' for i in range(PEOPLE)]
