@@ -42,18 +42,13 @@ CANDIDATE_PERIODS_S = np.linspace(0.55, 1.35, 161)
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A motion as a series.
+    """A motion as a series."""
 
-    Attributes:
-        table: (terms, K + 2) coefficients of the series, a column for each base-pose weight (m), the height of the
-            body's centre above the ground (m) and its horizontal speed along the heading (m/s).
-        period: s, cycle of a gait, or length of an action.
-        cyclic: whether the motion is a gait (a Fourier series) and not an action (a cosine series).
-    """
-
+    # (terms, K + 2) coefficients of the series, a column for each base-pose weight (m), the height of the body's
+    # centre above the ground (m) and its horizontal speed along the heading (m/s)
     table: Array
-    period: float
-    cyclic: bool
+    period: float  # s, cycle of a gait, or length of an action
+    cyclic: bool  # whether the motion is a gait (a Fourier series) and not an action (a cosine series)
 
     def sample(self, times_s: Array) -> Array:
         """Return the columns of the table (N, K + 2) at times (N,) in s; an action holds its last pose."""

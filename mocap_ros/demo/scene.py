@@ -64,17 +64,12 @@ KEYPOINT_NOISE = {
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The demo recording and its truth.
+    """The demo recording and its truth."""
 
-    Attributes:
-        keypoints: (F, 17, 3) keypoints of layout COCO-17, x and y in px and a score; NaN and score 0 if not seen.
-        timestamps: (F,) s.
-        truth: (F, 15, 3) m in the camera's optical frame, joints of `CMU15`.
-    """
-
+    # (F, 17, 3) keypoints of layout COCO-17, x and y in px and a score; NaN and score 0 if not seen
     keypoints: Array
-    timestamps: Array
-    truth: Array
+    timestamps: Array  # (F,) s
+    truth: Array  # (F, 15, 3) m in the camera's optical frame, joints of `CMU15`
 
     def sequence(self, *, is_calibrated: bool = False) -> KeypointSequence:
         """Return the content of a sequence file; users often lack the camera's intrinsics."""

@@ -49,37 +49,22 @@ CALIBRATION_BATCHES = 16  # batches of examples for mean and variance of each un
 
 @dataclass(frozen=True)
 class TrainingSettings:
-    """Settings of the training; they become part of the lifter's provenance under these names.
+    """Settings of the training; they become part of the lifter's provenance under these names."""
 
-    Attributes:
-        steps: number of steps of the optimiser.
-        batch: number of examples in a step.
-        passes: number of steps in which each example is used; making an example takes longer than a step with it.
-        width: number of units in a hidden layer.
-        blocks: number of residual blocks.
-        dropout: share of hidden units that are left out in a step.
-        rate: highest learning rate.
-        decay: weight decay of AdamW.
-        uncertainty: weight of the likelihood of the standard deviations in the objective.
-        average: decay per step of the running average of the weights, which becomes the lifter.
-        seed: seed of the examples, the initial weights and dropout.
-        precision: number format of the network's products, `float32` or `bfloat16`.
-        without: kinds of `synthesis.KINDS` that are left out of the examples.
-    """
-
-    steps: int = 60000
-    batch: int = 512
+    steps: int = 60000  # number of steps of the optimiser
+    batch: int = 512  # number of examples in a step
+    # number of steps in which each example is used; making an example takes longer than a step with it
     passes: int = 2
-    width: int = 768
-    blocks: int = 2
-    dropout: float = 0.0
-    rate: float = 2e-3
-    decay: float = 0.01
-    uncertainty: float = 0.02
-    average: float = 0.998
-    seed: int = 0
-    precision: str = 'float32'
-    without: tuple[str, ...] = ()
+    width: int = 768  # number of units in a hidden layer
+    blocks: int = 2  # number of residual blocks
+    dropout: float = 0.0  # share of hidden units that are left out in a step
+    rate: float = 2e-3  # highest learning rate
+    decay: float = 0.01  # weight decay of AdamW
+    uncertainty: float = 0.02  # weight of the likelihood of the standard deviations in the objective
+    average: float = 0.998  # decay per step of the running average of the weights, which becomes the lifter
+    seed: int = 0  # seed of the examples, the initial weights and dropout
+    precision: str = 'float32'  # number format of the network's products, `float32` or `bfloat16`
+    without: tuple[str, ...] = ()  # kinds of `synthesis.KINDS` that are left out of the examples
 
 
 class LifterNetwork(nn.Module):  # type: ignore[misc, unused-ignore]

@@ -42,19 +42,14 @@ CATEGORY_FACTORS = {
 
 @dataclass(frozen=True, eq=False)
 class MotionLibrary:
-    """All training motion: N frames of trials at several speeds, one trial after the other.
+    """All training motion: N frames of trials at several speeds, one trial after the other."""
 
-    Attributes:
-        bone_vectors: (N, J, 3) m, vector from each joint's parent to the joint; zero for the root, and for face,
-            feet and hands of trials without them.
-        has_extremities: (N,) whether the trial of each frame has face, feet and hands.
-        first_frame: (N,) index of the first frame of the trial that each frame belongs to.
-        cumulative_probability: (N,) cumulative probability of each frame to be the newest frame of an example.
-    """
-
+    # (N, J, 3) m, vector from each joint's parent to the joint; zero for the root, and for face, feet and hands of
+    # trials without them
     bone_vectors: Array
-    has_extremities: Bools
-    first_frame: NDArray[np.intp]
+    has_extremities: Bools  # (N,) whether the trial of each frame has face, feet and hands
+    first_frame: NDArray[np.intp]  # (N,) index of the first frame of the trial that each frame belongs to
+    # (N,) cumulative probability of each frame to be the newest frame of an example
     cumulative_probability: Array64
 
     @staticmethod

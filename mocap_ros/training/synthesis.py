@@ -109,21 +109,13 @@ KINDS = (*POSTURE_KINDS, 'arms', 'proportions', 'roll', 'found')
 
 @dataclass(frozen=True, eq=False)
 class ExampleBatch:
-    """N training examples.
+    """N training examples."""
 
-    Attributes:
-        features: (N, FEATURE_COUNT) features of the network, as this and the next from `encode_features`.
-        newest: (N, J, 2) newest image points.
-        target: (N, J, 3) true pose relative to the mean of its core, in the unit of the features.
-        size: (N,) m, the unit of the features.
-        is_known: (N, J) whether the true joint is known.
-    """
-
-    features: Array
-    newest: Array
-    target: Array
-    size: Array
-    is_known: Bools
+    features: Array  # (N, FEATURE_COUNT) features of the network, as this and the next from `encode_features`
+    newest: Array  # (N, J, 2) newest image points
+    target: Array  # (N, J, 3) true pose relative to the mean of its core, in the unit of the features
+    size: Array  # (N,) m, the unit of the features
+    is_known: Bools  # (N, J) whether the true joint is known
 
 
 class ExampleSynthesiser:
