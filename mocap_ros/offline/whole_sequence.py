@@ -60,7 +60,9 @@ from mocap_ros.solvers.classification import choose_category
 from mocap_ros.solvers.contacts import find_contacts
 from mocap_ros.solvers.extremities import SEGMENT_OF, attach, collect_evidence, smooth_extremities
 from mocap_ros.solvers.floor import POSE_SHARE, fit_floor
+from mocap_ros.solvers.footing import plant_sequence
 from mocap_ros.solvers.image_roll import find_camera_roll, find_roll, lift_turned, turn_about_axis, turn_upright
+from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, explains_as_well, let_base_poses_lead
 from mocap_ros.solvers.observed_window import ObservedWindow, observe_sequence
 from mocap_ros.solvers.vertical import (
@@ -235,6 +237,10 @@ def _complete(result: SequenceResult, observed: ObservedWindow, config: TrackerC
     image_noise = result.solution.noise if isinstance(result.solution, joint.JointReconstruction) else 0.0
     evidence = collect_evidence(core, observed, image_noise)
     found = smooth_extremities(observed.times, evidence, config.body_height)
+    core = plant_sequence(observed, core, found.offsets, result.vertical, image_noise or NOISE_REFERENCE)
+    evidence = collect_evidence(core, observed, image_noise)
+    found = smooth_extremities(observed.times, evidence, config.body_height)
+    result = replace(result, joints=core)
     if config.skeleton == CMU15.name:
         return replace(result, orientation=found.quaternions, turn_inferred=~found.is_turn_seen)
     return replace(

@@ -35,6 +35,7 @@ from mocap_ros.solvers.extremities import (
     follow_extremities,
     read_states,
 )
+from mocap_ros.solvers.footing import Footing
 from mocap_ros.tracking.body_size import BodySize, estimate_root_covariance
 from mocap_ros.tracking.motion_filter import CoreMotion, filter_motion, read_motion
 from mocap_ros.tracking.track import Track
@@ -87,7 +88,7 @@ def locate_joints(tracks: Sequence[Track], frames: Sequence[int], ago: Array = _
 
 
 def find_motion(tracks: Sequence[Track], frames: Sequence[int], located: Array) -> CoreMotion:
-    """Return the motion of P >= 1 people in a frame of each, filtered where the filter is there.
+    """Return the motion of P >= 1 people in a frame of each, filtered and standing where that is known.
 
     `located` (P, J, 3) m are the solved joints.
     """
@@ -98,7 +99,26 @@ def find_motion(tracks: Sequence[Track], frames: Sequence[int], located: Array) 
             positions = solution.compute_joints(near) + solution.roots[near, None]
             times = track.observed.times[near] - track.observed.times[frame]
             motion.velocity[p] = central_velocity(times, positions / solution.stature_ratio)[1]
+    _stand(tracks, find_times(tracks, frames), motion)
     return motion
+
+
+def plant_feet(tracks: Sequence[Track], frames: Sequence[int], motion: CoreMotion, upward: Array | None) -> None:
+    """Give the roots of P >= 1 people inertia and let their feet stand, up to a frame of each; sets the joints."""
+    times, noise = find_times(tracks, frames), measure_noise(tracks)
+    offsets = read_states(np.array([t.extremity_state for t in tracks]))['offsets']
+    for p, (track, frame) in enumerate(zip(tracks, frames, strict=True)):
+        before, time_s = track.footing, float(times[p])
+        if before is None or time_s > before.time_s:  # else, with a lag, this frame was shown before
+            seen = track.observed, frame, upward, float(noise[p])
+            track.footing = Footing.advance(before, time_s, motion.joints[p], offsets[p], *seen)
+    _stand(tracks, times, motion)
+
+
+def _stand(tracks: Sequence[Track], times: Array, motion: CoreMotion) -> None:
+    for track, time_s, joints in zip(tracks, times.tolist(), motion.joints, strict=True):
+        if track.footing is not None and track.footing.time_s == time_s:
+            joints[:] = track.footing.core
 
 
 def locate_past(tracks: Sequence[Track], frames: Sequence[int]) -> tuple[Array, Array]:

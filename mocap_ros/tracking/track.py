@@ -25,6 +25,7 @@ from mocap_ros.keypoints.left_right import SwapFilter
 from mocap_ros.keypoints.matching import Detection
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.extremities import START
+from mocap_ros.solvers.footing import Footing
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.tracking.body_size import FloorContact
 from mocap_ros.tracking.delayed_output import find_oldest_needed_ns
@@ -70,6 +71,7 @@ class Track:
     # face, feet and hands in the frame that was shown last
     extremity_state: Array = field(default_factory=START.copy)
     extremities_s: float = -math.inf  # s, time of this frame since the person's first
+    footing: Footing | None = None  # the root with inertia and the feet that stand, likewise
     contact: FloorContact | None = None  # what feet on the floor say of the person's size; None if nothing
 
     @staticmethod
@@ -184,7 +186,7 @@ class Track:
             directions = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
             return intrinsics.pixels_to_rays(old.project(directions))
 
-        self.intrinsics, self.focal, self.motion_filter = intrinsics, focal, UNFILTERED
+        self.intrinsics, self.focal, self.motion_filter, self.footing = intrinsics, focal, UNFILTERED, None
         self.rays, self.swap_filter = convert(self.rays), self.swap_filter.convert_points(convert)
         self.extremities = Extremities(convert(self.extremities.rays), self.extremities.weight)
         self._correct_sides(None)

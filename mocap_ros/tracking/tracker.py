@@ -59,6 +59,7 @@ from mocap_ros.tracking.output import (
     find_published_motion,
     locate_past,
     make_people,
+    plant_feet,
 )
 from mocap_ros.tracking.prediction import predict_ahead, predict_people
 from mocap_ros.tracking.refinement import refine
@@ -474,6 +475,7 @@ class Tracker:
         if self.config.tracker.steady_output and self._is_newest_shown:
             advance_filters(tracks, frames, now)
         motion = find_published_motion(tracks, frames, now, earlier)
+        plant_feet(tracks, frames, motion, self._upward)
         seen = collect_seen(tracks, frames, motion.joints)
         advance_extremities(tracks, frames, seen)
         return motion, seen

@@ -1,0 +1,394 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+
+"""Roots that have inertia and feet that stand: the least squares of `solvers.footing`, frame by frame.
+
+The unknowns of a frame are u = (c, a_left, a_right), 9 numbers: displacements of the whole body and of both feet in
+the real camera's axes. Terms couple a frame with the two before it. With all terms up to frame t added, the unknowns
+of frame t - 2 are eliminated, which leaves a matrix (18, 18) and a right side (18,) of frames t - 1 and t. Its
+solution is the estimate of frame t from its past; a sequence is then substituted backwards.
+"""
+
+from libc.math cimport INFINITY, atanh, exp, fabs, fmax, fmin, isfinite, sqrt, tanh
+from libc.string cimport memcpy, memset
+
+import numpy as np
+
+from mocap_ros.engine.geometry cimport dot
+
+ctypedef const double[::1] Vector
+ctypedef const double[:, ::1] Rows
+ctypedef const double[:, :, ::1] Stack
+
+cdef enum:
+    OWN = 9  # unknowns of a frame
+    TWO = 18
+    ALL = 27
+    FEET = 2
+    POINTS = 4  # left heel, left toe, right heel, right toe
+    HIP = 0  # of a leg, in `legs` (2, 3)
+    KNEE = 1
+    ANKLE = 2
+
+cdef double BASE_STEP_S = 1.0 / 30  # s; for which deviations of accelerations are given
+cdef double MIN_STEP_S = 1e-3
+cdef double MIN_INFORMATION = 1e-9  # 1/m^2; keeps what nothing determines solvable
+cdef double MAX_DEPTH_CHANGE = 0.3  # of the depth; a root that changes by more is another solution, or another person
+cdef double MAX_SPEED_M_S = 10  # m/s; of a sprinter
+cdef double MAX_REACH = 0.9999  # of the length of a leg; a straight knee has no direction in which it bends
+
+
+cdef struct Memory:
+    # What is kept of the frames before; it lies in an array of doubles.
+    double matrix[TWO * TWO]  # lower triangle, frames t - 1 and t
+    double right[TWO]
+    double root[3]  # m, of frame t
+    double velocity[3]  # m/s, from frame t - 1 to t
+    double points[POINTS * 3]  # m
+    double contact[POINTS]
+    double step_s  # from frame t - 1 to t
+    double frames  # number so far, at most 2
+
+
+cdef struct Model:
+    double along, across  # m; deviations of the root's error along the line of sight and across it
+    double error_s, leg_s  # s; how long errors of the root and of legs last
+    double acceleration_along, acceleration_across  # m/s^2
+    double leg  # m; deviation of a foot's error about the root
+    double slip  # m/s; deviation of the speed of a point that stands
+    double fast  # m/s; a point that is faster hardly stands: c of Cauchy's loss
+
+
+cdef void add_term(double* a, double* b, int count, const int* at, const double* by, const double* m, const double* r) noexcept nogil:
+    """Add the term d^T M d with d = sum_i by_i u[at_i] + r, M (3, 3), to the lower triangle A (27, 27) and b."""
+    cdef int i, j, x, y
+    cdef double pull
+    for i in range(count):
+        for j in range(count):
+            if at[j] > at[i]:
+                continue
+            for x in range(3):
+                for y in range(3):
+                    a[(at[i] + x) * ALL + at[j] + y] += by[i] * by[j] * m[3 * x + y]
+        for x in range(3):
+            pull = m[3 * x] * r[0] + m[3 * x + 1] * r[1] + m[3 * x + 2] * r[2]
+            b[at[i] + x] -= by[i] * pull
+
+
+cdef void write_precision(const double* sight, double along, double across, double* m) noexcept nogil:
+    """Write (I - s s^T) / across^2 + s s^T / along^2."""
+    cdef int i, j
+    cdef double wide = 1 / (across * across), deep = 1 / (along * along)
+    for i in range(3):
+        for j in range(3):
+            m[3 * i + j] = (wide if i == j else 0) + (deep - wide) * sight[i] * sight[j]
+
+
+cdef void add_frame(
+    const Memory* before, const Model* model, double step_s, const double* root, const double* points,
+    const double* contact, const double* estimate, double* a, double* b,
+) noexcept nogil:
+    """Write the normal equations A (27, 27), b (27,) of the frames t - 2, t - 1 and t.
+
+    `estimate` (18,) are the unknowns of the frames t - 1 and t as last found, NULL if none are.
+    """
+    cdef int i, j, k, f
+    cdef double kept, h, weight, squared, distance = sqrt(dot(root, root))
+    cdef double[9] m
+    cdef double[3] r, sight
+    cdef int[4] at
+    cdef double[4] by
+    memset(a, 0, ALL * ALL * sizeof(double))
+    memset(b, 0, ALL * sizeof(double))
+    for i in range(TWO):
+        for j in range(i + 1):
+            a[i * ALL + j] = before.matrix[i * TWO + j]
+        b[i] = before.right[i]
+    for i in range(ALL):
+        a[i * ALL + i] += MIN_INFORMATION
+    for i in range(3):
+        sight[i], r[i] = root[i] / distance, 0
+    # errors of the root and of the legs fade: c_t - kept c_(t-1)
+    at[0], at[1], by[0] = TWO, OWN, 1
+    kept = exp(-step_s / model.error_s) if before.frames > 0 else 0
+    by[1], h = -kept, sqrt(1 - kept * kept)
+    write_precision(sight, h * model.along, h * model.across, m)
+    add_term(a, b, 2, at, by, m, r)
+    kept = exp(-step_s / model.leg_s) if before.frames > 0 else 0
+    by[1], h = -kept, sqrt(1 - kept * kept)
+    write_precision(sight, h * model.leg, h * model.leg, m)
+    for f in range(FEET):
+        at[0], at[1] = TWO + 3 + 3 * f, OWN + 3 + 3 * f
+        add_term(a, b, 2, at, by, m, r)
+    if before.frames > 1:  # acceleration of the root
+        at[0], at[1], at[2] = 0, OWN, TWO
+        by[0], by[2] = 1 / before.step_s, 1 / step_s
+        by[1], h = -by[0] - by[2], sqrt(BASE_STEP_S * (before.step_s + step_s) / 2)
+        for i in range(3):
+            r[i] = (root[i] - before.root[i]) / step_s - before.velocity[i]
+        write_precision(sight, h * model.acceleration_along, h * model.acceleration_across, m)
+        add_term(a, b, 3, at, by, m, r)
+    if before.frames < 1:
+        return
+    by[0], by[1], by[2], by[3] = 1, 1, -1, -1
+    for k in range(POINTS):
+        f = k // 2
+        weight = fmin(contact[k], before.contact[k])
+        if not weight > 0:
+            continue
+        at[0], at[1], at[2], at[3] = TWO, TWO + 3 + 3 * f, OWN, OWN + 3 + 3 * f
+        squared = 0
+        for i in range(3):
+            r[i] = points[3 * k + i] - before.points[3 * k + i]
+            h = r[i]
+            if estimate != NULL:
+                h += estimate[OWN + i] - estimate[i] + estimate[OWN + 3 + 3 * f + i] - estimate[3 + 3 * f + i]
+            squared += h * h
+        h = (model.fast if estimate != NULL else 4 * model.fast) * step_s
+        weight /= (1 + squared / (h * h)) * model.slip * model.slip * step_s * step_s
+        memset(m, 0, sizeof(m))
+        m[0] = m[4] = m[8] = weight
+        add_term(a, b, 4, at, by, m, r)
+
+
+cdef void eliminate(double* a, double* b, Memory* memory) noexcept nogil:
+    """Overwrite A and b by L and L^-1 b of A = L L^T, and keep what the frame t - 2 leaves to the others."""
+    cdef int k, i, j
+    cdef double pivot
+    for k in range(ALL):
+        if k == OWN:
+            for i in range(TWO):
+                memcpy(&memory.matrix[i * TWO], &a[(OWN + i) * ALL + OWN], (i + 1) * sizeof(double))
+                memory.right[i] = b[OWN + i]
+        pivot = sqrt(a[k * ALL + k])
+        for i in range(k, ALL):
+            a[i * ALL + k] /= pivot
+        b[k] /= pivot
+        for i in range(k + 1, ALL):
+            for j in range(k + 1, i + 1):
+                a[i * ALL + j] -= a[i * ALL + k] * a[j * ALL + k]
+            b[i] -= a[i * ALL + k] * b[k]
+
+
+cdef void substitute(const double* l, const double* y, int first, int end, double* u) noexcept nogil:
+    """Write the unknowns `first` to `end` of L^T u = y, from those after them."""
+    cdef int i, j
+    for i in range(end - 1, first - 1, -1):
+        u[i] = y[i]
+        for j in range(i + 1, ALL):
+            u[i] -= l[j * ALL + i] * u[j]
+        u[i] /= l[i * ALL + i]
+
+
+cdef void remember(
+    Memory* memory, double step_s, const double* root, const double* points, const double* contact
+) noexcept nogil:
+    cdef int i
+    for i in range(3):
+        memory.velocity[i] = (root[i] - memory.root[i]) / step_s
+    memcpy(memory.root, root, 3 * sizeof(double))
+    memcpy(memory.points, points, POINTS * 3 * sizeof(double))
+    memcpy(memory.contact, contact, POINTS * sizeof(double))
+    memory.step_s = step_s
+    memory.frames = fmin(memory.frames + 1, 2)
+
+
+cdef void move_leg(const double* moved, double* hip, double* knee, double* ankle) noexcept nogil:
+    """Move an ankle about its hip; the lengths of thigh and shank stay, and so does where the knee bends to."""
+    cdef int i
+    cdef double thigh = 0, shank = 0, reach = 0, along, aside = 0, part
+    cdef double[3] to, side
+    for i in range(3):
+        to[i], side[i] = ankle[i] + moved[i] - hip[i], knee[i] - hip[i]
+        thigh += side[i] * side[i]
+        shank += (ankle[i] - knee[i]) * (ankle[i] - knee[i])
+        reach += to[i] * to[i]
+    thigh, shank, reach = sqrt(thigh), sqrt(shank), sqrt(reach)
+    for i in range(3):
+        to[i] /= reach
+    reach = fmin(fmax(reach, 1.0001 * fabs(thigh - shank)), MAX_REACH * (thigh + shank))
+    along = (thigh * thigh - shank * shank + reach * reach) / (2 * reach)
+    part = dot(side, to)
+    for i in range(3):
+        side[i] -= part * to[i]
+        aside += side[i] * side[i]
+    aside = sqrt(fmax(thigh * thigh - along * along, 0.0)) / fmax(sqrt(aside), 1e-6)
+    for i in range(3):
+        knee[i] = hip[i] + along * to[i] + aside * side[i]
+        ankle[i] = hip[i] + reach * to[i]
+
+
+cdef void find_points(double[:, ::1] core, Rows feet, const long long[:, ::1] legs, double* root, double* points) noexcept nogil:
+    """Write the middle of the hips and the points that may stand."""
+    cdef int i, k
+    for i in range(3):
+        root[i] = (core[legs[0, HIP], i] + core[legs[1, HIP], i]) / 2
+        for k in range(POINTS):
+            points[3 * k + i] = core[legs[k // 2, ANKLE], i] + feet[k, i]
+
+
+cdef void displace(double[:, ::1] core, const long long[:, ::1] legs, const double* u) noexcept nogil:
+    """Move a body and its feet by the unknowns of a frame."""
+    cdef int f, i, j
+    for f in range(FEET):
+        move_leg(u + 3 + 3 * f, &core[legs[f, HIP], 0], &core[legs[f, KNEE], 0], &core[legs[f, ANKLE], 0])
+    for j in range(core.shape[0]):
+        for i in range(3):
+            core[j, i] += u[i]
+
+
+cdef Model read_model(Vector numbers):
+    cdef Model model
+    memcpy(&model, &numbers[0], sizeof(Model))
+    return model
+
+
+def follow_contact(
+    Vector log_odds, Vector times, Stack rays, Rows weight, Stack other_rays, Rows other_weight, Rows core,
+    double[:, ::1] feet, Vector upward, const long long[:, ::1] legs, const long long[::1] others, double reach_s,
+    Vector numbers,
+):
+    """Return the logarithms (4,) of the odds that points stand in the newest frame (`solvers.contacts`).
+
+    Args:
+        log_odds: (4,) of the frame before.
+        times: (F,) s, and the next four, of a window that the newest frame ends.
+        rays: (F, J, 2) of the core.
+        weight: (F, J) scores.
+        other_rays: (F, E, 2) of the extremities.
+        other_weight: (F, E).
+        core: (J, 3) m in the newest frame.
+        feet: (4, 3) m, points about their ankles; set to 0 where the window has no such points but ankles.
+        upward: (3,) unit vector; NaN if it is not known.
+        legs: (2, 3) indices of hip, knee and ankle.
+        others: (4,) columns of the points among the extremities.
+        reach_s: s, of the frames before that a line is fitted to.
+        numbers: V, H, B, D, E, T and the longest step in s.
+    """
+    cdef Py_ssize_t newest = times.shape[0] - 1, t, k, at, count
+    cdef int i
+    cdef double ago, first, second, x, y, sum_x, sum_y, speed, evidence, lowest = INFINITY
+    cdef double step_s = times[newest] - times[newest - 1] if newest > 0 else numbers[6]
+    cdef double[4] height
+    cdef double[4] depth
+    cdef bint is_ankle
+    cdef Stack seen
+    cdef Rows score
+    result = np.empty(POINTS)
+    cdef double[::1] out = result
+    for k in range(POINTS):
+        height[k], depth[k], at = 0, core[legs[k // 2, ANKLE], 2] + feet[k, 2], legs[k // 2, ANKLE]
+        for i in range(3):
+            height[k] += upward[i] * (core[at, i] + feet[k, i])
+        lowest = fmin(lowest, height[k])
+    for k in range(POINTS):
+        is_ankle = True
+        for t in range(newest + 1):
+            is_ankle = is_ankle and not other_weight[t, others[k]] > 0
+        if is_ankle:
+            seen, score, at = rays, weight, legs[k // 2, ANKLE]
+            feet[k, 0], feet[k, 1], feet[k, 2] = 0, 0, 0
+        else:
+            seen, score, at = other_rays, other_weight, others[k]
+        out[k] = 2 * atanh(exp(-step_s / numbers[5]) * tanh(log_odds[k] / 2))
+        count, first, second, x, y, sum_x, sum_y = 0, 0, 0, 0, 0, 0, 0
+        t = newest
+        while t >= 0 and times[newest] - times[t] <= reach_s:
+            if score[t, at] > 0:
+                ago = times[t] - times[newest]
+                count, first, second = count + 1, first + ago, second + ago * ago
+                sum_x, sum_y = sum_x + seen[t, at, 0], sum_y + seen[t, at, 1]
+                x, y = x + ago * seen[t, at, 0], y + ago * seen[t, at, 1]
+            t -= 1
+        if count < 3 or not score[newest, at] > 0:
+            continue
+        second = count * second - first * first
+        x, y = (count * x - first * sum_x) / second, (count * y - first * sum_y) / second
+        speed = depth[k] * sqrt(x * x + y * y) / numbers[0]
+        evidence = numbers[2] - speed * speed
+        if isfinite(lowest):
+            evidence -= (height[k] - lowest) * (height[k] - lowest) / (numbers[1] * numbers[1])
+        out[k] += score[newest, at] * fmin(step_s, numbers[6]) / numbers[4] * fmax(evidence, -numbers[3])
+    return result
+
+
+def begin():
+    """Return the memory of a person of whom no frame is known."""
+    return np.zeros(sizeof(Memory) // sizeof(double))
+
+
+def advance(double[::1] memory, Vector numbers, double step_s, Rows core, Rows feet, Vector log_odds, const long long[:, ::1] legs):
+    """Return the core (J, 3) m of the next frame with the displacements that the frames so far give.
+
+    Where the root is too far away for a person to have moved there, all begins anew.
+
+    Args:
+        memory: of the frames before, overwritten.
+        numbers: the fields of `Model`.
+        step_s: s since the frame before.
+        core: (J, 3) m.
+        feet: (4, 3) m, points that may stand, about their ankles.
+        log_odds: (4,) logarithms of the odds that they stand.
+        legs: (2, 3) indices of hip, knee and ankle, left and right.
+    """
+    cdef Memory* own = <Memory*> &memory[0]
+    cdef Model model = read_model(numbers)
+    cdef double[ALL * ALL] a
+    cdef double[ALL] b, u
+    cdef double[3] root
+    cdef double[POINTS * 3] points
+    cdef double[POINTS] contact
+    cdef double squared = 0
+    cdef int i
+    result = np.array(core)
+    cdef double[:, ::1] out = result
+    step_s = fmax(step_s, MIN_STEP_S)
+    find_points(out, feet, legs, root, points)
+    for i in range(3):
+        squared += (root[i] - own.root[i]) * (root[i] - own.root[i])
+    if sqrt(squared) > MAX_DEPTH_CHANGE * fabs(root[2]) + MAX_SPEED_M_S * step_s:
+        memset(own, 0, sizeof(Memory))
+    for i in range(POINTS):
+        contact[i] = 1 / (1 + exp(-log_odds[i]))
+    add_frame(own, &model, step_s, root, points, contact, NULL, a, b)
+    eliminate(a, b, own)
+    substitute(a, b, OWN, ALL, u)
+    remember(own, step_s, root, points, contact)
+    displace(out, legs, u + TWO)
+    return result
+
+
+def smooth(Vector numbers, Vector times, Stack core, Stack feet, Rows contact, const long long[:, ::1] legs, int rounds):
+    """Return the cores (F, J, 3) m of a sequence with the displacements that all frames give; else as `advance`."""
+    cdef Py_ssize_t frames = core.shape[0], t, n
+    cdef Model model = read_model(numbers)
+    cdef double step_s
+    cdef double[ALL] b, u
+    result, unknowns = np.array(core), np.zeros((frames + 2, OWN))
+    cdef double[:, :, ::1] out = result, factors = np.empty((frames, ALL, ALL))
+    cdef double[:, ::1] rights = np.empty((frames, ALL)), found = unknowns, roots = np.empty((frames, 3))
+    cdef double[:, ::1] points = np.empty((frames, POINTS * 3))
+    cdef Memory memory
+    for t in range(frames):
+        find_points(out[t], feet[t], legs, &roots[t, 0], &points[t, 0])
+    with nogil:
+        for n in range(rounds):
+            memset(&memory, 0, sizeof(Memory))
+            for t in range(frames):
+                step_s = fmax(times[t] - times[t - 1], MIN_STEP_S) if t > 0 else 1
+                add_frame(
+                    &memory, &model, step_s, &roots[t, 0], &points[t, 0], &contact[t, 0],
+                    &found[t + 1, 0] if n > 0 else NULL, &factors[t, 0, 0], &rights[t, 0],
+                )
+                eliminate(&factors[t, 0, 0], &rights[t, 0], &memory)
+                remember(&memory, step_s, &roots[t, 0], &points[t, 0], &contact[t, 0])
+            substitute(&factors[frames - 1, 0, 0], &rights[frames - 1, 0], OWN, ALL, u)
+            memcpy(&found[frames, 0], u + OWN, TWO * sizeof(double))
+            for t in range(frames - 1, -1, -1):
+                memcpy(u + OWN, &found[t + 1, 0], TWO * sizeof(double))
+                substitute(&factors[t, 0, 0], &rights[t, 0], 0, OWN, u)
+                memcpy(&found[t, 0], u, OWN * sizeof(double))
+    for t in range(frames):
+        displace(out[t], legs, &found[t + 2, 0])
+    return result

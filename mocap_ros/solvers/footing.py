@@ -1,0 +1,136 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Roots that have inertia and feet that stand: what the image alone hardly shows, along the line of sight.
+
+A change of scale looks like a step towards the camera, so the solved root X_t swims in depth, and feet with it.
+With displacements c_t of the body and a_tf of each foot about it, as large as the errors of the solution are,
+
+    E = sum_t |c_t - k_c c_(t-1)|^2_C / (1 - k_c^2) + sum_tf |a_tf - k_a a_(t-1)f|^2 / (A^2 (1 - k_a^2))
+      + sum_t |v_(t+1) - v_t|^2_B / (h_t h_0),    v_t = (X_(t+1) + c_(t+1) - X_t - c_t) / dt_t        (inertia)
+      + sum_ti p_ti rho(|y_(t+1)i - y_ti|^2) / (S dt_t)^2,    y_ti = x_ti + c_t + a_tf              (standing feet)
+
+with k = exp(-dt / T), for errors of a solution last; x_ti heels and toes, p_ti the lesser of the probabilities
+that one stands in two frames (`solvers.contacts`), rho Cauchy's loss; |.|_C and |.|_B weigh the line of sight and
+the directions across it, h_t is as in `joint.differences` and h_0 = 1/30 s. Errors grow with the image noise n;
+and the more precise the points, the less feet are held, for they roll by 0.05 to 0.1 m/s while they stand:
+
+    C_along = C_0 + C_1 n,    A = A_0 + A_1 n,    S = S_0 sqrt(1 + (N / n)^2)
+
+Whole sequences are solved from all frames, in some rounds for rho; live, the newest frame is solved from all
+frames so far, by one step of the same elimination (`engine.footing`). An ankle moves about its hip, and the knee as
+the lengths of the bones demand. All constants are chosen on training persons (`benchmarks/feet.py`).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.engine import footing as engine
+from mocap_ros.keypoints.extremities import Extremities, join_body
+from mocap_ros.skeleton import CMU15, CORE_COUNT
+from mocap_ros.solvers.contacts import (
+    EVIDENCE_S,
+    HALF_WINDOW_S,
+    HEELS_AND_TOES,
+    HEIGHT_M,
+    HOLD_S,
+    MAX_STEP_S,
+    MOVING,
+    SPEED_M_S,
+    STANDING,
+    find_contacts,
+)
+from mocap_ros.solvers.extremities import ANCHORS, attach
+from mocap_ros.solvers.observed_window import ObservedWindow
+
+Array = NDArray[np.float64]
+
+LEGS = np.array([[CMU15.index(side + joint) for joint in ('hip', 'knee', 'ankle')] for side in 'lr'])
+FEET = np.array(HEELS_AND_TOES) - CORE_COUNT  # heels and toes among the extremities
+# m and 1; C_0 and C_1 along the line of sight: of a solution of all frames, and of the newest frame
+ERROR_OF_ALL, ERROR_OF_NEWEST = (0.03, 0.5), (0.04, 4.0)
+ERROR_ACROSS_M = 0.015  # m; C across it
+ERROR_S, LEG_S = 0.5, 0.1  # s; T of c and of a
+ACCELERATION_M_S2 = 6.0, 10.0  # m/s^2; B along the line of sight and across it
+LEG_M, LEG_PER_NOISE = 0.003, 0.25  # m and 1; A_0 and A_1; with more, feet slide less and knees are worse
+SLIP_M_S = 0.06  # m/s; S_0
+PRECISE_M = 0.007  # m; N
+FAST_M_S = 0.1  # m/s; c of rho
+ROUNDS = 3  # of the robust loss, over whole sequences
+LEAST_NOISE_M = 5e-4  # m; image noise of points without errors
+CONTACT = np.array([SPEED_M_S, HEIGHT_M, STANDING, MOVING, EVIDENCE_S, HOLD_S, MAX_STEP_S])
+REACH_S = HALF_WINDOW_S + 0.01  # s; frames of 30 Hz come a little late
+UNKNOWN, NO_ODDS = np.full(3, np.nan), np.zeros(len(FEET))
+
+
+@lru_cache(maxsize=64)
+def choose_numbers(noise: float, error: tuple[float, float]) -> Array:
+    """Return the fields of `engine.footing.Model` under an image noise in m at the body."""
+    noise = max(noise, LEAST_NOISE_M)
+    slip = SLIP_M_S * math.hypot(1, PRECISE_M / noise)
+    leg = LEG_M + LEG_PER_NOISE * noise
+    along = error[0] + error[1] * noise
+    return np.array([along, ERROR_ACROSS_M, ERROR_S, LEG_S, *ACCELERATION_M_S2, leg, slip, FAST_M_S])
+
+
+def plant_sequence(observed: ObservedWindow, core: Array, offsets: Array, upward: Array, noise: float) -> Array:
+    """Return the core joints (F, 15, 3) m of a sequence whose root has inertia and whose feet stand.
+
+    Args:
+        observed: the person in F frames of a camera that does not move.
+        core: (F, 15, 3) m in the camera's axes.
+        offsets: (F, 11, 3) m, extremities about their core joints.
+        upward: (F, 3) unit vectors; NaN where they are not known.
+        noise: m, image noise at the body.
+    """
+    rays, weight = join_body(observed.rays, observed.weight, observed.extremities)
+    contact = find_contacts(rays, weight, attach(core, offsets), upward, observed.times)
+    are_feet_seen = np.any(weight[:, HEELS_AND_TOES] > 0, axis=0)  # else their ankles stand
+    feet = np.ascontiguousarray(offsets[:, FEET] * are_feet_seen[:, None])
+    numbers = choose_numbers(noise, ERROR_OF_ALL)
+    return engine.smooth(numbers, observed.times, np.ascontiguousarray(core), feet, contact, LEGS, ROUNDS)
+
+
+class Footing(NamedTuple):
+    """A person whose root has inertia and whose feet stand, in the newest frame; `advance` returns the next."""
+
+    time_s: float
+    core: Array  # (15, 3) m in the axes of the camera
+    shift: Array  # (3,) m, displacement of the hips
+    log_odds: Array  # (4,) logarithms of the odds that heels and toes stand
+    memory: Array  # of the engine
+
+    @staticmethod
+    def advance(
+        before: Footing | None,
+        time_s: float,
+        core: Array,
+        offsets: Array,
+        observed: ObservedWindow,
+        frame: int,
+        upward: Array | None,
+        noise: float,
+    ) -> Footing:
+        """Return that of a frame of a window, by its solution; `before` is None in the first one.
+
+        The offsets (11, 3) m are those of the frame before, else as `plant_sequence`.
+        """
+        times, end = observed.times[: frame + 1], frame + 1
+        others = observed.extremities or Extremities(
+            np.zeros((end, len(ANCHORS), 2)), np.zeros((end, len(ANCHORS)))
+        )
+        seen = observed.rays[:end], observed.weight[:end], others.rays[:end], others.weight[:end]
+        feet, up = offsets[FEET], UNKNOWN if upward is None else upward
+        log_odds = NO_ODDS if before is None else before.log_odds
+        log_odds = engine.follow_contact(log_odds, times, *seen, core, feet, up, LEGS, FEET, REACH_S, CONTACT)
+        memory = engine.begin() if before is None else before.memory.copy()
+        step_s = 1.0 if before is None else time_s - before.time_s
+        numbers = choose_numbers(round(noise, 4), ERROR_OF_NEWEST)
+        planted = engine.advance(memory, numbers, step_s, core, feet, log_odds, LEGS)
+        return Footing(time_s, planted, planted[LEGS[0, 0]] - core[LEGS[0, 0]], log_odds, memory)

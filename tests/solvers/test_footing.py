@@ -1,0 +1,152 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Roots with inertia and feet that stand, against a dense least squares, whole and live."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mocap_ros.engine import footing as engine
+from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers.footing import ERROR_OF_ALL, LEGS, choose_numbers
+
+Array = np.ndarray
+FRAMES = 12
+
+
+@pytest.fixture
+def motion(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+    """Times (F,), cores (F, 15, 3), feet (F, 4, 3) and contacts (F, 4) of somebody 4 m away who jitters."""
+    times = np.cumsum(rng.uniform(0.02, 0.05, FRAMES))
+    core = rng.normal(0, 0.3, (15, 3)) + [0.5, 0.2, 4.0] + 0.01 * rng.normal(size=(FRAMES, 15, 3))
+    core += 0.02 * rng.normal(size=(FRAMES, 1, 3))
+    feet = np.tile([[-0.05, 0.05, 0], [0.18, 0.05, 0]] * 2, (FRAMES, 1, 1)) + 0.002 * rng.normal(
+        size=(FRAMES, 4, 3)
+    )
+    return times, core, feet, rng.uniform(0, 1, (FRAMES, 4))
+
+
+def solve_densely(
+    numbers: Array, times: Array, core: Array, feet: Array, contact: Array, found: Array | None
+) -> Array:
+    """Return the displacements (F, 9) that minimise the formula of `solvers.footing`.
+
+    The loss of feet is linearised at displacements that were found, or at none as in the newest frame.
+    """
+    along, across, error_s, leg_s, *accelerations, leg, slip, fast = numbers
+    count, steps = len(times), np.diff(times)
+    root = core[:, LEGS[:, 0]].mean(axis=1)
+    points = core[:, LEGS[[0, 0, 1, 1], 2]] + feet
+    rows, values = [], []
+
+    def add(parts: list[tuple[int, int, float]], value: Array, weights: Array) -> None:
+        row = np.zeros((3, count, 9))
+        for frame, at, factor in parts:
+            row[:, frame, at : at + 3] += factor * weights
+        rows.append(row.reshape(3, -1))
+        values.append(-weights @ value)
+
+    def weigh(t: int, deep: float, wide: float) -> Array:
+        sight = root[t] / np.linalg.norm(root[t])
+        return np.eye(3) / wide + (1 / deep - 1 / wide) * np.outer(sight, sight)
+
+    for t in range(count):
+        for at, seconds, deep, wide in ((0, error_s, along, across), (3, leg_s, leg, leg), (6, leg_s, leg, leg)):
+            kept = np.exp(-steps[t - 1] / seconds) if t else 0.0
+            parts = [(t, at, 1.0), *([(t - 1, at, -kept)] if t else [])]
+            add(parts, np.zeros(3), weigh(t, deep, wide) / np.sqrt(1 - kept**2))
+        if t > 1:
+            a, b = 1 / steps[t - 2], 1 / steps[t - 1]
+            change = b * (root[t] - root[t - 1]) - a * (root[t - 1] - root[t - 2])
+            weights = weigh(t, *accelerations) / np.sqrt((steps[t - 2] + steps[t - 1]) / 2 / 30)
+            add([(t - 2, 0, a), (t - 1, 0, -a - b), (t, 0, b)], change, weights)
+        for k in range(4 if t else 0):
+            at, moved, limit = 3 + 3 * (k // 2), points[t, k] - points[t - 1, k], 4 * fast
+            last = moved
+            if found is not None:
+                change = found[t] - found[t - 1]
+                last, limit = moved + change[:3] + change[at : at + 3], fast
+            p = min(contact[t, k], contact[t - 1, k]) / (1 + (last @ last) / (limit * steps[t - 1]) ** 2)
+            parts = [(t, 0, 1.0), (t, at, 1.0), (t - 1, 0, -1.0), (t - 1, at, -1.0)]
+            add(parts, moved, np.eye(3) * np.sqrt(p) / (slip * steps[t - 1]))
+    return np.linalg.lstsq(np.concatenate(rows), np.concatenate(values), rcond=None)[0].reshape(count, 9)
+
+
+def check_displaced(core: Array, planted: Array, displacements: Array) -> None:
+    np.testing.assert_allclose(
+        planted[LEGS[:, 0]] - core[LEGS[:, 0]], displacements[:3][None].repeat(2, 0), atol=1e-9
+    )
+    moved = displacements[:3] + displacements[3:].reshape(2, 3)
+    np.testing.assert_allclose(planted[LEGS[:, 2]] - core[LEGS[:, 2]], moved, atol=1e-9)
+    for leg in LEGS:
+        lengths = [np.linalg.norm(np.diff(j[leg], axis=0), axis=1) for j in (core, planted)]
+        np.testing.assert_allclose(*lengths, atol=1e-9)
+
+
+@pytest.fixture
+def numbers() -> Array:
+    return choose_numbers(0.01, ERROR_OF_ALL)
+
+
+def bend_knees(core: Array) -> None:
+    """Put knees where legs can reach farther."""
+    for hip, knee, ankle in LEGS:
+        core[:, ankle] = core[:, hip] + [0.0, 0.7, 0.1]
+        core[:, knee] = core[:, hip] + [0.0, 0.4, -0.2]
+
+
+@pytest.mark.parametrize('rounds', [1, 3])
+def test_a_sequence_is_that_of_the_dense_least_squares(
+    motion: tuple[Array, Array, Array, Array], numbers: Array, rounds: int
+) -> None:
+    times, core, feet, contact = motion
+    bend_knees(core)
+    found = None
+    for _ in range(rounds):
+        found = solve_densely(numbers, times, core, feet, contact, found)
+    assert found is not None
+    assert np.abs(found).max() > 0.01
+    planted = engine.smooth(numbers, times, core, feet, contact, LEGS, rounds)
+    for before, after, own in zip(core, planted, found, strict=True):
+        check_displaced(before, after, own)
+
+
+def test_the_newest_frame_is_that_of_all_frames_so_far(
+    motion: tuple[Array, Array, Array, Array], numbers: Array
+) -> None:
+    times, core, feet, contact = motion
+    bend_knees(core)
+    memory, odds = engine.begin(), np.log(contact / (1 - contact))
+    for t, step_s in enumerate(np.diff(times, prepend=times[0] - 1)):
+        planted = engine.advance(memory, numbers, step_s, core[t], feet[t], odds[t], LEGS)
+        until = slice(t + 1)
+        own = solve_densely(numbers, times[until], core[until], feet[until], contact[until], None)
+        check_displaced(core[t], planted, own[-1])
+
+
+def test_feet_stand_and_what_is_not_on_the_ground_moves(rng: np.random.Generator, numbers: Array) -> None:
+    """Somebody stands still while the solution swims by 5 cm in depth; then the same in the air."""
+    times, joints = np.arange(90) / 30, np.zeros((15, 3))
+    joints[:, 2] = 4.0
+    joints[[CMU15.index(j) for j in ('lknee', 'rknee')]] += [0.0, 0.4, -0.1]
+    joints[[CMU15.index(j) for j in ('lankle', 'rankle')]] += [0.0, 0.8, 0.0]
+    core = np.tile(joints, (90, 1, 1))
+    core[..., 2] += 0.05 * np.sin(4 * times)[:, None] + 0.005 * rng.normal(size=(90, 1))
+    feet, slides = np.zeros((90, 4, 3)), []
+    for probability in (1.0, 0.0):
+        planted = engine.smooth(numbers, times, core, feet, np.full((90, 4), probability), LEGS, 3)
+        slides.append(np.abs(np.diff(planted[:, LEGS[0, 2], 2])).mean())
+    before = np.abs(np.diff(core[:, LEGS[0, 2], 2])).mean()
+    assert slides[0] < 0.15 * before < 0.5 * slides[1]
+
+
+def test_another_solution_far_away_begins_anew(motion: tuple[Array, Array, Array, Array], numbers: Array) -> None:
+    _, core, feet, _ = motion
+    memory, odds = engine.begin(), np.zeros(4)
+    for joints in core:
+        engine.advance(memory, numbers, 1 / 30, joints, feet[0], odds, LEGS)
+    far = core[0] + [0.0, 0.0, 3.0]
+    planted = engine.advance(memory, numbers, 1 / 30, far, feet[0], odds, LEGS)
+    np.testing.assert_allclose(planted[LEGS[:, 0]], far[LEGS[:, 0]], atol=1e-6)
