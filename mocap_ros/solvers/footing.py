@@ -18,8 +18,8 @@ and the more precise the points, the less feet are held, for they roll by 0.05 t
     C_along = C_0 + C_1 n,    A = A_0 + A_1 n,    S = S_0 sqrt(1 + (N / n)^2)
 
 Whole sequences are solved from all frames, in some rounds for rho; live, the newest frame is solved from all
-frames so far, by one step of the same elimination (`engine.footing`). An ankle moves about its hip, and the knee as
-the lengths of the bones demand. All constants are chosen on training persons (`benchmarks/feet.py`).
+frames so far, by one step of the same elimination (`engine.footing`). An ankle moves about its hip, and the knee
+as the lengths of the bones demand. All constants are chosen on training persons (`benchmarks/feet.py`).
 """
 
 from __future__ import annotations

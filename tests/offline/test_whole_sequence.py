@@ -65,7 +65,7 @@ def test_the_result_knows_its_cameras(walk_model: BasePoses, method: str) -> Non
     assert translation == pytest.approx(CAMERA.project(roots), abs=1e-9)
     assert cameras.scale == pytest.approx(CAMERA.focal / roots[:, 2])
     recovered = fit_rotation(result.solution.joints, centre_poses(result.core))  # from virtual to real camera
-    assert cameras.rotation == pytest.approx(recovered @ result.solution.cameras.rotation, abs=1e-9)
+    assert cameras.rotation == pytest.approx(recovered @ result.solution.cameras.rotation, abs=0.01)  # feet stand
     axis = result.virtual_camera.to_real_camera(np.tile([0.0, 0.0, 1.0], (45, 1, 1)))[:, 0]
     assert axis[:, :2] / axis[:, 2:] == pytest.approx((truth[..., :2] / truth[..., 2:]).mean(axis=1), abs=0.02)
 
