@@ -18,8 +18,9 @@ and the more precise the points, the less feet are held, for they roll by 0.05 t
     C_along = C_0 + C_1 n,    A = A_0 + A_1 n,    S = S_0 sqrt(1 + (N / n)^2)
 
 Whole sequences are solved from all frames, in some rounds for rho; live, the newest frame is solved from all
-frames so far, by one step of the same elimination (`engine.footing`). An ankle moves about its hip, and the knee
-as the lengths of the bones demand. All constants are chosen on training persons (`benchmarks/feet.py`).
+frames so far, by one step of the same elimination (`engine.footing`), with rho about where inertia leads. An ankle
+moves about its hip, and the knee as the lengths of the bones demand. All constants are chosen on training persons
+(`benchmarks/feet.py`).
 """
 
 from __future__ import annotations
@@ -53,15 +54,14 @@ Array = NDArray[np.float64]
 
 LEGS = np.array([[CMU15.index(side + joint) for joint in ('hip', 'knee', 'ankle')] for side in 'lr'])
 FEET = np.array(HEELS_AND_TOES) - CORE_COUNT  # heels and toes among the extremities
-# m and 1; C_0 and C_1 along the line of sight: of a solution of all frames, and of the newest frame
-ERROR_OF_ALL, ERROR_OF_NEWEST = (0.03, 0.5), (0.04, 4.0)
+# m, 1 and m/s; C_0 and C_1 along the line of sight, and c of rho: from all frames, and for the newest one
+OF_ALL, OF_NEWEST = (0.03, 0.5, 0.1), (0.04, 0.8, 0.3)
 ERROR_ACROSS_M = 0.015  # m; C across it
 ERROR_S, LEG_S = 0.5, 0.1  # s; T of c and of a
 ACCELERATION_M_S2 = 6.0, 10.0  # m/s^2; B along the line of sight and across it
-LEG_M, LEG_PER_NOISE = 0.003, 0.25  # m and 1; A_0 and A_1; with more, feet slide less and knees are worse
-SLIP_M_S = 0.06  # m/s; S_0
+LEG_M, LEG_PER_NOISE = 0.004, 0.1  # m and 1; A_0 and A_1; with more, feet slide less and knees are worse
+SLIP_M_S = 0.09  # m/s; S_0; with less, errors of contacts add up to errors of the place
 PRECISE_M = 0.007  # m; N
-FAST_M_S = 0.1  # m/s; c of rho
 ROUNDS = 3  # of the robust loss, over whole sequences
 LEAST_NOISE_M = 5e-4  # m; image noise of points without errors
 CONTACT = np.array([SPEED_M_S, HEIGHT_M, STANDING, MOVING, EVIDENCE_S, HOLD_S, MAX_STEP_S])
@@ -70,13 +70,13 @@ UNKNOWN, NO_ODDS = np.full(3, np.nan), np.zeros(len(FEET))
 
 
 @lru_cache(maxsize=64)
-def choose_numbers(noise: float, error: tuple[float, float]) -> Array:
+def choose_numbers(noise: float, error: tuple[float, float, float]) -> Array:
     """Return the fields of `engine.footing.Model` under an image noise in m at the body."""
     noise = max(noise, LEAST_NOISE_M)
     slip = SLIP_M_S * math.hypot(1, PRECISE_M / noise)
     leg = LEG_M + LEG_PER_NOISE * noise
     along = error[0] + error[1] * noise
-    return np.array([along, ERROR_ACROSS_M, ERROR_S, LEG_S, *ACCELERATION_M_S2, leg, slip, FAST_M_S])
+    return np.array([along, ERROR_ACROSS_M, ERROR_S, LEG_S, *ACCELERATION_M_S2, leg, slip, error[2]])
 
 
 def plant_sequence(observed: ObservedWindow, core: Array, offsets: Array, upward: Array, noise: float) -> Array:
@@ -93,7 +93,7 @@ def plant_sequence(observed: ObservedWindow, core: Array, offsets: Array, upward
     contact = find_contacts(rays, weight, attach(core, offsets), upward, observed.times)
     are_feet_seen = np.any(weight[:, HEELS_AND_TOES] > 0, axis=0)  # else their ankles stand
     feet = np.ascontiguousarray(offsets[:, FEET] * are_feet_seen[:, None])
-    numbers = choose_numbers(noise, ERROR_OF_ALL)
+    numbers = choose_numbers(noise, OF_ALL)
     return engine.smooth(numbers, observed.times, np.ascontiguousarray(core), feet, contact, LEGS, ROUNDS)
 
 
@@ -131,6 +131,6 @@ class Footing(NamedTuple):
         log_odds = engine.follow_contact(log_odds, times, *seen, core, feet, up, LEGS, FEET, REACH_S, CONTACT)
         memory = engine.begin() if before is None else before.memory.copy()
         step_s = 1.0 if before is None else time_s - before.time_s
-        numbers = choose_numbers(round(noise, 4), ERROR_OF_NEWEST)
+        numbers = choose_numbers(round(noise, 4), OF_NEWEST)
         planted = engine.advance(memory, numbers, step_s, core, feet, log_odds, LEGS)
         return Footing(time_s, planted, planted[LEGS[0, 0]] - core[LEGS[0, 0]], log_odds, memory)
