@@ -10,7 +10,7 @@ import pytest
 
 from mocap_ros.engine import footing as engine
 from mocap_ros.skeleton import CMU15
-from mocap_ros.solvers.footing import OF_ALL, LEGS, choose_numbers
+from mocap_ros.solvers.footing import LEGS, OF_ALL, choose_numbers
 
 Array = np.ndarray
 FRAMES = 12
