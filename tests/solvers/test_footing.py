@@ -120,7 +120,7 @@ def test_the_newest_frame_is_that_of_all_frames_so_far(
     times, core, feet, contact = motion
     bend_knees(core)
     memory, odds = engine.begin(), np.log(contact / (1 - contact))
-    root, estimates = core[:, LEGS[:, 0]].mean(axis=1), np.full((FRAMES, 2, 9), np.nan)
+    root, estimates, own = core[:, LEGS[:, 0]].mean(axis=1), np.full((FRAMES, 2, 9), np.nan), np.zeros((2, 9))
     for t, step_s in enumerate(np.diff(times, prepend=times[0] - 1)):
         planted = engine.advance(memory, numbers, step_s, core[t], feet[t], odds[t], LEGS)
         if t > 1:  # feet stand or not as if the root went on

@@ -197,7 +197,9 @@ def test_a_person_who_reaches_the_camera_stays_there(walk_model: BasePoses) -> N
     solution = track.solved
     depth = solution.sample_joints(track.observed.times, SEEN_FRAMES - 1, np.zeros(1))[0, :, 2]
     nearer = [0.0, 0.0, depth.max() - 2 * depth.mean() + 0.6]  # m; then some of the way is left
-    near = change(track, solution=replace(solution, roots=solution.roots + nearer), motion_filter=UNFILTERED)
+    near = change(
+        track, solution=replace(solution, roots=solution.roots + nearer), motion_filter=UNFILTERED, footing=None
+    )
     predicted = [predict(near, (SEEN_FRAMES + gap) * STEP_NS) for gap in range(20)]
     depth = predicted[-1].joints[:CORE_COUNT, 2]
     assert 2 * depth.mean() - depth.max() == pytest.approx(MIN_CLEARANCE_M, abs=0.01)
