@@ -106,6 +106,11 @@ class Footing(NamedTuple):
     log_odds: Array  # (4,) logarithms of the odds that heels and toes stand
     memory: Array  # of the engine
 
+    @property
+    def contact(self) -> Array:
+        """(2,) probabilities that heel or toe of the left and of the right foot stand."""
+        return np.asarray(1 / (1 + np.exp(-self.log_odds.reshape(2, 2).max(axis=1))))
+
     @staticmethod
     def advance(
         before: Footing | None,

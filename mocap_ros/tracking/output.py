@@ -47,6 +47,7 @@ CORRECTED_STD = 0.7  # 1; f, for two thirds of the errors to be within, of perso
 CORRECTION_STD = 0.7  # 1; g, chosen likewise
 ROOT_SPREAD = 1.3  # 1; h, for errors of the root's velocity are often small and at times large: 95 % are within
 
+UNKNOWN_CONTACT = np.full(2, np.nan)
 _AGO = np.array([0.0, *SPANS_S])
 _NOW = np.array([0.0])
 _HIPS = np.array(HIPS)
@@ -249,6 +250,9 @@ def make_people(
                 skeleton=skeleton,
                 orientation=quaternions[p],
                 turn_inferred=turn_inferred[p],
+                contact=UNKNOWN_CONTACT
+                if track.footing is None or unseen_for is not None
+                else track.footing.contact,
             )
         )
     return people
