@@ -32,9 +32,8 @@ from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import (
     MAX_METRES,
+    check_places,
     describe_other_unit,
-    describe_points_outside,
-    describe_transposed_size,
     find_first_fault,
     mark_unseen,
 )
@@ -158,9 +157,9 @@ class Tracker:
             with rename_errors({'timestamps': 'time_s'}):
                 check_timestamps(np.array([t for t, _ in frames]))
             seen = np.concatenate([k for _, k in frames])
-            if fault := describe_transposed_size(seen[:, :2], seen[:, 2], self._image_size):
-                raise InputError(f'image_size: {fault}')
-            if outside := describe_points_outside(seen[:, :2], seen[:, 2], self._image_size):
+            with name_errors('image_size'):
+                outside = check_places(seen[:, :2], seen[:, 2], self._image_size)
+            if outside:
                 LOGGER.warning('people: %s', outside)
         return frames
 

@@ -21,12 +21,7 @@ from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import (
-    describe_other_unit,
-    describe_transposed_size,
-    find_first_fault,
-    mark_unseen,
-)
+from mocap_ros.keypoints.validation import check_places, describe_other_unit, find_first_fault, mark_unseen
 from mocap_ros.messages.camera_info import check_coefficients
 from mocap_ros.npz_file import write_npz
 from mocap_ros.skeleton import Skeleton, detector_joint_names, skeleton_from_joints
@@ -234,9 +229,8 @@ def validate_sequence(array_by_key: Mapping[str, NDArray[np.generic]]) -> Keypoi
         raise InputError('keypoints: every score is 0, which means not seen; write 1 where there are no scores')
     if other_unit := describe_other_unit(points, score, image_size[0]):
         raise InputError(f'keypoints: {other_unit}')
-    transposed = describe_transposed_size(points, score, image_size)
-    if transposed:
-        raise InputError(f'image_size: {transposed}')
+    with naming('image_size'):
+        check_places(points, score, image_size)
     return KeypointSequence(
         keypoints=np.concatenate([points, score[..., None]], axis=-1),
         joint_names=joint_names,

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.errors import InputError
+
 Array = NDArray[np.float64]
 
 UNSEEN_POINTS_PX = (0.0, -1.0)  # px; x = y = one of these is what detectors write for a point that they do not see
@@ -22,6 +24,7 @@ MAX_COORDINATE_PX = 1e6  # px; far outside any image
 MAX_SHARE_OUTSIDE = 0.5  # share of the points; with more of them outside the image, its size is probably wrong
 MIN_SHARE_HELD = 0.95  # share of the points that an image must hold to be the right one; a few may be outliers
 MAX_LOGIT = 30.0  # 1; beyond it, the probability is 0 or 1
+TRANSPOSED = 'width and height look transposed'
 # Other sizes of images: factors of the side itself and of the other one
 OTHER_SIZES = ((0.0, 1.0), (0.5, 0.0), (1.5, 0.0))
 MIDDLE, SPREAD = np.array([0.5, 0.47]), np.array([0.17, 0.12])  # 1; of the places of people, in width and height
@@ -127,10 +130,10 @@ class PointPlaces:
     def describe_fault(self) -> str:
         """Describe in a clause that most points lie outside, or that the size is another; usually empty."""
         (width, height), held = self._size, self._inside / max(self._count, 1) >= MIN_SHARE_HELD
-        outside, transposed = self.share_outside, 'width and height look transposed'
+        outside = self.share_outside
         beyond = f'{outside:.0%} of the seen keypoints lie outside {width} x {height} px'
         if outside > MAX_SHARE_OUTSIDE:
-            return f'{beyond}, but inside {height} x {width} px: {transposed}' if held[1] else beyond
+            return f'{beyond}, but inside {height} x {width} px: {TRANSPOSED}' if held[1] else beyond
         if self._count < MIN_JUDGED_POINTS:
             return ''
         own, *others = map(self._measure_distance, (self._size, *self._list_others()))
@@ -138,7 +141,7 @@ class PointPlaces:
         evidence = (own - np.array(others)) / 2 + [0.0, 0.0, BEYOND_EVIDENCE if is_beyond else -math.inf]
         evidence = np.where(held[1:], evidence, -math.inf)
         texts = (
-            f'the points lie as in an image of {height} x {width} px: {transposed}',
+            f'the points lie as in an image of {height} x {width} px: {TRANSPOSED}',
             f'all points lie in the upper left quarter of {width} x {height} px: the images look smaller',
             f'{beyond}, and the others towards its lower right corner: the images look larger',
         )
@@ -152,14 +155,17 @@ class PointPlaces:
         return float((((self._sum / self._count / size - MIDDLE) / SPREAD) ** 2).sum())
 
 
-def describe_points_outside(points: Array, score: Array, image_size: tuple[int, int]) -> str:
-    """Describe in a clause that most keypoints lie outside the image, or return an empty string."""
+def check_places(points: Array, score: Array, image_size: tuple[int, int]) -> str:
+    """Describe in a clause that most keypoints lie outside the image, or return an empty string.
+
+    Raises:
+        InputError: they do, but inside it with the sides exchanged.
+    """
     places = PointPlaces()
     places.add(points, score, image_size)
-    return places.describe_fault() if places.share_outside > MAX_SHARE_OUTSIDE else ''
-
-
-def describe_transposed_size(points: Array, score: Array, image_size: tuple[int, int]) -> str:
-    """Describe in a clause that most keypoints lie outside the image, but inside it with the sides exchanged."""
-    fault = describe_points_outside(points, score, image_size)
-    return fault if 'transposed' in fault else ''
+    if places.share_outside <= MAX_SHARE_OUTSIDE:
+        return ''
+    fault = places.describe_fault()
+    if TRANSPOSED in fault:
+        raise InputError(fault)
+    return fault

@@ -30,7 +30,7 @@ from mocap_ros.formats.detector_json import load_json_file, load_json_folder
 from mocap_ros.formats.sequence_file import KeypointSequence, find_longest_gap, load_sequence
 from mocap_ros.formats.sports2d import load_pixel_files
 from mocap_ros.keypoints.image_size import resolve_image_size
-from mocap_ros.keypoints.validation import describe_points_outside, describe_transposed_size
+from mocap_ros.keypoints.validation import check_places
 from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.offline.whole_sequence import MAX_GAP_S
@@ -143,11 +143,9 @@ def _finish(
     """
     size, outside = sequences[0].image_size, ''
     with naming(path):
-        for sequence in sequences:
-            keypoints = sequence.keypoints[..., :2], sequence.keypoints[..., 2], size
-            outside = outside or describe_points_outside(*keypoints)
-            if kind is not InputKind.SEQUENCE and (fault := describe_transposed_size(*keypoints)):
-                raise InputError(f'{"--image-size" if size == video.image_size else "image size"}: {fault}')
+        with naming('--image-size' if size == video.image_size else 'image size'):
+            for keypoints in (sequence.keypoints for sequence in sequences):
+                outside = outside or check_places(keypoints[..., :2], keypoints[..., 2], size)
         if kind is InputKind.VIDEO and sequences[0].is_camera_known:
             sequences = [replace(s, focal_source=FROM_VIDEO) for s in sequences]
         sequences, lens_lines = give_focal_length(sequences, video)
