@@ -62,7 +62,7 @@ MIN_LAYOUT_UNCERTAINTY = -1.85  # u above which other layouts are considered
 TURN_MARGIN = 0.12  # u by which a turned image must be more certain
 AXES_MARGIN = 0.05  # u by which a mirrored and turned image must be more certain than a turned one
 MIRROR_MARGIN = 0.15  # u by which a mirrored image must be more certain
-BACKWARDS_MARGIN = 0.03  # u, likewise where people walk backwards
+BACKWARDS_MARGIN = 0.05  # u, likewise where people walk backwards
 # m, s; people walk where they move by at least so far within a time
 WALK_M, WALK_S = 0.9, 1.5
 # m, 1; after so far, of those who walk forwards the share ahead of all movement is 0.9 and more, of those with
