@@ -16,6 +16,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 
 import dask
 from distributed import Client, LocalCluster, as_completed
@@ -70,6 +71,8 @@ def connect(scheduler: str | None, workers: int | None = None, memory: str = 'au
         options = {'threads_per_worker': 1, 'memory_limit': memory, 'dashboard_address': ':0'}
         options['n_workers'] = workers or len(os.sched_getaffinity(0))
         # Threads and processes that begin now never see Ctrl-C, which ends this thread, and with it the workers.
+        # The first process of the standard library unblocks the signal, so it begins before.
+        resource_tracker.ensure_running()
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
             with (

@@ -11,14 +11,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mocap_ros.cli.inputs import add_topic_options, add_video_options, read_lens_parameters, read_video_options
-from mocap_ros.cli.options import (
-    add_config_options,
-    add_strict_option,
-    load_config_file,
-    parse_changes,
-    parse_count,
-)
+from mocap_ros.cli.inputs import TOPIC_OPTIONS, VIDEO_OPTIONS, read_lens_parameters, read_video_options
+from mocap_ros.cli.options import CONFIG_OPTIONS, STRICT_OPTIONS, Options, load_config_file, option, parse_changes
 from mocap_ros.cli.terminal import make_bar, print_note, print_result
 from mocap_ros.errors import InputError, MocapError, tell_installation
 from mocap_ros.runtime.save_results import SUFFIXES
@@ -27,45 +21,32 @@ if TYPE_CHECKING:
     from mocap_ros.batch.job import Outcome, Settings
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Describe the subcommand and add its options."""
-    parser.description = (
-        'Replays every bag, or reconstructs or summarises every recording, that a folder, a pattern or a list '
-        'names. Each is a task of Dask, which uses the cores of this machine or the workers of a running '
-        'scheduler. Inputs and outputs may be URLs, such as s3://bucket/folder. What was done before is not done '
-        'again, so a run that was stopped goes on. A bag that the node recorded is replayed with the parameters '
-        'of the recording: --set changes single ones of them, and --config replaces all. Needs: '
-        + tell_installation('cluster')
-    )
-    parser.add_argument(
-        'source', metavar='FOLDER|GLOB|LIST', help='folder to search, pattern, or text file (.txt) of these'
-    )
-    parser.add_argument(
-        '-o', '--output', required=True, metavar='OUT', help='folder for the results, the records and the table'
-    )
-    parser.add_argument(
-        '--work', choices=['replay', 'reconstruct', 'keyframes'], default='replay', help='what to do with each'
-    )
-    parser.add_argument(
-        '--scheduler', metavar='ADDRESS', help='running scheduler, such as tcp://host:8786 (default: this machine)'
-    )
-    parser.add_argument(
-        '--workers', type=parse_count, metavar='N', help='processes on this machine (default: one on each core)'
-    )
-    parser.add_argument(
-        '--memory',
+DESCRIPTION = (
+    'Replays every bag, or reconstructs or summarises every recording, that a folder, a pattern or a list '
+    'names. Each is a task of Dask, which uses the cores of this machine or the workers of a running '
+    'scheduler. Inputs and outputs may be URLs, such as s3://bucket/folder. What was done before is not done '
+    'again, so a run that was stopped goes on. A bag that the node recorded is replayed with the parameters '
+    'of the recording: --set changes single ones of them, and --config replaces all. Needs: '
+    + tell_installation('cluster')
+)
+OPTIONS: Options = {
+    'source FOLDER|GLOB|LIST': 'folder to search, pattern, or text file (.txt) of these',
+    '-o --output OUT': option('folder for the results, the records and the table', required=True, type=str),
+    '--work WORK': option(
+        'what to do with each', choices=['replay', 'reconstruct', 'keyframes'], default='replay'
+    ),
+    '--scheduler ADDRESS': 'running scheduler, such as tcp://host:8786 (default: this machine)',
+    '--workers N': 'processes on this machine (default: one on each core)',
+    '--memory SIZE': option(
+        'memory of a process on this machine, such as 2GB, above which it is ended (auto: an equal share)',
         default='auto',
-        metavar='SIZE',
-        help='memory of a process on this machine, such as 2GB, above which it is ended (auto: an equal share)',
-    )
-    parser.add_argument(
-        '--suffix', choices=SUFFIXES, default='.npz', help='format of the results of --work reconstruct'
-    )
-    add_topic_options(parser)
-    add_video_options(parser)
-    add_strict_option(parser)
-    add_config_options(parser)
-    parser.set_defaults(run=run)
+    ),
+    '--suffix SUFFIX': option('format of the results of --work reconstruct', choices=SUFFIXES, default='.npz'),
+    **TOPIC_OPTIONS,
+    **VIDEO_OPTIONS,
+    **STRICT_OPTIONS,
+    **CONFIG_OPTIONS,
+}
 
 
 def run(args: argparse.Namespace) -> int:

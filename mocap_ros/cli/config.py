@@ -7,23 +7,18 @@ from __future__ import annotations
 
 import argparse
 
-from mocap_ros.cli.options import add_config_options, load_config
+from mocap_ros.cli.options import CONFIG_OPTIONS, Options, load_config
 from mocap_ros.cli.terminal import end_loading
 from mocap_ros.config import to_yaml
 
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Describe the subcommand and add its options."""
-    parser.description = (
-        'Prints the parameters that many users set, with meanings, ranges and values, as a ROS parameter file. '
-        'Pass the file to `mocap_node --ros-args --params-file` or to the option `--config` of the other '
-        'commands.'
-    )
-    parser.add_argument(
-        '--all', action='store_true', help='print every parameter (default: those that many users set)'
-    )
-    add_config_options(parser)
-    parser.set_defaults(run=run)
+DESCRIPTION = (
+    'Prints the parameters that many users set, with meanings, ranges and values, as a ROS parameter file. Pass '
+    'the file to `mocap_node --ros-args --params-file` or to the option `--config` of the other commands.'
+)
+OPTIONS: Options = {
+    '--all': 'print every parameter (default: those that many users set)',
+    **CONFIG_OPTIONS,
+}
 
 
 def run(args: argparse.Namespace) -> int:

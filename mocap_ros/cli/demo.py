@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_ros.cli.options import parse_positive
+from mocap_ros.cli.options import Options, option
 from mocap_ros.cli.terminal import print_result, show_progress
 from mocap_ros.config import Config
 from mocap_ros.demo.scene import motion_name_at
@@ -45,29 +45,15 @@ START_TIMEOUT_S = 60.0  # s; far above what the node takes to start
 STOP_TIMEOUT_S = 10.0  # s; guards against a node that does not stop after an interrupt, which takes it under 1 s
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Describe the subcommand and add its options."""
-    parser.description = (
-        'Starts the node in a process of its own, plays the embedded synthetic recording to it over '
-        'ROS 2 topics at the recorded pace, records the outputs in a bag, and draws the result beside the input '
-        'and the truth, as a picture and as a page that any browser opens.'
-    )
-    parser.add_argument(
-        '-o',
-        '--output',
-        type=Path,
-        default=Path('demo_output'),
-        metavar='FOLDER',
-        help='folder for the bag, the picture and the page',
-    )
-    parser.add_argument(
-        '--rate',
-        type=parse_positive,
-        default=1.0,
-        metavar='FACTOR',
-        help='pace as a multiple of the recorded pace',
-    )
-    parser.set_defaults(run=run)
+DESCRIPTION = (
+    'Starts the node in a process of its own, plays the embedded synthetic recording to it over ROS 2 topics at '
+    'the recorded pace, records the outputs in a bag, and draws the result beside the input and the truth, as a '
+    'picture and as a page that any browser opens.'
+)
+OPTIONS: Options = {
+    '-o --output FOLDER': option('folder for the bag, the picture and the page', default=Path('demo_output')),
+    '--rate FACTOR': option('pace as a multiple of the recorded pace', default=1.0),
+}
 
 
 def run(args: argparse.Namespace) -> int:

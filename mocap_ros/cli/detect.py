@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap_ros.cli.inputs import list_sources, name_file_in_errors
-from mocap_ros.cli.options import derive_output_stem, parse_count, parse_positive
+from mocap_ros.cli.options import Options, derive_output_stem, option
 from mocap_ros.cli.terminal import interrupt_between_items, print_note, print_result, show_progress
 from mocap_ros.errors import InputError, tell_installation
 from mocap_ros.formats.detections import Detections, select_person
@@ -30,52 +30,22 @@ BAG_SUFFIX = '.mcap'
 SUFFIXES = ('.npz', BAG_SUFFIX)  # of the files that the command writes
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Describe the subcommand and add its options."""
-    parser.description = (
-        'Finds the keypoints of people in a video or in the images of a camera and writes them to a file that '
-        '`mocap-ros reconstruct` and the other commands read: a sequence file (.npz) of one person, or a bag '
-        '(.mcap) of all people, which `mocap-ros play` publishes. The times are those of the images. Needs '
-        f'PyAV: {tell_installation("video")}; for models of MediaPipe: {tell_installation("mediapipe")}.'
-    )
-    parser.add_argument(
-        'input',
-        type=Path,
-        metavar='VIDEO|CAMERA',
-        help='video, or the number or the device of a camera (0, /dev/video0)',
-    )
-    parser.add_argument(
-        '--model',
-        type=Path,
-        metavar='FILE',
-        help='pose landmarker (.task), RTMPose or MoveNet (.onnx) (default: the one of MediaPipe 0.10.21)',
-    )
-    parser.add_argument(
-        '-o',
-        '--output',
-        type=Path,
-        metavar='OUT',
-        help='.npz or .mcap (default: IN_2d.npz, of a camera camera_2d.npz, in the current folder)',
-    )
-    parser.add_argument(
-        '--person',
-        metavar='ID',
-        help='person of a video to write to a .npz (default: the one seen most)',
-    )
-    parser.add_argument(
-        '--max-people',
-        type=parse_count,
-        default=1,
-        metavar='N',
-        help='largest number of people to find in an image, by models that find several',
-    )
-    parser.add_argument(
-        '--duration',
-        type=parse_positive,
-        metavar='S',
-        help='s, end after this time (default: at the end of the video; for a camera, when interrupted)',
-    )
-    parser.set_defaults(run=run)
+DESCRIPTION = (
+    'Finds the keypoints of people in a video or in the images of a camera and writes them to a file that '
+    '`mocap-ros reconstruct` and the other commands read: a sequence file (.npz) of one person, or a bag '
+    '(.mcap) of all people, which `mocap-ros play` publishes. The times are those of the images. Needs '
+    f'PyAV: {tell_installation("video")}; for models of MediaPipe: {tell_installation("mediapipe")}.'
+)
+OPTIONS: Options = {
+    'input VIDEO|CAMERA': 'video, or the number or the device of a camera (0, /dev/video0)',
+    '--model FILE': 'pose landmarker (.task), RTMPose or MoveNet (.onnx) (default: the one of MediaPipe 0.10.21)',
+    '-o --output OUT': '.npz or .mcap (default: IN_2d.npz, of a camera camera_2d.npz, in the current folder)',
+    '--person ID': 'person of a video to write to a .npz (default: the one seen most)',
+    '--max-people N': option(
+        'largest number of people to find in an image, by models that find several', default=1
+    ),
+    '--duration S': 's, end after this time (default: at the end of the video; for a camera, when interrupted)',
+}
 
 
 def run(args: argparse.Namespace) -> int:

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.cli.inputs import add_model_option, list_sources, load_models, name_file_in_errors
-from mocap_ros.cli.options import add_config_options, add_strict_option, load_config
+from mocap_ros.cli.inputs import MODEL_OPTIONS, list_sources, load_models, name_file_in_errors
+from mocap_ros.cli.options import CONFIG_OPTIONS, STRICT_OPTIONS, Options, load_config, option
 from mocap_ros.cli.reconstruct import reconstruct_file
 from mocap_ros.cli.terminal import ShareBar, print_note, print_result
 from mocap_ros.errors import InputError
@@ -63,36 +63,22 @@ ACCEPTED_KINDS = (InputKind.SEQUENCE, InputKind.RESULT, InputKind.BAG)
 ACCEPTED_FORMATS = 'a result of reconstruct (.npz, .mcap), a bag of skeletons, or a sequence file (.npz)'
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Describe the subcommand and add its options."""
-    parser.description = (
-        'Compares results of `reconstruct` (.npz or .mcap), or the skeletons in bags, with the truth in the '
-        'sequence file that --truth names, at the times that both have; skeletons that were predicted through a '
-        'gap count like all others. Reconstructs sequence files as a whole first, and compares them with the '
-        f'truth in them, unless --truth is given. {LEGEND}'
-    )
-    parser.add_argument(
-        'input',
-        type=Path,
-        nargs='+',
-        metavar='IN',
-        help='result (.npz or .mcap), bag of skeletons, or sequence file',
-    )
-    parser.add_argument(
-        '--truth',
-        type=Path,
-        metavar='SEQUENCE.npz',
-        help='sequence file with the true joints, joints3d, such as the one that a result was made from (default: '
-        'the input, if it is a sequence file)',
-    )
-    parser.add_argument(
-        '--person', metavar='ID', help='person in a bag of skeletons (default: the person with most skeletons)'
-    )
-    add_model_option(parser)
-    parser.add_argument('--json', type=Path, metavar='FILE', help='file for all numbers as JSON (default: none)')
-    add_strict_option(parser)
-    add_config_options(parser)
-    parser.set_defaults(run=run)
+DESCRIPTION = (
+    'Compares results of `reconstruct` (.npz or .mcap), or the skeletons in bags, with the truth in the '
+    'sequence file that --truth names, at the times that both have; skeletons that were predicted through a '
+    'gap count like all others. Reconstructs sequence files as a whole first, and compares them with the '
+    f'truth in them, unless --truth is given. {LEGEND}'
+)
+OPTIONS: Options = {
+    'input IN': option('result (.npz or .mcap), bag of skeletons, or sequence file', nargs='+'),
+    '--truth SEQUENCE.npz': 'sequence file with the true joints, joints3d, such as the one that a result was '
+    'made from (default: the input, if it is a sequence file)',
+    '--person ID': 'person in a bag of skeletons (default: the person with most skeletons)',
+    **MODEL_OPTIONS,
+    '--json FILE': 'file for all numbers as JSON (default: none)',
+    **STRICT_OPTIONS,
+    **CONFIG_OPTIONS,
+}
 
 
 def run(args: argparse.Namespace) -> int:

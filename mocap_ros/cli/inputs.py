@@ -14,7 +14,7 @@ import numpy as np
 
 from mocap_ros.bags.reader import list_bag_files
 from mocap_ros.bags.rosbag2 import METADATA
-from mocap_ros.cli.options import parse_positive
+from mocap_ros.cli.options import Options, option, parse_positive
 from mocap_ros.cli.terminal import print_note, show_progress
 from mocap_ros.config import Config, Value
 from mocap_ros.errors import InputError, MocapError, name_errors
@@ -35,6 +35,62 @@ FILE_OPTIONS = (
 MAX_IMAGE_SIZE_CHARACTERS = 20  # characters of --image-size; guards int() against thousands of digits
 
 
+def _parse_hfov(text: str) -> float:
+    hfov, (low, high) = parse_positive(text), HFOV_RANGE_DEG
+    if not low <= hfov <= high:
+        raise argparse.ArgumentTypeError(f'{text} degrees; expected {low:g} to {high:g}')
+    return hfov
+
+
+def _parse_image_size(text: str) -> tuple[int, int]:
+    width, _, height = text.lower().partition('x')
+    is_number_pair = width.isdecimal() and height.isdecimal() and len(text) < MAX_IMAGE_SIZE_CHARACTERS
+    if not (is_number_pair and 0 < int(width) <= MAX_IMAGE_SIDE_PX and 0 < int(height) <= MAX_IMAGE_SIDE_PX):
+        raise argparse.ArgumentTypeError(f'{text!r}: expected a size such as 1920x1080')
+    return int(width), int(height)
+
+
+MODEL_OPTIONS: Options = {
+    '--model NAME': 'base poses: the name of a shipped model, a model file, or auto for the most likely shipped '
+    'model (default: the parameter tracker.model)',
+}
+TOPIC_OPTIONS: Options = {
+    '--topic NAME': 'topic of the keypoints in a bag (default: the only one in the bag)',
+    '--camera-info NAME': 'topic of the CameraInfo in a bag (default: the one that shares most of the namespace '
+    'of the keypoints)',
+}
+LENS_OPTIONS: Options = {
+    '--hfov DEG': option(
+        'degrees, horizontal field of view of a camera without calibration, 65 to 70 of most webcams (default: '
+        'the parameter tracker.nominal_focal_length)',
+        type=_parse_hfov,
+        group='lens',
+    ),
+    '--focal PX': option(
+        'px, focal length of a camera without calibration, instead of --hfov (default: likewise)', group='lens'
+    ),
+}
+VIDEO_OPTIONS: Options = {
+    '--fps HZ': 'frames per second, which JSON needs (default: none)',
+    '--image-size WxH': option(
+        'px, size of the image if the input gives none (default: a common size that contains all points)',
+        type=_parse_image_size,
+    ),
+    **LENS_OPTIONS,
+    '--layout NAME': option(
+        'keypoint layout of JSON (default: the layout with that number of keypoints)', choices=LAYOUT_NAMES
+    ),
+    '--detector FILE': 'model that finds the keypoints in a video, as for `mocap-ros detect --model` (default: '
+    'the one that comes with MediaPipe 0.10.21)',
+}
+INPUT_OPTIONS: Options = {
+    'input IN': 'sequence file (.npz), bag, folder of OpenPose JSON, COCO keypoints (.json), or video',
+    '--person ID': 'one person of several in the input (default: the one seen in most frames)',
+    **TOPIC_OPTIONS,
+    **VIDEO_OPTIONS,
+}
+
+
 def list_sources(args: argparse.Namespace, config: Config | None = None) -> list[Path]:
     """Return the files that a command reads, which its output must not overwrite; not all of them need exist.
 
@@ -44,8 +100,8 @@ def list_sources(args: argparse.Namespace, config: Config | None = None) -> list
         InputError: a folder of motion capture holds none.
     """
     paths: list[Path] = []
-    for option in FILE_OPTIONS:
-        value = getattr(args, option, None) or []
+    for name in FILE_OPTIONS:
+        value = getattr(args, name, None) or []
         paths += map(Path, value if isinstance(value, list) else [value])
     if config is not None:
         paths += [Path(config.tracker.model), Path(config.solver.prior)]
@@ -55,103 +111,19 @@ def list_sources(args: argparse.Namespace, config: Config | None = None) -> list
     return [*motions, *(file for path in paths for file in (path, path / METADATA, *list_bag_files(path)))]
 
 
-def add_model_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option `--model`."""
-    parser.add_argument(
-        '--model',
-        metavar='NAME',
-        help='base poses: the name of a shipped model, a model file, or auto for the most likely shipped model '
-        '(default: the parameter tracker.model)',
-    )
-
-
-def add_input_options(parser: argparse.ArgumentParser, *, is_optional: bool = False) -> None:
-    """Add the input file, which may be optional, and the options that describe its keypoints."""
-    parser.add_argument(
-        'input',
-        type=Path,
-        nargs='?' if is_optional else None,
-        metavar='IN',
-        help='sequence file (.npz), bag, folder of OpenPose JSON, COCO keypoints (.json), or video'
-        + ' (default: none, for --live)' * is_optional,
-    )
-    parser.add_argument(
-        '--person', metavar='ID', help='one person of several in the input (default: the one seen in most frames)'
-    )
-    add_topic_options(parser)
-    add_video_options(parser)
-
-
-def add_topic_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options `--topic` and `--camera-info`, which apply to bags."""
-    parser.add_argument(
-        '--topic', metavar='NAME', help='topic of the keypoints in a bag (default: the only one in the bag)'
-    )
-    parser.add_argument(
-        '--camera-info',
-        metavar='NAME',
-        help='topic of the CameraInfo in a bag (default: the one that shares most of the namespace of the '
-        'keypoints)',
-    )
-
-
-def add_video_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options for what JSON files, and the camera of any input, do not state."""
-    parser.add_argument(
-        '--fps', type=parse_positive, metavar='N', help='frames per second, which JSON needs (default: none)'
-    )
-    parser.add_argument(
-        '--image-size',
-        type=_parse_image_size,
-        metavar='WxH',
-        help='px, size of the image if the input gives none (default: a common size that contains all points)',
-    )
-    add_lens_options(parser)
-    parser.add_argument(
-        '--layout',
-        choices=LAYOUT_NAMES,
-        help='keypoint layout of JSON (default: the layout with that number of keypoints)',
-    )
-    parser.add_argument(
-        '--detector',
-        type=Path,
-        metavar='FILE',
-        help='model that finds the keypoints in a video, as for `mocap-ros detect --model` (default: the one that '
-        'comes with MediaPipe 0.10.21)',
-    )
-
-
-def add_lens_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options `--hfov` and `--focal`, of which one may be given."""
-    lens = parser.add_mutually_exclusive_group()
-    lens.add_argument(
-        '--hfov',
-        type=_parse_hfov,
-        metavar='DEG',
-        help='degrees, horizontal field of view of a camera without calibration, 65 to 70 of most webcams '
-        '(default: the parameter tracker.nominal_focal_length)',
-    )
-    lens.add_argument(
-        '--focal',
-        type=parse_positive,
-        metavar='PX',
-        help='px, focal length of a camera without calibration, instead of --hfov (default: likewise)',
-    )
-
-
 def read_lens_parameters(args: argparse.Namespace) -> dict[str, Value]:
-    """Return the parameters of a replay that the options of `add_lens_options` state; both if one is given."""
+    """Return the parameters of a replay that the options of `LENS_OPTIONS` state; both if one is given."""
     given = {'node.hfov': args.hfov, 'node.focal': args.focal}
     return {name: value or 0.0 for name, value in given.items()} if any(given.values()) else {}
 
 
 def read_video_options(args: argparse.Namespace) -> Video:
-    """Return what the options of `add_video_options` state."""
+    """Return what the options of `VIDEO_OPTIONS` state."""
     return Video(args.fps, args.image_size, args.layout or '', args.detector, args.hfov, args.focal)
 
 
 def read_input_options(args: argparse.Namespace, config: Config) -> InputOptions:
-    """Return what the options of `add_input_options` state."""
+    """Return what the options of `INPUT_OPTIONS` state."""
     video, topics = read_video_options(args), (args.topic, args.camera_info)
     return InputOptions(video, config.node, args.person, *topics, show_detection_progress, config.tracker)
 
@@ -159,7 +131,7 @@ def read_input_options(args: argparse.Namespace, config: Config) -> InputOptions
 def load_sequences(
     args: argparse.Namespace, config: Config, *, all_people: bool = False
 ) -> list[KeypointSequence]:
-    """Load one person, or all, from the input that the options of `add_input_options` describe.
+    """Load one person, or all, from the input that the options of `INPUT_OPTIONS` describe.
 
     The chosen person and the assumptions about the input are printed on stderr.
 
@@ -180,21 +152,6 @@ def load_sequences(
 def show_detection_progress(images: Iterable[VideoImage], count: int | None) -> Iterable[VideoImage]:
     """Show how many of the images of a video the detector has seen."""
     return show_progress(images, 'detect', count)
-
-
-def _parse_hfov(text: str) -> float:
-    hfov, (low, high) = parse_positive(text), HFOV_RANGE_DEG
-    if not low <= hfov <= high:
-        raise argparse.ArgumentTypeError(f'{text} degrees; expected {low:g} to {high:g}')
-    return hfov
-
-
-def _parse_image_size(text: str) -> tuple[int, int]:
-    width, _, height = text.lower().partition('x')
-    is_number_pair = width.isdecimal() and height.isdecimal() and len(text) < MAX_IMAGE_SIZE_CHARACTERS
-    if not (is_number_pair and 0 < int(width) <= MAX_IMAGE_SIDE_PX and 0 < int(height) <= MAX_IMAGE_SIDE_PX):
-        raise argparse.ArgumentTypeError(f'{text!r}: expected a size such as 1920x1080')
-    return int(width), int(height)
 
 
 def load_models(args: argparse.Namespace, config: Config) -> dict[str, BasePoses]:

@@ -8,8 +8,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mocap_ros.cli.inputs import add_input_options, list_sources, load_sequences, name_file_in_errors
-from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config
+from mocap_ros.cli.inputs import INPUT_OPTIONS, list_sources, load_sequences, name_file_in_errors
+from mocap_ros.cli.options import CONFIG_OPTIONS, Options, derive_output_stem, load_config
 from mocap_ros.cli.terminal import print_result, show_stages
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import extract_observations
@@ -24,25 +24,18 @@ from mocap_ros.viewing.keyframe_plots import draw_distances_figure, draw_keyfram
 MAX_PRINTED_SPANS = 6  # spans of a keyframe in its line of the table, so that the line fits a wide terminal
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Describe the subcommand and add its options."""
-    parser.description = (
-        'Finds the poses that recur in the motion of one person (Loy et al. 2004), separately for the '
-        'upper and the lower body. Prints a table of these keyframes and saves them with two pictures: the '
-        'keyframes with the times at which they occur, and the distances between the poses of all frames. '
-        '`reconstruct --method keyframes` computes 3D poses from the keyframes.'
-    )
-    add_input_options(parser)
-    parser.add_argument(
-        '-o',
-        '--output',
-        type=Path,
-        metavar='OUT.yaml',
-        help='file for the keyframes; the pictures are saved beside it (default: IN_keyframes.yaml in the current '
-        'folder)',
-    )
-    add_config_options(parser)
-    parser.set_defaults(run=run)
+DESCRIPTION = (
+    'Finds the poses that recur in the motion of one person (Loy et al. 2004), separately for the upper and the '
+    'lower body. Prints a table of these keyframes and saves them with two pictures: the keyframes with the times '
+    'at which they occur, and the distances between the poses of all frames. `reconstruct --method keyframes` '
+    'computes 3D poses from the keyframes.'
+)
+OPTIONS: Options = {
+    **INPUT_OPTIONS,
+    '-o --output OUT.yaml': 'file for the keyframes; the pictures are saved beside it (default: '
+    'IN_keyframes.yaml in the current folder)',
+    **CONFIG_OPTIONS,
+}
 
 
 def run(args: argparse.Namespace) -> int:

@@ -11,34 +11,17 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any, TypeAlias
 
 from mocap_ros.config import Config, Value, format_value, from_yaml, load_yaml, values, with_values
-from mocap_ros.errors import ConfigError
+from mocap_ros.errors import ConfigError, suggest
 from mocap_ros.formats.text_files import read_text
 
 MAX_DIGITS = 20  # characters of a whole number; guards int() against thousands of digits
 MAX_CONFIG_BYTES = 1 << 20  # bytes; guards against reading a huge file as parameters (the full file has 10 kB)
-
-
-def add_config_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options `--config FILE` and `--set NAME=VALUE`."""
-    parser.add_argument('--config', type=Path, metavar='FILE', help='parameter file to read (default: none)')
-    parser.add_argument(
-        '--set',
-        action='append',
-        default=[],
-        metavar='NAME=VALUE',
-        help='value of one parameter, such as tracker.body_height=1.8; may be repeated '
-        '(defaults: see `mocap-ros config`)',
-    )
-
-
-def add_strict_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option `--strict`."""
-    parser.add_argument(
-        '--strict', action='store_true', help='exit with 1 if the input turns out to be wrong (default: with 0)'
-    )
 
 
 def derive_output_stem(input_path: Path) -> str:
@@ -73,8 +56,67 @@ def parse_count(text: str, low: int = 1, high: int = sys.maxsize) -> int:
     return int(text)
 
 
+# What turns the text of a value into it, by what the help calls the value; any other value is a path.
+TEXTS = ('ADDRESS', 'FOLDER|GLOB|LIST', 'ID', 'KIND', 'NAME', 'NAME=VALUE', 'NAMESPACE', 'SIZE', 'TEXT')
+TYPES: Mapping[str, Callable[[str], object]] = {
+    **dict.fromkeys(TEXTS, str),
+    **dict.fromkeys(('FACTOR', 'HZ', 'M', 'PX', 'S'), parse_positive),
+    'H': float,
+    'N': parse_count,
+}
+# Options and arguments of a command: the line of each in the help, alone or with settings of `argparse`, by its
+# names and what the help calls its value, such as `-o --output FILE`. One without a value is a switch.
+Options: TypeAlias = Mapping[str, 'str | tuple[str, Mapping[str, Any]]']
+
+
+def option(description: str, **settings: Any) -> tuple[str, Mapping[str, Any]]:
+    """Return an option that has settings of `argparse`.
+
+    `choices` are named where another value is given, and of options with the same `group` only one may be given.
+    """
+    return description, settings
+
+
+CONFIG_OPTIONS: Options = {
+    '--config FILE': 'parameter file to read (default: none)',
+    '--set NAME=VALUE': option(
+        'value of one parameter, such as tracker.body_height=1.8; may be repeated (defaults: see `mocap-ros '
+        'config`)',
+        action='append',
+        default=[],
+    ),
+}
+STRICT_OPTIONS: Options = {
+    '--strict': 'exit with 1 if the input turns out to be wrong (default: with 0)',
+}
+
+
+def add_options(parser: argparse.ArgumentParser, options: Options) -> None:
+    """Add options and arguments to a command."""
+    groups: dict[str, argparse._MutuallyExclusiveGroup] = {}
+    for form, entry in options.items():
+        description, given = (entry, {}) if isinstance(entry, str) else entry
+        settings, (*names, value) = {**given, 'help': description}, form.split()
+        target: argparse._ActionsContainer = parser
+        if group := settings.pop('group', ''):
+            target = groups[group] = groups.get(group) or parser.add_mutually_exclusive_group()
+        if value.startswith('-'):
+            target.add_argument(*names, value, action='store_true', **settings)
+            continue
+        if (choices := settings.get('choices')) and 'nargs' not in settings:
+            settings |= {'choices': None, 'type': partial(_choose, choices)}
+            value = f'{{{",".join(choices)}}}'
+        target.add_argument(*names, **{'type': TYPES.get(value, Path), 'metavar': value, **settings})
+
+
+def _choose(choices: Sequence[str], text: str) -> str:
+    if text not in choices:
+        raise argparse.ArgumentTypeError(f'no {text!r}; {suggest(text, choices)}')
+    return text
+
+
 def load_config(args: argparse.Namespace) -> Config:
-    """Load the configuration that the options of `add_config_options` describe: `--set` on top of `--config`.
+    """Load the configuration that the options of `CONFIG_OPTIONS` describe: `--set` on top of `--config`.
 
     Raises:
         InputError: the parameter file cannot be read.

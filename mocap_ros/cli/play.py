@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import argparse
 from contextlib import suppress
-from pathlib import Path
 
-from mocap_ros.cli.inputs import add_topic_options
-from mocap_ros.cli.options import parse_positive
+from mocap_ros.cli.inputs import TOPIC_OPTIONS
+from mocap_ros.cli.options import Options, option
 from mocap_ros.cli.terminal import print_note, print_result, show_progress
 from mocap_ros.errors import ConfigError, MocapError
 from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
@@ -19,51 +18,28 @@ from mocap_ros.runtime.playback import Playback
 CLOCK_HZ = 40.0  # Hz, the default rate of /clock, that of `ros2 bag play --clock`
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Describe the subcommand and add its options."""
-    parser.description = (
-        'Publishes the keypoints of a bag, of any type that the node takes, or the frames of a sequence file, on '
-        'the topic `keypoints`, and the CameraInfo messages of a bag on `camera_info`. The messages keep their '
-        'stamps and the QoS with which they were recorded. Needs ROS 2.'
-    )
-    parser.add_argument(
-        'input', type=Path, metavar='IN', help='bag (folder, .mcap, .db3 or .bag) or sequence file (.npz)'
-    )
-    parser.add_argument(
-        '--rate',
-        type=parse_positive,
-        default=1.0,
-        metavar='FACTOR',
-        help='pace as a multiple of the recorded pace',
-    )
-    add_topic_options(parser)
-    parser.add_argument(
-        '--to',
-        default='keypoints',
-        metavar='NAME',
-        help='topic to publish the keypoints on; the topics of ROS4HRI keep their names',
-    )
-    parser.add_argument(
-        '--all',
-        action='store_true',
-        help='publish every topic of the bag under its own name (default: only the keypoints and CameraInfo)',
-    )
-    parser.add_argument(
-        '--loop', action='store_true', help='start again at the end, until interrupted (default: play once)'
-    )
-    parser.add_argument(
-        '--clock',
-        type=parse_positive,
+DESCRIPTION = (
+    'Publishes the keypoints of a bag, of any type that the node takes, or the frames of a sequence file, on the '
+    'topic `keypoints`, and the CameraInfo messages of a bag on `camera_info`. The messages keep their stamps and '
+    'the QoS with which they were recorded. Needs ROS 2.'
+)
+OPTIONS: Options = {
+    'input IN': 'bag (folder, .mcap, .db3 or .bag) or sequence file (.npz)',
+    '--rate FACTOR': option('pace as a multiple of the recorded pace', default=1.0),
+    **TOPIC_OPTIONS,
+    '--to NAME': option(
+        'topic to publish the keypoints on; the topics of ROS4HRI keep their names', default='keypoints'
+    ),
+    '--all': 'publish every topic of the bag under its own name (default: only the keypoints and CameraInfo)',
+    '--loop': 'start again at the end, until interrupted (default: play once)',
+    '--clock HZ': option(
+        f'publish the recorded time on /clock at this rate, {CLOCK_HZ:g} Hz if HZ is omitted (default: '
+        'publish no clock)',
         nargs='?',
         const=CLOCK_HZ,
-        metavar='HZ',
-        help=f'publish the recorded time on /clock at this rate, {CLOCK_HZ:g} Hz if HZ is omitted (default: '
-        'publish no clock)',
-    )
-    parser.add_argument(
-        '--wait', type=parse_positive, default=10.0, metavar='S', help='s, maximum time to wait for a subscriber'
-    )
-    parser.set_defaults(run=run)
+    ),
+    '--wait S': option('s, maximum time to wait for a subscriber', default=10.0),
+}
 
 
 def run(args: argparse.Namespace) -> int:

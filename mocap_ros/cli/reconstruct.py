@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from mocap_ros.cli.inputs import (
-    add_input_options,
-    add_model_option,
+    INPUT_OPTIONS,
+    MODEL_OPTIONS,
     list_sources,
     load_models,
     load_sequences,
     name_file_in_errors,
 )
-from mocap_ros.cli.options import add_config_options, add_strict_option, derive_output_stem, load_config
+from mocap_ros.cli.options import CONFIG_OPTIONS, STRICT_OPTIONS, Options, derive_output_stem, load_config, option
 from mocap_ros.cli.terminal import ShareBar, finish, print_note, print_result, show_stages
 from mocap_ros.config import Config, load_yaml, with_values
 from mocap_ros.errors import InputError, name_errors
@@ -39,56 +39,37 @@ MAX_ENDING = 64  # characters of a person's id in the name of a file
 MAX_CHOICES_BYTES = 16 << 20  # bytes; guards against parsing a huge file as keyframes
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Describe the subcommand and add its options."""
-    parser.description = (
-        'Reconstructs one person over a whole sequence, so that every frame supports the others. The '
-        'input is a sequence file, a bag, OpenPose JSON, COCO keypoints or a video. The ending of the output file '
-        'selects its format: .npz, .csv, .mcap (a bag of skeletons, cameras and markers), .bvh (for animation, in '
-        'cm), .angles.csv (joint angles), or .trc (markers for OpenSim, in mm). In .bvh and .trc, y points up and '
-        'the frame rate is constant.'
-    )
-    add_input_options(parser)
-    parser.add_argument(
-        '--all-people',
-        action='store_true',
-        help='reconstruct every person who is seen in ten frames or more, into files whose names end with the '
-        "person's id (default: one person)",
-    )
-    parser.add_argument(
-        '-o',
-        '--output',
-        type=Path,
+DESCRIPTION = (
+    'Reconstructs one person over a whole sequence, so that every frame supports the others. The input is a '
+    'sequence file, a bag, OpenPose JSON, COCO keypoints or a video. The ending of the output file selects its '
+    'format: .npz, .csv, .mcap (a bag of skeletons, cameras and markers), .bvh (for animation, in cm), '
+    '.angles.csv (joint angles), or .trc (markers for OpenSim, in mm). In .bvh and .trc, y points up and the '
+    'frame rate is constant.'
+)
+OPTIONS: Options = {
+    **INPUT_OPTIONS,
+    '--all-people': 'reconstruct every person who is seen in ten frames or more, into files whose names end with '
+    "the person's id (default: one person)",
+    '-o --output OUT': option(
+        f'file to write: {", ".join(save_results.SUFFIXES)}; may be repeated (default: IN_3d.npz in the '
+        'current folder)',
         action='append',
         default=[],
-        metavar='OUT',
-        help=f'file to write: {", ".join(save_results.SUFFIXES)}; may be repeated (default: IN_3d.npz in the '
-        'current folder)',
-    )
-    parser.add_argument(
-        '--method',
+    ),
+    '--method METHOD': option(
+        'whole: all frames are solved together; keyframes: key poses are fitted to the image, for minutes of '
+        'mixed action with outliers',
         choices=['whole', 'keyframes'],
         default='whole',
-        help='whole: all frames are solved together; keyframes: key poses are fitted to the image, for minutes of '
-        'mixed action with outliers',
-    )
-    parser.add_argument(
-        '--choices',
-        type=Path,
-        metavar='FILE',
-        help='limbs that point towards the camera, for key poses chosen by hand, in the file that `keyframes` '
-        'writes (default: none)',
-    )
-    parser.add_argument(
-        '--floor-height',
-        type=float,
-        metavar='H',
-        help='the floor is H m below the camera (tracker.camera_height); give tracker.vertical as well',
-    )
-    add_model_option(parser)
-    add_strict_option(parser)
-    add_config_options(parser)
-    parser.set_defaults(run=run)
+    ),
+    '--choices FILE': 'limbs that point towards the camera, for key poses chosen by hand, in the file that '
+    '`keyframes` writes (default: none)',
+    '--floor-height H': 'm, height of the camera above the floor; give tracker.vertical as well (default: the '
+    'parameter tracker.camera_height)',
+    **MODEL_OPTIONS,
+    **STRICT_OPTIONS,
+    **CONFIG_OPTIONS,
+}
 
 
 def run(args: argparse.Namespace) -> int:

@@ -11,27 +11,19 @@ from pathlib import Path
 
 from mocap_ros.bags.recovery import list_recoverable_files, recover
 from mocap_ros.bags.rosbag2 import METADATA
-from mocap_ros.cli.options import name_bag
+from mocap_ros.cli.options import Options, name_bag
 from mocap_ros.cli.terminal import ShareBar, print_note, print_result
 from mocap_ros.runtime.input_kind import InputKind, require_kind
 
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Describe the subcommand and add its options."""
-    parser.description = (
-        'Writes a new bag with every message that can still be read from a damaged bag, and lists '
-        'what could not be read. A bag is damaged if, for example, its recorder was killed or its disk was full. '
-        'The command reads rosbag2 bags of any recorder, in MCAP or SQLite3, and does not change the damaged bag.'
-    )
-    parser.add_argument('bag', type=Path, metavar='BAG', help='damaged bag: folder, .mcap or .db3')
-    parser.add_argument(
-        '-o',
-        '--output',
-        type=Path,
-        metavar='OUTBAG',
-        help='folder of the new bag, which must not exist (default: BAG_recovered, beside the bag)',
-    )
-    parser.set_defaults(run=run)
+DESCRIPTION = (
+    'Writes a new bag with every message that can still be read from a damaged bag, and lists what could not be '
+    'read. A bag is damaged if, for example, its recorder was killed or its disk was full. The command reads '
+    'rosbag2 bags of any recorder, in MCAP or SQLite3, and does not change the damaged bag.'
+)
+OPTIONS: Options = {
+    'bag BAG': 'damaged bag: folder, .mcap or .db3',
+    '-o --output OUTBAG': 'folder of the new bag, which must not exist (default: BAG_recovered, beside the bag)',
+}
 
 
 def run(args: argparse.Namespace) -> int:

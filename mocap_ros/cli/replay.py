@@ -13,44 +13,39 @@ from pathlib import Path
 
 from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import remove_partial
-from mocap_ros.cli.inputs import add_lens_options, add_topic_options, read_lens_parameters
-from mocap_ros.cli.options import add_config_options, add_strict_option, load_config_file, name_bag, parse_changes
+from mocap_ros.cli.inputs import LENS_OPTIONS, TOPIC_OPTIONS, read_lens_parameters
+from mocap_ros.cli.options import (
+    CONFIG_OPTIONS,
+    STRICT_OPTIONS,
+    Options,
+    load_config_file,
+    name_bag,
+    option,
+    parse_changes,
+)
 from mocap_ros.cli.terminal import finish, interrupt_between_items, print_note, print_result, show_progress
 from mocap_ros.errors import InputError, MocapError, RecordingError, make_printable_line
 from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
 from mocap_ros.runtime.replay import ReplayOptions, replay
 
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Describe the subcommand and add its options."""
-    parser.description = (
-        'Runs the keypoints of a bag through the pipeline of the live node, as fast as the machine '
-        'allows, and writes a new bag with the keypoints and the outputs. A bag that the node recorded is '
-        'replayed with the parameters of the recording and gives the same skeletons: --set changes single ones of '
-        'them, and --config replaces all. A new bag is called NAME.partial until it is complete.'
-    )
-    parser.add_argument(
-        'bags', type=Path, nargs='+', metavar='BAG', help='bag to replay: folder, .mcap, .db3, or .bag of ROS 1'
-    )
-    parser.add_argument(
-        '-o',
-        '--output',
-        type=Path,
-        required=True,
-        metavar='OUT',
-        help='folder of the new bag, which must not exist; for several bags, the folder for all new bags',
-    )
-    add_topic_options(parser)
-    add_lens_options(parser)
-    parser.add_argument(
-        '--resume',
-        action='store_true',
-        help='skip the bags that have been replayed, and start interrupted replays again (default: fail if a new '
-        'bag exists)',
-    )
-    add_strict_option(parser)
-    add_config_options(parser)
-    parser.set_defaults(run=run)
+DESCRIPTION = (
+    'Runs the keypoints of a bag through the pipeline of the live node, as fast as the machine allows, and writes '
+    'a new bag with the keypoints and the outputs. A bag that the node recorded is replayed with the parameters '
+    'of the recording and gives the same skeletons: --set changes single ones of them, and --config replaces all. '
+    'A new bag is called NAME.partial until it is complete.'
+)
+OPTIONS: Options = {
+    'bags BAG': option('bag to replay: folder, .mcap, .db3, or .bag of ROS 1', nargs='+'),
+    '-o --output OUT': option(
+        'folder of the new bag, which must not exist; for several bags, the folder for all new bags', required=True
+    ),
+    **TOPIC_OPTIONS,
+    **LENS_OPTIONS,
+    '--resume': 'skip the bags that have been replayed, and start interrupted replays again (default: fail if a '
+    'new bag exists)',
+    **STRICT_OPTIONS,
+    **CONFIG_OPTIONS,
+}
 
 
 def run(args: argparse.Namespace) -> int:

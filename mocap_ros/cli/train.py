@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.cli.inputs import list_sources
-from mocap_ros.cli.options import parse_count, parse_positive
+from mocap_ros.cli.options import Options, option, parse_count
 from mocap_ros.cli.terminal import print_note, print_result, show_progress
 from mocap_ros.errors import InputError, MocapError, tell_installation
 from mocap_ros.formats.mocap.joint_maps import LENGTH_UNITS_M, load_marker_map
@@ -36,97 +36,62 @@ DEFAULT_STEPS = 60000  # optimiser steps; more gain more
 MAX_SEED = 2**63 - 1  # the largest that PyTorch takes for sure
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Describe the subcommand and add its options."""
-    parser.description = (
-        'Trains base poses from motion capture: folders or files of ASF/AMC, BVH and C3D, or .npz. '
-        'An .npz file holds an (F, J, 3) array in mm with y up for each trial, and under the key _joints the J '
-        'joint names, among them those of the model. A manifest.csv beside the data gives the subject and the '
-        'category of each trial, by which the training is balanced; without it, the category of a file is the '
-        'name of its folder. With --lifter it trains instead the network that estimates 3D poses from 2D joints, '
-        'on images that are synthesised from the motion capture at 30 frames per second with random cameras and '
-        'the errors of a detector; this needs PyTorch: ' + tell_installation('train')
-    )
-    add = parser.add_argument
-    add('data', nargs='+', type=Path, metavar='DATA', help='motion capture: folder, .amc, .bvh, .c3d or .npz')
-    add('-o', '--output', type=Path, required=True, metavar='MODEL.npz', help='model file to write')
-    add('--lifter', action='store_true', help='train a lifter (default: base poses)')
-    add(
-        '--markers',
-        type=Path,
-        metavar='YAML',
-        help='file that maps each joint of the model to the joints or markers whose mean is the joint (default: '
-        'the maps of known rigs)',
-    )
-    add(
-        '--unit',
-        type=parse_positive,
-        metavar='M',
-        help='length of the unit of the data in m (default: the unit that the file states, or else the one of '
-        f'{", ".join(LENGTH_UNITS_M)} that suits a person)',
-    )
-    add(
-        '--every',
-        type=parse_count,
-        default=1,
-        metavar='N',
-        help='use every Nth frame, such as every 4th of a recording at 120 Hz; a lifter wants 30 a second',
-    )
-    add(
-        '--manifest',
-        type=Path,
-        metavar='CSV',
-        help='table with the columns trial, subject, category and interior_glitches (default: manifest.csv beside '
-        'the data, if it exists)',
-    )
-    for option, what in (
-        ('--category', 'use only trials of this category; may be repeated (default: all)'),
-        ('--without-subject', 'use no trials of this subject; may be repeated (default: none left out)'),
-    ):
-        add(option, action='append', default=[], metavar='NAME', help=what)
-    for option, what in (
-        ('--source', 'origin of the data'),
-        ('--acknowledgement', 'acknowledgement that the owner of the data asks for'),
-    ):
-        add(option, default='', metavar='TEXT', help=f'{what}, saved in the model (default: empty)')
-    add = parser.add_argument_group('with --lifter').add_argument
-    add('--steps', type=parse_count, metavar='N', help=f'number of optimiser steps (default: {DEFAULT_STEPS})')
-    add(
-        '--checkpoint',
-        type=Path,
-        metavar='FILE',
-        help='file that keeps the state of the training every few minutes; a training that finds one goes on from '
-        'there, also with more --steps (default: none is kept)',
-    )
-    add(
-        '--start-from',
-        type=Path,
-        metavar='LIFTER.npz',
-        help='lifter whose weights the training begins with, at a lower learning rate and with its batch norms as '
-        'they are; give another --seed than it had, so that the examples are new (default: random weights)',
-    )
-    add(
-        '--seed',
+DESCRIPTION = (
+    'Trains base poses from motion capture: folders or files of ASF/AMC, BVH and C3D, or .npz. '
+    'An .npz file holds an (F, J, 3) array in mm with y up for each trial, and under the key _joints the J '
+    'joint names, among them those of the model. A manifest.csv beside the data gives the subject and the '
+    'category of each trial, by which the training is balanced; without it, the category of a file is the '
+    'name of its folder. With --lifter it trains instead the network that estimates 3D poses from 2D joints, '
+    'on images that are synthesised from the motion capture at 30 frames per second with random cameras and '
+    'the errors of a detector; this needs PyTorch: ' + tell_installation('train')
+)
+OPTIONS: Options = {
+    'data DATA': option('motion capture: folder, .amc, .bvh, .c3d or .npz', nargs='+'),
+    '-o --output MODEL.npz': option('model file to write', required=True),
+    '--lifter': 'train a lifter (default: base poses)',
+    '--markers YAML': 'file that maps each joint of the model to the joints or markers whose mean is the joint '
+    '(default: the maps of known rigs)',
+    '--unit M': 'length of the unit of the data in m (default: the unit that the file states, or else the one of '
+    f'{", ".join(LENGTH_UNITS_M)} that suits a person)',
+    '--every N': option(
+        'use every Nth frame, such as every 4th of a recording at 120 Hz; a lifter wants 30 a second', default=1
+    ),
+    '--manifest CSV': 'table with the columns trial, subject, category and interior_glitches (default: '
+    'manifest.csv beside the data, if it exists)',
+    '--category NAME': option(
+        'use only trials of this category; may be repeated (default: all)', action='append', default=[]
+    ),
+    '--without-subject NAME': option(
+        'use no trials of this subject; may be repeated (default: none left out)', action='append', default=[]
+    ),
+    '--source TEXT': option('origin of the data, saved in the model (default: empty)', default=''),
+    '--acknowledgement TEXT': option(
+        'acknowledgement that the owner of the data asks for, saved likewise (default: empty)', default=''
+    ),
+    '--steps N': f'with --lifter, number of optimiser steps (default: {DEFAULT_STEPS})',
+    '--checkpoint FILE': 'with --lifter, file that keeps the state of the training every few minutes; a training '
+    'that finds one goes on from there, also with more --steps (default: none is kept)',
+    '--start-from LIFTER.npz': 'with --lifter, one whose weights the training begins with, at a lower learning '
+    'rate and with its batch norms as they are; give another --seed than it had, so that the examples are new '
+    '(default: random weights)',
+    '--seed N': option(
+        'with --lifter, random seed of the initial weights and the examples (default: 0)',
         type=partial(parse_count, low=0, high=MAX_SEED),
-        metavar='N',
-        help='random seed of the initial weights and the examples (default: 0)',
-    )
-    add(
-        '--without',
+    ),
+    '--without KIND': option(
+        'with --lifter, leave out synthesised postures or variations, to measure what they are good for: '
+        f'{", ".join(EXAMPLE_KINDS)} (default: none)',
         nargs='+',
         choices=EXAMPLE_KINDS,
-        metavar='KIND',
-        help='leave out synthesised postures or variations, to measure what they are good for: '
-        f'{", ".join(EXAMPLE_KINDS)}',
-    )
-    parser.set_defaults(run=run)
+    ),
+}
 
 
 def run(args: argparse.Namespace) -> int:
     """Train and save a model, and print a summary of it."""
-    for option in () if args.lifter else LIFTER_OPTIONS:
-        if getattr(args, option) is not None:
-            raise InputError(f'--{option.replace("_", "-")}: applies only to --lifter')
+    for name in () if args.lifter else LIFTER_OPTIONS:
+        if getattr(args, name) is not None:
+            raise InputError(f'--{name.replace("_", "-")}: applies only to --lifter')
     sources = list_sources(args)
     for path in filter(None, (args.output, args.checkpoint)):
         check_output(path, *sources)

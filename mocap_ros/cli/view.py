@@ -8,13 +8,22 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from mocap_ros.bags.reader import is_bag
-from mocap_ros.cli.inputs import add_input_options, add_model_option, list_sources, load_models, read_input_options
-from mocap_ros.cli.options import add_config_options, add_strict_option, derive_output_stem, load_config
+from mocap_ros.cli.inputs import INPUT_OPTIONS, MODEL_OPTIONS, list_sources, load_models, read_input_options
+from mocap_ros.cli.options import (
+    CONFIG_OPTIONS,
+    STRICT_OPTIONS,
+    Options,
+    derive_output_stem,
+    load_config,
+    option,
+    parse_count,
+)
 from mocap_ros.cli.terminal import Report, ShareBar, finish, print_note, print_result
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.text_files import check_output, replace_output
@@ -36,50 +45,35 @@ BAG_OPTIONS = 'topic', 'camera_info', 'config', 'set'
 POSES = 8  # frames in a picture; many more would be too small to see
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Describe the subcommand and add its options."""
-    parser.description = (
-        'Shows skeletons in 3D beside the 2D input, and over time residual, cadence, kind of motion, undone swaps '
-        'of left and right, predicted frames and dropped inputs, on a page: one file that opens in any browser, '
-        'offline. The images of a video, or those in a bag, are behind the points. A film (.mp4) shows keypoints '
-        'and skeletons in these images. A picture, such as OUT.png, shows some frames of one person: the '
-        'keypoints and the 3D result as seen from the camera and from the side, and the error over time where a '
-        'sequence file holds the true joints. Skeletons in a result of `reconstruct` or in a bag are shown as '
-        'they are; the people in any other input that `reconstruct` accepts are reconstructed.'
-    )
-    add_input_options(parser, is_optional=True)
-    parser.add_argument(
-        '-o',
-        '--output',
-        type=Path,
-        metavar='OUT',
-        help='page (.html), film (.mp4) or picture (.png, .svg, .pdf, ...) to write (default: IN.html in the '
-        'current folder)',
-    )
-    parser.add_argument(
-        '--video',
-        type=Path,
-        metavar='FILE',
-        help='video, or bag with images, that the keypoints of IN come from (default: IN)',
-    )
-    parser.add_argument(
-        '--live',
+DESCRIPTION = (
+    'Shows skeletons in 3D beside the 2D input, and over time residual, cadence, kind of motion, undone swaps of '
+    'left and right, predicted frames and dropped inputs, on a page: one file that opens in any browser, offline. '
+    'The images of a video, or those in a bag, are behind the points. A film (.mp4) shows keypoints and skeletons '
+    'in these images. A picture, such as OUT.png, shows some frames of one person: the keypoints and the 3D '
+    'result as seen from the camera and from the side, and the error over time where a sequence file holds the '
+    'true joints. Skeletons in a result of `reconstruct` or in a bag are shown as they are; the people in any '
+    'other input that `reconstruct` accepts are reconstructed.'
+)
+OPTIONS: Options = {
+    **INPUT_OPTIONS,
+    'input IN': option(f'{INPUT_OPTIONS["input IN"]} (default: none, for --live)', nargs='?'),
+    '-o --output OUT': 'page (.html), film (.mp4) or picture (.png, .svg, .pdf, ...) to write (default: IN.html '
+    'in the current folder)',
+    '--video FILE': 'video, or bag with images, that the keypoints of IN come from (default: IN)',
+    '--live NAMESPACE': option(
+        'serve the page of the topics that the running node publishes, of a namespace if there is one, to '
+        'browsers of this machine; needs ROS 2 and no IN (default: show IN)',
         nargs='?',
         const='',
-        metavar='NAMESPACE',
-        help='serve the page of the topics that the running node publishes, of a namespace if there is one, to '
-        'browsers of this machine; needs ROS 2 and no IN (default: show IN)',
-    )
-    parser.add_argument(
-        '--port',
-        type=_parse_port,
-        metavar='N',
-        help=f'port of --live (default: {DEFAULT_PORT}; 0: any free one)',
-    )
-    add_model_option(parser)
-    add_strict_option(parser)
-    add_config_options(parser)
-    parser.set_defaults(run=run)
+    ),
+    '--port N': option(
+        f'port of --live (default: {DEFAULT_PORT}; 0: any free one)',
+        type=partial(parse_count, low=0, high=MAX_PORT),
+    ),
+    **MODEL_OPTIONS,
+    **STRICT_OPTIONS,
+    **CONFIG_OPTIONS,
+}
 
 
 def run(args: argparse.Namespace) -> int:
@@ -151,12 +145,6 @@ def _run_live(args: argparse.Namespace) -> int:
         ) from None
     serve(DEFAULT_PORT if args.port is None else args.port, args.live, lambda line: print_result(line, flush=True))
     return 0
-
-
-def _parse_port(text: str) -> int:
-    if not (text.isdecimal() and text.isascii() and int(text[:6]) <= MAX_PORT):
-        raise argparse.ArgumentTypeError(f'{text!r}: expected 0 to {MAX_PORT}')
-    return int(text)
 
 
 def _refuse_unused_options(args: argparse.Namespace) -> None:

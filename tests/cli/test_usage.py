@@ -134,7 +134,7 @@ def test_an_interrupt_of_compiled_code_ends_a_command(
     def run(_: argparse.Namespace) -> int:
         raise outer
 
-    monkeypatch.setattr('mocap_ros.cli.config.add_options', lambda parser: parser.set_defaults(run=run))
+    monkeypatch.setattr('mocap_ros.cli.config.run', run)
     if is_interrupted:
         assert command_line.main(['config']) == 130
         assert capsys.readouterr().err == 'mocap-ros: interrupted\n'
