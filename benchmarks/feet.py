@@ -8,7 +8,7 @@ nearest point and 10 degrees above, with clean points and as detectors give them
 measures are those of `bench/feet.py`: the slide of heels and toes that stand in truth (horizontal, mm a frame of
 1/30 s), the root after one rigid alignment (ATE, mm), its displacement over 1 s (mm), its velocity (rms, mm/s; and
 along the line of sight), where it is (mm), angles of knees and hips (rms degrees), and MPJPE with PA (mm).
-`--persons training` tests other people, for tuning.
+`--persons training` tests other people, for tuning; with `--floor` the vertical and the camera's height are given.
 """
 
 from __future__ import annotations
@@ -85,8 +85,10 @@ def list_views(report: Report) -> Iterator[tuple[dict[str, Any], View, Array]]:
         for points in report.args.points:
             options: dict[str, Any] = {'frames': FRAMES, 'distance': DISTANCE_M}
             options |= {} if points == CLEAN else {'detector': points}
-            made = protocol.make_view(load_middle(trial, FRAMES), names, heading, ELEVATION_DEG, **options)
-            yield {'motion': motion, 'trial': trial, 'points': points}, View(made, heading), upward
+            poses = load_middle(trial, FRAMES)
+            view = View(protocol.make_view(poses, names, heading, ELEVATION_DEG, **options), heading)
+            height = float(poses[0, 0, 1] * 1e-3 - view.truth[0, 0] @ upward)  # the floor of the capture is at 0
+            yield {'motion': motion, 'trial': trial, 'points': points, 'camera_height': height}, view, upward
 
 
 def find_angles(joints: Array, triples: tuple[tuple[str, str, str], ...]) -> Array:
@@ -120,7 +122,8 @@ def report_way(report: Report, way: str) -> dict[str, Any]:
     model, parameters = common.provide_held_out()
     records = []
     for about, view, upward in list_views(report):
-        joints = common.reconstruct(way, view, model, parameters)
+        floor = {'tracker.camera_height': about['camera_height'], 'tracker.vertical': '{} {} {}'.format(*upward)}
+        joints = common.reconstruct(way, view, model, parameters | (floor if report.args.floor else {}))
         records.append({**about, 'way': way, **measure(view, joints, upward)})
     header = ['slide / true', *ROOT, *POSE]
     by_points = group(records, 'points')
@@ -132,6 +135,7 @@ def report_way(report: Report, way: str) -> dict[str, Any]:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--persons', choices=('held-out', 'training'), default='held-out')
+    parser.add_argument('--floor', action='store_true')
     parser.add_argument('--points', nargs='+', choices=POINTS, default=list(POINTS))
 
 
