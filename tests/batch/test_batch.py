@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mocap_ros.bags.journal import read_run
 from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.cli.main import main
 from mocap_ros.errors import InputError, MocapError
@@ -152,8 +153,9 @@ def test_only_what_changed_is_done_again(client: Any, tmp_path: Path) -> None:
     assert (out / 'results' / 'c' / 'thesis.tex').read_text() == 'mine'
     (out / 'results' / 'c' / 'thesis.tex').unlink()
     assert statuses(run(client, corpus, out))['c'] == 'done'
-    other = with_settings(FAST_CONFIG, {'tracker.window': 1.5})
-    assert set(statuses(run(client, corpus, out, config=other)).values()) == {'done'}
+    assert set(statuses(run(client, corpus, out, changes={'tracker.window': 1.5})).values()) == {'done'}
+    with Bag(out / 'results' / 'a') as bag:
+        assert read_run(bag).parameters['tracker.window'] == 1.5
 
 
 def test_remote_recordings_and_results(client: Any, corpus: Path, plain: dict[str, Any], tmp_path: Path) -> None:

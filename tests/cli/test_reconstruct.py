@@ -14,6 +14,7 @@ import pytest
 
 from mocap_ros.cli.main import main
 from mocap_ros.demo.scene import make_recording
+from mocap_ros.errors import InputError
 from mocap_ros.formats.bvh import save_bvh
 from mocap_ros.formats.detections import Detections
 from mocap_ros.formats.export.armature import build_armature
@@ -21,6 +22,7 @@ from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS
 from mocap_ros.formats.mocap.joint_maps import map_to_model
 from mocap_ros.formats.sequence_file import load_sequence, save_sequence
 from mocap_ros.models.model_file import load_base_poses
+from mocap_ros.runtime import save_results
 from mocap_ros.runtime.save_results import save_detections
 from mocap_ros.skeleton import CMU15
 from mocap_ros.training.fit_base_poses import fit_base_poses
@@ -110,6 +112,19 @@ def test_all_people_are_written_into_files_of_their_own(
     left, right = (np.genfromtxt(tmp_path / f'r_a_b{n}.angles.csv', delimiter=',', names=True) for n in ('', '.2'))
     apart = [right[f'pelvis_t{axis}_m'] - left[f'pelvis_t{axis}_m'] for axis in 'xz']
     assert (np.hypot(*apart) > 0.5).all(), 'in one world'
+
+
+def test_one_who_cannot_be_saved_does_not_stop_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def save(path: Path, found: save_results.ReconstructedSequence) -> None:
+        if found.sequence.person_id == 'b':
+            raise InputError('too long')
+        path.touch()
+
+    monkeypatch.setattr(save_results, 'save', save)
+    write_two_people(tmp_path / 'two.mcap', ('b', 'a'))
+    command = ['reconstruct', str(tmp_path / 'two.mcap'), '--all-people', *QUICK_OPTIONS]
+    assert main([*command, '-o', str(tmp_path / 'r.npz')]) == 1
+    assert {path.name for path in tmp_path.iterdir()} == {'two.mcap', 'r_a.npz'}
 
 
 def test_one_of_whom_too_little_is_seen_does_not_stop_the_others(

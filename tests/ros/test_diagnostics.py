@@ -17,8 +17,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.ros.diagnostics import DIAGNOSTICS, DiagnosticsReporter, Level, RunStatistics
 from mocap_ros.ros.throttled_log import MAX_KINDS, ThrottledLog
 from mocap_ros.runtime.pipeline import Pipeline
-from tests.support.line_log import LineLog
-from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, process, with_stamp
+from tests.support.pipeline_inputs import FAST_CONFIG, LineLog, encode_demo_frames, process, with_stamp
 from tests.support.transforms import make_transforms
 
 GOOD, NO_PEOPLE = (Level.OK, '1 people'), (Level.OK, '0 people')

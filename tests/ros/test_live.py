@@ -41,8 +41,14 @@ from mocap_ros.runtime.replay import replay
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.camera_infos import camera_info
 from tests.support.installed_types import MARKER_TYPES, describe_as_rclpy, replace_installed_types
-from tests.support.line_log import LineLog
-from tests.support.pipeline_inputs import FAST_CONFIG, STEP_NS, encode_demo_frames, read_messages, with_stamp
+from tests.support.pipeline_inputs import (
+    FAST_CONFIG,
+    STEP_NS,
+    LineLog,
+    encode_demo_frames,
+    read_messages,
+    with_stamp,
+)
 from tests.support.transforms import make_transforms
 
 FRAMES = 25

@@ -115,6 +115,15 @@ def test_a_camera_that_stands_still_by_parameter(stream: list[bytes], in_camera:
         assert (placed.header.frame_id, placed.camera_frame_id) == ('map', 'camera')
         velocity = OPTICAL.apply(stack(own, 'joint_velocity').reshape(-1, 3))
         np.testing.assert_allclose(stack(placed, 'joint_velocity').reshape(-1, 3), velocity, atol=1e-9)
+        turned = [
+            Rotation.from_quat([(q.x, q.y, q.z, q.w) for q in s.people[0].joint_orientation])
+            for s in (own, placed)
+        ]
+        assert (turned[1].inv() * OPTICAL * turned[0]).magnitude().max() < 1e-6
+        matrix = OPTICAL.as_matrix()
+        for field in ('root_covariance', 'root_velocity_covariance'):
+            before, after = (getattr(s.people[0], field).reshape(3, 3) for s in (own, placed))
+            np.testing.assert_allclose(after, matrix @ before @ matrix.T, atol=1e-9)
         (person,) = decode_skeletons(outputs['skeletons'].data).people
         np.testing.assert_allclose(person.joints, stack(own)[0], atol=1e-9)
         for topic in ('markers', 'points', '/tf'):

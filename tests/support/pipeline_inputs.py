@@ -79,3 +79,19 @@ def reject(pipeline: Pipeline, raw: bytes, verdict: Verdict) -> str:
 def decode_skeletons(outputs: tuple[OutputMessage, ...]) -> Any:
     """Return the Skeleton3DArray among the outputs of one frame."""
     return decode({o.topic: o for o in outputs}['skeletons'].data, SKELETONS)
+
+
+class LineLog:
+    """Logger of a run; each line begins with its level."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def info(self, message: str) -> None:
+        self.lines.append(f'info {message}')
+
+    def warning(self, message: str) -> None:
+        self.lines.append(f'warning {message}')
+
+    def error(self, message: str) -> None:
+        self.lines.append(f'error {message}')
