@@ -55,7 +55,7 @@ def describe(name: str) -> str:
     """Return a signature without types, the base of an exception, or the members of a class of results."""
     value = getattr(mocap_ros, name)
     if isinstance(value, type) and issubclass(value, Exception):
-        return value.__base__.__name__
+        return value.__mro__[1].__name__
     if name not in (
         'Config',
         'GroundTruth',

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mocap_ros import npz_file
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence, load_sequence, save_sequence
 from mocap_ros.skeleton import keypoint_layout
@@ -143,6 +144,20 @@ def test_invalid_files_are_refused(tmp_path: Path, sequence: KeypointSequence) -
     (tmp_path / 'folder').mkdir()
     with pytest.raises(InputError, match='folder: Is a directory'):
         load_sequence(tmp_path / 'folder')
+
+
+def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    np.savez_compressed(tmp_path / 'bomb.npz', timestamps=np.zeros(10**6))
+    with (
+        pytest.raises(InputError, match='holds more than 1 MiB'),
+        npz_file.open_npz(tmp_path / 'bomb.npz', 1 << 20),
+    ):
+        pass
+    monkeypatch.setattr(npz_file, 'UNPACKED_BYTES', 0)
+    with pytest.raises(
+        InputError, match=r'bomb\.npz: not a sequence file: unpacks to more than 100 times its size'
+    ):
+        load_sequence(tmp_path / 'bomb.npz')
 
 
 def test_files_of_the_evaluation_data_are_read() -> None:

@@ -89,7 +89,14 @@ def test_parameters_are_checked_when_they_are_set_and_unknown_ones_are_named(
     assert peer.get_parameter('tracker.window') == 3
     for name, value in (('tracker.window', 4), ('tracker.min_score', 0.2), ('tracker.body_heights', 'anna=1.65')):
         assert peer.set_parameter(name, value).successful
-    for name, wrong, reason in ():
+    for name, wrong, reason in (
+        ('tracker.window', 'four', ''),
+        ('tracker.min_score', 1.5, 'tracker.min_score'),
+        ('solver.method', 'none', 'joint, alternation'),
+        ('recorder.folder', '/', ''),
+        ('tracker.body_heights', 'anna', 'anna'),
+        ('tracker.lag', 0.2, 'tracker.lag = 0'),  # there are no predictions then
+    ):
         answer = peer.set_parameter(name, wrong)
         assert (answer.successful, reason in answer.reason) == (False, True), answer.reason
     unknown = [re.findall("'(.*?)'", line) for line in stop_node(node)]
