@@ -65,6 +65,10 @@ def enlarge(person: Any) -> None:
     person.x, person.y = person.x * 3, person.y * 3
 
 
+def halve(person: Any) -> None:
+    person.x, person.y = person.x / 2, person.y / 2
+
+
 def turn_around(person: Any) -> None:
     person.x, person.y = 640 - person.x, 480 - person.y
 
@@ -86,6 +90,7 @@ def list_reasons(pipeline: Pipeline, frames: list[bytes]) -> list[str]:
         (name_as_h36m, 'people: these look like coco17, not h36m17: use --layout coco17'),
         (reverse_joints, 'people: these look like coco17, not the given joints'),
         (exchange_axes, 'people: (x and y look exchanged|people lie)'),
+        (halve, 'people: all points lie in the upper left quarter of 640 x 480 px: the images look smaller'),
         (enlarge, r'people: \d+% of the seen keypoints lie outside 640 x 480 px; check that the detector sees'),
     ],
 )
