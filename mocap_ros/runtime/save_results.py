@@ -53,6 +53,7 @@ MAX_EMPTY_S = 60.0  # s without a skeleton that a file of a constant frame rate 
 MAX_BVH_GAP_S = 10.0  # s without a skeleton over which BVH, which has no empty frames, is interpolated
 RATE_TOLERANCE = 0.01  # 1; seconds since 1970 as doubles are rounded to 0.2 us
 SMALLEST_NORM = 1e-9  # 1; guards the normalisation of mixed quaternions
+
 # Axes in the world, in rows: of animation (x left, y up, z ahead) and of biomechanics (x ahead, y up, z right).
 WORLD_TO_ANIMATION = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 WORLD_TO_GROUND = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])

@@ -249,16 +249,6 @@ def test_the_cost_is_linear_in_its_weights(walk_model: BasePoses, rng: np.random
     assert two > one
 
 
-def test_selected_frames_are_these_frames_alone(walk_model: BasePoses, rng: np.random.Generator) -> None:
-    objective, state = make_objective(walk_model, rng)
-    frames = objective.batch.find_best_seen(0.1)
-    assert 2 < len(frames) < len(objective.batch.times)
-    some = JointObjective.build(objective.batch.select(frames), objective.model, CONFIG, NOISE)
-    found = compute_costs(some, state.select(frames))
-    for name in ('reprojection', 'prior', 'lifted poses'):
-        np.testing.assert_allclose(found[name], compute_costs(objective, state)[name][frames])
-
-
 PLAIN = SolverConfig(
     components=10,
     prior_weight=3e-4,

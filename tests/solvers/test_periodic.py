@@ -11,11 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from mocap_ros.config import SolverConfig
-from mocap_ros.errors import InputError
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
@@ -245,40 +242,6 @@ def test_finds_cadence_and_motion(walk_model: BasePoses, missing: float, measure
     (result,) = periodic.solve([Window(points, weight, times)], walk_model, SolverConfig(components=10))
     assert result.cadence == pytest.approx(CADENCE, rel=0.01)
     assert compute_mpjpe(result, walk_model, theta, cameras) < 1.1 * measured_mm
-    assert (np.diff(result.history) <= 0).all()
-
-
-@given(
-    frames=st.integers(1, 6),
-    spread=st.floats(-307, 307),
-    offset=st.floats(-307, 307),
-    weight=st.floats(-300, 300),
-    step=st.sampled_from([1e-300, 1e-9, 1 / 30, 1e9, 1e300]),
-    given_noise=st.sampled_from([None, 1e-300, 1.0, 1e300]),
-    seed=st.integers(0, 1000),
-)
-@settings(max_examples=30)
-def test_extreme_input_is_rejected_or_gives_finite_results(
-    walk_model: BasePoses,
-    frames: int,
-    spread: float,
-    offset: float,
-    weight: float,
-    step: float,
-    given_noise: float | None,
-    seed: int,
-) -> None:
-    rng = np.random.default_rng(seed)
-    points = 10**offset + 10**spread * rng.uniform(-1, 1, (frames, 15, 2))
-    seen = np.full((frames, 15), 10**weight)
-    window = Window(points, seen, np.array([step * frame for frame in range(frames)]), noise=given_noise)
-    config = SolverConfig(components=6, max_iterations=8)
-    try:
-        (result,) = periodic.solve([window], walk_model, config)
-    except InputError:
-        return
-    for values in (result.joints, result.cameras.scale, result.translation, result.history):
-        assert np.isfinite(values).all()
     assert (np.diff(result.history) <= 0).all()
 
 

@@ -142,6 +142,16 @@ def test_outputs_belong_to_the_caller_and_early_deferred_work_does_not_change_th
         eager.run_deferred_work()
 
 
+def test_swapped_frames_are_undone_and_counted(walk_model: BasePoses, walk: Walk) -> None:
+    plain, disturbed = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
+    for frame in range(len(walk[2])):
+        (a,) = plain.update(frame * STEP_NS, people(walk[2], frame), CAMERA)
+        seen = walk[2][:, np.array(CMU15.mirror)] if frame in (20, 21, 30) else walk[2]
+        (b,) = disturbed.update(frame * STEP_NS, people(seen, frame), CAMERA)
+        assert (a.joints == b.joints).all(), frame
+    assert (plain.swapped_frames, disturbed.swapped_frames) == (0, 3)
+
+
 @pytest.mark.parametrize(
     ('lag', 'window', 'delay'), [(0.09, 2.0, 3), (0.3, 0.2, 9), (0.5, 2.0, 15), (2.0, 2.0, 60)]
 )

@@ -72,6 +72,7 @@ def scene() -> Scene:
 
 
 def test_the_arrays_are_those_of_the_scene_to_a_millimetre(scene: Scene) -> None:
+    scene.people[0].tentative[:4] = True
     page = ReadPage(scene)
     for person, described in zip(scene.people, page.scene['people'], strict=True):
         arrays = {name: page.read(layout) for name, layout in described['arrays'].items()}
@@ -85,7 +86,8 @@ def test_the_arrays_are_those_of_the_scene_to_a_millimetre(scene: Scene) -> None
         assert np.abs(arrays['std'] * page.scene['stdPerStep'] - person.std)[~unknown].max() < 0.0011
         inferred = arrays['inferred'] >> np.arange(15) & 1
         assert (inferred == person.inferred).all()
-        assert ((arrays['state'][:, 0] & 1) == person.predicted).all()
+        for bit, values in enumerate((person.predicted, person.tentative)):
+            assert ((arrays['state'][:, 0] >> bit & 1) == values).all()
         assert ((arrays['state'][:, 0] >> 4 & 3) == person.motion).all()
         assert ((arrays['state'][:, :1] >> [6, 7] & 1) == (person.contact > 0.5)).all()
         assert ((arrays['cadence'][:, 0] == NOT_A_NUMBER) == np.isnan(person.cadence)).all()
