@@ -117,6 +117,18 @@ def test_what_a_periodic_motion_does_not_explain_counts(walk_model: BasePoses) -
     assert estimates[1] > 2 * ClassifierConfig().walk_residual
 
 
+def test_what_jitters_does_not_speak_against_a_periodic_motion(
+    walk_model: BasePoses, rng: np.random.Generator
+) -> None:
+    _, _, points, times = make_walk(walk_model)
+    window = Window(points, np.ones(points.shape[:2]), times)
+    exact = fit_periodic(window, {'walk': walk_model}, QUICK).reconstruction
+    jittering = exact.joints + rng.normal(0, 0.02, exact.joints.shape)
+    poses = [EstimatedPoses(jittering, exact.cameras.scale, 0.01, jitter) for jitter in (0.0, 0.01)]
+    excess = [fit_periodic(window, {'walk': walk_model}, QUICK, p).excess_residual for p in poses]
+    assert excess[0] ** 2 - excess[1] ** 2 == pytest.approx(3 * (0.01 / walk_model.stature) ** 2, rel=0.05)
+
+
 @pytest.mark.parametrize('rate', [30.0, 100.0])
 def test_jitter_is_what_remains_of_noise_without_the_motion(rng: np.random.Generator, rate: float) -> None:
     times = np.arange(int(2 * rate)) / rate

@@ -141,7 +141,8 @@ def test_after_a_long_absence_a_tracker_is_as_new(walk_model: BasePoses, lag: fl
     for tracker in (used, new):
         tracker.update(back * STEP_NS, [], CAMERA)
     later = [visit(tracker, back + 1, points) for tracker in (used, new)]
-    np.testing.assert_equal(*([[vars(p) for p in people] for people in visited] for visited in later))
+    found, expected = ([[vars(p) for p in people] for people in visited] for visited in later)
+    np.testing.assert_equal(found, expected)
     assert {p.id for p in later[0][-1]} == {'person_1', 'person_2'}
     with pytest.raises(FrameDropped):
         used.update((back - 1) * STEP_NS, [], CAMERA)
