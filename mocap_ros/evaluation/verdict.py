@@ -228,10 +228,12 @@ class Walk:
     Attributes:
         walked: m.
         ahead: m, of that in the direction in which the body faces.
+        person: name of the person who is followed.
     """
 
     def __init__(self) -> None:
         self.walked = self.ahead = 0.0
+        self.person = ''
         self._past: deque[tuple[int, Array, Array]] = deque()  # stamp in ns, place of the hips, direction ahead
 
     @property
@@ -239,12 +241,11 @@ class Walk:
         """Whether people seem to walk backwards or sideways."""
         return self.walked >= MIN_WALKED_M and self.ahead < MAX_BACKWARDS_SHARE * self.walked
 
-    def begin(self) -> None:
-        """Begin with another person."""
-        self._past.clear()
-
-    def add(self, stamp_ns: int, joints: Array) -> None:
-        """Add joints (J, 3) m of the person in the next image, stamp in ns; NaN where they are not known."""
+    def add(self, person: str, stamp_ns: int, joints: Array) -> None:
+        """Add joints (J, 3) m of a person in the next image, stamp in ns; NaN where they are not known."""
+        if person != self.person:
+            self.person = person
+            self._past.clear()
         last_ns = self._past[-1][0] if self._past else stamp_ns
         if 0 < stamp_ns - last_ns < LOOK_S * NS_PER_S:
             return

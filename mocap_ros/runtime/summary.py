@@ -176,9 +176,8 @@ def summarise(sequences: Sequence[KeypointSequence], results: Sequence[SequenceR
         keypoints = np.concatenate([sequence.keypoints[..., :2], score[..., None]], axis=-1)
         seen.append(float((score > 0)[(score > 0).any(axis=1)].mean()))
         places.add(keypoints[..., :2], score, sequence.image_size)
-        walk.begin()
         for stamp_ns, joints in zip(sequence.stamps_ns, result.joints, strict=True):
-            walk.add(stamp_ns, joints)
+            walk.add(str(len(rows)), stamp_ns, joints)
         if len(measured) < MAX_JUDGED_PEOPLE * MAX_STRETCHES:
             points = keypoints, sequence.joint_names, sequence.timestamps
             for stretch in cut_stretches(*points, intrinsics, vertical):
@@ -239,7 +238,7 @@ class RunSummary:
         self._people = self._frames = self._counted = 0
         self._sums = np.zeros(4)  # over people seen: share of points, residual in px, its share, distance
         self._residual_share = math.nan  # averaged over `MEMORY_S`
-        self._places, self._walk, self._walker = PointPlaces(), Walk(), ''  # who walks is one person, by name
+        self._places, self._walk = PointPlaces(), Walk()
         self._size_grade, self._size_fault = Grade.GOOD, ''
         self._looked_ns = 0  # stamp of the image in which places and the walk were last looked at
         self._last_ns = 0
@@ -304,12 +303,9 @@ class RunSummary:
         self._places.add(points, score, size, kept)
         self._size_grade, self._size_fault = judge_size(self._places)
         self._looked_ns = stamp_ns
-        walker = next((p for p in people if p.id == self._walker), people[0] if people else None)
-        if walker is not None:
-            if walker.id != self._walker:
-                self._walk.begin()
-            self._walker = walker.id
-            self._walk.add(stamp_ns, walker.joints)
+        if people:
+            walker = next((p for p in people if p.id == self._walk.person), people[0])
+            self._walk.add(walker.id, stamp_ns, walker.joints)
 
     def _follow(
         self,

@@ -145,5 +145,5 @@ def test_who_walks_backwards_faces_away_from_where_the_hips_go(turn: float, spee
         body[CMU15.index(name)] = across * np.cos(turn), height, across * np.sin(turn)
     for frame in range(150):
         step = np.array([0.0, 0.0, 5.0 - speed * frame / 30])
-        walk.add(frame * 10**9 // 30, body + step)
+        walk.add('anna', frame * 10**9 // 30, body + step)
     assert walk.is_backwards is expected
