@@ -258,6 +258,8 @@ def test_a_periodic_motion_repeats_itself_also_where_its_cadence_is_a_little_wro
     assert measure_repetition(times, swing(times), wrong * CADENCE) > 0.97
     noisy = swing(times) + rng.normal(0, 0.1, (60, 3))
     assert 0.8 < measure_repetition(times, noisy, CADENCE) < 1
+    noise = rng.normal(size=(120, 60))  # of which interpolation between the samples takes out some
+    assert measure_repetition(np.arange(120) / 60, noise, CADENCE) == pytest.approx(0.25, abs=0.1)
 
 
 @pytest.mark.parametrize('other', ['still', 'elsewhere', 'faster'])
