@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -127,9 +128,16 @@ def test_the_tracker_finds_people_of_their_own_size(walk_model: BasePoses, heigh
     joints = poses + [0.0, 0.0, 4.0]
     lowest = (joints[:, list(ANKLES)] @ upward).min()
     floor = Floor(upward, float(ANKLE_SHARE * height - lowest))
-    tracker = Tracker(walk_model, with_settings(Config(), {'solver.components': 8}))
+    settings: dict[str, Any] = {'solver.components': 8}
+    given = {'tracker.camera_height': floor.camera_height, 'tracker.vertical': ' '.join(map(str, upward))}
+    with_parameters = Tracker(walk_model, with_settings(Config(), {**settings, **given}))
+    without = Tracker(walk_model, with_settings(Config(), settings))
     distances = {}
-    for name, known in (('floor', floor), ('nothing', None)):
+    for name, tracker, known in (
+        ('parameters', with_parameters, None),
+        ('floor', without, floor),
+        ('nothing', without, None),
+    ):
         tracker.reset()
         for frame, stamp in enumerate(times):
             seen = Person2D('', CMU15.joints, CAMERA.project(joints[frame]), np.ones(15))
@@ -139,7 +147,7 @@ def test_the_tracker_finds_people_of_their_own_size(walk_model: BasePoses, heigh
         np.testing.assert_allclose(ahead.joints, person.core, atol=0.02)
         (gap,) = tracker.update(round(times[-1] * 1e9) + 1_000_000, [], CAMERA, known)
         np.testing.assert_allclose(gap.joints, person.joints, atol=0.02)
-    assert distances['floor'] < 0.6 * distances['nothing']
+    assert max(distances['floor'], distances['parameters']) < 0.6 * distances['nothing']
     assert tracker.vertical is None or math.degrees(tracker.vertical.std) > 1, 'that of the floor is forgotten'
 
 
