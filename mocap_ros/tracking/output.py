@@ -47,7 +47,7 @@ CORRECTED_STD = 0.7  # 1; f, for two thirds of the errors to be within, of perso
 CORRECTION_STD = 0.7  # 1; g, chosen likewise
 ROOT_SPREAD = 1.3  # 1; h, for errors of the root's velocity are often small and at times large: 95 % are within
 
-UNKNOWN_CONTACT = np.full(2, np.nan)
+UNKNOWN_CONTACT, NO_SHIFT = np.full(2, np.nan), np.zeros(3)
 _AGO = np.array([0.0, *SPANS_S])
 _NOW = np.array([0.0])
 _HIPS = np.array(HIPS)
@@ -167,15 +167,21 @@ class Cores(NamedTuple):
     ) -> Cores:
         """Return the cores of P >= 1 people, enlarged to their sizes."""
         std, ratio = find_joint_std(tracks, seen), np.array([[size.ratio] for size in sizes])
-        wide = ratio[..., None]
+        wide, shift = ratio[..., None], find_shifts(tracks) * ratio
         return Cores(
             motion.joints * wide,
             std * ratio,
             motion.velocity * wide,
             motion.velocity_std * ratio,
-            estimate_root_covariance(motion.joints, std, sizes),
+            # where inertia and feet contradict the image, either may be wrong
+            estimate_root_covariance(motion.joints, std, sizes) + shift[:, :, None] * shift[:, None],
             motion.root_velocity_covariance * wide**2,
         )
+
+
+def find_shifts(tracks: Sequence[Track]) -> Array:
+    """Return the displacements (P, 3) m of P people of the assumed size by inertia and standing feet."""
+    return np.array([NO_SHIFT if t.footing is None else t.footing.shift for t in tracks])
 
 
 def collect_seen(tracks: Sequence[Track], frames: Sequence[int], core: Array) -> ExtremityEvidence:

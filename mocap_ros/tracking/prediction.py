@@ -26,6 +26,7 @@ from mocap_ros.tracking.output import (
     find_joint_std,
     find_motion,
     find_published_motion,
+    find_shifts,
     locate_joints,
     locate_past,
     make_people,
@@ -97,7 +98,7 @@ def sample_past(tracks: Sequence[Track], upward: Array | None = None) -> Past:
     frames = [t.newest for t in tracks]
     located = locate_joints(tracks, frames, _AGO)
     joints, velocity, *_ = motion = find_motion(tracks, frames, np.ascontiguousarray(located[:, 0]))
-    located += np.array([np.zeros(3) if t.footing is None else t.footing.shift for t in tracks])[:, None, None]
+    located += find_shifts(tracks)[:, None, None]
     is_known = ~np.isnan(located[..., :1, :1])
     # without a filter, or in the first frame
     simple = np.where(is_known[:, 1], (joints - located[:, 1]) / _AGO[1], 0.0)
