@@ -167,14 +167,13 @@ class Cores(NamedTuple):
     ) -> Cores:
         """Return the cores of P >= 1 people, enlarged to their sizes."""
         std, ratio = find_joint_std(tracks, seen), np.array([[size.ratio] for size in sizes])
-        wide, shift = ratio[..., None], find_shifts(tracks) * ratio
+        wide = ratio[..., None]
         return Cores(
             motion.joints * wide,
             std * ratio,
             motion.velocity * wide,
             motion.velocity_std * ratio,
-            # where inertia and feet contradict the image, either may be wrong
-            estimate_root_covariance(motion.joints, std, sizes) + shift[:, :, None] * shift[:, None],
+            find_root_covariance(tracks, motion.joints, std, sizes),
             motion.root_velocity_covariance * wide**2,
         )
 
@@ -182,6 +181,15 @@ class Cores(NamedTuple):
 def find_shifts(tracks: Sequence[Track]) -> Array:
     """Return the displacements (P, 3) m of P people of the assumed size by inertia and standing feet."""
     return np.array([NO_SHIFT if t.footing is None else t.footing.shift for t in tracks])
+
+
+def find_root_covariance(tracks: Sequence[Track], joints: Array, std: Array, sizes: Sequence[BodySize]) -> Array:
+    """Return the covariances (P, 3, 3) m^2 of roots of joints (P, J, 3) m of the assumed size.
+
+    Where inertia and feet contradict the image, either may be wrong.
+    """
+    shift = find_shifts(tracks) * np.array([[size.ratio] for size in sizes])
+    return estimate_root_covariance(joints, std, sizes) + shift[:, :, None] * shift[:, None]
 
 
 def collect_seen(tracks: Sequence[Track], frames: Sequence[int], core: Array) -> ExtremityEvidence:

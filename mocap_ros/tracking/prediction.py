@@ -19,13 +19,14 @@ from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past
 from mocap_ros.people import Person3D, PredictedPerson
 from mocap_ros.skeleton import Skeleton
 from mocap_ros.solvers.extremities import ExtremityEvidence, follow_extremities
-from mocap_ros.tracking.body_size import BodySize, estimate_root_covariance
+from mocap_ros.tracking.body_size import BodySize
 from mocap_ros.tracking.output import (
     Cores,
     collect_seen,
     find_joint_std,
     find_motion,
     find_published_motion,
+    find_root_covariance,
     find_shifts,
     locate_joints,
     locate_past,
@@ -84,7 +85,7 @@ def predict_ahead(
     ages = [(stamp_ns - track.stamps_ns[-1]) / NS_PER_S for track in tracks]
     times = np.array(ages)[:, None] + np.array(times_s)
     past, ahead = _predict(tracks, times, upward, sizes)
-    covariances = estimate_root_covariance(past.joints, past.std, sizes)
+    covariances = find_root_covariance(tracks, past.joints, past.std, sizes)
     joints = past.joints * np.array([size.ratio for size in sizes])[:, None, None]
     predicted = joints[:, None] + ahead.joints, ahead.std, covariances[:, None] + ahead.root_covariance
     return [
