@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -58,7 +59,8 @@ def test_arrays(data: st.DataObject, file: int) -> None:
     """Some arrays of a valid file are replaced by any others."""
     replaced = data.draw(st.dictionaries(st.sampled_from(ARRAY_KEYS), any_arrays, max_size=2))
     stream = io.BytesIO()
-    np.savez(stream, **{**make_arrays()[file], **replaced})
+    contents: dict[str, Any] = {**make_arrays()[file], **replaced}
+    np.savez(stream, **contents)
     check('npz', stream.getvalue())
 
 

@@ -344,6 +344,20 @@ def test_inputs_that_are_too_many_for_the_disk_are_counted_in_state_log_and_bag(
     assert {number: [e.kind for e in events] for number, events in run.events.items()} == {before: ['reset']}
 
 
+def test_inputs_that_did_not_reach_the_tracker_leave_room_for_those_that_did(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk_is_ready = block_disk(monkeypatch)
+    live = CollectingRun(recording_to(tmp_path / 'live', **{'recorder.backlog': 12, 'node.queue': 100}))
+    live.enqueue(*[b'no message'] * 30)
+    live.process(stream[:4])
+    disk_is_ready.set()
+    live.run.stop()
+    recorded = read_messages(find_bag(tmp_path), '/keypoints')
+    assert recorded[-4:] == stream[:4]
+    assert 5 <= len(recorded) - 4 <= 7
+
+
 def test_what_the_middleware_refuses_is_recorded_and_stops_nothing_else(
     tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
