@@ -38,7 +38,8 @@ DESCRIPTION = (
 )
 OPTIONS: Options = {
     'input VIDEO|CAMERA': 'video, or the number or the device of a camera (0, /dev/video0)',
-    '--model FILE': 'pose landmarker (.task), RTMPose or MoveNet (.onnx) (default: the one of MediaPipe 0.10.21)',
+    '--model FILE': 'pose landmarker (.task), YOLO-pose, RTMPose or MoveNet (.onnx) (default: the one of '
+    'MediaPipe 0.10.21)',
     '-o --output OUT': '.npz or .mcap (default: IN_2d.npz, of a camera camera_2d.npz, in the current folder)',
     '--person ID': 'person of a video to write to a .npz (default: the one seen most)',
     '--max-people N': option(

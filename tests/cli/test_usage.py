@@ -54,6 +54,7 @@ def test_help_waits_for_no_slow_package(arguments: list[str]) -> None:
         ([], ''),
         (['evaluate'], ''),
         (['recontruct', 'x.npz'], "no command 'recontruct'; did you mean 'reconstruct'?"),
+        (['reconstruct', 'a.json', '--layout', 'coc17'], "argument --layout: no 'coc17'; did you mean 'coco17'?"),
         (['config', '--confg', 'x'], "unrecognized arguments: --confg x; did you mean '--config'?"),
         (['--fps', '30', 'reconstruct', 'x.json'], "'--fps' comes before the command"),
         (['x.npz', 'view'], "'x.npz' comes before the command; write: mocap-ros view"),
