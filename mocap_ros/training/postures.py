@@ -115,34 +115,34 @@ overhead  shoulder  -1:-0.8     -0.1:0.3    0:0.4       0.2,0.6,1    0,0,-1    l
 # kind: what `without` names. trunk: a of the trunk; spine: by how much the upper trunk leans more. pitch: by how
 # much the whole body leans forward: -90 on the back, 90 on the front, 180 upside down; roll: the same to a side.
 # rests_on: nothing is lower, and the line between the two is level. arms: places of the hands, equally likely.
-# vertical: degrees, standard deviation of the vertical that a tracker finds by such people.
+# vertical: degrees, standard deviation about each axis of the vertical that a tracker finds by such people.
 POSTURES = """
 kind       share  trunk    spine    pitch     roll    legs                rests_on        vertical  arms
-bend       0.02   35:110   -5:20    0         0       bent_over           ankle           12        own,down,floor
-bend       0.02   0:70     -5:20    0         0       crouching           ankle           15        own,knee,ahead
+bend       0.02   35:110   -5:20    0         0       bent_over           ankle           8         own,down,floor
+bend       0.02   0:70     -5:20    0         0       crouching           ankle           8         own,knee,ahead
 chair      0.04   -30:55   -5:20    0         0       chair               ankle           21        SEATED
 chair      0.02   -30:40   -5:20    0         0       steady,crossed      ankle           21        SEATED
 chair      0.01   -30:40   -5:20    0         0       steady,figure4      ankle           21        SEATED
-floor      0.012  -35:30   -5:25    0         0       stretched           hip,ankle       45        FLOOR
-floor      0.012  -35:35   -5:25    0         0       knees_up            hip,ankle       45        FLOOR,shin,shin
-floor      0.006  -30:30   -5:25    0         0       stretched,knees_up  hip,ankle       45        FLOOR
-floor      0.018  -15:40   -5:25    0         0       tailor,cross        hip,ankle       45        FLOOR
-floor      0.008  -15:30   -5:20    0         0       cross,side_far      hip,ankle       45        FLOOR
-kneel      0.015  -10:35   -5:20    0         0       kneeling            knee,ankle      15        own,lap,ahead
-kneel      0.01   -10:45   -5:20    0         0       kneeling,foot_flat  knee            15        own,knee,ahead
-kneel      0.015  -10:50   -5:20    0         0       heels               knee,ankle      30        own,lap,chest
-lie        0.015  -8:8     -5:15    -95:-85   0       straight            shoulder,ankle  45        LYING
-lie        0.01   -8:8     -5:20    -95:-85   0       supine              shoulder,ankle  45        LYING
-lie        0.005  -8:8     -5:30    -95:-85   0       raised              shoulder,hip    45        LYING
-lie        0.015  -10:20   -10:25   0         75:105  sideways            shoulder,hip    45        cuddle
-lie        0.01   -5:8     -30:5    85:95     0       prone               hip,knee        45        beside,pillow
-fours      0.015  65:105   -15:15   0         0       crawling            wrist,knee      45        floor
-fours      0.01   70:135   -15:10   0         0       plank               wrist,ankle     45        floor
+floor      0.012  -35:30   -5:25    0         0       stretched           hip,ankle       20        FLOOR
+floor      0.012  -35:35   -5:25    0         0       knees_up            hip,ankle       20        FLOOR,shin,shin
+floor      0.006  -30:30   -5:25    0         0       stretched,knees_up  hip,ankle       20        FLOOR
+floor      0.018  -15:40   -5:25    0         0       tailor,cross        hip,ankle       20        FLOOR
+floor      0.008  -15:30   -5:20    0         0       cross,side_far      hip,ankle       20        FLOOR
+kneel      0.015  -10:35   -5:20    0         0       kneeling            knee,ankle      22        own,lap,ahead
+kneel      0.01   -10:45   -5:20    0         0       kneeling,foot_flat  knee            22        own,knee,ahead
+kneel      0.015  -10:50   -5:20    0         0       heels               knee,ankle      22        own,lap,chest
+lie        0.015  -8:8     -5:15    -95:-85   0       straight            shoulder,ankle  30        LYING
+lie        0.01   -8:8     -5:20    -95:-85   0       supine              shoulder,ankle  30        LYING
+lie        0.005  -8:8     -5:30    -95:-85   0       raised              shoulder,hip    30        LYING
+lie        0.015  -10:20   -10:25   0         75:105  sideways            shoulder,hip    30        cuddle
+lie        0.01   -5:8     -30:5    85:95     0       prone               hip,knee        30        beside,pillow
+fours      0.015  65:105   -15:15   0         0       crawling            wrist,knee      30        floor
+fours      0.01   70:135   -15:10   0         0       plank               wrist,ankle     30        floor
 bridge     0.01   -60:-10  -45:0    0         0       back_bend           ankle           20        own,hip,up
-bridge     0.006  -25:15   -65:-15  -95:-85   0       bridge              wrist,ankle     45        overhead
-bridge     0.004  -10:10   10:30    -120:-95  0       bridge              shoulder,ankle  45        beside
-bridge     0.005  -65:-30  -15:15   0         0       crab                wrist,ankle     45        floor
-handstand  0.008  -15:15   -25:10   160:200   0       upturned            wrist           90        up
+bridge     0.006  -25:15   -65:-15  -95:-85   0       bridge              wrist,ankle     30        overhead
+bridge     0.004  -10:10   10:30    -120:-95  0       bridge              shoulder,ankle  30        beside
+bridge     0.005  -65:-30  -15:15   0         0       crab                wrist,ankle     30        floor
+handstand  0.008  -15:15   -25:10   160:200   0       upturned            wrist           60        up
 hang       0.01   -15:15   -15:10   -10:10    0       hanging             -               10        up
 """
 _ARMS = {
