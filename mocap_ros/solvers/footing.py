@@ -66,7 +66,7 @@ ROUNDS = 3  # of the robust loss, over whole sequences
 LEAST_NOISE_M = 5e-4  # m; image noise of points without errors
 CONTACT = np.array([SPEED_M_S, HEIGHT_M, STANDING, MOVING, EVIDENCE_S, HOLD_S, MAX_STEP_S])
 REACH_S = HALF_WINDOW_S + 0.01  # s; frames of 30 Hz come a little late
-UNKNOWN, NO_ODDS = np.full(3, np.nan), np.zeros(len(FEET))
+UNKNOWN, NO_ODDS = np.full(3, np.nan), np.zeros(len(FEET))  # (3,) m of a place; (4,) logarithms, even odds
 
 
 @lru_cache(maxsize=64)

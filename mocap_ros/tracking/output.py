@@ -47,7 +47,7 @@ CORRECTED_STD = 0.7  # 1; f, for two thirds of the errors to be within, of perso
 CORRECTION_STD = 0.7  # 1; g, chosen likewise
 ROOT_SPREAD = 1.3  # 1; h, for errors of the root's velocity are often small and at times large: 95 % are within
 
-UNKNOWN_CONTACT, NO_SHIFT = np.full(2, np.nan), np.zeros(3)
+UNKNOWN_CONTACT, NO_SHIFT = np.full(2, np.nan), np.zeros(3)  # of the two feet; (3,) m
 _AGO = np.array([0.0, *SPANS_S])
 _NOW = np.array([0.0])
 _HIPS = np.array(HIPS)
