@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 
@@ -128,6 +127,8 @@ def suggest(word: object, known: Mapping[str, str] | Iterable[str], otherwise: s
     Of a mapping, the keys are compared and the value is named. Where none is near, the clause is `otherwise`, or
     the list of the known names.
     """
+    import difflib
+
     names = known if isinstance(known, Mapping) else {name: name for name in known}
     close = difflib.get_close_matches(str(word), names, n=1)
     return f'did you mean {names[close[0]]!r}?' if close else otherwise or f'known: {", ".join(names.values())}'

@@ -18,7 +18,6 @@ from collections.abc import Collection, Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
-from mocap_ros.cli.options import add_options
 from mocap_ros.cli.terminal import end_loading, is_interrupt, print_note, show_loading
 from mocap_ros.errors import MocapError, make_printable_line, suggest
 from mocap_ros.runtime.cpu_setup import configure_process
@@ -86,6 +85,8 @@ def build_parser(selected: Collection[str] = tuple(COMMANDS)) -> argparse.Argume
     for name, summary in COMMANDS.items():
         command = subparsers.add_parser(name, help=summary)
         if name in selected:
+            from mocap_ros.cli.options import add_options  # which the help of all commands waits for in vain
+
             module = import_module(f'mocap_ros.cli.{name}')
             command.description = module.DESCRIPTION
             add_options(command, module.OPTIONS)
