@@ -198,6 +198,11 @@ def test_heading_is_inserted_by_the_chain_rule(seen: tuple[PeriodicObjective, Po
     assert bones == pytest.approx(expected, rel=1e-12, abs=1e-15)
 
 
+def test_a_camera_on_a_stand_moves_less(seen: tuple[PeriodicObjective, Point]) -> None:
+    moving, still = seen[0].movement[0], seen[0].with_still_camera(CONFIG).movement[0]
+    np.testing.assert_allclose(still.factors**2, 300 * moving.factors**2)
+
+
 def test_products_of_the_series_are_those_of_its_jacobian(
     seen: tuple[PeriodicObjective, Point], rng: np.random.Generator
 ) -> None:
