@@ -81,8 +81,8 @@ def check_displaced(core: Array, planted: Array, displacements: Array) -> None:
     moved = displacements[:3] + displacements[3:].reshape(2, 3)
     np.testing.assert_allclose(planted[LEGS[:, 2]] - core[LEGS[:, 2]], moved, atol=1e-9)
     for leg in LEGS:
-        lengths = [np.linalg.norm(np.diff(j[leg], axis=0), axis=1) for j in (core, planted)]
-        np.testing.assert_allclose(*lengths, atol=1e-9)
+        before, after = (np.linalg.norm(np.diff(j[leg], axis=0), axis=1) for j in (core, planted))
+        np.testing.assert_allclose(after, before, atol=1e-9)
 
 
 @pytest.fixture
