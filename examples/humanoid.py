@@ -9,6 +9,7 @@ Unitree: x y z in m, qx qy qz qw, joint angles in rad, 30 frames/s. ROBOT.xml is
 g1_29dof.xml; in its zero pose the robot stands with hanging upper arms and elbows at 90 degrees.
 """
 
+import signal
 import sys
 
 import mink
@@ -44,9 +45,8 @@ class Humanoid:
 
     def follow(self, joints, turns, world):
         """Return a row of the CSV for joints (J, 3), orientations (J, 4) and a transform to a frame with z up."""
-        lhip, lknee, lankle, rhip = (world.apply(joints[i]) for i in (9, 10, 11, 12))
-        leg = np.linalg.norm(np.diff([lhip, lknee, lankle], axis=0), axis=1).sum()
-        hips = self.leg / leg * (lhip + rhip) / 2
+        lhip, *_, rhip = leg = [world.apply(joints[i]) for i in (9, 10, 11, 12)]
+        hips = self.leg / np.linalg.norm(np.diff(leg[:3], axis=0), axis=1).sum() * (lhip + rhip) / 2
         for index, rest, task in self.targets:
             turn = world.rotation() @ mink.SO3(np.roll(turns[index], 1)) @ rest
             task.set_target(mink.SE3.from_rotation_and_translation(turn, hips - turn.apply(self.hips)))
@@ -84,6 +84,7 @@ def run(robot):
             poses.publish(PoseStamped(header=skeletons.header, pose=pose))
 
     rclpy.init()
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     node = rclpy.create_node('humanoid')
     states = node.create_publisher(JointState, 'joint_states', 10)
     poses = node.create_publisher(PoseStamped, 'pelvis_pose', 10)
@@ -92,8 +93,8 @@ def run(robot):
 
 
 if __name__ == '__main__':
-    humanoid = Humanoid(sys.argv[1])
-    if sys.argv[2:]:
-        np.savetxt(sys.argv[3], convert(humanoid, np.load(sys.argv[2])), '%.6f', ',')
-    else:
-        run(humanoid)
+    args = sys.argv[1 : sys.argv.index('--ros-args') if '--ros-args' in sys.argv else None]
+    if len(args) not in (1, 3) or args[0].startswith('-'):
+        sys.exit('usage: humanoid.py ROBOT.xml [RESULT.npz MOTION.csv]')
+    humanoid = Humanoid(args[0])
+    np.savetxt(args[2], convert(humanoid, np.load(args[1])), '%.6f', ',') if args[1:] else run(humanoid)

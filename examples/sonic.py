@@ -8,6 +8,7 @@ the axes of the pelvis, their rotations from SMPL's T, and no place. z of `node.
 """
 
 import json
+from contextlib import suppress
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -71,8 +72,9 @@ def main():
     import rclpy
     import zmq
     from mocap_ros_msgs.msg import Skeleton3DArray
+    from rclpy.signals import SignalHandlerOptions
 
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # KeyboardInterrupt ends the loop
     node, socket, frames = rclpy.create_node('sonic'), zmq.Context().socket(zmq.PUB), iter(range(2**62))
     socket.bind('tcp://127.0.0.1:5556')
 
@@ -85,7 +87,9 @@ def main():
             socket.send(pack(fields | {'frame_index': np.array([next(frames)], '<i8')}))
 
     node.create_subscription(Skeleton3DArray, 'skeletons', take, 1)
-    rclpy.spin(node)
+    with suppress(KeyboardInterrupt):
+        while True:
+            rclpy.spin_once(node, timeout_sec=0.1)
 
 
 if __name__ == '__main__':
