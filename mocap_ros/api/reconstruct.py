@@ -25,7 +25,7 @@ from mocap_ros.config import format_value
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import KeypointSequence, describe_frames, extract_observations
 from mocap_ros.offline.keyframes import keyframe_method
-from mocap_ros.offline.whole_sequence import reconstruct_sequence
+from mocap_ros.offline.whole_sequence import SequenceResult, describe_height_faults, reconstruct_sequence
 from mocap_ros.runtime.save_results import ReconstructedSequence
 from mocap_ros.runtime.summary import Summary, summarise
 
@@ -41,7 +41,7 @@ class PoseSequence:
     forward.
 
     Attributes:
-        joints: (F, J, 3) m, positions of the joints; NaN before the first and after the last sight of the person.
+        joints: (F, J, 3) m, positions of the joints; NaN in frames in which the person was out of sight.
         joint_names: (J,) names of the joints.
         parents: (J,) index of each joint's parent, -1 for the root.
         times: (F,) s, times of the frames.
@@ -63,8 +63,8 @@ class PoseSequence:
         translation: (F, 2) px, image point of the mean of the joints.
         vertical: (F, 3) unit vectors upwards in the camera's optical frame; NaN where nothing is known.
         vertical_std: (F,) rad, standard deviations of the direction of `vertical`; NaN where nothing is known.
-        contact: (F, 2) probabilities that the left and the right foot stand; NaN as the joints, or with the method
-            `keyframes`.
+        contact: (F, 2) probabilities that the left and the right foot stand; NaN as the joints, where the image
+            shows nothing of it, or with the method `keyframes`.
         world_from_camera: (4, 4) transform in m from the optical frame to a world: z up, the floor at z = 0, x
             where the person looks first, the origin below the first pelvis.
         floor_std: m, standard deviation of the height of the camera over that floor; NaN where no standing feet
@@ -221,6 +221,12 @@ def reconstruct(
     except (InputError, np.linalg.LinAlgError) as error:
         raise InputError(f'keypoints: {error}') from None
     summary = summarise([sequence], [result], config)
+    _warn(summary, result)
+    return PoseSequence._create(ReconstructedSequence(sequence, result, summary), summary)
+
+
+def _warn(summary: Summary, result: SequenceResult) -> None:
+    for fault in describe_height_faults([result]):
+        LOGGER.warning('tracker.camera_height %s', fault)
     if summary.reason:
         LOGGER.warning('keypoints: %s: %s', summary.grade, summary.reason)
-    return PoseSequence._create(ReconstructedSequence(sequence, result, summary), summary)

@@ -48,6 +48,13 @@ def parse_positive(text: str) -> float:
     return value
 
 
+def parse_height(text: str) -> float:
+    """Parse the height of a camera in m for argparse."""
+    if not (height := parse_positive(text)) <= MAX_CAMERA_HEIGHT_M:
+        raise argparse.ArgumentTypeError(f'{text} is more than {MAX_CAMERA_HEIGHT_M:g} m')
+    return height
+
+
 def parse_count(text: str, low: int = 1, high: int = sys.maxsize) -> int:
     """Parse a whole number in a range for argparse."""
     if not text.isdecimal() or len(text) > MAX_DIGITS or not low <= int(text) <= high:
@@ -56,12 +63,13 @@ def parse_count(text: str, low: int = 1, high: int = sys.maxsize) -> int:
     return int(text)
 
 
+MAX_CAMERA_HEIGHT_M = 100.0  # as of `tracker.camera_height`
 # What turns the text of a value into it, by what the help calls the value; any other value is a path.
 TEXTS = ('ADDRESS', 'FOLDER|GLOB|LIST', 'ID', 'KIND', 'NAME', 'NAME=VALUE', 'NAMESPACE', 'SIZE', 'TEXT')
 TYPES: Mapping[str, Callable[[str], object]] = {
     **dict.fromkeys(TEXTS, str),
     **dict.fromkeys(('FACTOR', 'HZ', 'M', 'PX', 'S'), parse_positive),
-    'H': float,
+    'H': parse_height,
     'N': parse_count,
 }
 # Options and arguments of a command: the line of each in the help, alone or with settings of `argparse`, by its

@@ -24,14 +24,21 @@ from mocap_ros.cli.inputs import (
 from mocap_ros.cli.options import CONFIG_OPTIONS, STRICT_OPTIONS, Options, derive_output_stem, load_config, option
 from mocap_ros.cli.terminal import ShareBar, finish, print_note, print_result, show_stages
 from mocap_ros.config import Config, load_yaml, with_values
-from mocap_ros.errors import InputError, name_errors
+from mocap_ros.errors import InputError
 from mocap_ros.formats.bvh import BLENDER_IMPORT
 from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
 from mocap_ros.formats.text_files import check_output, read_text, replace_output
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.keyframes.taylor import DepthChoice, parse_depth_choices
-from mocap_ros.offline.whole_sequence import Report, SequenceResult, reconstruct_sequence, report_part, share_floor
+from mocap_ros.offline.whole_sequence import (
+    Report,
+    SequenceResult,
+    describe_height_faults,
+    reconstruct_sequence,
+    report_part,
+    share_floor,
+)
 from mocap_ros.runtime import save_results
 from mocap_ros.runtime.summary import summarise
 
@@ -77,8 +84,7 @@ def run(args: argparse.Namespace) -> int:
     outputs = args.output or [Path(f'{derive_output_stem(args.input)}_3d.npz')]
     config = load_config(args)
     if args.floor_height is not None:
-        with name_errors('--floor-height'):
-            config = with_values(config, {'tracker.camera_height': args.floor_height})
+        config = with_values(config, {'tracker.camera_height': args.floor_height})
     sources = list_sources(args, config)
     _check_options(args, outputs, sources)
     models = load_models(args, config)
@@ -99,6 +105,7 @@ def run(args: argparse.Namespace) -> int:
             done.append((sequence, ending, result))
         found, saved_endings, results = zip(*done, strict=True)
         results = share_floor(results, [sequence.timestamps for sequence in found], config.tracker)
+        _describe_height(args, results)
         for sequence, ending, result in zip(found, saved_endings, results, strict=True):
             summary = summarise([sequence], [result], config)
             reconstructed = save_results.ReconstructedSequence(sequence, result, summary)
@@ -113,6 +120,12 @@ def run(args: argparse.Namespace) -> int:
     return finish(args.input, summary, is_strict=args.strict) or int(not is_all_saved)
 
 
+def _describe_height(args: argparse.Namespace, results: Sequence[SequenceResult]) -> None:
+    name = 'tracker.camera_height' if args.floor_height is None else '--floor-height'
+    for fault in describe_height_faults(results):
+        print_note(f'{args.input}: {name} {fault}')
+
+
 def _check_options(args: argparse.Namespace, outputs: Sequence[Path], sources: Sequence[Path]) -> None:
     for output in outputs:
         if not save_results.find_suffix(output):
@@ -120,6 +133,8 @@ def _check_options(args: argparse.Namespace, outputs: Sequence[Path], sources: S
         check_output(output, *sources)
     if args.all_people and args.person is not None:
         raise InputError(f'{args.input}: --person and --all-people exclude each other')
+    if args.floor_height is not None and args.method == 'keyframes':
+        raise InputError(f'{args.input}: --floor-height does not apply to --method keyframes')
     if args.choices is not None and args.method != 'keyframes':
         raise InputError(f'{args.choices}: --choices needs --method keyframes')
 
@@ -181,7 +196,7 @@ def _save(
                 save_results.save(unfinished, found)
     missing = int(np.isnan(found.result.joints).any(axis=(1, 2)).sum())
     if missing:
-        line = f'{missing} frames before the first and after the last sight of the person have no skeleton'
+        line = f'{missing} frames in which the person was out of sight have no skeleton'
         print_note(f'{args.input}: {line}')
     solution = found.result.solution
     for output in outputs:

@@ -10,7 +10,7 @@ of frame t - 2 are eliminated, which leaves a matrix (18, 18) and a right side (
 solution is the estimate of frame t from its past; a sequence is then substituted backwards.
 """
 
-from libc.math cimport INFINITY, atanh, exp, fabs, fmax, fmin, isfinite, sqrt, tanh
+from libc.math cimport INFINITY, NAN, atanh, exp, fabs, fmax, fmin, isfinite, sqrt, tanh
 from libc.string cimport memcpy, memset
 
 import numpy as np
@@ -264,7 +264,7 @@ def follow_contact(
     """Return the logarithms (4,) of the odds that points stand in the newest frame (`solvers.contacts`).
 
     Args:
-        log_odds: (4,) of the frame before.
+        log_odds: (4,) of the frame before; NaN where nothing is known, as in what is returned.
         times: (F,) s, and the next four, of a window that the newest frame ends.
         rays: (F, J, 2) of the core.
         weight: (F, J) scores.
@@ -275,12 +275,12 @@ def follow_contact(
         upward: (3,) unit vector; NaN if it is not known.
         legs: (2, 3) indices of hip, knee and ankle.
         others: (4,) columns of the points among the extremities.
-        reach_s: s, of the frames before that a line is fitted to.
-        numbers: V, H, B, D, E, T and the longest step in s.
+        reach_s: s, of the frames before that a line is fitted to; where frames are rare it is two and a half steps.
+        numbers: V, H, B, D, E, T, the longest step in s, and the least tanh of half the logarithm that is known.
     """
     cdef Py_ssize_t newest = times.shape[0] - 1, t, k, at, count
     cdef int i
-    cdef double ago, first, second, x, y, sum_x, sum_y, speed, evidence, lowest = INFINITY
+    cdef double ago, first, second, x, y, sum_x, sum_y, speed, evidence, known, lowest = INFINITY
     cdef double step_s = times[newest] - times[newest - 1] if newest > 0 else numbers[6]
     cdef double[4] height
     cdef double[4] depth
@@ -289,6 +289,9 @@ def follow_contact(
     cdef Rows score
     result = np.empty(POINTS)
     cdef double[::1] out = result
+    count = newest if newest < 4 else 4
+    if count > 0:
+        reach_s = fmax(reach_s, 2.5 * (times[newest] - times[newest - count]) / count)
     for k in range(POINTS):
         height[k], depth[k], at = 0, core[legs[k // 2, ANKLE], 2] + feet[k, 2], legs[k // 2, ANKLE]
         for i in range(3):
@@ -303,7 +306,8 @@ def follow_contact(
             feet[k, 0], feet[k, 1], feet[k, 2] = 0, 0, 0
         else:
             seen, score, at = other_rays, other_weight, others[k]
-        out[k] = 2 * atanh(exp(-step_s / numbers[5]) * tanh(log_odds[k] / 2))
+        known = exp(-step_s / numbers[5]) * tanh(log_odds[k] / 2) if isfinite(log_odds[k]) else 0.0
+        out[k] = 2 * atanh(known)
         count, first, second, x, y, sum_x, sum_y = 0, 0, 0, 0, 0, 0, 0
         t = newest
         while t >= 0 and times[newest] - times[t] <= reach_s:
@@ -314,6 +318,8 @@ def follow_contact(
                 x, y = x + ago * seen[t, at, 0], y + ago * seen[t, at, 1]
             t -= 1
         if count < 3 or not score[newest, at] > 0:
+            if fabs(known) < numbers[7]:
+                out[k] = NAN
             continue
         second = count * second - first * first
         x, y = (count * x - first * sum_x) / second, (count * y - first * sum_y) / second

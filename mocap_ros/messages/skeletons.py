@@ -85,7 +85,7 @@ def _list_fields(person: Person3D) -> dict[str, Any]:
         'unseen_for': person.unseen_for,
         'joint_orientation': person.orientation,
         'turn_inferred': person.turn_inferred,
-        'contact': person.contact[np.isfinite(person.contact)],
+        'contact': person.contact if np.isfinite(person.contact).any() else (),
     }
 
 
@@ -115,6 +115,7 @@ class RecordedPerson(NamedTuple):
         scale: px/m, of the weak-perspective camera.
         translation: (2,) px, of the weak-perspective camera.
         root_covariance: (3, 3) m^2, in the camera's optical frame; zeros if unknown.
+        contact: (2,) probabilities that left and right foot stand; NaN if unknown.
     """
 
     id: str
@@ -130,7 +131,7 @@ class RecordedPerson(NamedTuple):
     scale: float
     translation: Array
     root_covariance: Array
-    contact: Array  # (2,) probabilities that left and right foot stand; NaN if unknown
+    contact: Array
 
 
 class RecordedSkeletons(NamedTuple):

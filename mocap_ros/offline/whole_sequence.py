@@ -59,7 +59,7 @@ from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.classification import choose_category
 from mocap_ros.solvers.contacts import find_contacts
 from mocap_ros.solvers.extremities import SEGMENT_OF, attach, collect_evidence, smooth_extremities
-from mocap_ros.solvers.floor import POSE_SHARE, fit_floor
+from mocap_ros.solvers.floor import MAX_TILT_STD, POSE_SHARE, SIZE_RANGE, fit_floor
 from mocap_ros.solvers.footing import plant_sequence
 from mocap_ros.solvers.image_roll import find_camera_roll, find_roll, lift_turned, turn_about_axis, turn_upright
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
@@ -103,6 +103,8 @@ class SequenceResult:
     turn_inferred: NDArray[np.bool_] | None = None
     contact: Array | None = None  # (F, 4) probabilities of `solvers.contacts`; None likewise
     floor: Floor | None = None  # the floor on which the person stands; None if nothing shows it
+    size: float = 1.0  # of the body, as a share of `tracker.body_height`
+    height_fault: str = ''  # why `tracker.camera_height`, if it is given, is not used
     shared_world: Array | None = None  # the `world_from_camera` of another person on the same floor
 
     @property
@@ -124,7 +126,7 @@ class SequenceResult:
         """(F, 2) probabilities that the left and the right foot stand; NaN where they were not computed."""
         if self.contact is None:
             return np.full((len(self.joints), 2), np.nan)
-        return np.maximum(self.contact[:, ::2], self.contact[:, 1::2])
+        return np.fmax(self.contact[:, ::2], self.contact[:, 1::2])
 
     @property
     def floor_std(self) -> float:
@@ -180,8 +182,8 @@ def reconstruct_sequence(
     observed = observe_sequence(keypoints, joint_names, times, intrinsics, config.tracker, skeleton)
     result, lifted = _reconstruct(observed, models, config, report)
     in_sight = find_frames_in_sight(result.seen, times)
-    stood = _find_floor(_complete(result, lifted, config.tracker), lifted, config.tracker)
-    return _blank_frames(stood, ~in_sight)
+    complete = _blank_frames(_complete(result, lifted, config.tracker), ~in_sight)
+    return _find_floor(complete, lifted, config.tracker)
 
 
 def reconstruct_window(
@@ -257,27 +259,47 @@ def _find_floor(result: SequenceResult, observed: ObservedWindow, config: Tracke
     """Return a result with the feet that stand and their floor, by `tracker.camera_height` of its true size."""
     points = join_body(observed.rays, observed.weight, observed.extremities)
     contact = find_contacts(*points, result.joints, result.vertical, observed.times)
+    contact[np.isnan(result.joints).all(axis=(1, 2))] = np.nan
     result = replace(result, contact=contact)
     upward = average_vertical(result.vertical, result.vertical_std)
+    is_given, tilt_std = read_given_vertical(config) is not None, math.nan
+    if np.isfinite(upward).all():
+        tilt_std = CALIBRATED_TILT_STD if is_given else float(np.nanmean(result.vertical_std))
+    if config.camera_height > 0:
+        is_focal_known = observed.virtual_camera.intrinsics.is_focal_known
+        fault = find_height_fault(is_focal_known=is_focal_known, tilt_std=tilt_std)
+        if not fault:
+            floor = Floor(upward, config.camera_height, tilt_std)
+            stood = _stand_on(result, observed.times, floor, config)
+            if stood is None:
+                return replace(result, floor=floor)
+            if SIZE_RANGE[0] < stood.size < SIZE_RANGE[1]:
+                return stood
+            fault = WRONG_HEIGHT
+        result = replace(result, height_fault=fault)
     if not np.isfinite(upward).all():
         return result
     tilt_std = float(np.nanmean(result.vertical_std))
-    if config.camera_height > 0 and observed.virtual_camera.intrinsics.is_focal_known:
-        is_given = read_given_vertical(config) is not None
-        floor = Floor(upward, config.camera_height, CALIBRATED_TILT_STD if is_given else tilt_std)
-        return _stand_on(result, observed.times, floor, config)
     fit = fit_floor(result.joints, contact, observed.times, Floor(upward, None, tilt_std), _assume_share(config))
     return result if fit is None else replace(result, floor=fit.floor)
 
 
-def _stand_on(result: SequenceResult, times: Array, floor: Floor, config: TrackerConfig) -> SequenceResult:
-    """Return a result of the size that a floor below a camera of known height shows, if feet stand."""
+def find_height_fault(*, is_focal_known: bool, tilt_std: float) -> str:
+    """Return why a known height of the camera is of no use, in words; `tilt_std` of the vertical in rad."""
+    if not is_focal_known:
+        return 'the focal length is not known, and distances with it'
+    return '' if tilt_std <= MAX_TILT_STD else 'the vertical is not known: give tracker.vertical'
+
+
+def _stand_on(result: SequenceResult, times: Array, floor: Floor, config: TrackerConfig) -> SequenceResult | None:
+    """Return a result of the size that a floor below a camera of known height shows; None if no foot stands."""
     contact, share = result.contact, _assume_share(config)
     fit = None if contact is None else fit_floor(result.joints, contact, times, floor, share)
     if fit is None:
-        return result
+        return None
     upward, std = np.tile(fit.floor.upward, (len(times), 1)), np.full(len(times), fit.floor.tilt_std)
-    return replace(result, joints=fit.place(result.joints), vertical=upward, vertical_std=std, floor=fit.floor)
+    joints, size = fit.place(result.joints), result.size * fit.size
+    return replace(result, joints=joints, vertical=upward, vertical_std=std, floor=fit.floor, size=size)
 
 
 def _assume_share(config: TrackerConfig) -> float:
@@ -294,7 +316,7 @@ def share_floor(
     sizes become those with which all stand on the floor of the mean height.
     """
     floors, people = [r.floor for r in results if r.floor is not None], list(results)
-    if len(floors) > 1 and not config.camera_height:
+    if len(floors) > 1 and (not config.camera_height or all(r.height_fault for r in results)):
         trust = np.array([floor.tilt_std**-2 for floor in floors])
         upward = trust @ [floor.upward for floor in floors]
         upward /= np.linalg.norm(upward)
@@ -308,10 +330,12 @@ def share_floor(
         if len(heights):
             height = math.exp(float(np.log(heights).mean()))
             level = Floor(upward, height, height_std=height * share / math.sqrt(len(heights)))
-            stood = [_stand_on(r, t, level, config) for r, t in zip(people, times, strict=True)]
             std = float(trust.sum()) ** -0.5
-            people = [replace(r, vertical_std=np.full_like(r.vertical_std, std)) for r in stood]
-    first = next((r for r in people if r.floor is not None), people[0])
+            for p, (result, own) in enumerate(zip(results, times, strict=True)):
+                stood = _stand_on(result, own, level, config)
+                if stood is not None and SIZE_RANGE[0] < stood.size < SIZE_RANGE[1]:
+                    people[p] = replace(stood, vertical_std=np.full(len(own), std))
+    first = min((r for r in people if r.floor is not None), key=lambda r: bool(r.height_fault), default=people[0])
     return tuple(replace(r, shared_world=first.world_from_camera) for r in people)
 
 
@@ -325,10 +349,14 @@ def _blank_frames(result: SequenceResult, is_blank: NDArray[np.bool_]) -> Sequen
         return blanked
     return replace(
         blanked,
-        contact=None if result.contact is None else np.where(is_blank[:, None], np.nan, result.contact),
         orientation=np.where(of_joints[..., None], np.nan, result.orientation),
         turn_inferred=result.turn_inferred | of_joints,
     )
+
+
+def describe_height_faults(results: Sequence[SequenceResult]) -> list[str]:
+    """Return why `tracker.camera_height` is not used for some people, in words."""
+    return [f'is not used: {fault}' for fault in dict.fromkeys(r.height_fault for r in results) if fault]
 
 
 def find_frames_in_sight(seen: NDArray[np.bool_], times: Array) -> NDArray[np.bool_]:
@@ -451,6 +479,8 @@ class Shares(NamedTuple):
 
 
 SHARES = Shares(0.07, 0.4, 0.68)  # measured with 3,120 frames; almost all sequences are solved three times
+# why `tracker.camera_height` is not used where feet show another one
+WRONG_HEIGHT = f'the person would be outside {SIZE_RANGE[0]:g} to {SIZE_RANGE[1]:g} times tracker.body_height'
 MAX_GAP_S = 3.0  # s; a person who is not seen for longer may be anywhere
 SEEN_SHARE = 0.3  # 1; with less, unusual poses are drawn to usual ones; with more, the noise of detectors stays
 MIN_DEPTH_M = 0.1  # m; guards divisions, no person is nearer to a camera

@@ -58,6 +58,15 @@ def find_kind(words: str) -> str:
     return VARIABLE_PARTS.sub('#', words)
 
 
+def _check_camera_height(intrinsics: Intrinsics, tracker: TrackerConfig, *, has_floor: bool) -> str:
+    if not tracker.camera_height or (intrinsics.is_focal_known and not has_floor and tracker.vertical != NONE):
+        return ''
+    fault = 'the focal length is not known, and distances with it; publish camera_info or set node.hfov'
+    if intrinsics.is_focal_known:
+        fault = 'node.output_frame gives the floor' if has_floor else 'tracker.vertical is none'
+    return f'tracker.camera_height = {tracker.camera_height:g} is not used: {fault}'
+
+
 class InputChecks:
     """Checks of successive images of one camera.
 
@@ -117,7 +126,8 @@ class InputChecks:
         )
         self.warnings = tuple(filter(None, found))
         ids = EXCHANGED_IDS if tracker.are_ids_ignored else ''
-        notes = [floor[1], self._check_calibration(stamp_ns, intrinsics, config), ids] if frame.people else []
+        heights = floor[1], _check_camera_height(intrinsics, config.tracker, has_floor=floor[0] is not None)
+        notes = [*heights, self._check_calibration(stamp_ns, intrinsics, config), ids] if frame.people else []
         self._has_keypoints |= bool(frame.people)
         self._box_images += bool(frame.without_keypoints)
         if self._box_images >= MIN_BOX_IMAGES and not self._has_keypoints:

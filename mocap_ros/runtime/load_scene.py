@@ -29,7 +29,14 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import average_vertical
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.offline.whole_sequence import Report, SequenceResult, reconstruct_sequence, report_part, share_floor
+from mocap_ros.offline.whole_sequence import (
+    Report,
+    SequenceResult,
+    describe_height_faults,
+    reconstruct_sequence,
+    report_part,
+    share_floor,
+)
 from mocap_ros.people import MotionKind
 from mocap_ros.runtime.frame_assembly import is_stamp_missing
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
@@ -47,8 +54,17 @@ Row = TypeVar('Row')
 MAX_PEOPLE = 16  # people who are reconstructed; those who are seen most, since each one takes seconds
 VIEWED_FORMATS = f'{KEYPOINT_FORMATS}, or a result (.npz, .mcap)'
 VIEWED_KINDS = (*KEYPOINT_KINDS, InputKind.RESULT)
-# of a result file; older ones have no contacts
-CAMERA_KEYS = ('scale', 'translation', 'vertical', 'vertical_std', 'scale_known', 'contact')
+# of a result file; older ones have no contacts and no floor
+CAMERA_KEYS = (
+    'scale',
+    'translation',
+    'vertical',
+    'vertical_std',
+    'scale_known',
+    'contact',
+    'world_from_camera',
+    'floor_std',
+)
 # Fields of a `RecordedPerson` that a `ScenePerson` has as well, with their types there.
 PERSON_FIELDS = {
     'joints': np.float32,
@@ -149,6 +165,7 @@ def _reconstruct_people(
         raise InputError(failures[-1])
     shown, ids, places, results = zip(*reconstructed, strict=True)
     results = share_floor(results, [sequence.timestamps for sequence in shown], options.config.tracker)
+    lines.extend(f'{path}: tracker.camera_height {fault}' for fault in describe_height_faults(results))
     for sequence, person_id, frames, result in zip(shown, ids, places, results, strict=True):
         people.append(
             _make_person(person_id, frames, result, result.solution.residual, intrinsics, result.foot_contact)
@@ -157,6 +174,11 @@ def _reconstruct_people(
         keypoints.setdefault(part.skeleton, []).append(part)
     truth = sequences[0].truth if len(sequences) == 1 else None
     skeleton, summary = results[0].skeleton, summarise(shown, results, options.config)
+    world = results[0].world_from_camera
+    height = None if all(r.floor is None for r in results) else float(world[2, 3])
+    vertical = average_vertical(
+        np.concatenate([r.vertical for r in results]), np.concatenate([r.vertical_std for r in results])
+    )
     scene = Scene(
         title=path.name,
         stamps_ns=stamps.tolist(),
@@ -166,9 +188,8 @@ def _reconstruct_people(
         intrinsics=intrinsics,
         truth=None if truth is None else select_true_joints(truth.joints, truth.joint_names, skeleton),
         skeleton=skeleton,
-        vertical=average_vertical(
-            np.concatenate([r.vertical for r in results]), np.concatenate([r.vertical_std for r in results])
-        ),
+        vertical=vertical if height is None else world[2, :3],
+        camera_height=height,
     )
     return scene, summary
 
@@ -227,6 +248,10 @@ def _load_result_scene(path: Path, person: str | None) -> Scene:
     vertical = arrays.read_numbers('vertical', (count, 3)), arrays.read_numbers('vertical_std', (count,))
     is_focal_known = arrays.read_flags('scale_known', ())
     contact = arrays.read_numbers('contact', (count, 2)) if 'contact' in arrays else np.full((count, 2), np.nan)
+    upward, height = average_vertical(*vertical), None
+    if 'floor_std' in arrays and np.isfinite(arrays.read_numbers('floor_std', ())):
+        world = arrays.read_numbers('world_from_camera', (4, 4))
+        upward, height = world[2, :3], float(world[2, 3])
     if result.sequence is not None and result.sequence.is_camera_known:
         intrinsics, size = result.sequence.intrinsics(1.0), result.sequence.image_size
     else:
@@ -240,7 +265,8 @@ def _load_result_scene(path: Path, person: str | None) -> Scene:
         image_size=size,
         intrinsics=intrinsics,
         skeleton=result.skeleton,
-        vertical=average_vertical(*vertical),
+        vertical=upward,
+        camera_height=height,
     )
 
 

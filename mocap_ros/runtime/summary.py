@@ -169,7 +169,7 @@ def summarise(sequences: Sequence[KeypointSequence], results: Sequence[SequenceR
         intrinsics = result.virtual_camera.intrinsics
         depth = float(np.nanmedian(result.joints[..., 2]))
         residual = float(np.nanmean(result.solution.residual))
-        share = residual * depth / intrinsics.focal / tracker.body_height
+        share = residual * depth / intrinsics.focal / (tracker.body_height * result.size)
         std = result.vertical_std[np.isfinite(result.vertical_std)]
         rows.append((residual, share, depth, float(np.median(std)) if len(std) else math.nan))
         score = np.where(sequence.keypoints[..., 2] >= tracker.min_score, sequence.keypoints[..., 2], 0.0)

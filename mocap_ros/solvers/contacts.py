@@ -20,6 +20,8 @@ and 0.74, 0.74 and 0.78.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,10 +38,24 @@ EVIDENCE_S = 0.2  # s; E: as near frames share points and errors, those of so lo
 STANDING, MOVING = 3.0, 4.0  # 1; B and D
 HOLD_S = 1.0  # s; T
 MAX_STEP_S = 0.1  # s; longest time that one frame stands for
+MIN_KNOWN = 0.025  # 1; |p - 1/2| below which nothing is known of a point that is not seen, after about 3 s
+
+
+class Contacts(NamedTuple):
+    """Whether left heel and toe, right heel and toe stand."""
+
+    probability: Array  # (F, 4); about 1/2 where nothing is known
+    is_known: NDArray[np.bool_]  # (F, 4)
 
 
 def find_contacts(rays: Array, weight: Array, joints: Array, upward: Array, times: Array) -> Array:
-    """Return the probabilities (F, 4) that left heel and toe, right heel and toe stand.
+    """Return the probabilities (F, 4) of `weigh_contacts`; NaN where nothing is known."""
+    contacts = weigh_contacts(rays, weight, joints, upward, times)
+    return np.where(contacts.is_known, contacts.probability, np.nan)
+
+
+def weigh_contacts(rays: Array, weight: Array, joints: Array, upward: Array, times: Array) -> Contacts:
+    """Return how probable it is that left heel and toe, right heel and toe stand.
 
     The camera does not move. In a layout without feet, both points of a foot are its ankle.
 
@@ -58,7 +74,9 @@ def find_contacts(rays: Array, weight: Array, joints: Array, upward: Array, time
     evidence = np.maximum(STANDING - (speed / SPEED_M_S) ** 2 - (above / HEIGHT_M) ** 2, -MOVING)
     steps = np.diff(times, append=2 * times[-1] - times[-2] if len(times) > 1 else times[-1] + MAX_STEP_S)
     evidence *= weight[:, points] * (np.minimum(steps, MAX_STEP_S) / EVIDENCE_S)[:, None]
-    return _smooth(np.nan_to_num(evidence), np.exp(-steps / HOLD_S))
+    contact = _smooth(np.nan_to_num(evidence), np.exp(-steps / HOLD_S))
+    is_unseen = ~np.isfinite(evidence) | (weight[:, points] <= 0)
+    return Contacts(contact, ~is_unseen | (np.abs(contact - 0.5) >= MIN_KNOWN))
 
 
 def _choose_points(known: NDArray[np.generic]) -> list[int]:

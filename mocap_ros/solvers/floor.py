@@ -4,9 +4,10 @@
 """The floor on which a person stands, and how large the person is where the camera's height over it is known.
 
 A body r times as large as the assumed one, and r times as far away, has the same image. In the units of the
-assumed body the camera is c / r over the floor. Feet that stand, to the share p at the height h, are on it:
+assumed body the camera is c / r over the floor. Feet that stand, with the probability p and so to the share
+s = max(2 p - 1, 0), are on it at the height h:
 
-    0 = g + u.(f_t + q_t x_t) - h_t,    g = c / r,    f_t = sum_j p_tj f_tj / sum_j p_tj,    h_t likewise
+    0 = g + u.(f_t + q_t x_t) - h_t,    g = c / r,    f_t = sum_j s_tj f_tj / sum_j s_tj,    h_t likewise
 
 with u the vertical and q_t the share by which the hips x_t are farther away than the solution has them; it
 corrects the depth, which a single image shows worst. The least squares of these errors over `HEIGHT_STD_M`, robust
@@ -41,6 +42,7 @@ HEIGHT_STD_M = 0.04  # m; of these heights, with the errors of the image
 EVIDENCE_S = 0.5  # s; frames within it have the same error
 DEPTH_SHARE, DEPTH_S = 0.04, 0.5  # 1 and s; S and T
 POSE_SHARE = 0.04  # 1; of the size, measured on training persons of known height seen by four detectors
+SIZE_RANGE = 0.4, 1.25  # 1; of r: from children of 0.7 m to adults of 2.1 m
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for
 MIN_STANDING_S = 0.5  # s; less shows no floor
 MAX_TILT_STD = math.radians(20.0)  # rad; by a less certain vertical nothing is found
@@ -52,7 +54,8 @@ class FloorFit(NamedTuple):
     """The floor, and where a person is who stands on it."""
 
     floor: Floor
-    size: float  # r, of the true size to the assumed; 1 where the camera's height is not known
+    # r, of the true size to the assumed; 1 where the camera's height is not known, infinite where it is wrong
+    size: float
     shifts: Array  # (F,) q, shares of the distance
 
     def place(self, joints: Array) -> Array:
@@ -66,7 +69,7 @@ def fit_floor(joints: Array, contact: Array, times: Array, before: Floor, size_s
 
     Args:
         joints: (F, J, 3) m, of `CMU15` or `BODY26` in a camera that does not move; NaN where there are none.
-        contact: (F, 4) probabilities of `solvers.contacts`.
+        contact: (F, 4) probabilities of `solvers.contacts`; NaN where unknown.
         times: (F,) s, increasing.
         before: the vertical, and the height of the camera if it is known.
         size_share: standard deviation of the size of the body, as a share of it.
@@ -76,7 +79,7 @@ def fit_floor(joints: Array, contact: Array, times: Array, before: Floor, size_s
     known = np.flatnonzero(np.isfinite(joints).all(axis=(1, 2)))
     if len(known) < 3 or not before.tilt_std <= MAX_TILT_STD:
         return None
-    body, share = joints[known], contact[known]
+    body, share = joints[known], np.fmax(2 * contact[known] - 1, 0.0)
     steps = np.minimum(np.diff(times[known], append=2 * times[known[-1]] - times[known[-2]]), MAX_STEP_S)
     stood = share.max(axis=1) * find_standing(body) * steps
     if stood.sum() < MIN_STANDING_S:
@@ -118,13 +121,15 @@ def fit_floor(joints: Array, contact: Array, times: Array, before: Floor, size_s
         change = np.linalg.solve(remaining, slope)
         shifts, border = shifts - solved[:, 3] + solved[:, :3] @ change, border - change
     height, covariance = float(border[2]), np.linalg.inv(remaining)
-    if not MIN_CAMERA_HEIGHT_M < height < 1 / MIN_CAMERA_HEIGHT_M * expected:
+    is_possible = MIN_CAMERA_HEIGHT_M < height < 1 / MIN_CAMERA_HEIGHT_M * expected
+    if camera_height is None and not is_possible:
         return None
     tilt_std = math.sqrt(float(np.trace(covariance[:2, :2])) / 2)
     every = np.zeros(len(joints))
     every[known] = shifts
     if camera_height is not None:
-        return FloorFit(Floor(upward, camera_height, tilt_std, before.height_std), camera_height / height, every)
+        size = camera_height / height if is_possible else math.inf
+        return FloorFit(Floor(upward, camera_height, tilt_std, before.height_std), size, every)
     height_std = math.hypot(math.sqrt(float(covariance[2, 2])), size_share * height)
     return FloorFit(Floor(upward, height, tilt_std, height_std), 1.0, every)
 

@@ -42,10 +42,11 @@ from mocap_ros.solvers.contacts import (
     HEIGHT_M,
     HOLD_S,
     MAX_STEP_S,
+    MIN_KNOWN,
     MOVING,
     SPEED_M_S,
     STANDING,
-    find_contacts,
+    weigh_contacts,
 )
 from mocap_ros.solvers.extremities import ANCHORS, attach
 from mocap_ros.solvers.observed_window import ObservedWindow
@@ -64,9 +65,9 @@ SLIP_M_S = 0.09  # m/s; S_0; with less, errors of contacts add up to errors of t
 PRECISE_M = 0.007  # m; N
 ROUNDS = 3  # of the robust loss, over whole sequences
 LEAST_NOISE_M = 5e-4  # m; image noise of points without errors
-CONTACT = np.array([SPEED_M_S, HEIGHT_M, STANDING, MOVING, EVIDENCE_S, HOLD_S, MAX_STEP_S])
+CONTACT = np.array([SPEED_M_S, HEIGHT_M, STANDING, MOVING, EVIDENCE_S, HOLD_S, MAX_STEP_S, 2 * MIN_KNOWN])
 REACH_S = HALF_WINDOW_S + 0.01  # s; frames of 30 Hz come a little late
-UNKNOWN, NO_ODDS = np.full(3, np.nan), np.zeros(len(FEET))  # (3,) m of a place; (4,) logarithms, even odds
+UNKNOWN, NO_ODDS = np.full(3, np.nan), np.full(len(FEET), np.nan)  # (3,) m of a place; (4,) logarithms
 
 
 @lru_cache(maxsize=64)
@@ -90,7 +91,7 @@ def plant_sequence(observed: ObservedWindow, core: Array, offsets: Array, upward
         noise: m, image noise at the body.
     """
     rays, weight = join_body(observed.rays, observed.weight, observed.extremities)
-    contact = find_contacts(rays, weight, attach(core, offsets), upward, observed.times)
+    contact = weigh_contacts(rays, weight, attach(core, offsets), upward, observed.times).probability
     are_feet_seen = np.any(weight[:, HEELS_AND_TOES] > 0, axis=0)  # else their ankles stand
     feet = np.ascontiguousarray(offsets[:, FEET] * are_feet_seen[:, None])
     numbers = choose_numbers(noise, OF_ALL)
@@ -103,13 +104,13 @@ class Footing(NamedTuple):
     time_s: float
     core: Array  # (15, 3) m in the axes of the camera
     shift: Array  # (3,) m, displacement of the hips
-    log_odds: Array  # (4,) logarithms of the odds that heels and toes stand
+    log_odds: Array  # (4,) logarithms of the odds that heels and toes stand; NaN where nothing is known
     memory: Array  # of the engine
 
     @property
     def contact(self) -> Array:
-        """(2,) probabilities that heel or toe of the left and of the right foot stand."""
-        return np.asarray(1 / (1 + np.exp(-self.log_odds.reshape(2, 2).max(axis=1))))
+        """(2,) probabilities that heel or toe of the left and of the right foot stand; NaN where unknown."""
+        return np.asarray(1 / (1 + np.exp(-np.fmax(self.log_odds[::2], self.log_odds[1::2]))))
 
     @staticmethod
     def advance(
@@ -137,5 +138,5 @@ class Footing(NamedTuple):
         memory = engine.begin() if before is None else before.memory.copy()
         step_s = 1.0 if before is None else time_s - before.time_s
         numbers = choose_numbers(round(noise, 4), OF_NEWEST)
-        planted = engine.advance(memory, numbers, step_s, core, feet, log_odds, LEGS)
+        planted = engine.advance(memory, numbers, step_s, core, feet, np.nan_to_num(log_odds), LEGS)
         return Footing(time_s, planted, planted[LEGS[0, 0]] - core[LEGS[0, 0]], log_odds, memory)

@@ -264,7 +264,7 @@ def make_people(
                 skeleton=skeleton,
                 orientation=quaternions[p],
                 turn_inferred=turn_inferred[p],
-                contact=UNKNOWN_CONTACT
+                contact=UNKNOWN_CONTACT.copy()
                 if track.footing is None or unseen_for is not None
                 else track.footing.contact,
             )

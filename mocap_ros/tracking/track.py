@@ -72,7 +72,7 @@ class Track:
     extremity_state: Array = field(default_factory=START.copy)
     extremities_s: float = -math.inf  # s, time of this frame since the person's first
     footing: Footing | None = None  # the root with inertia and the feet that stand, likewise
-    contact: FloorContact | None = None  # what feet on the floor say of the person's size; None if nothing
+    floor_contact: FloorContact | None = None  # what feet on the floor say of the person's size; None if nothing
 
     @staticmethod
     def begin(

@@ -494,7 +494,8 @@ class Tracker:
             for p, track in enumerate(tracks):
                 if track.intrinsics.is_focal_known and not track.is_tentative:
                     known = motion.joints[p], motion.velocity[p], floor, self.config.tracker.body_height
-                    track.contact = FloorContact.advance(track.contact, self.output_stamp_ns, *known)
+                    before, stamp_ns = track.floor_contact, self.output_stamp_ns
+                    track.floor_contact = FloorContact.advance(before, stamp_ns, *known)
         sizes = [*map(self._find_size, tracks)]
         cores = Cores.of_people(tracks, motion, seen, sizes)
         extremities = np.array([t.extremity_state for t in tracks])
@@ -506,7 +507,7 @@ class Tracker:
         if track.given_id in read_body_heights(settings.body_heights):
             person_id = track.given_id
         assumed = assume_size(settings, person_id, is_focal_known=track.intrinsics.is_focal_known)
-        return assumed if track.contact is None else track.contact.find_size(assumed)
+        return assumed if track.floor_contact is None else track.floor_contact.find_size(assumed)
 
     def _predict_missing(self, stamp_ns: int) -> list[Person3D]:
         """Return the people who are predicted for this frame, stamp in ns; none with `tracker.lag`."""

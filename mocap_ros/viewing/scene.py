@@ -124,6 +124,7 @@ class Scene:
     skeleton: Skeleton = CMU15
     # (3,) unit vector upwards in the camera's optical frame; NaN where it is not known
     vertical: Array = field(default_factory=lambda: np.full(3, np.nan))
+    camera_height: float | None = None  # m, over the floor; None where it is not known
     images: SceneImages | None = None  # behind the points
 
     @cached_property
@@ -155,7 +156,9 @@ class Scene:
 
     @cached_property
     def floor_y(self) -> float:
-        """Y in m, in the frame of the level camera, of the lowest joints, since the true floor is not known."""
+        """Y in m, in the frame of the level camera, of the floor; where it is not known, of the lowest joints."""
+        if self.camera_height is not None:
+            return self.camera_height
         down = self.to_level[1].astype(np.float32)
         lowest = [np.fmax.reduce(person.joints @ down, axis=1) for person in self.people if len(person.frames)]
         known = [own[np.isfinite(own)] for own in lowest]

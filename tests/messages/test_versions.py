@@ -33,7 +33,7 @@ BOX = 'test_msgs/msg/Box'
 ITEM = 'test_msgs/msg/Item'
 
 
-@pytest.mark.parametrize('contact', [[0.9, 0.25], [np.nan, np.nan]])
+@pytest.mark.parametrize('contact', [[0.9, 0.25], [0.9, np.nan], [np.nan, np.nan]])
 def test_skeletons_of_a_bag_have_contacts_but_for_those_of_an_older_version(
     tmp_path: Path, contact: list[float]
 ) -> None:

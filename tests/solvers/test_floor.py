@@ -94,7 +94,13 @@ def test_several_people_stand_on_one_floor_in_one_world() -> None:
             CONTACT[:, 0],
         )
         found.append(replace(SequenceResult(joints, *rest), contact=CONTACT, floor=fit.floor))
-    first, second = share_floor(found, [TIMES, TIMES], TrackerConfig())
+    lain = Rotation.from_rotvec([0.1, 0.0, 0.0]).apply(found[0].vertical)
+    found.append(replace(found[0], contact=CONTACT * np.nan, floor=None, vertical=lain, vertical_std=2 * TIMES))
+    first, second, unknown = share_floor(found, [TIMES] * 3, TrackerConfig())
+    assert (unknown.vertical == lain).all()
+    assert (unknown.vertical_std == 2 * TIMES).all()
+    assert (unknown.world_from_camera == first.world_from_camera).all()
+    assert (first.size, second.size) == pytest.approx((1 / 0.95, 1 / 1.05), abs=0.015)
     heights = [result.floor and result.floor.camera_height for result in (first, second)]
     assert heights == pytest.approx([CAMERA_HEIGHT_M] * 2, rel=0.03)
     assert (first.world_from_camera == second.world_from_camera).all()
@@ -122,7 +128,8 @@ def sit(joints: Array) -> Array:
 @pytest.mark.parametrize(
     ('joints', 'contact', 'tilt_deg'),
     [
-        pytest.param(stand(), CONTACT * 0.001, 3.0, id='no foot stands'),
+        pytest.param(stand(), CONTACT * 0.5, 3.0, id='no foot stands'),
+        pytest.param(stand(), CONTACT * np.nan, 3.0, id='feet not seen'),
         pytest.param(stand() * np.nan, CONTACT, 3.0, id='not seen'),
         pytest.param(
             np.where(np.arange(FRAMES)[:, None, None] < 2, stand(), np.nan), CONTACT, 3.0, id='two frames'
