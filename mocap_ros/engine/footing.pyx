@@ -58,6 +58,8 @@ cdef struct Model:
     double acceleration_along, acceleration_across  # m/s^2
     double leg  # m; deviation of a foot's error about the root
     double slip  # m/s; deviation of the speed of a point that stands
+    double pace  # m/s; of a root whose deviation of accelerations is sqrt(2) of what it is at rest
+    double roll  # 1; share of the root's velocity that a point has while it stands
     double fast  # m/s; a point that is faster hardly stands: c of Cauchy's loss, four times as much without estimate
 
 
@@ -128,11 +130,13 @@ cdef void add_frame(
         by[1], h = -by[0] - by[2], sqrt(BASE_STEP_S * (before.step_s + step_s) / 2)
         for i in range(3):
             r[i] = (root[i] - before.root[i]) / step_s - before.velocity[i]
+        squared = dot(before.velocity, before.velocity) / (model.pace * model.pace)
+        h *= sqrt(1 + squared * squared)
         write_precision(sight, h * model.acceleration_along, h * model.acceleration_across, m)
         add_term(a, b, 3, at, by, m, r)
     if before.frames < 1:
         return
-    by[0], by[1], by[2], by[3] = 1, 1, -1, -1
+    by[0], by[1], by[2], by[3] = 1 - model.roll, 1, model.roll - 1, -1
     for k in range(POINTS):
         f = k // 2
         weight = fmin(contact[k], before.contact[k])
@@ -141,10 +145,11 @@ cdef void add_frame(
         at[0], at[1], at[2], at[3] = TWO, TWO + 3 + 3 * f, OWN, OWN + 3 + 3 * f
         squared = 0
         for i in range(3):
-            r[i] = points[3 * k + i] - before.points[3 * k + i]
+            r[i] = points[3 * k + i] - before.points[3 * k + i] - model.roll * (root[i] - before.root[i])
             h = r[i]
             if estimate != NULL:
-                h += estimate[OWN + i] - estimate[i] + estimate[OWN + 3 + 3 * f + i] - estimate[3 + 3 * f + i]
+                h += (1 - model.roll) * (estimate[OWN + i] - estimate[i])
+                h += estimate[OWN + 3 + 3 * f + i] - estimate[3 + 3 * f + i]
             squared += h * h
         h = (model.fast if estimate != NULL else 4 * model.fast) * step_s
         weight /= (1 + squared / (h * h)) * model.slip * model.slip * step_s * step_s

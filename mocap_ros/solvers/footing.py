@@ -7,13 +7,17 @@ A change of scale looks like a step towards the camera, so the solved root X_t s
 With displacements c_t of the body and a_tf of each foot about it, as large as the errors of the solution are,
 
     E = sum_t |c_t - k_c c_(t-1)|^2_C / (1 - k_c^2) + sum_tf |a_tf - k_a a_(t-1)f|^2 / (A^2 (1 - k_a^2))
-      + sum_t |v_(t+1) - v_t|^2_B / (h_t h_0),    v_t = (X_(t+1) + c_(t+1) - X_t - c_t) / dt_t        (inertia)
-      + sum_ti p_ti rho(|y_(t+1)i - y_ti|^2) / (S dt_t)^2,    y_ti = x_ti + c_t + a_tf              (standing feet)
+      + sum_t |v_(t+1) - v_t|^2_B / (h_t h_0 (1 + (|V_t| / V_0)^4))                            (inertia)
+      + sum_ti p_ti rho(|y_(t+1)i - y_ti - R v_t dt_t|^2) / (S dt_t)^2                         (standing feet)
+    v_t = (X_(t+1) + c_(t+1) - X_t - c_t) / dt_t,    y_ti = x_ti + c_t + a_tf
 
 with k = exp(-dt / T), for errors of a solution last; x_ti heels and toes, p_ti the lesser of the probabilities
 that one stands in two frames (`solvers.contacts`), rho Cauchy's loss; |.|_C and |.|_B weigh the line of sight and
-the directions across it, h_t is as in `joint.differences` and h_0 = 1/30 s. Errors grow with the image noise n;
-and the more precise the points, the less feet are held, for they roll by 0.05 to 0.1 m/s while they stand:
+the directions across it, h_t is as in `joint.differences` and h_0 = 1/30 s. In whole sequences, who is fast by the
+solved velocity V_t accelerates more. What probably stands moves on with a share R of the root's velocity, for feet
+roll, and some have left the ground; without it walks along the line of sight come out too short. Errors grow with
+the image noise n; and the more precise the points, the less feet are held, for they roll by 0.05 to 0.1 m/s while
+they stand:
 
     C_along = C_0 + C_1 n,    A = A_0 + A_1 n,    S = S_0 sqrt(1 + (N / n)^2)
 
@@ -55,10 +59,11 @@ Array = NDArray[np.float64]
 
 LEGS = np.array([[CMU15.index(side + joint) for joint in ('hip', 'knee', 'ankle')] for side in 'lr'])
 FEET = np.array(HEELS_AND_TOES) - CORE_COUNT  # heels and toes among the extremities
-# m, 1 and m/s; C_0 and C_1 along the line of sight, and c of rho: from all frames, and for the newest one
-OF_ALL, OF_NEWEST = (0.03, 0.5, 0.1), (0.04, 0.8, 0.3)
+# s, m/s, 1 and m/s; T of c, V_0, R, and c of rho: from all frames, and for the newest one, of which less is known
+OF_ALL, OF_NEWEST = (0.5, 1.2, 0.05, 0.1), (0.7, math.inf, 0.3, 0.3)
+ERROR_M, ERROR_PER_NOISE = 0.03, 0.5  # m and 1; C_0 and C_1, along the line of sight
 ERROR_ACROSS_M = 0.015  # m; C across it
-ERROR_S, LEG_S = 0.5, 0.1  # s; T of c and of a
+LEG_S = 0.1  # s; T of a
 ACCELERATION_M_S2 = 6.0, 10.0  # m/s^2; B along the line of sight and across it
 LEG_M, LEG_PER_NOISE = 0.004, 0.1  # m and 1; A_0 and A_1; with more, feet slide less and knees are worse
 SLIP_M_S = 0.09  # m/s; S_0; with less, errors of contacts add up to errors of the place
@@ -71,13 +76,15 @@ UNKNOWN, NO_ODDS = np.full(3, np.nan), np.full(len(FEET), np.nan)  # (3,) m of a
 
 
 @lru_cache(maxsize=64)
-def choose_numbers(noise: float, error: tuple[float, float, float]) -> Array:
+def choose_numbers(noise: float, way: tuple[float, float, float, float]) -> Array:
     """Return the fields of `engine.footing.Model` under an image noise in m at the body."""
     noise = max(noise, LEAST_NOISE_M)
     slip = SLIP_M_S * math.hypot(1, PRECISE_M / noise)
     leg = LEG_M + LEG_PER_NOISE * noise
-    along = error[0] + error[1] * noise
-    return np.array([along, ERROR_ACROSS_M, ERROR_S, LEG_S, *ACCELERATION_M_S2, leg, slip, error[2]])
+    along = ERROR_M + ERROR_PER_NOISE * noise
+    error_s, pace, roll, fast = way
+    error = along, ERROR_ACROSS_M, error_s, LEG_S
+    return np.array([*error, *ACCELERATION_M_S2, leg, slip, pace, roll, fast])
 
 
 def plant_sequence(observed: ObservedWindow, core: Array, offsets: Array, upward: Array, noise: float) -> Array:

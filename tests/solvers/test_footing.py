@@ -35,7 +35,7 @@ def solve_densely(
 
     The loss of feet is linearised at displacements (F, 2, 9) that are expected of a frame and the one before.
     """
-    along, across, error_s, leg_s, *accelerations, leg, slip, fast = numbers
+    along, across, error_s, leg_s, *accelerations, leg, slip, pace, roll, fast = numbers
     count, steps = len(times), np.diff(times)
     root = core[:, LEGS[:, 0]].mean(axis=1)
     points = core[:, LEGS[[0, 0, 1, 1], 2]] + feet
@@ -59,17 +59,20 @@ def solve_densely(
             add(parts, np.zeros(3), weigh(t, deep, wide) / np.sqrt(1 - kept**2))
         if t > 1:
             a, b = 1 / steps[t - 2], 1 / steps[t - 1]
-            change = b * (root[t] - root[t - 1]) - a * (root[t - 1] - root[t - 2])
-            weights = weigh(t, *accelerations) / np.sqrt((steps[t - 2] + steps[t - 1]) / 2 / 30)
+            velocity = a * (root[t - 1] - root[t - 2])
+            change = b * (root[t] - root[t - 1]) - velocity
+            wider = 1 + (velocity @ velocity / pace**2) ** 2
+            weights = weigh(t, *accelerations) / np.sqrt((steps[t - 2] + steps[t - 1]) / 2 / 30 * wider)
             add([(t - 2, 0, a), (t - 1, 0, -a - b), (t, 0, b)], change, weights)
         for k in range(4 if t else 0):
-            at, moved, limit = 3 + 3 * (k // 2), points[t, k] - points[t - 1, k], 4 * fast
+            at, limit = 3 + 3 * (k // 2), 4 * fast
+            moved = points[t, k] - points[t - 1, k] - roll * (root[t] - root[t - 1])
             last = moved
             if expected is not None and np.isfinite(expected[t]).all():
                 change = expected[t, 1] - expected[t, 0]
-                last, limit = moved + change[:3] + change[at : at + 3], fast
+                last, limit = moved + (1 - roll) * change[:3] + change[at : at + 3], fast
             p = min(contact[t, k], contact[t - 1, k]) / (1 + (last @ last) / (limit * steps[t - 1]) ** 2)
-            parts = [(t, 0, 1.0), (t, at, 1.0), (t - 1, 0, -1.0), (t - 1, at, -1.0)]
+            parts = [(t, 0, 1 - roll), (t, at, 1.0), (t - 1, 0, roll - 1), (t - 1, at, -1.0)]
             add(parts, moved, np.eye(3) * np.sqrt(p) / (slip * steps[t - 1]))
     return np.linalg.lstsq(np.concatenate(rows), np.concatenate(values), rcond=None)[0].reshape(count, 9)
 
