@@ -480,7 +480,9 @@ class Shares(NamedTuple):
 
 SHARES = Shares(0.07, 0.4, 0.68)  # measured with 3,120 frames; almost all sequences are solved three times
 # why `tracker.camera_height` is not used where feet show another one
-WRONG_HEIGHT = f'the person would be outside {SIZE_RANGE[0]:g} to {SIZE_RANGE[1]:g} times tracker.body_height'
+WRONG_HEIGHT = (
+    f'by it people are not {SIZE_RANGE[0]:g} to {SIZE_RANGE[1]:g} times as tall as tracker.body_height; check both'
+)
 MAX_GAP_S = 3.0  # s; a person who is not seen for longer may be anywhere
 SEEN_SHARE = 0.3  # 1; with less, unusual poses are drawn to usual ones; with more, the noise of detectors stays
 MIN_DEPTH_M = 0.1  # m; guards divisions, no person is nearer to a camera

@@ -77,6 +77,34 @@ def test_the_camera_is_used(sequence: mocap_ros.KeypointSequence) -> None:
     assert far.joints[..., 2].mean() == pytest.approx(2 * near.joints[..., 2].mean(), rel=0.05)
 
 
+@pytest.mark.parametrize(
+    ('matrix', 'options', 'fault'),
+    [
+        (None, {}, 'the focal length is not known'),
+        (MATRIX, {'tracker.vertical': 'none'}, 'the vertical is not known'),
+        (MATRIX, {'tracker.vertical': '0 -1 0'}, ''),  # no foot stands long enough to show the size
+    ],
+)
+def test_a_camera_height_is_used_or_a_warning_says_why_not(
+    sequence: mocap_ros.KeypointSequence,
+    caplog: pytest.LogCaptureFixture,
+    matrix: np.ndarray | None,
+    options: dict[str, str],
+    fault: str,
+) -> None:
+    given = {**arguments_of(sequence), 'camera_matrix': matrix}
+    without = mocap_ros.reconstruct(**{**given, 'parameters': QUICK | options})
+    caplog.clear()
+    with_it = mocap_ros.reconstruct(**{**given, 'parameters': QUICK | options | {'tracker.camera_height': 2.0}})
+    np.testing.assert_array_equal(with_it.joints, without.joints)
+    if fault:
+        assert f'tracker.camera_height is not used: {fault}' in caplog.text
+        np.testing.assert_array_equal(with_it.world_from_camera, without.world_from_camera)
+    else:
+        assert 'tracker.camera_height' not in caplog.text
+        assert with_it.world_from_camera[2, 3] == 2.0
+
+
 def test_parameters_and_models_have_an_effect(sequence: mocap_ros.KeypointSequence) -> None:
     taller = mocap_ros.reconstruct(sequence, parameters={**QUICK, 'tracker.body_height': 1.9})
     usual = mocap_ros.reconstruct(sequence, parameters=QUICK)

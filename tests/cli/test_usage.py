@@ -66,6 +66,10 @@ def test_help_waits_for_no_slow_package(arguments: list[str]) -> None:
         (['reconstruct', 'a.json', '--image-size', '0x480'], "argument --image-size: '0x480': "),
         (['reconstruct', 'a.json', '--hfov', '0.5'], 'argument --hfov: '),
         (['reconstruct', 'a.json', '--hfov', '56', '--focal', '600'], '--focal'),
+        *(
+            (['reconstruct', 'a.json', f'--floor-height={h}'], f'argument --floor-height: {h} ')
+            for h in ('-1', '0', 'nan', '101')
+        ),
         (['batch', 'x', '-o', 'y', '--workers', 'two'], "argument --workers: 'two' "),
         (['play', 'bag', '--rate', '0'], 'argument --rate: 0 '),
         (['play', 'bag', '--rate', 'nan'], 'argument --rate: nan '),

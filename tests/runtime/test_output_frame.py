@@ -320,6 +320,7 @@ def list_reasons(pipeline: Pipeline, long_stream: list[bytes]) -> list[str]:
         ({'node.floor_height': 0}, False, r'without a CameraInfo it shows which way is up'),
         ({'node.floor_height': 0, 'tracker.lag': 0.2}, True, r'with tracker\.lag it needs node\.camera_pose'),
         ({'node.floor_height': 0}, True, ''),
+        ({'tracker.camera_height': 1.5}, True, r'tracker\.camera_height = 1\.5 is not used: node\.output_frame'),
     ],
 )
 def test_a_floor_that_cannot_be_used_is_named_once(

@@ -14,7 +14,7 @@ from mocap_ros.config import TrackerConfig
 from mocap_ros.geometry.level import Floor, build_world
 from mocap_ros.offline.whole_sequence import SequenceResult, share_floor
 from mocap_ros.skeleton import BODY26
-from mocap_ros.solvers.floor import HEEL_M, TOE_M, fit_floor
+from mocap_ros.solvers.floor import HEEL_M, SIZE_RANGE, TOE_M, fit_floor
 
 Array = NDArray[np.float64]
 
@@ -59,6 +59,11 @@ def test_a_known_height_gives_size_distance_and_vertical() -> None:
     placed = exact.place(joints)
     assert np.abs(placed - true).max() < 0.09
     assert np.abs(placed - true).mean() < 0.6 * np.abs(joints * 1.12 - true).mean()
+
+    for height, low, high in ((3.2, SIZE_RANGE[1], math.inf), (0.6, 0.0, SIZE_RANGE[0])):
+        wrong = fit_floor(joints, CONTACT, TIMES, Floor(UPWARD, height), 0.08)
+        assert wrong is not None
+        assert low < wrong.size <= high
 
 
 def test_a_floor_is_found_by_feet_and_leaves_the_size() -> None:

@@ -60,6 +60,7 @@ def test_the_space_holds_the_people() -> None:
     assert scene.centre == pytest.approx([0, 0.1, 4.5], abs=0.5)
     assert 1.5 < scene.extent < 3
     assert scene.floor_y == pytest.approx(0.95, abs=0.15)
+    assert replace(scene, camera_height=1.3).floor_y == 1.3
     nameless = replace(scene.people[1], joints=np.full_like(scene.people[1].joints, np.nan))
     alone, with_unknown = (
         replace(scene, people=scene.people[:1]),
