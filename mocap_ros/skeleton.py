@@ -181,6 +181,7 @@ _TREES = {
 }
 
 KEYPOINT_LAYOUTS = {name: _parse_layout(name, tree) for name, tree in _TREES.items()}  # by name
+KNOWN_JOINTS = frozenset(j for layout in KEYPOINT_LAYOUTS.values() for j in layout.joints)
 LAYOUT_NAMES = tuple(KEYPOINT_LAYOUTS)  # names of the known layouts, for messages, files and --layout
 CMU15 = KEYPOINT_LAYOUTS['cmu15']  # skeleton of the base poses and the solvers
 BODY26 = KEYPOINT_LAYOUTS['body26']  # skeleton of the lifter: that of the solvers, then face, feet and hands

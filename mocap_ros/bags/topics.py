@@ -11,7 +11,7 @@ from enum import Enum
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.config import NodeConfig
-from mocap_ros.errors import ConfigError, InputError
+from mocap_ros.errors import ConfigError, InputError, suggest
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON, find_current_type
@@ -61,8 +61,8 @@ def list_input_types(keypoints_type: str, *, reads_transforms: bool = False) -> 
     if current_type == HRI_SKELETON:
         return {Source.TRACKED_BODIES: HRI_IDS, Source.BODY: HRI_SKELETON, **others}
     if current_type not in KEYPOINT_TYPES:
-        supported = ', '.join((*KEYPOINT_TYPES, HRI_SKELETON))
-        raise ConfigError(f'node.input_type {keypoints_type!r} is not supported; choose one of {supported}')
+        supported = *KEYPOINT_TYPES, HRI_SKELETON
+        raise ConfigError(f'node.input_type: no {keypoints_type!r}; {suggest(keypoints_type, supported)}')
     return {Source.KEYPOINTS: keypoints_type, **others}
 
 

@@ -17,7 +17,7 @@ from mocap_ros.bridges.poses import convert_poses
 from mocap_ros.bridges.prediction_markers import convert_prediction_markers
 from mocap_ros.bridges.ros4hri import TRACKED, BodiesConverter
 from mocap_ros.bridges.seen import People, Predictions, read_people, read_predictions
-from mocap_ros.errors import ConfigError
+from mocap_ros.errors import ConfigError, suggest
 from mocap_ros.messages.cdr import Header, OutputMessage
 from mocap_ros.messages.foreign_types import COLLISION_OBJECT, DETECTIONS_3D, HRI_IDS, OBSTACLES, PEOPLE
 from mocap_ros.messages.markers import MARKERS, PersonNumbers
@@ -60,7 +60,7 @@ def check_consumers(names: Sequence[str]) -> list[str]:
     unknown = [name for name in names if name not in CONSUMERS]
     if unknown or not names:
         fault = f'there is no {unknown[0]!r}' if unknown else 'nothing is named'
-        raise ConfigError(f'publish: {fault}; choose from {", ".join(CONSUMERS)}')
+        raise ConfigError(f'publish: {fault}; {suggest("".join(unknown[:1]), [*CONSUMERS])}')
     return [*dict.fromkeys(names)]
 
 

@@ -28,6 +28,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.formats.bvh import BLENDER_IMPORT
 from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
 from mocap_ros.formats.text_files import check_output, read_text, replace_output
+from mocap_ros.geometry.level import average_vertical
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.keyframes.taylor import DepthChoice, parse_depth_choices
@@ -202,4 +203,6 @@ def _save(
     for output in outputs:
         print_result(output if solution.success else f'{output}: {solution.message}')
         if output.suffix == '.bvh':
-            print_result(f'{output}: in cm, y up, as for a level camera. In Blender: {BLENDER_IMPORT}')
+            is_known = np.isfinite(average_vertical(found.result.vertical, found.result.vertical_std)).all()
+            up = 'y up' if is_known else 'y up, as for a level camera'
+            print_result(f'{output}: in cm, {up}. In Blender: {BLENDER_IMPORT}')

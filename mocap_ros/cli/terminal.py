@@ -9,6 +9,7 @@ A terminal obeys no name in a line that is printed. Progress is shown on a termi
 from __future__ import annotations
 
 import math
+import os
 import signal
 import sys
 import threading
@@ -84,7 +85,10 @@ def make_bar(items: Any = None, **options: Any) -> tqdm[Any]:
     from tqdm import tqdm
 
     end_loading()
-    return tqdm(items, disable=not sys.stderr.isatty(), leave=False, dynamic_ncols=True, **options)
+    is_terminal = sys.stderr.isatty()
+    if is_terminal and 0 in os.get_terminal_size(sys.stderr.fileno()):  # of unknown size
+        options |= {'ncols': 80, 'nrows': 24}
+    return tqdm(items, disable=not is_terminal, leave=False, dynamic_ncols='ncols' not in options, **options)
 
 
 class ShareBar:

@@ -101,7 +101,8 @@ def run(args: argparse.Namespace) -> int:
     notes: list[str] = []
     video = args.video or args.input
     with ShareBar('images') as report, replace_output(output, *sources) as unfinished:
-        images = _check_times(scene, read_images(video, config.node, args.topic, notes), video, notes, report)
+        images = read_images(video, config.node, args.topic, notes)
+        images = _check_times(scene, images, video, notes, report, is_given=args.video is not None)
         if output.suffix == PAGE_SUFFIX:
             scene = replace(scene, images=reduce_images(scene, images))
             unfinished.write_text(build_page(scene), encoding='utf-8')
@@ -120,16 +121,27 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check_times(
-    scene: Scene, images: Iterable[StampedImage], path: Path, notes: list[str], report: Report
+    scene: Scene,
+    images: Iterable[StampedImage],
+    path: Path,
+    notes: list[str],
+    report: Report,
+    *,
+    is_given: bool,
 ) -> Iterator[StampedImage]:
-    """Yield the images; `notes` gets a line if there are some, but none at the time of a frame."""
+    """Yield the images; `notes` gets a line if they seem to be of another recording."""
+    size, frames = scene.image_size, len(scene.stamps_ns)
     are_far, (start_ns, *_, end_ns) = [], (*scene.stamps_ns, scene.stamps_ns[-1] + 1)
     for image in images:
         report(min(max((image.stamp_ns - start_ns) / (end_ns - start_ns), 0.0), 1.0))
         are_far.append(find_frame(scene, image.stamp_ns) < 0)
+        size = image.image.shape[1::-1]
         yield image
     if are_far and all(are_far):
         notes.append(f'{path}: no image is at the time of a frame, so that none is shown')
+    elif is_given and (size != scene.image_size or len(are_far) != frames) and not is_bag(path):
+        given = f'{scene.title} has {frames} frames of {scene.image_size[0]} x {scene.image_size[1]} px'
+        notes.append(f'{path}: {len(are_far)} images of {size[0]} x {size[1]} px, but {given}; is it that video?')
 
 
 def _run_live(args: argparse.Namespace) -> int:

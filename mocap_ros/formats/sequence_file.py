@@ -8,7 +8,7 @@ The result files (.npz) of `reconstruct` are read here as well, to be drawn or t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +24,13 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import check_places, describe_other_unit, find_first_fault, mark_unseen
 from mocap_ros.messages.camera_info import check_coefficients
 from mocap_ros.npz_file import write_npz
-from mocap_ros.skeleton import Skeleton, detector_joint_names, skeleton_from_joints
+from mocap_ros.skeleton import (
+    KNOWN_JOINTS,
+    Skeleton,
+    canonical_joint_names,
+    detector_joint_names,
+    skeleton_from_joints,
+)
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -77,6 +83,7 @@ class KeypointSequence:
         calibration: intrinsics of the camera, where they are given in another form than `camera_matrix` and
             `distortion`, or None.
         focal_source: where the focal length is from if it is neither a calibration nor nominal, such as `given`.
+        notes: lines for the user about the content of the file.
     """
 
     keypoints: Array
@@ -91,6 +98,7 @@ class KeypointSequence:
     recorded_ns: tuple[int, ...] = ()
     calibration: Intrinsics | None = None
     focal_source: str = ''
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.timestamps)
@@ -215,7 +223,8 @@ def validate_sequence(array_by_key: Mapping[str, NDArray[np.generic]]) -> Keypoi
         raise InputError('timestamps: no frames')
     check_timestamps(timestamps)
 
-    joint_names = detector_joint_names(arrays.read_joint_names('joint_names'))
+    given_names = arrays.read_joint_names('joint_names')
+    joint_names = detector_joint_names(given_names)
     with naming('joint_names'):
         build_joint_map(joint_names)
     raw = arrays.read_numbers('keypoints', (frames, len(joint_names), 3))
@@ -239,7 +248,15 @@ def validate_sequence(array_by_key: Mapping[str, NDArray[np.generic]]) -> Keypoi
         camera_matrix=camera_matrix,
         distortion=distortion,
         truth=_read_truth(arrays, frames) if 'joints3d' in arrays else None,
+        notes=_describe_replaced_names(given_names, joint_names),
     )
+
+
+def _describe_replaced_names(given: Sequence[str], used: Sequence[str]) -> tuple[str, ...]:
+    """Return a line about names that no layout has, for which joints of the layout of the others are used."""
+    pairs = zip(given, canonical_joint_names(given), used, strict=True)
+    replaced = [f'{name!r} as {joint!r}' for name, own, joint in pairs if own != joint and own not in KNOWN_JOINTS]
+    return (f'joint_names: no known joints, used by their places: {", ".join(replaced)}',) if replaced else ()
 
 
 def _read_truth(arrays: ArrayReader, frames: int) -> GroundTruth:

@@ -107,8 +107,8 @@ class ManagedNode(LifecycleNode):
     def _log_failure(self, state: str, transition: str, error: Exception) -> None:
         reason = str(error) if isinstance(error, MocapError) else f'{type(error).__name__}: {error}'
         self.get_logger().error(
-            f'{" ".join(reason.split())}; the node is not {state}: correct the cause, then run '
-            f'`ros2 lifecycle set {self.get_fully_qualified_name()} {transition}`, or restart the node'
+            f'{" ".join(reason.split())}; the node is not {state}: correct the cause, then restart the node, or '
+            f'run `ros2 lifecycle set {self.get_fully_qualified_name()} {transition}` where ROS 2 is sourced'
         )
 
 

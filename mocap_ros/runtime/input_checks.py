@@ -24,7 +24,7 @@ from mocap_ros.geometry.level import Floor
 from mocap_ros.keypoints.identities import EXCHANGED_IDS, find_absence
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.people import Person3D
-from mocap_ros.skeleton import CMU15, KEYPOINT_LAYOUTS, canonical_joint_names
+from mocap_ros.skeleton import CMU15, KNOWN_JOINTS, canonical_joint_names
 from mocap_ros.solvers.vertical import AUTO, NONE
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.tracking.vertical_check import VerticalCheck
@@ -47,7 +47,6 @@ WITHOUT_KEYPOINTS = (
     'the detections have no keypoints, as those of a model that finds boxes; '
     'run a model for poses, such as yolo11n-pose.pt'
 )
-KNOWN_JOINTS = frozenset(j for layout in KEYPOINT_LAYOUTS.values() for j in layout.joints)
 
 # Parts of a message in words that may differ between messages of one kind: addresses, numbers and quoted names.
 VARIABLE_PARTS = re.compile(r"0x\w+|[\d.]*\d|'.*'|\".*\"", re.DOTALL)

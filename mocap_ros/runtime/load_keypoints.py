@@ -37,13 +37,12 @@ from mocap_ros.offline.whole_sequence import MAX_GAP_S
 from mocap_ros.runtime.detection import ShowProgress, detect_in_video
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.input_camera import FROM_VIDEO, GIVEN
-from mocap_ros.runtime.input_checks import WITHOUT_KEYPOINTS, describe_unusable_distortion
+from mocap_ros.runtime.input_checks import WITHOUT_KEYPOINTS, describe_misspelt_joint, describe_unusable_distortion
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 from mocap_ros.units import NS_PER_S
 
 RESTART_S = 1.0  # s; messages are at most so late, and an older one begins a new run of the clock
 MIN_RUN_SHARE = 0.1  # 1; share of the images that the longest run of the clock must have
-MAX_DELAY_S = 60.0  # s between stamp and receipt; far above the delay of any detector
 MAX_CAMERA_INFOS = 1000  # messages in which a valid CameraInfo is searched
 MIN_FRAMES = 10  # frames; of all people, those who are seen in less are mostly errors of the detector
 # Options that apply to a kind of input; those of the focal length apply to all.
@@ -91,7 +90,8 @@ def load_input(path: Path, options: InputOptions) -> tuple[KeypointSequence, lis
     kind, options = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS), _add_lens(options)
     _refuse_options(path, kind, options)
     if kind is InputKind.SEQUENCE:
-        sequence, lines = load_sequence(path), list[str]()
+        sequence = load_sequence(path)
+        lines = [*sequence.notes]
     else:
         detections = _load_detections(path, kind, options)
         with naming(path):
@@ -152,7 +152,8 @@ def _finish(
     # Any focal length will do, because only cameras that are known have a distortion.
     lens = describe_unusable_distortion(sequences[0].intrinsics(1.0))
     gaps = map(_describe_gap, sequences)
-    lines = (*lines, outside and f'image size: {outside}', *lens_lines, lens, *gaps)
+    misspelt = describe_misspelt_joint(sequences[0].joint_names)
+    lines = (*lines, misspelt, outside and f'image size: {outside}', *lens_lines, lens, *gaps)
     return sequences, [f'{path}: {line}' for line in lines if line]
 
 
@@ -283,7 +284,7 @@ def _assemble_frames(
                     raise InputError(f'header.frame_id: {frame_id!r}, but the images before are of {name!r}')
                 if camera is not None:
                     check_image_size(frame, camera)
-                runs.add(frame, message.time_ns, f'{message.topic}: message {number}')
+                runs.add(frame, f'{message.topic}: message {number}')
         except (InputError, FrameDropped) as error:
             reasons.append(f'{message.topic}: message {number}: {error}')
     for frame in assembler.flush():
@@ -297,7 +298,6 @@ class _ClockRuns:
     def __init__(self) -> None:
         self._runs: list[dict[int, KeypointsFrame]] = [{}]
         self._newest_ns = 0
-        self._delays_ns: list[int] = []  # from the stamp to the receipt
         self._first_jump = ''
 
     @property
@@ -310,7 +310,7 @@ class _ClockRuns:
         """The images of the newest run."""
         return self._runs[-1]
 
-    def add(self, frame: KeypointsFrame, received_ns: int, place: str) -> None:
+    def add(self, frame: KeypointsFrame, place: str) -> None:
         """Add an image; FrameDropped if its stamp repeats."""
         stamp_ns = frame.header.stamp_ns
         back_s = (self._newest_ns - stamp_ns) / NS_PER_S
@@ -319,7 +319,6 @@ class _ClockRuns:
             self._runs.append({})
             self._newest_ns = 0
         self._newest_ns = max(self._newest_ns, stamp_ns)
-        self._delays_ns.append(received_ns - stamp_ns)
         if self.newest.setdefault(stamp_ns, frame) is not frame:
             raise FrameDropped('its stamp is that of an earlier message' if stamp_ns else MISSING_STAMP)
 
@@ -332,11 +331,7 @@ class _ClockRuns:
         if self._first_jump:
             count, runs = len(self.choose()), len(self._runs)
             return f'{self._first_jump}; of {runs} runs of the clock the longest, of {count} images, is used'
-        delay_s = min(self._delays_ns, key=abs, default=0) / NS_PER_S
-        if abs(delay_s) <= MAX_DELAY_S:
-            return ''
-        order = 'before' if delay_s > 0 else 'after'
-        return f'the stamps are {abs(delay_s):.1f} s {order} the times of receipt, so they are of another clock'
+        return ''
 
 
 def _leave_out_others(frames: dict[int, KeypointsFrame]) -> list[str]:

@@ -50,6 +50,8 @@ class PlotData:
     keypoint_skeleton: Skeleton = CMU15  # layout of the keypoints
     projected: Array | None = None  # (F, J, 2) px, the joints in the image; drawn where an image is behind them
     images: Mapping[int, NDArray[np.uint8]] = field(default_factory=dict)  # (H, W, 3) of some frames, by frame
+    # (3, 3) rotation from the camera's optical frame to that of a level camera
+    to_level: Array = field(default_factory=lambda: np.eye(3))
 
 
 def make_printable(name: str) -> str:
@@ -86,8 +88,10 @@ def draw_poses_figure(data: PlotData, frames: Sequence[int], title: str, labels:
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(rows, len(frames), hspace=0.08, wspace=0.05, top=0.88)
     poses = (data.joints if data.truth is None else data.truth)[list(frames)]
-    radius = float(np.nanmax(np.abs(_centre(poses)), initial=MIN_RADIUS_M)) * RADIUS_MARGIN
-    projections = ((lambda j: j[..., :2], 'from the camera'), (lambda j: j[..., [2, 1]], 'from the side'))
+    centred = np.stack([_centre(poses), _centre(poses) @ data.to_level.T])
+    radius = float(np.nanmax(np.abs(centred), initial=MIN_RADIUS_M)) * RADIUS_MARGIN
+    side_axes = data.to_level[[2, 1]].T
+    projections = ((lambda j: j[..., :2], 'from the camera'), (lambda j: j @ side_axes, 'from the side'))
     for column, frame in enumerate(frames):
         panels = [figure.add_subplot(grid[row, column]) for row in range(2 + has_input)]
         panels[0].set_title(labels[column], fontsize=9)

@@ -188,7 +188,8 @@ class Scene:
             keypoints[..., 2] = np.isfinite(keypoints[..., 0])
         truth = None if self.truth is None else self.truth.astype(np.float64)
         layout = CMU15 if detected is None else detected.skeleton
-        return PlotData(self.times, joints, seen, self.skeleton, truth, keypoints, layout, projected)
+        shown = keypoints, layout, projected
+        return PlotData(self.times, joints, seen, self.skeleton, truth, *shown, to_level=self.to_level)
 
 
 def image_corners(image_size: tuple[int, int], intrinsics: Intrinsics) -> Array:

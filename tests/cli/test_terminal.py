@@ -39,13 +39,15 @@ def long_recording(recording: Path, tmp_path_factory: pytest.TempPathFactory) ->
     return path
 
 
-def run_on_terminal(arguments: Sequence[str], interrupt_at: str = '') -> tuple[int, str]:
+def run_on_terminal(
+    arguments: Sequence[str], interrupt_at: str = '', size: tuple[int, int] = (24, COLUMNS)
+) -> tuple[int, str]:
     """Run a command on a terminal, and interrupt it when it shows something.
 
     Returns the exit code and what the command shows, of an interrupted one since the interrupt.
     """
     terminal, end = pty.openpty()
-    fcntl.ioctl(end, termios.TIOCSWINSZ, struct.pack('HHHH', 24, COLUMNS, 0, 0))
+    fcntl.ioctl(end, termios.TIOCSWINSZ, struct.pack('HHHH', *size, 0, 0))
     command = [sys.executable, '-m', 'mocap_ros.cli.main', *arguments]
     process = subprocess.Popen(command, stdin=end, stdout=end, stderr=end, start_new_session=True)
     os.close(end)
@@ -70,9 +72,12 @@ def keep_what_stays(shown: str) -> list[str]:
     return [line for line in lines if line]
 
 
-def test_a_terminal_shows_one_bar_with_the_time_left_and_a_pipe_none(long_recording: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize('size', [(24, COLUMNS), (0, 0)])
+def test_a_terminal_shows_one_bar_with_the_time_left_and_a_pipe_none(
+    long_recording: Path, tmp_path: Path, size: tuple[int, int]
+) -> None:
     command = ['reconstruct', str(long_recording), '-o', str(tmp_path / 'r.npz')]
-    code, shown = run_on_terminal(command)
+    code, shown = run_on_terminal(command, size=size)
     assert code == 0
     assert 'mocap-ros reconstruct: loading ...' in shown
     assert re.search(r'\rreconstruct: +\d+%.*\d\d:\d\d, \d\d:\d\d left', shown)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,13 @@ import pytest
 
 from mocap_ros import npz_file
 from mocap_ros.errors import InputError
-from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence, load_sequence, save_sequence
+from mocap_ros.formats.sequence_file import (
+    GroundTruth,
+    KeypointSequence,
+    load_sequence,
+    save_sequence,
+    validate_sequence,
+)
 from mocap_ros.skeleton import keypoint_layout
 from tests.support.evaluation_data import shared
 
@@ -120,6 +126,23 @@ def test_invalid_content_is_refused_by_file_key_and_frame(
     with pytest.raises(InputError, match=rf'walk\.npz: {message}') as caught:
         load_sequence(path)
     assert '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ('given', 'note'),
+    [
+        (JOINTS, ()),
+        (
+            ['lwirst' if j == 'lwrist' else j for j in JOINTS],
+            ("joint_names: no known joints, used by their places: 'lwirst' as 'lwrist'",),
+        ),
+    ],
+)
+def test_names_that_no_layout_has_are_noted(given: Sequence[str], note: tuple[str, ...]) -> None:
+    keypoints = np.ones((1, len(JOINTS), 3)) * np.arange(1, 1 + len(JOINTS))[:, None]
+    arrays = {'keypoints': keypoints, 'timestamps': np.zeros(1), 'image_size': np.array([640, 480])}
+    sequence = validate_sequence({**arrays, 'joint_names': np.array(given)})
+    assert (sequence.joint_names, sequence.notes) == (JOINTS, note)
 
 
 def test_invalid_files_are_refused(tmp_path: Path, sequence: KeypointSequence) -> None:

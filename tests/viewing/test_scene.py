@@ -78,6 +78,7 @@ def test_the_floor_is_level_where_the_camera_is_not() -> None:
     seen = [replace(p, joints=(p.joints @ turn.T).astype(np.float32)) for p in scene.people]
     tilted = replace(scene, people=tuple(seen), vertical=turn @ [0.0, -1.0, 0.0])
     assert tilted.floor_y == pytest.approx(scene.floor_y, abs=1e-4)
+    assert tilted.to_plot_data().to_level @ turn == pytest.approx(np.eye(3), abs=1e-6), 'pictures are level, too'
     assert replace(tilted, vertical=np.full(3, np.nan)).floor_y != pytest.approx(scene.floor_y, abs=0.5)
 
 
