@@ -3,10 +3,9 @@
 
 """Drive a humanoid by a person, live or from a result, by inverse kinematics: pip install mink daqp.
 
-`humanoid.py ROBOT.xml` turns `skeletons` into sensor_msgs/JointState on `joint_states` and the pelvis' pose on
-`pelvis_pose`; z of `node.output_frame` must be up. `humanoid.py ROBOT.xml RESULT.npz MOTION.csv` writes the CSV of
-Unitree: x y z in m, qx qy qz qw, joint angles in rad, 30 frames/s. ROBOT.xml is an MJCF with a free pelvis, as
-g1_29dof.xml; in its zero pose the robot stands with hanging upper arms and elbows at 90 degrees.
+`humanoid.py ROBOT.xml` turns `skeletons`, in a frame with z up, into sensor_msgs/JointState on `joint_states`
+and a pose on `pelvis_pose`. With RESULT.npz MOTION.csv it writes Unitree's CSV: x y z in m, qx qy qz qw, angles in
+rad. ROBOT.xml is an MJCF with a free pelvis, whose zero pose has hanging upper arms and elbows at 90 degrees.
 """
 
 import signal
@@ -16,17 +15,13 @@ import mink
 import mujoco
 import numpy as np
 
-# The first joints of skeleton_definition. A segment has the name of the joint about which it turns.
-ARMS = ['lshoulder', 'lelbow', 'lwrist', 'rshoulder', 'relbow', 'rwrist']
+ARMS = ['lshoulder', 'lelbow', 'lwrist', 'rshoulder', 'relbow', 'rwrist']  # skeleton_definition's first joints
 JOINTS = ['head', 'neck', *ARMS, 'pelvis', 'lhip', 'lknee', 'lankle', 'rhip', 'rknee', 'rankle']
-LEG = ['left_hip_yaw_link', 'left_knee_link', 'left_ankle_roll_link', 'right_hip_yaw_link']
-LINKS = [('pelvis', 'pelvis', 2.0), ('neck', 'torso_link', 1.0)]  # segment, link of the robot, weight
+LINKS = [('pelvis', 'pelvis', 2.0), ('neck', 'torso_link', 1.0)]  # segment, by its first joint; link; weight
+LINK_OF = {'hip': 'hip_yaw', 'shoulder': 'shoulder_yaw', 'knee': 'knee', 'elbow': 'elbow', 'ankle': 'ankle_roll'}
 for side in ('left', 'right'):
-    LINKS += [(side[0] + joint, f'{side}_{joint}_yaw_link', 1.0) for joint in ('hip', 'shoulder')]
-    LINKS += [(side[0] + joint, f'{side}_{joint}_link', 1.0) for joint in ('knee', 'elbow')]
-    LINKS += [(side[0] + 'ankle', f'{side}_ankle_roll_link', 0.5)]
+    LINKS += [(side[0] + j, f'{side}_{link}_link', 0.5 if j == 'ankle' else 1.0) for j, link in LINK_OF.items()]
 BENT = mink.SO3(np.array([2**-0.5, 0, 2**-0.5, 0]))  # from the axes of a hanging forearm to those at 90 degrees
-STEPS, FPS = 3, 30.0  # steps of the solver a frame, which starts from the frame before; frames/s of the CSV
 
 
 class Humanoid:
@@ -35,9 +30,9 @@ class Humanoid:
     def __init__(self, path):
         self.robot, self.targets = mink.Configuration(mujoco.MjModel.from_xml_path(path)), []
         self.joint_names = [self.robot.model.joint(j).name for j in range(1, self.robot.model.njnt)]
-        links = [self.robot.get_transform_frame_to_world(name, 'body').translation() for name in (*LEG, 'pelvis')]
-        self.leg = np.linalg.norm(np.diff(links[:3], axis=0), axis=1).sum()
-        self.hips = (links[0] + links[3]) / 2 - links[4]
+        at = {s: self.robot.get_transform_frame_to_world(link, 'body').translation() for s, link, _ in LINKS}
+        self.leg = np.linalg.norm(at['lknee'] - at['lhip']) + np.linalg.norm(at['lankle'] - at['lknee'])
+        self.hips = (at['lhip'] + at['rhip']) / 2 - at['pelvis']
         for segment, link, weight in LINKS:
             rest = self.robot.get_transform_frame_to_world(link, 'body').rotation()
             task = mink.FrameTask(link, 'body', 5.0 * (link == 'pelvis'), weight, lm_damping=0.01)
@@ -50,20 +45,23 @@ class Humanoid:
         for index, rest, task in self.targets:
             turn = world.rotation() @ mink.SO3(np.roll(turns[index], 1)) @ rest
             task.set_target(mink.SE3.from_rotation_and_translation(turn, hips - turn.apply(self.hips)))
-        for _ in range(STEPS):
+        for _ in range(3):  # steps from the pose of the frame before
             step = mink.solve_ik(self.robot, [task for *_, task in self.targets], 1.0, 'daqp', damping=1e-3)
             self.robot.integrate_inplace(step, 1.0)
         return np.concatenate([self.robot.q[[0, 1, 2, 4, 5, 6, 3]], self.robot.q[7:]])
 
 
-def convert(robot, result):
-    """Return the rows of the CSV for the arrays of a result of one person."""
+def convert(robot, result, fps=30.0, gap_s=0.5):
+    """Return the rows of the CSV for the arrays of a result of one person; in longer gaps the robot stays."""
     world, seen = mink.SE3.from_matrix(result['world_from_camera']), np.isfinite(result['orientation']).all((1, 2))
-    frames = zip(result['joints3d'][seen], result['orientation'][seen], strict=True)
-    rows = np.array([robot.follow(joints, turns, world) for joints, turns in frames])
-    stamps = result['timestamps'][seen]
-    times = np.arange(stamps[0], stamps[-1], 1 / FPS)
-    return np.stack([np.interp(times, stamps, column) for column in rows.T], axis=1)
+    joints, turns, stamps = (result[name][seen] for name in ('joints3d', 'orientation', 'timestamps'))
+    rows = np.array([robot.follow(*frame, world) for frame in zip(joints, turns, strict=True)])
+    ends = np.flatnonzero(np.diff(stamps) > gap_s) + 1  # of gaps; the pose before stays until there
+    stamps, rows = np.insert(stamps, ends, stamps[ends] - 1e-6), np.insert(rows, ends, rows[ends - 1], axis=0)
+    times = stamps[0] + np.arange(round((stamps[-1] - stamps[0]) * fps) + 1) / fps
+    rows = np.stack([np.interp(times, stamps, column) for column in rows.T], axis=1)
+    rows[:, 3:7] /= np.linalg.norm(rows[:, 3:7], axis=1, keepdims=True)
+    return rows
 
 
 def run(robot):
@@ -75,7 +73,9 @@ def run(robot):
 
     def take(skeletons):
         person = max((p for p in skeletons.people if not p.tentative), key=lambda p: p.age, default=None)
-        if person and skeletons.header.frame_id != skeletons.camera_frame_id:
+        if skeletons.header.frame_id == skeletons.camera_frame_id:
+            node.get_logger().warning('people are in the frame of the camera: set node.output_frame', once=True)
+        elif person:
             turns = [(q.x, q.y, q.z, q.w) for q in person.joint_orientation]
             row = robot.follow(np.array([(p.x, p.y, p.z) for p in person.joints]), turns, mink.SE3.identity())
             x, y, z, qx, qy, qz, qw, *angles = map(float, row)
@@ -86,8 +86,8 @@ def run(robot):
     rclpy.init()
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     node = rclpy.create_node('humanoid')
-    states = node.create_publisher(JointState, 'joint_states', 10)
-    poses = node.create_publisher(PoseStamped, 'pelvis_pose', 10)
+    topics = (JointState, 'joint_states'), (PoseStamped, 'pelvis_pose')
+    states, poses = (node.create_publisher(*topic, 10) for topic in topics)
     node.create_subscription(Skeleton3DArray, 'skeletons', take, 1)
     rclpy.spin(node)
 

@@ -17,15 +17,8 @@ ARMS = ['lshoulder', 'lelbow', 'lwrist', 'rshoulder', 'relbow', 'rwrist']
 JOINTS = ['head', 'neck', *ARMS, 'pelvis', 'lhip', 'lknee', 'lankle', 'rhip', 'rknee', 'rankle', 'ltoe', 'rtoe']
 SMPL_LEGS = ['lhip', 'rhip', 'spine', 'lknee', 'rknee', 'spine', 'lankle', 'rankle', 'spine', 'ltoe', 'rtoe']
 SMPL_ARMS = ['lshoulder', 'rshoulder', 'lelbow', 'relbow', 'lwrist', 'rwrist', 'lwrist', 'rwrist']
-SMPL = [
-    'pelvis',
-    *SMPL_LEGS,
-    'neck',
-    'neck',
-    'neck',
-    'head',
-    *SMPL_ARMS,
-]  # joints of the skeleton for those of SMPL
+# Joints of the skeleton for those of SMPL
+SMPL = ['pelvis', *SMPL_LEGS, 'neck', 'neck', 'neck', 'head', *SMPL_ARMS]
 PARENTS = [0, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19]
 SPINE = [3, 6, 9]  # of SMPL; they share the turn of the torso against the pelvis
 REST = {
@@ -80,7 +73,9 @@ def main():
 
     def take(skeletons):
         person = max((p for p in skeletons.people if not p.tentative), key=lambda p: p.age, default=None)
-        if person and skeletons.header.frame_id != skeletons.camera_frame_id:
+        if skeletons.header.frame_id == skeletons.camera_frame_id:
+            node.get_logger().warning('people are in the frame of the camera: set node.output_frame', once=True)
+        elif person:
             fields = convert(
                 [(p.x, p.y, p.z) for p in person.joints], [(q.x, q.y, q.z, q.w) for q in person.joint_orientation]
             )

@@ -3,7 +3,8 @@
 
 """Entry point of `mocap-ros`.
 
-Exit codes: 0 for success; 1 for a failure, which one line on stderr describes; 2 for wrong usage;
+Exit codes: 0 for success; 1 for a failure, which one line on stderr describes, also of a parameter that is
+unknown or an output of unknown type; 2 for options that a command does not have or cannot parse, after its usage;
 130 for an interrupt by Ctrl-C, as shells expect it.
 """
 

@@ -101,7 +101,7 @@ class ShareBar:
         self._description = description
         self._bar: tqdm[Any] | None = None
         self._total_s = math.inf  # s, of the whole computation, as the last report has it
-        self._is_done = threading.Event()
+        self._is_done, self._ticker = threading.Event(), threading.Thread(target=self._tick, daemon=True)
 
     def __enter__(self) -> Report:
         """Return the function that gets the share, 0 to 1."""
@@ -110,6 +110,8 @@ class ShareBar:
     def __exit__(self, *_: object) -> None:
         """Remove the bar."""
         self._is_done.set()
+        if self._ticker.is_alive():
+            self._ticker.join()  # it refreshes the bar, which would bring a closed one back
         if self._bar is not None:
             self._bar.close()
 
@@ -117,14 +119,14 @@ class ShareBar:
         if self._bar is None:
             self._bar = make_bar(desc=self._description, total=1.0, bar_format=SHARE_FORMAT)
             if not self._bar.disable:
-                threading.Thread(target=self._tick, args=[self._bar], daemon=True).start()
+                self._ticker.start()
         elif share > 0 and not self._bar.disable:
             self._total_s = (time.time() - self._bar.start_t) / share
 
-    def _tick(self, bar: tqdm[Any]) -> None:
-        while not self._is_done.wait(TICK_S):
-            bar.n = min(max((time.time() - bar.start_t) / self._total_s, bar.n), MAX_GUESS)
-            bar.refresh()
+    def _tick(self) -> None:
+        while self._bar is not None and not self._is_done.wait(TICK_S):
+            self._bar.n = min(max((time.time() - self._bar.start_t) / self._total_s, self._bar.n), MAX_GUESS)
+            self._bar.refresh()
 
 
 @contextmanager

@@ -20,7 +20,8 @@ points are at most 0.062 of the body height, half of those of wrong layouts and 
 Points whose left and right are exchanged show a person who is mirrored in depth: one who faces the camera faces
 away from it. In an image of a level camera this is as likely. The lifter knows that cameras mostly look down, and
 where a vertical is given, it is measured with it: sound points have at most 0.12 less mirrored, on 434 views. And
-people mostly walk forwards (`Walk`).
+people mostly walk forwards (`Walk`). A camera that drives moves them as well, but not their ankles against each
+other: those of people who stood moved by less than 0.2 m along the way, of 16 who walked mostly by over 0.25 m.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ LIFTED_FRAMES = 8  # frames of a stretch that are lifted, in its second half
 MIN_SEEN_JOINTS = 6  # joints that must be seen in a frame that counts
 MIN_FRAMES = 5  # frames with as many, or a stretch says nothing
 VIEW_SMOOTHING_S = 3.0  # s; as of the reconstruction
-_HIPS, _SHOULDERS = ([CMU15.index(side + name) for side in 'lr'] for name in ('hip', 'shoulder'))
+_HIPS, _SHOULDERS, _ANKLES = ([CMU15.index(s + name) for s in 'lr'] for name in ('hip', 'shoulder', 'ankle'))
 UNIT_CAMERA = Intrinsics(1.0, (0.0, 0.0), is_focal_known=True)  # whose px are rays
 
 MAX_UNCERTAINTY = -1.65  # u; above it, points hardly look like a person in that layout
@@ -70,6 +71,7 @@ WALK_M, WALK_S = 0.9, 1.5
 MIN_WALKED_M, MAX_BACKWARDS_SHARE = 0.7, 0.4
 LOOK_S = 0.1  # s, from look to look at where people walk
 MAX_GAP_SHARE = 0.25  # 1; longest step from image to image, of `WALK_S`
+MIN_STRIDE_M = 0.2  # m; by which the ankles of people who walk move against each other, along their way
 
 
 class Grade(IntEnum):
@@ -234,7 +236,8 @@ class Walk:
     def __init__(self) -> None:
         self.walked = self.ahead = 0.0
         self.person = ''
-        self._past: deque[tuple[int, Array, Array]] = deque()  # stamp in ns, place of the hips, direction ahead
+        # stamp in ns, place of the hips, from the right ankle to the left, direction ahead
+        self._past: deque[tuple[int, Array, Array, Array]] = deque()
 
     @property
     def is_backwards(self) -> bool:
@@ -255,11 +258,14 @@ class Walk:
         hips, shoulders = joints[_HIPS], joints[_SHOULDERS]
         place, across = hips.mean(axis=0), hips[0] - hips[1] + shoulders[0] - shoulders[1]
         facing = np.cross(across, shoulders.mean(axis=0) - place)
-        self._past.append((stamp_ns, place, facing / max(float(np.linalg.norm(facing)), 1e-9)))
+        ahead = facing / max(float(np.linalg.norm(facing)), 1e-9)
+        left, right = joints[_ANKLES]
+        self._past.append((stamp_ns, place, left - right, ahead))
         if stamp_ns - self._past[0][0] >= WALK_S * NS_PER_S:
             step = place - self._past[0][1]
             length, share = float(np.linalg.norm(step)), (stamp_ns - last_ns) / NS_PER_S / WALK_S
-            if length >= WALK_M and share < MAX_GAP_SHARE:
+            has_strides = np.ptp([apart @ step for *_, apart, _ in self._past]) >= MIN_STRIDE_M * length
+            if length >= WALK_M and share < MAX_GAP_SHARE and has_strides:
                 self.walked += share * length
                 self.ahead += share * float(step @ np.mean([ahead for *_, ahead in self._past], axis=0))
         while stamp_ns - self._past[0][0] >= WALK_S * NS_PER_S:

@@ -8,7 +8,7 @@ the camera is upside down, by a quarter if it is on its side, and else not at al
 so in its image, from the feet to the head, and yet have no hand beyond the head, on which they could stand: for
 more than half the time, and `TURNED_FACTOR` times as long as others are upright. Who is on the side may lie, or
 stand before a camera on its side. But who lies does not travel across the body: the camera of a whole sequence is
-on its side where somebody does. (Of 845 persons of motion capture who were laid on the floor none does, of 72 who
+on its side where one does. (Of 845 persons of motion capture who were laid on the floor none does, of 72 who
 walk three quarters do. Who lies changes the length in the image as one who walks away does.) Live this is not
 decided.
 
@@ -105,7 +105,7 @@ def find_camera_roll(points: Array, weight: Array, times: Array) -> float:
 
 
 def measure_travel(points: Array, weight: Array) -> float:
-    """Return how far somebody has travelled from side to side of the image, in lengths of trunk and leg.
+    """Return how far a person has travelled from side to side of the image, in lengths of trunk and leg.
 
     Points (F, J, 2) and weights (F, J) are those of `find_sides`.
     """

@@ -55,7 +55,7 @@ LIMBS = {s + limb: tuple(s + j for j in joints) for limb, joints in _OF_A_SIDE.i
 LIMBS['head'] = ('head', *FACE)
 
 # Directions of a leg in degrees: a and d of the thigh and of the shank, and by how much the toes point down. A
-# shank of `level` ends at the height of the hip, on the floor for somebody who sits on it.
+# shank of `level` ends at the height of the hip, on the floor for a person who sits on it.
 LEGS = """
 name       thigh    out      shank     out      toes
 bent_over  -20:30   -5:25    -35:5     -15:8    -15:20

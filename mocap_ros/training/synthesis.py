@@ -81,7 +81,7 @@ VERTICAL_STD_RANGE_RAD = (0.008, 0.25)  # rad, by how much it is off, log-unifor
 # Share of these in which a tracker has found it by such people, with the standard deviation of their posture. What
 # it believes is between one that suits people who stand and this; left out as `found`.
 FOUND_VERTICAL_SHARE = 0.25
-BELIEVED_STD_RAD = math.radians(8.0)  # rad, of the direction that somebody shows who stands
+BELIEVED_STD_RAD = math.radians(8.0)  # rad, of the direction that a standing person shows
 
 # Projection.
 ORTHOGRAPHIC_SHARE = 0.35  # share; distant people, and the weak-perspective images of the solvers

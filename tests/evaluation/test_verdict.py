@@ -135,15 +135,27 @@ def test_exchanged_sides_show_under_a_vertical_that_is_given() -> None:
 
 
 @pytest.mark.parametrize(
-    ('turn', 'speed', 'expected'),
-    [(0.0, 1.2, False), (np.pi, 1.2, True), (np.pi / 2, 1.2, True), (np.pi, 0.5, False)],
+    ('turn', 'speed', 'has_strides', 'expected'),
+    [
+        (0.0, 1.2, True, False),
+        (np.pi, 1.2, True, True),
+        (np.pi / 2, 1.2, True, True),
+        (np.pi, 0.5, True, False),
+        (np.pi, 1.2, False, False),  # the camera drives
+    ],
 )
-def test_who_walks_backwards_faces_away_from_where_the_hips_go(turn: float, speed: float, expected: bool) -> None:
+def test_who_walks_backwards_faces_away_from_where_the_hips_go(
+    turn: float, speed: float, has_strides: bool, expected: bool
+) -> None:
     walk, body = Walk(), np.zeros((15, 3))
     place = {'lhip': (0.1, 0.0), 'rhip': (-0.1, 0.0), 'lshoulder': (0.2, -0.5), 'rshoulder': (-0.2, -0.5)}
     for name, (across, height) in place.items():  # faces the camera, or is turned away from it
         body[CMU15.index(name)] = across * np.cos(turn), height, across * np.sin(turn)
     for frame in range(150):
-        step = np.array([0.0, 0.0, 5.0 - speed * frame / 30])
-        walk.add('anna', frame * 10**9 // 30, body + step)
+        joints = body + [0.0, 0.0, 5.0 - speed * frame / 30]
+        if has_strides:  # one ankle goes on for half a second while the other stays
+            whole, part = divmod(frame, 15)
+            ways = np.array([(whole + 1) // 2 + part / 15 * (whole % 2), whole // 2 + part / 15 * (1 - whole % 2)])
+            joints[[CMU15.index('lankle'), CMU15.index('rankle')], 2] = 5.0 - speed * ways
+        walk.add('anna', frame * 10**9 // 30, joints)
     assert walk.is_backwards is expected

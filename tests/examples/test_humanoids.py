@@ -92,3 +92,23 @@ def test_a_message_for_sonic_has_the_fields_of_the_protocol() -> None:
     pose = np.zeros((21, 3))
     pose[15], pose[16] = (0, 0, -np.pi / 2), (0, 0, np.pi / 2)  # SMPL rests with its arms stretched to the sides
     assert fields['smpl_pose'][0] == pytest.approx(pose, abs=1e-6)
+
+
+def test_a_result_becomes_rows_at_30_per_s_in_whose_gaps_the_robot_stays() -> None:
+    pytest.importorskip('mink')
+    example = load_module(ROOT / 'examples' / 'humanoid.py')
+    times = np.array([0.0, 0.1, 0.4, 2.4, 2.5])
+    poses = [stand(**BENT, pelvis=turn('z', 80.0 * t)) for t in times]
+    result = {
+        'timestamps': times,
+        'joints3d': np.array([joints + [t, 0.0, 0.0] for t, (joints, _) in zip(times, poses, strict=True)]),
+        'orientation': np.array([turns for _, turns in poses]),
+        'world_from_camera': np.eye(4),
+    }
+    robot = example.Humanoid(str(ROBOT))
+    rows = example.convert(robot, result)
+    assert len(rows) == 76
+    assert rows[12:72] == pytest.approx(np.tile(rows[12], (60, 1)))  # from 0.4 s to 2.4 s
+    assert rows[75, 0] > rows[72, 0] > rows[12, 0] > rows[6, 0] > rows[0, 0]
+    assert np.linalg.norm(rows[:, 3:7], axis=1) == pytest.approx(1.0)
+    assert len(example.convert(robot, {k: v[:1] if len(v) == 5 else v for k, v in result.items()})) == 1
