@@ -70,6 +70,7 @@ SLIP_M_S = 0.09  # m/s; S_0; with less, errors of contacts add up to errors of t
 PRECISE_M = 0.007  # m; N
 ROUNDS = 3  # of the robust loss, over whole sequences
 LEAST_NOISE_M = 5e-4  # m; image noise of points without errors
+# as the engine reads them, units as in `solvers.contacts`; the last one limits |2 p - 1|
 CONTACT = np.array([SPEED_M_S, HEIGHT_M, STANDING, MOVING, EVIDENCE_S, HOLD_S, MAX_STEP_S, 2 * MIN_KNOWN])
 REACH_S = HALF_WINDOW_S + 0.01  # s; frames of 30 Hz come a little late
 UNKNOWN, NO_ODDS = np.full(3, np.nan), np.full(len(FEET), np.nan)  # (3,) m of a place; (4,) logarithms
