@@ -62,7 +62,9 @@ def list_input_types(keypoints_type: str, *, reads_transforms: bool = False) -> 
         return {Source.TRACKED_BODIES: HRI_IDS, Source.BODY: HRI_SKELETON, **others}
     if current_type not in KEYPOINT_TYPES:
         supported = *KEYPOINT_TYPES, HRI_SKELETON
-        raise ConfigError(f'node.input_type: no {keypoints_type!r}; {suggest(keypoints_type, supported)}')
+        by_name = {name.rpartition('/')[2]: name for name in supported}
+        nearest = suggest(keypoints_type.rpartition('/')[2], by_name)
+        raise ConfigError(f'node.input_type: no {keypoints_type!r}; {nearest}')
     return {Source.KEYPOINTS: keypoints_type, **others}
 
 

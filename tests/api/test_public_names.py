@@ -29,7 +29,7 @@ PUBLIC: dict[str, str] = {
     'GroundTruth': '(joints, joint_names)',
     'InputError': 'MocapError',
     'KeypointSequence': '(keypoints, joint_names, timestamps, image_size, camera_matrix=None, distortion=None, '
-    "truth=None, person_id='', frame_id='', recorded_ns=(), calibration=None, focal_source='')",
+    "truth=None, person_id='', frame_id='', recorded_ns=(), calibration=None, focal_source='', notes=())",
     'MocapError': 'Exception',
     'ModelError': 'MocapError',
     'Motion': 'cadence category kind residual',
