@@ -117,7 +117,8 @@ def run(args: argparse.Namespace) -> int:
                     raise
                 print_note(f'{error} (person {sequence.person_id!r} is not saved)')
                 is_all_saved = False
-    summary = summarise(found, results, config)
+    if len(found) > 1:
+        summary = summarise(found, results, config)
     return finish(args.input, summary, is_strict=args.strict) or int(not is_all_saved)
 
 

@@ -45,7 +45,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.config import Config, SolverConfig, TrackerConfig
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.level import CALIBRATED_TILT_STD, Floor, average_vertical, build_world
+from mocap_ros.geometry.level import CALIBRATED_TILT_STD, MAX_CERTAIN_STD, Floor, average_vertical, build_world
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
 from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
@@ -59,7 +59,7 @@ from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.classification import choose_category
 from mocap_ros.solvers.contacts import find_contacts
 from mocap_ros.solvers.extremities import SEGMENT_OF, attach, collect_evidence, smooth_extremities
-from mocap_ros.solvers.floor import MAX_TILT_STD, POSE_SHARE, SIZE_RANGE, fit_floor
+from mocap_ros.solvers.floor import POSE_SHARE, SIZE_RANGE, fit_floor
 from mocap_ros.solvers.footing import plant_sequence
 from mocap_ros.solvers.image_roll import find_camera_roll, find_roll, lift_turned, turn_about_axis, turn_upright
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
@@ -262,14 +262,15 @@ def _find_floor(result: SequenceResult, observed: ObservedWindow, config: Tracke
     contact[np.isnan(result.joints).all(axis=(1, 2))] = np.nan
     result = replace(result, contact=contact)
     upward = average_vertical(result.vertical, result.vertical_std)
-    is_given, tilt_std = read_given_vertical(config) is not None, math.nan
-    if np.isfinite(upward).all():
-        tilt_std = CALIBRATED_TILT_STD if is_given else float(np.nanmean(result.vertical_std))
+    is_known = bool(np.isfinite(upward).all())
+    tilt_std = float(np.nanmean(result.vertical_std)) if is_known else math.nan
     if config.camera_height > 0:
+        is_calibrated = is_known and read_given_vertical(config) is not None
+        std = CALIBRATED_TILT_STD if is_calibrated else tilt_std
         is_focal_known = observed.virtual_camera.intrinsics.is_focal_known
-        fault = find_height_fault(is_focal_known=is_focal_known, tilt_std=tilt_std)
+        fault = find_height_fault(is_focal_known=is_focal_known, tilt_std=std)
         if not fault:
-            floor = Floor(upward, config.camera_height, tilt_std)
+            floor = Floor(upward, config.camera_height, std)
             stood = _stand_on(result, observed.times, floor, config)
             if stood is None:
                 return replace(result, floor=floor)
@@ -277,9 +278,6 @@ def _find_floor(result: SequenceResult, observed: ObservedWindow, config: Tracke
                 return stood
             fault = WRONG_HEIGHT
         result = replace(result, height_fault=fault)
-    if not np.isfinite(upward).all():
-        return result
-    tilt_std = float(np.nanmean(result.vertical_std))
     fit = fit_floor(result.joints, contact, observed.times, Floor(upward, None, tilt_std), _assume_share(config))
     return result if fit is None else replace(result, floor=fit.floor)
 
@@ -288,7 +286,7 @@ def find_height_fault(*, is_focal_known: bool, tilt_std: float) -> str:
     """Return why a known height of the camera is of no use, in words; `tilt_std` of the vertical in rad."""
     if not is_focal_known:
         return 'the focal length is not known, and distances with it'
-    return '' if tilt_std <= MAX_TILT_STD else 'the vertical is not known: give tracker.vertical'
+    return '' if tilt_std <= MAX_CERTAIN_STD else 'the vertical is not known: give tracker.vertical'
 
 
 def _stand_on(result: SequenceResult, times: Array, floor: Floor, config: TrackerConfig) -> SequenceResult | None:

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.geometry.level import Floor
+from mocap_ros.geometry.level import MAX_CERTAIN_STD, Floor
 from mocap_ros.models.upward_direction import find_standing
 from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CORE_COUNT
@@ -45,7 +45,6 @@ POSE_SHARE = 0.04  # 1; of the size, measured on training persons of known heigh
 SIZE_RANGE = 0.75, 1.3  # 1; of r, 3.5 of its standard deviations; another is that of a wrong height of the camera
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for
 MIN_STANDING_S = 0.5  # s; less shows no floor
-MAX_TILT_STD = math.radians(20.0)  # rad; by a less certain vertical nothing is found
 MIN_CAMERA_HEIGHT_M = 0.1  # m; a floor nearer below the camera cannot be seen
 ITERATIONS = 6  # of Gauss-Newton, in which the robust weights settle
 
@@ -77,7 +76,7 @@ def fit_floor(joints: Array, contact: Array, times: Array, before: Floor, size_s
     from scipy.linalg import solveh_banded  # 22 MB that a live tracker does not need
 
     known = np.flatnonzero(np.isfinite(joints).all(axis=(1, 2)))
-    if len(known) < 3 or not before.tilt_std <= MAX_TILT_STD:
+    if len(known) < 3 or not before.tilt_std <= MAX_CERTAIN_STD:
         return None
     body, share = joints[known], np.fmax(2 * contact[known] - 1, 0.0)
     steps = np.minimum(np.diff(times[known], append=2 * times[known[-1]] - times[known[-2]]), MAX_STEP_S)

@@ -93,14 +93,15 @@ def find_motion(tracks: Sequence[Track], frames: Sequence[int], located: Array) 
 
     `located` (P, J, 3) m are the solved joints.
     """
-    motion = read_motion([t.motion_filter for t in tracks], find_times(tracks, frames), located)
+    times_s = find_times(tracks, frames)
+    motion = read_motion([t.motion_filter for t in tracks], times_s, located)
     for p, (track, frame) in enumerate(zip(tracks, frames, strict=True)):
         if 0 < frame < track.newest and np.isnan(motion.velocity[p, 0, 0]):
             solution, near = track.solved, np.arange(frame - 1, frame + 2)
             positions = solution.compute_joints(near) + solution.roots[near, None]
             times = track.observed.times[near] - track.observed.times[frame]
             motion.velocity[p] = central_velocity(times, positions / solution.stature_ratio)[1]
-    _stand(tracks, find_times(tracks, frames), motion)
+    _stand(tracks, times_s, motion)
     return motion
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.level import rotation_to_level
+from mocap_ros.geometry.level import LOWEST_PERCENTILE, rotation_to_level
 from mocap_ros.skeleton import CMU15, Skeleton, canonical_joint_names
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.plots import MIDDLE_COLOUR, TRUTH_COLOUR, PlotData, choose_side_colour
@@ -33,7 +33,6 @@ PALE_COLOUR = '#a8a8a8'  # grey; people who are predicted or tentative
 PERSON_COLOURS = ('#0072b2', '#009e73', '#cc79a7', '#a6761d', '#56b4e9', '#7a5195', '#66a61e', '#b2182b')
 RIGHT_SHADE = 0.62  # factor of a person's colour on the right side of the body, dark enough to differ
 TRAIL_JOINT = 'pelvis'  # the joint whose way is drawn, because it is nearest to the centre of the body
-FLOOR_PERCENTILE = 95  # %; of the heights of the lowest joint, so that a few outliers do not lower the floor
 EXTENT_PERCENTILES = (2, 98)  # %; of the joints' coordinates, for the first view of the scene
 # A part of the body counts as exchanged by the detector if its keypoints fit the result with left and right
 # exchanged at less than this share of the error that they have as they are,
@@ -162,7 +161,9 @@ class Scene:
         down = self.to_level[1].astype(np.float32)
         lowest = [np.fmax.reduce(person.joints @ down, axis=1) for person in self.people if len(person.frames)]
         known = [own[np.isfinite(own)] for own in lowest]
-        return float(np.percentile(np.concatenate(known), FLOOR_PERCENTILE)) if any(map(len, known)) else 1.0
+        return (
+            float(np.percentile(np.concatenate(known), 100 - LOWEST_PERCENTILE)) if any(map(len, known)) else 1.0
+        )
 
     @cached_property
     def swapped(self) -> tuple[Mask, ...]:
