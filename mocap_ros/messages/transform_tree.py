@@ -27,6 +27,7 @@ from mocap_ros.messages.transforms import (
     ROOT_LINK,
     TORSO_LINK,
     TRANSFORMS,
+    WORLD_LINK,
     StampedTransform,
     write_transforms,
 )
@@ -177,14 +178,16 @@ class TransformTree:
 
 
 def is_of_people_only(raw: bytes, prefix: str) -> bool:
-    """Return whether a TFMessage holds nothing but links of people, as this package publishes them.
+    """Return whether a TFMessage holds nothing but links of people and their world, as published by this package.
 
     Such messages say nothing of the camera. A node that publishes people on /tf receives them itself, and a bag of
     its run has them on the topic of the inputs. Robots have frames with such names too, as `head_camera`, but no
     body and torso of the same name above them.
     """
     root, torso = (f'{prefix}{link}_' for link in (ROOT_LINK, TORSO_LINK))
-    if root.encode() not in raw and any(raw[_COUNT]):  # decoding a large message takes 0.3 s
+    world = f'{prefix}{WORLD_LINK}'
+    has_name = root.encode() in raw or world.encode() in raw
+    if not has_name and any(raw[_COUNT]):  # decoding a large message takes 0.3 s
         return False
     try:
         parents = {t.child_frame_id: t.header.frame_id for t in _decode(raw)}
@@ -192,7 +195,7 @@ def is_of_people_only(raw: bytes, prefix: str) -> bool:
         return False
     suffixes = [c.removeprefix(root) for c in parents if c.startswith(root)]
     people = [suffix for suffix in suffixes if torso + suffix in parents]
-    bodies = {root + suffix for suffix in people}
+    bodies = {world, *(root + suffix for suffix in people)}
     links = {f'{prefix}{link}_{suffix}': root + suffix for suffix in people for link in CHILD_LINKS}
     return all(child in bodies or links.get(child) == parent for child, parent in parents.items())
 

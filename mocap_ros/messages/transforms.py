@@ -14,6 +14,9 @@ All other links are children of `body_<id>`: `torso_<id>` between the shoulders,
 limbs, such as `l_shoulder_<id>`, and toes, heels, hands, eyes, ears and nose where people have them. Each is
 turned as the segment of the body that turns about it or holds it (`solvers.body_segments`): `l_shoulder_<id>` is
 the left upper arm. Of a person who stands upright with hanging arms, all have the axes of the body.
+
+Beside the people, `mocap_world` is the world in which they stand (`runtime.output_frame.LiveWorld`). It is a child
+of the frame of the outputs, since that, as of a camera on a robot, may have its one parent already.
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ from itertools import chain, count
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mocap_ros.geometry.rigid_transform import NO_ROTATION
+from mocap_ros.geometry.rigid_transform import NO_ROTATION, RigidTransform
 from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_rotation
 from mocap_ros.messages.cdr import Array, Header
 from mocap_ros.messages.plain import encode_plain
@@ -36,6 +39,7 @@ from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, Skeleton
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 ROOT_LINK = 'body'  # name of the root link in REP-155
 TORSO_LINK = 'torso'  # name of the link between the shoulders
+WORLD_LINK = 'mocap_world'  # frame with z up, in which the floor is at z = 0
 MIDDLE_LINKS = 'head', 'nose'  # joints of the middle of the body that are links
 MAX_ID_CHARACTERS = 200  # of a name; the middleware refuses names of topics of more than 247
 MIN_AXIS_LENGTH = 1e-6  # m (up) and m^2 (forward); guards the divisions by them, far under any real size
@@ -88,21 +92,28 @@ def make_body_id(person_id: str) -> str:
 
 
 def encode_transforms(
-    header: Header, people: Sequence[Person3D], prefix: str = '', names: Mapping[str, str] | None = None
+    header: Header,
+    people: Sequence[Person3D],
+    prefix: str = '',
+    names: Mapping[str, str] | None = None,
+    world: RigidTransform | None = None,
 ) -> bytes:
-    """Encode a TFMessage of all people who are reconstructed in metres.
+    """Encode a TFMessage of all people who are reconstructed in metres, and of their world.
 
     Args:
         header: time and frame of the image; its frame_id is the parent of every `body_<id>`.
         people: all people in the image; people who are reconstructed without a focal length are left out.
         prefix: text before the name of every link.
         names: what stands for `<id>` of each person, by id; None for what `FrameNames` makes of the ids.
+        world: from the world to the frame of the header; None where it is not known.
     """
     placed = [p for p in people if p.scale_known] if header.frame_id else []
     links = zip(placed, *compute_links(np.array([p.core for p in placed]).reshape(-1, CORE_COUNT, 3)), strict=True)
     known = [(person, *found) for person, *found in links if np.isfinite(found[-1]).all()]
     names = FrameNames().assign([p.id for p, *_ in known]) if names is None else names
     transforms: list[StampedTransform] = []
+    if world is not None and header.frame_id:
+        transforms.append((header, f'{prefix}{WORLD_LINK}', (*world.translation, *world.quaternion)))
     for person, root, torso, axes in known:
         link_names, joints = _list_links(person.skeleton)
         rotation = np.array(quaternion_from_rotation(axes))

@@ -1,22 +1,34 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where the camera and the floor are in `node.output_frame`: by parameters, or by the transforms on /tf."""
+"""Where the camera and the floor are in `node.output_frame`, by parameters or /tf, and the world of the people."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mocap_ros.config import Config, NodeConfig
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.level import Floor, is_level
+from mocap_ros.geometry.level import HEADING_FRAMES, MAX_CERTAIN_STD, Floor, build_world, is_level
 from mocap_ros.geometry.rigid_transform import RigidTransform, parse_camera_pose
+from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.transform_tree import TransformTree
+from mocap_ros.people import CameraVertical, Person3D
+from mocap_ros.skeleton import CORE_COUNT
+from mocap_ros.solvers.floor import ANKLE_M, HEEL_M
+from mocap_ros.units import NS_PER_S
+
+Array = NDArray[np.float64]
 
 CAMERA_MOTION_S = 0.1  # s; over which the motion of the camera is found: as long as velocities are smoothed over
+SETTLING_S = 5.0  # s; time constant with which the world follows what becomes known of vertical and floor
 
 
 class OutputFrame:
@@ -101,6 +113,83 @@ class OutputFrame:
     def _find_pose(self, header: Header, node: NodeConfig, earlier_s: float = 0.0) -> RigidTransform:
         frames = node.output_frame, header.frame_id
         return self.transforms.find(*frames, header.stamp_ns, node.transform_tolerance, earlier_s)
+
+
+class LiveWorld:
+    """The world of `geometry.level` in the frame of the outputs, once a person has been seen for half a second.
+
+    Its heading and its origin stay. The vertical and the floor, which standing feet show where its height is not
+    known, are followed with `SETTLING_S` about the origin, so that nothing jumps.
+    """
+
+    def __init__(self) -> None:
+        self._first: tuple[str, list[Array]] = '', []  # id, and joints (J, 3) m in the frame of the outputs
+        self._axes, self._origin = np.eye(3), np.zeros(3)  # rotation from that frame, and m in it
+        self._stamp_ns: int | None = None  # of the newest frame; None before the world is known
+
+    def advance(
+        self,
+        stamp_ns: int,
+        people: Sequence[Person3D],
+        vertical: CameraVertical | None,
+        camera: CameraPlacement,
+        camera_height: float | None,
+    ) -> RigidTransform | None:
+        """Return the transform from the world to the frame of the outputs after an image; None if not known.
+
+        People and vertical are in that frame; `camera_height` in m over the floor is None where not known.
+        """
+        people = [p for p in people if p.scale_known and not p.predicted]
+        if self._stamp_ns is None and people:
+            self._add_first(people)
+        is_certain = vertical is not None and vertical.std <= MAX_CERTAIN_STD
+        if vertical is not None and is_certain and len(self._first[1]) == HEADING_FRAMES:
+            share = 1.0
+            if self._stamp_ns is None:
+                world = build_world(np.array(self._first[1]), vertical.direction, None)
+                self._axes, self._origin = world[:3, :3], -world[:3, :3].T @ world[:3, 3]
+            else:
+                share -= math.exp(-max(stamp_ns - self._stamp_ns, 0) / NS_PER_S / SETTLING_S)
+            self._follow(share, people, vertical.direction, camera, camera_height)
+            self._stamp_ns = stamp_ns
+        if self._stamp_ns is None:
+            return None
+        return RigidTransform(self._origin.copy(), quaternion_from_rotation(self._axes.T))
+
+    def _add_first(self, people: Sequence[Person3D]) -> None:
+        person = next((p for p in people if p.id == self._first[0]), people[0])
+        if person.id != self._first[0]:
+            self._first = person.id, []
+        if len(self._first[1]) < HEADING_FRAMES:
+            self._first[1].append(person.joints)
+
+    def _follow(
+        self,
+        share: float,
+        people: Sequence[Person3D],
+        upward: Array,
+        camera: CameraPlacement,
+        camera_height: float | None,
+    ) -> None:
+        up = self._axes[2] + share * (upward - self._axes[2])
+        up /= np.linalg.norm(up)
+        left = np.cross(up, self._axes[0])
+        left /= np.linalg.norm(left)
+        self._axes = np.array([np.cross(left, up), left, up])
+        if camera_height is not None:
+            place = np.zeros(3) if camera.pose is None else camera.pose.translation
+            rise, weight = float((place - self._origin) @ up) - camera_height, 1.0
+        else:
+            known = [(2 * float(np.nanmax(p.contact)) - 1, p) for p in people if np.isfinite(p.contact).any()]
+            stand = [(s, self._find_lowest(p)) for s, p in known if s > 0]
+            weight = max((s for s, _ in stand), default=0.0)
+            rise = sum(s * lowest for s, lowest in stand) / (sum(s for s, _ in stand) or 1.0)
+        self._origin = self._origin + share * weight * rise * up
+
+    def _find_lowest(self, person: Person3D) -> float:
+        """Return how high in m over the floor the lowest joint is, less what it is of a person who stands."""
+        height = HEEL_M if len(person.joints) > CORE_COUNT else ANKLE_M
+        return float(((person.joints - self._origin) @ self._axes[2]).min()) - height
 
 
 def _parse_height(text: str) -> float:

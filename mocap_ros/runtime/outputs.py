@@ -29,6 +29,7 @@ from mocap_ros.messages.skeletons import (
 )
 from mocap_ros.messages.transforms import TRANSFORMS, FrameNames, encode_transforms
 from mocap_ros.people import CameraVertical, Person3D
+from mocap_ros.runtime.output_frame import LiveWorld
 from mocap_ros.skeleton import keypoint_layout
 
 # Message type of every output that each accepted image causes, by relative topic name.
@@ -48,7 +49,7 @@ class OutputEncoder:
     """Encoder of the outputs of successive images; markers and names of frames depend on the image before."""
 
     def __init__(self) -> None:
-        self._markers, self._names = MarkerEncoder(), FrameNames()
+        self._markers, self._names, self._world = MarkerEncoder(), FrameNames(), LiveWorld()
         self._order: dict[str, int] = {}  # positions in the list of the image before, by id
 
     def encode(
@@ -59,6 +60,7 @@ class OutputEncoder:
         camera: CameraPlacement | None = None,
         vertical: CameraVertical | None = None,
         predicted: Sequence[PredictedFrame] = (),
+        camera_height: float | None = None,
     ) -> tuple[OutputMessage, ...]:
         """Encode the people in an image; the result has one message for each of `OUTPUTS`, then those switched on.
 
@@ -69,12 +71,13 @@ class OutputEncoder:
             camera: The camera in the frame of the header; None where the header names the optical frame.
             vertical: What is known of the camera's vertical, in its optical frame; None if nothing is.
             predicted: The people at times after the image, in the camera's optical frame.
+            camera_height: m, of the camera over the floor; None where it is not known.
         """
         node = node or NodeConfig()
         camera = camera or CameraPlacement(header.frame_id)
-        placed = camera.place(self._keep_order(people))
+        placed, upward = camera.place(self._keep_order(people)), camera.place_vertical(vertical)
         contents = [
-            encode_skeletons(header, placed, camera.place_vertical(vertical), camera),
+            encode_skeletons(header, placed, upward, camera),
             encode_cameras(Header(header.stamp_ns, camera.frame_id), placed),
             self._markers.encode_update(header, placed, node.marker_lifetime),
             encode_points(header, placed),
@@ -82,7 +85,10 @@ class OutputEncoder:
         if node.publish_tf:
             certain = [p for p in placed if not p.tentative]
             names = self._names.assign([p.id for p in certain])
-            contents.append(encode_transforms(header, certain, node.frame_prefix, names))
+            world = None
+            if header.frame_id == (node.output_frame or camera.frame_id):
+                world = self._world.advance(header.stamp_ns, certain, upward, camera, camera_height)
+            contents.append(encode_transforms(header, certain, node.frame_prefix, names, world))
         if node.publish_predictions:
             contents.append(encode_predictions(header, predicted, camera))
         types = OUTPUTS | list_switched_outputs(node)
@@ -97,7 +103,7 @@ class OutputEncoder:
 
     def encode_clear(self, header: Header) -> tuple[OutputMessage, ...]:
         """Encode the message that deletes all markers, and forget all people."""
-        self._names, self._order = FrameNames(), {}
+        self._names, self._order, self._world = FrameNames(), {}, LiveWorld()
         return (OutputMessage('markers', MARKERS, header.stamp_ns, self._markers.encode_clear(header)),)
 
 

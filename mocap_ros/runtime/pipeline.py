@@ -314,7 +314,10 @@ class Pipeline:
             header, placement, reason = self._output_frame.place_camera(shown, config.node)
             times = self._prediction_times
             predicted = [*map(PredictedFrame, times, tracker.predict(times))] if times else ()
-            outputs = self._outputs.encode(header, people, config.node, placement, tracker.vertical, predicted)
+            known_m = config.tracker.camera_height or None if floor[0] is None else floor[0].camera_height
+            outputs = self._outputs.encode(
+                header, people, config.node, placement, tracker.vertical, predicted, known_m
+            )
             seen = frame.people, people
             self.summary.add(stamp_ns, *seen, intrinsics, focal_source, tracker.vertical, config)
             found = self.checks.advance(frame, intrinsics, people, tracker, config, floor, self.summary.reason)

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocap_ros.errors import InputError
+from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.transform_tree import HISTORY_S, MAX_FRAMES, TransformTree, is_of_people_only
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
@@ -120,6 +121,9 @@ def test_transforms_of_people_are_known_by_their_names() -> None:
     assert not is_of_people_only(own, '')
     nobody = encode_transforms(Header(1, 'camera'), [])
     assert is_of_people_only(nobody, 'left_')
+    world = encode_transforms(Header(1, 'camera'), [], 'left_', None, RigidTransform.identity())
+    assert is_of_people_only(world, 'left_')
+    assert not is_of_people_only(world, '')
     assert not is_of_people_only(nobody[:-1], 'left_')
     message = decode(own, TRANSFORMS)
     message.transforms[3].child_frame_id = 'base'

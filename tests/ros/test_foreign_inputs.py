@@ -90,7 +90,7 @@ def test_yolo_detections_with_transforms(
     wait_until_discovered(peer.node, peer.executor, 'mocap_node')
     info.publish(camera_info())
     peer.wait_for_diagnostics('focal length', 'known')
-    frames: list[Any] = [[(f + 1) * 10**8, place_people(f, 'anna', 'b/ob')] for f in range(8)]
+    frames: list[Any] = [[(f + 1) * 10**8, place_people(f, 'anna', 'b/ob')] for f in range(20)]
     transforms = json.loads(run_detector(env, 'yolo', frames, 'tf', 'map'))
     peer.wait_for_frames(len(frames))
     assert stop_node(node) == []
@@ -102,6 +102,7 @@ def test_yolo_detections_with_transforms(
     parents_and_children = {tuple(t) for message in transforms for t in message}
     assert ('map', 'left_body_anna') in parents_and_children
     assert ('left_body_b_ob', 'left_l_shoulder_b_ob') in parents_and_children
+    assert ('map', 'left_mocap_world') in parents_and_children
     (bag_folder,) = (tmp_path / 'bags').iterdir()
     with Bag(bag_folder) as bag:
         assert bag.topics['/keypoints'] == 'yolo_msgs/msg/DetectionArray'

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from mocap_ros.runtime.load_results import load_result
 from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import ReplayOptions, replay
+from mocap_ros.skeleton import CMU15
 from tests.support.camera_infos import camera_info
 from tests.support.pipeline_inputs import (
     FAST_CONFIG,
@@ -365,6 +367,42 @@ def test_a_vertical_that_people_contradict_is_named_once(
     made = [r for r in reasons if r]
     assert [bool(re.match(problem, r)) for r in made] == [True] * bool(problem)
     assert not any(reasons[:20]), 'not before people have been seen for some seconds'
+
+
+@pytest.mark.parametrize('values', [{}, FLOOR_POSE, {**FLOOR_POSE, 'node.floor_height': '0.1'}])
+def test_the_world_on_tf_is_level_on_the_floor_without_jumps_and_the_same_in_a_replay(
+    tmp_path: Path, long_stream: list[bytes], values: dict[str, str]
+) -> None:
+    config = with_values(FAST_CONFIG, {**values, 'node.publish_tf': True, 'node.frame_prefix': 'left_'})
+    pipeline = Pipeline(config)
+    pipeline.set_camera_info(camera_info())
+    write_keypoints_bag(tmp_path / 'bag', long_stream, camera_info())
+    live, worlds = [], []
+    for raw in long_stream:
+        outputs = process(pipeline, raw)
+        live.append({o.topic: bytes(o.data) for o in outputs}['/tf'])
+        pipeline.run_deferred_work()
+        found = [t for t in decode(live[-1], TRANSFORMS).transforms if t.child_frame_id == 'left_mocap_world']
+        for frame in found:
+            assert frame.header.frame_id == (values.get('node.output_frame') or 'camera')
+            place, turn = frame.transform.translation, frame.transform.rotation
+            world = np.array([place.x, place.y, place.z]), Rotation.from_quat([turn.x, turn.y, turn.z, turn.w])
+            worlds.append((find_skeletons(outputs), *world))
+    assert 5 < len(worlds) < len(long_stream)  # the vertical takes a second to be found
+    for (_, place, turn), (_, next_place, next_turn) in pairwise(worlds):
+        assert np.linalg.norm(next_place - place) < 0.01
+        assert (turn.inv() * next_turn).magnitude() < 0.005
+    skeletons, place, turn = worlds[-1]
+    in_world = turn.inv().apply(stack(skeletons)[0] - place)
+    assert in_world[CMU15.index('neck'), 2] > in_world[CMU15.index('pelvis'), 2] + 0.3
+    if 'node.floor_height' in values:
+        assert place[2] == pytest.approx(0.1, abs=1e-6)
+        assert turn.apply([0, 0, 1]) == pytest.approx([0, 0, 1], abs=1e-6)
+    else:
+        assert in_world[:, 2].min() == pytest.approx(0.0, abs=0.1)
+    with Bag(tmp_path / 'bag') as bag:
+        replay(bag, tmp_path / 'out', ReplayOptions(config))
+    assert read_messages(tmp_path / 'out', '/tf') == live
 
 
 def test_a_frame_whose_name_says_that_z_is_up_gives_the_vertical_without_a_floor(long_stream: list[bytes]) -> None:

@@ -83,7 +83,7 @@ def publish_camera() -> None:
 def publish_yolo() -> None:
     publisher = node.create_publisher(DetectionArray, 'keypoints', 100)
     wait_until(publisher.get_subscription_count)
-    for stamp_ns, people in frames:
+    for number, (stamp_ns, people) in enumerate(frames, 1):
         array = with_header(DetectionArray(), stamp_ns)
         for name, points in people.items():
             detection = Detection(id=name)
@@ -94,6 +94,7 @@ def publish_yolo() -> None:
                     detection.keypoints.data.append(keypoint)
             array.detections.append(detection)
         publisher.publish(array)
+        wait_until(lambda: len(skeletons) == number)  # noqa: B023
 
 
 def publish_hri() -> None:
