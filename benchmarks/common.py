@@ -74,14 +74,19 @@ def data_path(*parts: str) -> Path:
 
 
 @cache
-def load_protocol() -> ModuleType:
-    """Load the measuring protocol, which is part of the evaluation data."""
-    spec = importlib.util.spec_from_file_location('protocol', data_path('bench', 'protocol.py'))
+def load_module(path: Path) -> ModuleType:
+    """Load the module of a file."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
-        raise ImportError('protocol.py')
+        raise ImportError(str(path))
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def load_protocol() -> ModuleType:
+    """Load the measuring protocol, which is part of the evaluation data."""
+    return load_module(data_path('bench', 'protocol.py'))
 
 
 def choose_capture(name: str) -> None:

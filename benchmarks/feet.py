@@ -14,9 +14,8 @@ along the line of sight), where it is (mm), angles of knees and hips (rms degree
 from __future__ import annotations
 
 import argparse
-import importlib.util
 from collections.abc import Callable, Iterator
-from functools import cache, partial
+from functools import partial
 from types import ModuleType
 from typing import Any
 
@@ -53,15 +52,9 @@ ANGLES = {
 }
 
 
-@cache
 def load_measures() -> ModuleType:
     """Load bench/feet.py of the evaluation data."""
-    spec = importlib.util.spec_from_file_location('measures', common.data_path('bench', 'feet.py'))
-    if spec is None or spec.loader is None:
-        raise ImportError('feet.py')
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return common.load_module(common.data_path('bench', 'feet.py'))
 
 
 def list_trials(persons: str, count: int) -> list[tuple[str, str]]:

@@ -54,6 +54,7 @@ class Body:
         noise: Array,
         stature: Array,
         steps: Array,
+        is_steady: bool,
     ) -> None: ...
     def smooth(
         self,

@@ -30,6 +30,15 @@ A whole sequence is followed forwards (f) and backwards (b, before its correctio
 
     P^-1 = P_f^-1 + P_b^-1 - S^-1,    R = exp(P (P_b^-1 log(R_b R_f^T) - S^-1 log(A R_f^T))) R_f
 
+Live, orientations Q of all segments are steadied by a filter without lag at constant angular velocity w: with
+Z the orientation of this frame, and e of at most d, rho and beta as in `tracking.motion_filter`,
+
+    e = log(Z Q'^T),    Q' = exp(h w) Q,    Q <- exp((1 - rho^2) e) Q',    w <- w + beta / h e
+    omega = Omega (s^2 + s_0^2)^(1/4)
+
+s is the RMS angular velocity over the last frames. A segment whose angular velocity changes by a, in rad/s^2, is
+behind by about a / omega^2. Points are not filtered.
+
 The constants and the code are in `engine/extremities.pyx`.
 """
 
@@ -127,6 +136,8 @@ STATE = np.dtype(
             float,
             SEGMENT_COUNT,
         ),  # 1 where the image says how a segment is turned about itself
+        ('spin', float, (SEGMENT_COUNT, 3)),  # rad/s; w
+        ('squared_spin', float, SEGMENT_COUNT),  # rad^2/s^2; s^2
     ]
 )
 _start = np.zeros(1, STATE)
@@ -188,15 +199,20 @@ def collect_frame_evidence(
 
 
 def follow_extremities(
-    states: Sequence[Array] | Array, steps_s: Array, evidence: ExtremityEvidence, statures: Array
+    states: Sequence[Array] | Array,
+    steps_s: Array,
+    evidence: ExtremityEvidence,
+    statures: Array,
+    *,
+    is_steady: bool = False,
 ) -> Array:
     """Return the states (P, N) of people after another frame, P rows of `START` before the first.
 
     `steps_s` (P,) s since the frame before, infinite for the first, and nothing changes where it is not positive;
-    `statures` (P,) m.
+    `statures` (P,) m; `is_steady` whether the orientations are filtered.
     """
     result = np.array(states)
-    _BODY.follow(result, *evidence, statures, steps_s)
+    _BODY.follow(result, *evidence, statures, steps_s, is_steady)
     return result
 
 

@@ -62,11 +62,14 @@ def advance_filters(tracks: Sequence[Track], frames: Sequence[int], located: Arr
         track.motion_filter = own
 
 
-def advance_extremities(tracks: Sequence[Track], frames: Sequence[int], seen: ExtremityEvidence) -> None:
-    """Follow the extremities of P >= 1 people up to a frame of each."""
+def advance_extremities(
+    tracks: Sequence[Track], frames: Sequence[int], seen: ExtremityEvidence, *, is_steady: bool
+) -> None:
+    """Follow the extremities of P >= 1 people up to a frame of each, with filtered orientations if `is_steady`."""
     times, before = find_times(tracks, frames), np.array([t.extremities_s for t in tracks])
     statures = np.array([t.solved.model.stature for t in tracks])
-    states = follow_extremities([t.extremity_state for t in tracks], times - before, seen, statures)
+    known = [t.extremity_state for t in tracks]
+    states = follow_extremities(known, times - before, seen, statures, is_steady=is_steady)
     for track, state, time in zip(tracks, states, np.maximum(times, before).tolist(), strict=True):
         track.extremity_state, track.extremities_s = state, time
 

@@ -472,12 +472,13 @@ class Tracker:
         """Filter the motion of people, and follow their extremities, up to the frame that is shown."""
         tracks, frames = self._at_work, [frame for _, frame in shown]
         now, earlier = locate_past(tracks, frames)
-        if self.config.tracker.steady_output and self._is_newest_shown:
+        is_steady = self.config.tracker.steady_output and self._is_newest_shown
+        if is_steady:
             advance_filters(tracks, frames, now)
         motion = find_published_motion(tracks, frames, now, earlier)
         plant_feet(tracks, frames, motion, self._upward)
         seen = collect_seen(tracks, frames, motion.joints)
-        advance_extremities(tracks, frames, seen)
+        advance_extremities(tracks, frames, seen, is_steady=is_steady)
         return motion, seen
 
     def _make_people(self, shown: Shown, floor: Floor | None) -> list[Person3D]:

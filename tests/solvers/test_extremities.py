@@ -82,12 +82,12 @@ def look_around(seed: int, sizes: tuple[float, float, float] = (1.0, 1.0, 1.0), 
     return Body(joints, evidence)
 
 
-def follow(evidence: ExtremityEvidence, step_s: float = STEP_S) -> NDArray[Any]:
+def follow(evidence: ExtremityEvidence, step_s: float = STEP_S, *, is_steady: bool = False) -> NDArray[Any]:
     states = [START[None]]
     for frame in range(len(evidence.core)):
         seen = ExtremityEvidence(*(np.ascontiguousarray(values[frame : frame + 1]) for values in evidence))
         step = np.array([step_s if frame else np.inf])
-        states.append(follow_extremities(states[-1], step, seen, np.array([STATURE_M])))
+        states.append(follow_extremities(states[-1], step, seen, np.array([STATURE_M]), is_steady=is_steady))
     return read_states(np.concatenate(states[1:]))
 
 
@@ -272,3 +272,21 @@ def test_quaternions_are_those_of_the_segments_and_do_not_jump(seed: int) -> Non
     found = Rotation.from_quat(quaternions.reshape(-1, 4)).as_matrix()
     assert found == pytest.approx(segments.reshape(-1, 3, 3), abs=1e-9)
     assert (np.abs(np.diff(quaternions, axis=0)) < 0.9).all()
+
+
+def test_steady_orientations_lose_jitter_and_single_wrong_frames_but_not_a_turn() -> None:
+    step_s, rng = 1 / 60, np.random.default_rng(0)
+    turns = Rotation.from_rotvec(np.arange(120)[:, None] * step_s * [0.0, 0.0, 1.5])  # at 1.5 rad/s
+    poses = np.array([turn.apply(UPRIGHT) for turn in turns])
+    poses += 0.003 * rng.normal(size=poses.shape)
+    poses[90] = turns[90].apply(UPRIGHT * [-1.0, -1.0, 1.0])  # back to front
+    jitters = []
+    for is_steady in (False, True):
+        states = follow(ExtremityEvidence.without_image(poses), step_s, is_steady=is_steady)
+        found = Rotation.from_quat(states['quaternions'][:, at('neck')])
+        spins = (found[1:] * found[:-1].inv()).as_rotvec() / step_s
+        jitters.append(np.linalg.norm(np.diff(spins[30:88], axis=0), axis=1).mean() / step_s)
+        errors = np.degrees((found * turns.inv()).magnitude())
+    assert jitters[1] < jitters[0] / 3
+    assert errors[30:90].mean() < 1.0
+    assert errors[90:].max() < 25.0

@@ -255,7 +255,7 @@ def test_a_fault_forgets_the_people_whom_it_concerns_and_the_stream_goes_on(
         update(frame)
     with monkeypatch.context() as patch:
 
-        def fail(*_given: object) -> None:
+        def fail(*_given: object, **_named: object) -> None:
             raise ZeroDivisionError('a fault')
 
         patch.setattr(tracker_module, stage, fail)
