@@ -29,7 +29,7 @@ from mocap_ros.models.motion_predictor import INPUT_LIMIT
 from mocap_ros.models.velocity_correction import SPANS_S, VelocityCorrection, VelocityPast, build_inputs
 from mocap_ros.npz_file import write_npz
 from mocap_ros.skeleton import CMU15
-from mocap_ros.tracking.output import describe_past, find_motion, locate_past
+from mocap_ros.tracking.output import Shown, describe_past, find_motion, locate_past
 
 Array = NDArray[np.float64]
 
@@ -67,9 +67,8 @@ def collect(frames: int) -> tuple[list[VelocityPast], Array]:
             if person.predicted or frame < WARM_UP or frame + 1 == scene.view.frames:
                 continue
             (track,) = tracker.tracks
-            one, newest = [track], [track.newest]
-            now, earlier = locate_past(one, newest)
-            past = describe_past(one, find_motion(one, newest, now), now, earlier)
+            now, earlier = locate_past(shown := Shown.of([track]))
+            past = describe_past([track], find_motion(shown, now), now, earlier)
             if np.isfinite(past.std).all():
                 pasts.append(VelocityPast(*(values[0] for values in past)))
                 velocities.append(truth[frame])

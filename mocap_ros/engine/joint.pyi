@@ -25,6 +25,7 @@ class JointProblem:
     is_done: Bools
 
     def __init__(self, objective: Any, arrays: Any) -> None: ...
+    def weigh(self, objective: Any) -> None: ...
     def start(
         self,
         theta: Array,

@@ -225,10 +225,7 @@ cdef class JointProblem:
     def __init__(self, objective, arrays):
         batch, K, differences = objective.batch, len(objective.prior), objective.differences
         cdef Py_ssize_t largest = int(max(batch.counts))
-        factors = np.zeros((len(differences), len(batch.times), 3))
-        for own, difference in zip(factors, differences):
-            own[:, : difference.order + 1] = difference.factors
-        self.orders, self.factors = np.array([d.order for d in differences], np.int64), factors
+        self.orders = np.array([d.order for d in differences], np.int64)
         self.feature_weight = np.array([d.weight for d in differences]).reshape(-1, K + FEATURES)
         self.starts, self.counts, self.is_free = batch.starts, batch.counts, batch.is_free.view(np.uint8)
         self.image, self.score, self.focal = batch.image, batch.score, batch.focal
@@ -237,11 +234,12 @@ cdef class JointProblem:
         self.mean, self.parents, self.children = objective.model.mean, arrays.parents, arrays.children
         self.basis = np.ascontiguousarray(arrays.components[:, :K])
         self.bones = np.ascontiguousarray(arrays.bones[:, :K])
-        self.noise_ratio, self.robust_scale = objective.noise_ratio, objective.robust_scale
+        self.robust_scale = objective.robust_scale
         self.bone_weight, self.prior = objective.bone_weight, objective.prior
         self.lifter_weight, self.lifter_robust_scale = objective.lifter_weight, objective.lifter_robust_scale
         self.sequences, self.frames, self.joints = len(batch.counts), len(batch.times), len(objective.model.mean)
         self.bones_count, self.components = len(arrays.parents), K
+        self.weigh(objective)
         cdef int N = self.frames, J = self.joints, B = self.bones_count, n = K + CAMERA
         cdef int D = max((d.order for d in differences), default=1)
         self.unknowns, self.distances = n, D
@@ -771,6 +769,13 @@ cdef class JointProblem:
         return std
 
     # What Python calls
+
+    def weigh(self, objective):
+        """Take the image noise and the factors of the differences of an objective."""
+        factors = np.zeros((len(objective.differences), self.frames, 3))
+        for own, difference in zip(factors, objective.differences):
+            own[:, : difference.order + 1] = difference.factors
+        self.noise_ratio, self.factors = objective.noise_ratio, factors
 
     def start(self, theta, rotation, log_scale, translation, int settle_steps=0, bint at_reference=False):
         """Set the point: theta (N, K), rotation (N, 3, 3), log_scale (N,), translation (N, 2).

@@ -54,97 +54,100 @@ _HIPS = np.array(HIPS)
 _ANCHORS = SEGMENT_OF[CORE_COUNT:]  # core joints on which the extremities hang
 
 
-def advance_filters(tracks: Sequence[Track], frames: Sequence[int], located: Array) -> None:
-    """Filter the motion of P >= 1 people up to a frame of each, with joints (P, J, 3) m."""
-    before, times = [t.motion_filter for t in tracks], find_times(tracks, frames)
-    filters = filter_motion(before, times, located, measure_noise(tracks))
-    for track, own in zip(tracks, filters, strict=True):
+class Shown(NamedTuple):
+    """P >= 1 solved people, each in one frame of the window."""
+
+    tracks: Sequence[Track]
+    frames: Sequence[int]
+    times: Array  # (P,) s, of these frames since each person's first
+    noise: Array  # (P,) m, image noise at people of the assumed size
+
+    @staticmethod
+    def of(tracks: Sequence[Track], frames: Sequence[int] | None = None) -> Shown:
+        """Return people in a frame of each, by default the newest."""
+        if frames is None:
+            frames = [t.newest for t in tracks]
+        ages = [t.stamps_ns[f] - t.first_ns for t, f in zip(tracks, frames, strict=True)]
+        noise = [t.solved.noise / t.solved.stature_ratio for t in tracks]
+        return Shown(tracks, frames, np.array(ages) / NS_PER_S, np.array(noise))
+
+
+def advance_filters(shown: Shown, located: Array) -> None:
+    """Filter the motion of people up to the frame, with joints (P, J, 3) m."""
+    before = [t.motion_filter for t in shown.tracks]
+    filters = filter_motion(before, shown.times, located, shown.noise)
+    for track, own in zip(shown.tracks, filters, strict=True):
         track.motion_filter = own
 
 
-def advance_extremities(
-    tracks: Sequence[Track], frames: Sequence[int], seen: ExtremityEvidence, *, is_steady: bool
-) -> None:
-    """Follow the extremities of P >= 1 people up to a frame of each, with filtered orientations if `is_steady`."""
-    times, before = find_times(tracks, frames), np.array([t.extremities_s for t in tracks])
+def advance_extremities(shown: Shown, seen: ExtremityEvidence, *, is_steady: bool) -> None:
+    """Follow the extremities of people up to the frame, with filtered orientations if `is_steady`."""
+    tracks, before = shown.tracks, np.array([t.extremities_s for t in shown.tracks])
     statures = np.array([t.solved.model.stature for t in tracks])
     known = [t.extremity_state for t in tracks]
-    states = follow_extremities(known, times - before, seen, statures, is_steady=is_steady)
-    for track, state, time in zip(tracks, states, np.maximum(times, before).tolist(), strict=True):
+    states = follow_extremities(known, shown.times - before, seen, statures, is_steady=is_steady)
+    for track, state, time in zip(tracks, states, np.maximum(shown.times, before).tolist(), strict=True):
         track.extremity_state, track.extremities_s = state, time
 
 
-def find_times(tracks: Sequence[Track], frames: Sequence[int]) -> Array:
-    """Return the times (P,) s of a frame of each of P people, since the person's first frame."""
-    ages = [t.stamps_ns[f] - t.first_ns for t, f in zip(tracks, frames, strict=True)]
-    return np.array(ages) / NS_PER_S
+def locate_joints(shown: Shown, ago: Array = _NOW) -> Array:
+    """Return solved joints (P, T, J, 3) m of people of the assumed size, times (T,) s before the frame."""
+    people = zip(shown.tracks, shown.frames, strict=True)
+    return np.array([t.solved.sample_joints(t.observed.times, f, ago) for t, f in people])
 
 
-def measure_noise(tracks: Sequence[Track]) -> Array:
-    """Return the image noise (P,) m at people of the assumed size."""
-    return np.array([t.solved.noise / t.solved.stature_ratio for t in tracks])
-
-
-def locate_joints(tracks: Sequence[Track], frames: Sequence[int], ago: Array = _NOW) -> Array:
-    """Return solved joints (P, T, J, 3) m of people of the assumed size, times (T,) s before a frame of each."""
-    shown = zip(tracks, frames, strict=True)
-    return np.array([t.solved.sample_joints(t.observed.times, f, ago) for t, f in shown])
-
-
-def find_motion(tracks: Sequence[Track], frames: Sequence[int], located: Array) -> CoreMotion:
-    """Return the motion of P >= 1 people in a frame of each, filtered and standing where that is known.
+def find_motion(shown: Shown, located: Array) -> CoreMotion:
+    """Return the motion of people in the frame, filtered and standing where that is known.
 
     `located` (P, J, 3) m are the solved joints.
     """
-    times_s = find_times(tracks, frames)
-    motion = read_motion([t.motion_filter for t in tracks], times_s, located)
-    for p, (track, frame) in enumerate(zip(tracks, frames, strict=True)):
+    motion = read_motion([t.motion_filter for t in shown.tracks], shown.times, located)
+    for p, (track, frame) in enumerate(zip(shown.tracks, shown.frames, strict=True)):
         if 0 < frame < track.newest and np.isnan(motion.velocity[p, 0, 0]):
             solution, near = track.solved, np.arange(frame - 1, frame + 2)
             positions = solution.compute_joints(near) + solution.roots[near, None]
             times = track.observed.times[near] - track.observed.times[frame]
             motion.velocity[p] = central_velocity(times, positions / solution.stature_ratio)[1]
-    _stand(tracks, times_s, motion)
+    _stand(shown, motion)
     return motion
 
 
-def plant_feet(tracks: Sequence[Track], frames: Sequence[int], motion: CoreMotion, upward: Array | None) -> None:
-    """Give the roots of P >= 1 people inertia and let their feet stand, up to a frame of each; sets the joints."""
-    times, noise = find_times(tracks, frames), measure_noise(tracks)
-    offsets = read_states(np.array([t.extremity_state for t in tracks]))['offsets']
-    for p, (track, frame) in enumerate(zip(tracks, frames, strict=True)):
-        before, time_s = track.footing, float(times[p])
+def plant_feet(shown: Shown, motion: CoreMotion, upward: Array | None) -> None:
+    """Give the roots of people inertia and let their feet stand, up to the frame; sets the joints."""
+    offsets = read_states(np.array([t.extremity_state for t in shown.tracks]))['offsets']
+    for p, (track, frame) in enumerate(zip(shown.tracks, shown.frames, strict=True)):
+        before, time_s = track.footing, float(shown.times[p])
         if before is None or time_s > before.time_s:  # else, with a lag, this frame was shown before
-            seen = track.observed, frame, upward, float(noise[p])
+            seen = track.observed, frame, upward, float(shown.noise[p])
             track.footing = Footing.advance(before, time_s, motion.joints[p], offsets[p], *seen)
-    _stand(tracks, times, motion)
+    _stand(shown, motion)
 
 
-def _stand(tracks: Sequence[Track], times: Array, motion: CoreMotion) -> None:
-    for track, time_s, joints in zip(tracks, times.tolist(), motion.joints, strict=True):
+def _stand(shown: Shown, motion: CoreMotion) -> None:
+    for track, time_s, joints in zip(shown.tracks, shown.times.tolist(), motion.joints, strict=True):
         if track.footing is not None and track.footing.time_s == time_s:
             joints[:] = track.footing.core
 
 
-def locate_past(tracks: Sequence[Track], frames: Sequence[int]) -> tuple[Array, Array]:
-    """Return solved joints (P, J, 3) m of a frame of each of P people, and (P, T, J, 3) of before the newest."""
-    can_correct = tracks[0].observed.lifted is not None
-    located = locate_joints(tracks, frames, _AGO if can_correct else _NOW)
+def locate_past(shown: Shown) -> tuple[Array, Array]:
+    """Return solved joints (P, J, 3) m in the frame, and (P, T, J, 3) of before it where it is the newest."""
+    can_correct = shown.tracks[0].observed.lifted is not None
+    located = locate_joints(shown, _AGO if can_correct else _NOW)
     earlier = np.ascontiguousarray(located[:, 1:])
-    earlier[[f != t.newest for t, f in zip(tracks, frames, strict=True)]] = np.nan
+    for own, track, frame in zip(earlier, shown.tracks, shown.frames, strict=True):
+        if frame != track.newest:
+            own[:] = np.nan
     return np.ascontiguousarray(located[:, 0]), earlier
 
 
-def find_published_motion(
-    tracks: Sequence[Track], frames: Sequence[int], now: Array, earlier: Array
-) -> CoreMotion:
+def find_published_motion(shown: Shown, now: Array, earlier: Array) -> CoreMotion:
     """Return what `find_motion` does, with the velocity corrected where that is learned (module).
 
     The joints are those of `locate_past`.
     """
-    motion = find_motion(tracks, frames, now)
+    motion = find_motion(shown, now)
     if earlier.shape[1]:
-        correction = load_velocity_correction().correct(describe_past(tracks, motion, now, earlier))
+        correction = load_velocity_correction().correct(describe_past(shown.tracks, motion, now, earlier))
         engine.add_correction(*motion[1:], correction, _HIPS, CORRECTED_STD, CORRECTION_STD, ROOT_SPREAD)
     return motion
 
@@ -196,9 +199,9 @@ def find_root_covariance(tracks: Sequence[Track], joints: Array, std: Array, siz
     return estimate_root_covariance(joints, std, sizes) + shift[:, :, None] * shift[:, None]
 
 
-def collect_seen(tracks: Sequence[Track], frames: Sequence[int], core: Array) -> ExtremityEvidence:
-    """Return what a frame of each of P >= 1 people with cores (P, J, 3) m of the assumed size shows."""
-    return collect_frame_evidence(core, [t.observed for t in tracks], measure_noise(tracks), frames)
+def collect_seen(shown: Shown, core: Array) -> ExtremityEvidence:
+    """Return what the frame shows of people with cores (P, J, 3) m of the assumed size."""
+    return collect_frame_evidence(core, [t.observed for t in shown.tracks], shown.noise, shown.frames)
 
 
 def find_joint_std(tracks: Sequence[Track], seen: ExtremityEvidence) -> Array:
@@ -209,8 +212,7 @@ def find_joint_std(tracks: Sequence[Track], seen: ExtremityEvidence) -> Array:
 
 
 def make_people(
-    tracks: Sequence[Track],
-    frames: Sequence[int],
+    shown: Shown,
     cores: Cores,
     weight: Array,
     sizes: Sequence[BodySize],
@@ -218,12 +220,12 @@ def make_people(
     extremities: Array,
     unseen_for: Sequence[float] | None = None,
 ) -> list[Person3D]:
-    """Return P >= 1 people, each in a frame.
+    """Return the people in the frame.
 
     `cores` are enlarged to the sizes, and `extremities`, states (P, N), are of the assumed size; `weight` (P, 26)
     are the scores of the joints; `unseen_for` (P,) s of people who are predicted.
     """
-    intrinsics, roots = tracks[0].intrinsics, cores.joints.mean(axis=1)
+    intrinsics, roots = shown.tracks[0].intrinsics, cores.joints.mean(axis=1)
     scales, translations = (intrinsics.focal / roots[:, 2]).tolist(), intrinsics.project(roots)
     states = read_states(extremities)
     quaternions, turn_inferred = states['quaternions'], ~(states['is_turn_seen'] > 0)
@@ -241,7 +243,7 @@ def make_people(
         velocity_std = np.concatenate([velocity_std, np.hypot(velocity_std[:, _ANCHORS], turned)], axis=1)
         quaternions, turn_inferred = quaternions[:, SEGMENT_OF], turn_inferred[:, SEGMENT_OF]
     people = []
-    for p, (track, frame) in enumerate(zip(tracks, frames, strict=True)):
+    for p, (track, frame) in enumerate(zip(shown.tracks, shown.frames, strict=True)):
         solution, classification = track.solved, track.schedule.classification
         motion, category = classification.motion, classification.periodic_model_name or solution.model_name
         age_s = 0.0 if unseen_for is None else unseen_for[p]

@@ -22,6 +22,7 @@ from mocap_ros.solvers.extremities import ExtremityEvidence, follow_extremities
 from mocap_ros.tracking.body_size import BodySize
 from mocap_ros.tracking.output import (
     Cores,
+    Shown,
     collect_seen,
     find_joint_std,
     find_motion,
@@ -54,9 +55,9 @@ def predict_people(
     ages = [(stamp_ns - t.stamps_ns[-1]) / NS_PER_S for t in tracks]
     times = np.array(ages)[:, None] + [0.0, VELOCITY_SPAN_S]
     _, ahead = _predict(tracks, times, upward, sizes)
-    frames = [t.newest for t in tracks]
-    motion = find_published_motion(tracks, frames, *locate_past(tracks, frames))
-    last = Cores.of_people(tracks, motion, collect_seen(tracks, frames, motion.joints), sizes)
+    shown = Shown.of(tracks)
+    motion = find_published_motion(shown, *locate_past(shown))
+    last = Cores.of_people(tracks, motion, collect_seen(shown, motion.joints), sizes)
     cores = Cores(
         last.joints + ahead.joints[:, 0],
         ahead.std[:, 0],
@@ -69,7 +70,7 @@ def predict_people(
     steps_s = np.array([(stamp_ns - t.first_ns) / NS_PER_S - t.extremities_s for t in tracks])
     statures = np.array([t.solved.model.stature for t in tracks])
     extremities = follow_extremities([t.extremity_state for t in tracks], steps_s, unseen, statures)
-    return make_people(tracks, frames, cores, unseen.weight, sizes, skeleton, extremities, ages)
+    return make_people(shown, cores, unseen.weight, sizes, skeleton, extremities, ages)
 
 
 def predict_ahead(
@@ -96,16 +97,16 @@ def predict_ahead(
 
 def sample_past(tracks: Sequence[Track], upward: Array | None = None) -> Past:
     """Return the motions of the cores of people of the assumed size up to their newest frames."""
-    frames = [t.newest for t in tracks]
-    located = locate_joints(tracks, frames, _AGO)
-    joints, velocity, *_ = motion = find_motion(tracks, frames, np.ascontiguousarray(located[:, 0]))
+    shown = Shown.of(tracks)
+    located = locate_joints(shown, _AGO)
+    joints, velocity, *_ = motion = find_motion(shown, np.ascontiguousarray(located[:, 0]))
     located += find_shifts(tracks)[:, None, None]
     is_known = ~np.isnan(located[..., :1, :1])
     # without a filter, or in the first frame
     simple = np.where(is_known[:, 1], (joints - located[:, 1]) / _AGO[1], 0.0)
     velocity = np.where(np.isfinite(velocity).all(axis=(1, 2), keepdims=True), velocity, simple)
     earlier = np.where(is_known, located, joints[:, None] - _AGO[:, None, None] * velocity[:, None])[:, 1:]
-    std = find_joint_std(tracks, collect_seen(tracks, frames, motion.joints))
+    std = find_joint_std(tracks, collect_seen(shown, motion.joints))
     heading = np.array([t.solved.rotation[t.newest, :, 0] for t in tracks])
     up = np.broadcast_to(UPRIGHT_CAMERA if upward is None else upward, heading.shape)
     return Past(joints, velocity, std, earlier, heading, up)

@@ -22,12 +22,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.engine import refinement as engine
+from mocap_ros.engine.joint import JointProblem
 from mocap_ros.models.base_poses import BasePoses, arrange_model
 from mocap_ros.solvers.joint.batch import Batch, State
 from mocap_ros.solvers.joint.lifted_start import ALTERNATIONS
@@ -41,15 +43,29 @@ EXTRAPOLATION_SHARE = 0.7  # no unit; share of the last step that is repeated; l
 MAX_EXTRAPOLATION_STEPS = 2.0  # steps; limits the extrapolation after missing frames
 
 
-def refine(
-    tracks: Sequence[Track], parts: Sequence[tuple[int, int]], model: BasePoses, config: SolverConfig
-) -> list[TrackSolution]:
+@dataclass(eq=False)
+class Refinement:
+    """How people under one model are refined.
+
+    The arrays of a batch and its problem stay for the next one of as many frames of as many people.
+    """
+
+    model: BasePoses
+    config: SolverConfig
+    newest: engine.NewestFrames | None = None
+    problem: JointProblem | None = None
+
+
+def refine(kept: Refinement, tracks: Sequence[Track], parts: Sequence[tuple[int, int]]) -> list[TrackSolution]:
     """Return the solutions of P tracks whose newest frame is not solved yet.
 
     The solutions so far are under the same model. `parts` has for each track the index of the first frame that is
     solved, and how many frames from there keep their state.
     """
-    newest = collect_newest_frames(tracks, parts, model)
+    model, config = kept.model, kept.config
+    newest = collect_newest_frames(tracks, parts, model, kept.newest)
+    if newest is not kept.newest:
+        kept.newest, kept.problem = newest, None
     batch = Batch(
         *(newest.times, newest.starts, newest.counts, newest.image, newest.score, newest.focal, newest.is_free),
         *(newest.lifted, newest.precision, newest.earlier_lengths, newest.earlier_frames),
@@ -58,7 +74,7 @@ def refine(
     noise = None
     if config.adapt_noise:
         noise = np.array([max(track.solved.noise, config.noise_floor) for track in tracks])
-    problem = continue_from(batch, state, noise, model, config)
+    kept.problem = problem = continue_from(batch, state, noise, model, config, kept=kept.problem)
     problem.minimise(config.max_iterations, config.tolerance, WARM_DAMPING)
     joints, scale, translation, residual = problem.describe(newest.units)
     found = problem.read('theta'), problem.read('rotation'), joints, scale, translation, residual
@@ -81,12 +97,16 @@ def refine(
 
 
 def collect_newest_frames(
-    tracks: Sequence[Track], parts: Sequence[tuple[int, int]], model: BasePoses
+    tracks: Sequence[Track],
+    parts: Sequence[tuple[int, int]],
+    model: BasePoses,
+    newest: engine.NewestFrames | None = None,
 ) -> engine.NewestFrames:
-    """Return what `refine` gives to the solver; the arguments are the same."""
+    """Return what `refine` gives to the solver, in the arrays of `newest` if these have its size."""
     counts = [len(track.stamps_ns) - first for track, (first, _) in zip(tracks, parts, strict=True)]
     has_lifted = tracks[0].observed.lifted is not None
-    newest = engine.NewestFrames(counts, model.mean, arrange_model(model), model.std, has_lifted)
+    if newest is None or newest.counts.tolist() != counts or (len(newest.lifted) > 0) != has_lifted:
+        newest = engine.NewestFrames(counts, model.mean, arrange_model(model), model.std, has_lifted)
     for p, (track, (_, fixed_frames)) in enumerate(zip(tracks, parts, strict=True)):
         observed, solution, stamps_ns, share = track.observed, track.solved, track.stamps_ns, 0.0
         if len(solution.theta) > 1:

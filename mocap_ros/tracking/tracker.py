@@ -18,7 +18,6 @@ import math
 from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +52,7 @@ from mocap_ros.tracking.hypotheses import HypothesisChecker
 from mocap_ros.tracking.motion_filter import CoreMotion
 from mocap_ros.tracking.output import (
     Cores,
+    Shown,
     advance_extremities,
     advance_filters,
     collect_seen,
@@ -62,13 +62,12 @@ from mocap_ros.tracking.output import (
     plant_feet,
 )
 from mocap_ros.tracking.prediction import predict_ahead, predict_people
-from mocap_ros.tracking.refinement import refine
+from mocap_ros.tracking.refinement import Refinement, refine
 from mocap_ros.tracking.schedule import MIN_CHECK_INTERVAL_S
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
-Shown: TypeAlias = list[tuple[Track, int]]  # people who are shown, and the index of the frame in each window
 
 CHECK_INTERVAL_S = 0.5  # s; longest interval between checks without a lifter, where models take turns
 # s; shortest `tracker.lag` with which accelerations are limited. The velocity of a frame whose future is unknown
@@ -139,7 +138,10 @@ class Tracker:
         self._is_newest_shown = settings.lag < MIN_ACCELERATION_LAG_S
         refinement = of_newest if self._is_newest_shown else config.solver
         refinement = replace(refinement, max_iterations=settings.iterations)
-        self._refinement_configs = {False: refinement, True: let_base_poses_lead(refinement)}
+        configs = {False: refinement, True: let_base_poses_lead(refinement)}
+        self._refinements = {
+            (n, leads): Refinement(m, own) for n, m in self.models.items() for leads, own in configs.items()
+        }
         self._limits_accelerations = refinement.pose_acceleration_weight > 0
         self._vertical = read_given_vertical(settings)
         read_body_heights(settings.body_heights)  # raises what is wrong with them
@@ -218,7 +220,7 @@ class Tracker:
             self._initialise(stamp_ns, [t for t in tracks if t.solution is None])
             self._refine([t for t in tracks if t.has_unsolved_frame])
             shown = self._choose_shown(stamp_ns, tracks)
-            output = self._make_people(shown, floor) + self._predict_missing(stamp_ns)
+            output = self._make_people(*shown, floor) + self._predict_missing(stamp_ns)
         except Exception:
             self._forget_concerned()
             raise
@@ -429,9 +431,9 @@ class Tracker:
         batches: dict[tuple[str, bool], list[Track]] = {}
         for track in tracks:
             batches.setdefault((track.solved.model_name, track.solved.base_poses_lead), []).append(track)
-        for (name, base_poses_lead), batch in batches.items():
+        for way, batch in batches.items():
             parts = [self._select_refined_frames(t) for t in batch]
-            solutions = refine(batch, parts, self.models[name], self._refinement_configs[base_poses_lead])
+            solutions = refine(self._refinements[way], batch, parts)
             for track, solution in zip(batch, solutions, strict=True):
                 track.solution = solution
 
@@ -443,8 +445,8 @@ class Tracker:
         fixed_frames = min(first, 2 if self._limits_accelerations else 1)
         return first - fixed_frames, fixed_frames
 
-    def _choose_shown(self, stamp_ns: int, detected: Sequence[Track]) -> Shown:
-        """Choose the frame that is shown, and return the people who were detected in it.
+    def _choose_shown(self, stamp_ns: int, detected: list[Track]) -> tuple[list[Track], list[int]]:
+        """Choose the frame that is shown; return the people who were detected in it, and its index in each window.
 
         It is this frame or, with `tracker.lag`, an older one (`delayed_output.py`); before one is old enough, the
         first frame since anybody was there, without its people.
@@ -462,32 +464,31 @@ class Tracker:
         shown_ns = self.output_stamp_ns
         self._leaving = [t for t in self._leaving if t.stamps_ns[-1] >= shown_ns]
         if lag_s == 0:
-            return [(t, t.newest) for t in detected]
+            return detected, [t.newest for t in detected]
         if not self._has_output_begun:
-            return []
+            return [], []
         people = sorted((*self._leaving, *self.tracks), key=lambda t: t.first_ns)
-        return [(t, t.stamps_ns.index(shown_ns)) for t in people if shown_ns in t.stamps_ns]
+        people = [t for t in people if shown_ns in t.stamps_ns]
+        return people, [t.stamps_ns.index(shown_ns) for t in people]
 
     def _filter(self, shown: Shown) -> tuple[CoreMotion, ExtremityEvidence]:
         """Filter the motion of people, and follow their extremities, up to the frame that is shown."""
-        tracks, frames = self._at_work, [frame for _, frame in shown]
-        now, earlier = locate_past(tracks, frames)
+        now, earlier = locate_past(shown)
         is_steady = self.config.tracker.steady_output and self._is_newest_shown
         if is_steady:
-            advance_filters(tracks, frames, now)
-        motion = find_published_motion(tracks, frames, now, earlier)
-        plant_feet(tracks, frames, motion, self._upward)
-        seen = collect_seen(tracks, frames, motion.joints)
-        advance_extremities(tracks, frames, seen, is_steady=is_steady)
+            advance_filters(shown, now)
+        motion = find_published_motion(shown, now, earlier)
+        plant_feet(shown, motion, self._upward)
+        seen = collect_seen(shown, motion.joints)
+        advance_extremities(shown, seen, is_steady=is_steady)
         return motion, seen
 
-    def _make_people(self, shown: Shown, floor: Floor | None) -> list[Person3D]:
+    def _make_people(self, tracks: list[Track], frames: list[int], floor: Floor | None) -> list[Person3D]:
         """Return the people who are shown, of the sizes that the floor, if it is known, shows."""
-        if not shown:
+        if not tracks:
             return []
-        self._at_work, frames = [track for track, _ in shown], [frame for _, frame in shown]
+        self._at_work, shown = tracks, Shown.of(tracks, frames)
         motion, seen = self._filter(shown)
-        tracks = self._at_work
         if floor is None and (height := self.config.tracker.camera_height) and self._vertical is not None:
             std = CALIBRATED_TILT_STD if self._vertical.is_given else self._vertical.std
             floor = Floor(self._vertical.direction, height, std)
@@ -500,7 +501,7 @@ class Tracker:
         sizes = [*map(self._find_size, tracks)]
         cores = Cores.of_people(tracks, motion, seen, sizes)
         extremities = np.array([t.extremity_state for t in tracks])
-        return make_people(tracks, frames, cores, seen.weight, sizes, self._skeleton, extremities)
+        return make_people(shown, cores, seen.weight, sizes, self._skeleton, extremities)
 
     def _find_size(self, track: Track) -> BodySize:
         """Return what is known of a person's size; the detector may say who it is when the track has a name."""
