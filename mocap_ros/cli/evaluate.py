@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from mocap_ros.cli.inputs import MODEL_OPTIONS, list_sources, load_models, name_file_in_errors
 from mocap_ros.cli.options import CONFIG_OPTIONS, STRICT_OPTIONS, Options, load_config, option
-from mocap_ros.cli.reconstruct import reconstruct_file
 from mocap_ros.cli.terminal import ShareBar, print_note, print_result
 from mocap_ros.errors import InputError
 from mocap_ros.evaluation.coverage import SHARES, compute_coverage
@@ -36,6 +35,7 @@ from mocap_ros.runtime.input_kind import InputKind, require_kind
 from mocap_ros.runtime.load_keypoints import load_sequence_file
 from mocap_ros.runtime.load_results import load_result
 from mocap_ros.runtime.summary import summarise
+from mocap_ros.runtime.whole_recording import reconstruct_whole
 
 # Columns of the table: key of the record, title, unit and number format.
 COLUMNS = (
@@ -99,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
                 sequence = load_sequence_file(path) if args.truth else truths.setdefault(path, _load_truth(path))
                 start_s = time.perf_counter()
                 with name_file_in_errors(path):
-                    found = reconstruct_file(sequence, models, config, part)
+                    found = reconstruct_whole(sequence, models, config, part)
                 timing = {'seconds': time.perf_counter() - start_s}
                 summary = summarise([sequence], [found], config)
                 if summary.reason:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -36,12 +36,10 @@ from mocap_ros.offline.whole_sequence import (
     Report,
     SequenceResult,
     describe_height_faults,
-    reconstruct_sequence,
-    report_part,
-    share_floor,
 )
 from mocap_ros.runtime import save_results
 from mocap_ros.runtime.summary import summarise
+from mocap_ros.runtime.whole_recording import reconstruct_people, reconstruct_whole
 
 MAX_ENDING = 64  # characters of a person's id in the name of a file
 MAX_CHOICES_BYTES = 16 << 20  # bytes; guards against parsing a huge file as keyframes
@@ -92,30 +90,23 @@ def run(args: argparse.Namespace) -> int:
     sequences, endings = load_sequences(args, config, all_people=args.all_people), ['']
     if args.all_people:
         endings = choose_endings([sequence.person_id for sequence in sequences])
-    done: list[tuple[KeypointSequence, str, SequenceResult]] = []
-    is_all_saved, count = True, len(sequences)
+    method, is_all_saved = _choose_method(args, models, config), True
     with ShareBar('reconstruct') as report:
-        for index, (sequence, ending) in enumerate(zip(sequences, endings, strict=True)):
-            try:
-                result = _reconstruct(args, sequence, models, config, report_part(report, index, count))
-            except InputError as error:  # one who cannot be reconstructed does not stop the others
-                if index == count - 1 and not done:
-                    raise
-                print_note(f'{error} (person {sequence.person_id!r} is left out)')
-                continue
-            done.append((sequence, ending, result))
-        found, saved_endings, results = zip(*done, strict=True)
-        results = share_floor(results, [sequence.timestamps for sequence in found], config.tracker)
+        with name_file_in_errors(args.input):
+            people, notes = reconstruct_people(sequences, method, config, report)
+        for note in notes:
+            print_note(f'{args.input}: {note}')
+        found, results = [person.sequence for person in people], [person.result for person in people]
         _describe_height(args, results)
-        for sequence, ending, result in zip(found, saved_endings, results, strict=True):
+        for place, sequence, person_id, result in people:
             summary = summarise([sequence], [result], config)
             reconstructed = save_results.ReconstructedSequence(sequence, result, summary)
             try:
-                _save(args, reconstructed, [add_ending(path, ending) for path in outputs], sources)
-            except InputError as error:  # nor one whom a format cannot hold
-                if count == 1:
+                _save(args, reconstructed, [add_ending(path, endings[place]) for path in outputs], sources)
+            except InputError as error:  # one whom a format cannot hold does not stop the others
+                if len(sequences) == 1:
                     raise
-                print_note(f'{error} (person {sequence.person_id!r} is not saved)')
+                print_note(f'{error} (person {person_id!r} is not saved)')
                 is_all_saved = False
     if len(found) > 1:
         summary = summarise(found, results, config)
@@ -157,31 +148,23 @@ def add_ending(path: Path, ending: str) -> Path:
     return path.with_name(path.name.removesuffix(suffix) + ending + suffix)
 
 
-def _reconstruct(
-    args: argparse.Namespace,
-    sequence: KeypointSequence,
-    models: Mapping[str, BasePoses],
-    config: Config,
-    report: Report,
-) -> SequenceResult:
-    if args.method == 'whole':
-        with name_file_in_errors(args.input):
-            return reconstruct_file(sequence, models, config, report)
+def _choose_method(
+    args: argparse.Namespace, models: Mapping[str, BasePoses], config: Config
+) -> Callable[[KeypointSequence, Report], SequenceResult]:
+    """Return the function that reconstructs one person."""
     choices: tuple[DepthChoice, ...] = ()
     if args.choices is not None:
         text = read_text(args.choices, max_bytes=MAX_CHOICES_BYTES)
         choices = parse_depth_choices(load_yaml(text, str(args.choices)), str(args.choices))
-    observations = extract_observations(sequence, config.tracker.nominal_focal_length)
-    with name_file_in_errors(args.input), show_stages() as set_stage:
-        return keyframe_method.reconstruct(*observations, models, config, choices, set_stage).result
 
+    def by_keyframes(sequence: KeypointSequence, _: Report) -> SequenceResult:
+        observations = extract_observations(sequence, config.tracker.nominal_focal_length)
+        with show_stages() as set_stage:
+            return keyframe_method.reconstruct(*observations, models, config, choices, set_stage).result
 
-def reconstruct_file(
-    sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config, report: Report
-) -> SequenceResult:
-    """Reconstruct the content of a sequence file as a whole."""
-    observations = extract_observations(sequence, config.tracker.nominal_focal_length)
-    return reconstruct_sequence(*observations, models, config, report)
+    if args.method == 'keyframes':
+        return by_keyframes
+    return lambda sequence, report: reconstruct_whole(sequence, models, config, report)
 
 
 def _save(

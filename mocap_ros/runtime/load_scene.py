@@ -24,25 +24,19 @@ from mocap_ros.config import Config
 from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.formats.detections import Detections
 from mocap_ros.formats.npz_arrays import ArrayReader, read_arrays
-from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations, load_result_file
+from mocap_ros.formats.sequence_file import KeypointSequence, load_result_file
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import average_vertical
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.offline.whole_sequence import (
-    Report,
-    SequenceResult,
-    describe_height_faults,
-    reconstruct_sequence,
-    report_part,
-    share_floor,
-)
+from mocap_ros.offline.whole_sequence import Report, describe_height_faults
 from mocap_ros.people import MotionKind
 from mocap_ros.runtime.frame_assembly import is_stamp_missing
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 from mocap_ros.runtime.load_keypoints import InputOptions, load_bag, load_input, load_people
 from mocap_ros.runtime.load_results import RecordedPeople, find_skeletons_topic, holds_result
 from mocap_ros.runtime.summary import Summary, summarise
+from mocap_ros.runtime.whole_recording import reconstruct_people, reconstruct_whole
 from mocap_ros.skeleton import CMU15, Skeleton, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.scene import Mark, Scene, SceneKeypoints, ScenePerson
@@ -140,40 +134,27 @@ def _reconstruct_people(
     Raises:
         InputError: no person can be reconstructed.
     """
-    nominal, count = options.config.tracker.nominal_focal_length, len(sequences)
+    config = options.config
     stamps = np.unique(np.concatenate([sequence.stamps_ns for sequence in sequences]))
-    intrinsics = sequences[0].intrinsics(nominal)
+    intrinsics = sequences[0].intrinsics(config.tracker.nominal_focal_length)
     people: list[ScenePerson] = []
     keypoints: dict[Skeleton, list[SceneKeypoints]] = {}
-    failures = []
-    reconstructed: list[tuple[KeypointSequence, str, NDArray[np.intp], SequenceResult]] = []
     report(0.0)
-    for index, sequence in enumerate(sequences):
-        person_id = sequence.person_id or f'person_{index + 1}'
-        frames = np.searchsorted(stamps, sequence.stamps_ns)
-        try:
-            observations = extract_observations(sequence, nominal)
-            result = reconstruct_sequence(
-                *observations, options.models, options.config, report_part(report, index, count)
-            )
-        except (InputError, np.linalg.LinAlgError) as error:
-            failures.append(str(error))
-            lines.append(f'{path}: person {person_id!r} left out: {error}')
-            continue
-        reconstructed.append((sequence, person_id, frames, result))
-    if not reconstructed:
-        raise InputError(failures[-1])
-    shown, ids, places, results = zip(*reconstructed, strict=True)
-    results = share_floor(results, [sequence.timestamps for sequence in shown], options.config.tracker)
+    found, left_out = reconstruct_people(
+        sequences, lambda s, part: reconstruct_whole(s, options.models, config, part), config, report
+    )
+    shown, results = [person.sequence for person in found], [person.result for person in found]
+    lines.extend(f'{path}: {line}' for line in left_out)
     lines.extend(f'{path}: tracker.camera_height {fault}' for fault in describe_height_faults(results))
-    for sequence, person_id, frames, result in zip(shown, ids, places, results, strict=True):
+    for _, sequence, person_id, result in found:
+        frames = np.searchsorted(stamps, sequence.stamps_ns)
         people.append(
             _make_person(person_id, frames, result, result.solution.residual, intrinsics, result.foot_contact)
         )
         part = _make_keypoints(sequence, frames)
         keypoints.setdefault(part.skeleton, []).append(part)
     truth = sequences[0].truth if len(sequences) == 1 else None
-    skeleton, summary = results[0].skeleton, summarise(shown, results, options.config)
+    skeleton, summary = results[0].skeleton, summarise(shown, results, config)
     world = results[0].world_from_camera
     height = None if all(r.floor is None for r in results) else float(world[2, 3])
     vertical = average_vertical(

@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
+from mocap_ros.engine import joint
 from mocap_ros.engine import refinement as engine
-from mocap_ros.engine.joint import JointProblem
 from mocap_ros.models.base_poses import BasePoses, arrange_model
 from mocap_ros.solvers.joint.batch import Batch, State
 from mocap_ros.solvers.joint.lifted_start import ALTERNATIONS
@@ -53,7 +53,7 @@ class Refinement:
     model: BasePoses
     config: SolverConfig
     newest: engine.NewestFrames | None = None
-    problem: JointProblem | None = None
+    problem: joint.JointProblem | None = None
 
 
 def refine(kept: Refinement, tracks: Sequence[Track], parts: Sequence[tuple[int, int]]) -> list[TrackSolution]:

@@ -1,0 +1,71 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The people of a recording, each reconstructed as a whole sequence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mocap_ros.config import Config
+from mocap_ros.errors import InputError
+from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.offline.whole_sequence import (
+    Report,
+    SequenceResult,
+    reconstruct_sequence,
+    report_part,
+    share_floor,
+)
+
+
+class Reconstructed(NamedTuple):
+    """A person of a recording."""
+
+    place: int  # index among the people of the recording
+    sequence: KeypointSequence
+    person_id: str
+    result: SequenceResult
+
+
+def reconstruct_whole(
+    sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config, report: Report
+) -> SequenceResult:
+    """Reconstruct one person from all frames."""
+    observations = extract_observations(sequence, config.tracker.nominal_focal_length)
+    return reconstruct_sequence(*observations, models, config, report)
+
+
+def reconstruct_people(
+    sequences: Sequence[KeypointSequence],
+    reconstruct: Callable[[KeypointSequence, Report], SequenceResult],
+    config: Config,
+    report: Report,
+) -> tuple[list[Reconstructed], list[str]]:
+    """Reconstruct the people of a recording, who share the floor; one who fails does not stop the others.
+
+    Returns those who were reconstructed, and a line for each of the others.
+
+    Raises:
+        InputError: no person can be reconstructed.
+    """
+    found: list[Reconstructed] = []
+    left_out: list[str] = []
+    for index, sequence in enumerate(sequences):
+        person_id = sequence.person_id or f'person_{index + 1}'
+        try:
+            result = reconstruct(sequence, report_part(report, index, len(sequences)))
+        except (InputError, np.linalg.LinAlgError) as error:
+            if index == len(sequences) - 1 and not found:
+                raise InputError(str(error)) from None
+            left_out.append(f'person {person_id!r} is left out: {error}')
+            continue
+        found.append(Reconstructed(index, sequence, person_id, result))
+    results = share_floor(
+        [person.result for person in found], [person.sequence.timestamps for person in found], config.tracker
+    )
+    return [p._replace(result=result) for p, result in zip(found, results, strict=True)], left_out
