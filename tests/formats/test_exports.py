@@ -146,6 +146,14 @@ def test_the_turn_of_a_straight_leg_is_interpolated() -> None:
     assert found['hip_rotation_r'][25] == pytest.approx(10.0, abs=6.0)
 
 
+@pytest.mark.parametrize(('first', 'last'), [(40.0, 40.0), (-4.0, 40.0), (-4.0, -4.0)])
+def test_a_knee_that_is_overstretched_turns_no_leg(first: float, last: float) -> None:
+    bend = np.r_[np.full(30, first), np.full(60, -4.0), np.full(30, last)]
+    found = measure(build_values(120, knee_angle_r=bend, hip_rotation_r=10.0, hip_flexion_r=100.0))
+    for name, expected in (('knee_angle_r', bend), ('hip_rotation_r', 10.0), ('hip_flexion_r', 100.0)):
+        assert found[name] == pytest.approx(np.broadcast_to(expected, 120), abs=0.5)
+
+
 @pytest.mark.filterwarnings('error')
 def test_bodies_without_angles_give_finite_ones() -> None:
     point = np.zeros((3, 15, 3))

@@ -31,6 +31,9 @@ Joint positions determine the segments like this:
 
   with r the frames per second. The angle hip_flexion or arm_flex is smoothed in the same way, with w the cosine of
   the second angle, as it means nothing where the limb points straight to the side.
+
+Whether the second angle is beyond 90 degrees, and whether knee or elbow is a little overstretched, as of those
+who stand, is what lets the first angle turn least (`_follow_sign`); whole turns are those of `_drop_turns`.
 """
 
 from __future__ import annotations
@@ -54,6 +57,8 @@ SMOOTHING_S = 0.1  # T, s; over about this time an angle is smoothed where its w
 NEUTRAL_WEIGHT = 1e-6  # E; decides only where a limb is straight in all frames
 SWITCH_COST = 0.01  # 1; cost of a half turn between two frames in which the angle means nothing
 UNUSUAL_COST = 1e-4  # 1 a frame; cost of a second angle beyond 90 degrees
+BACKWARDS_COST = 1e-3  # 1 a frame; of a limb that is turned backwards
+OVERSTRETCHED_COST = 0.1  # 1 a frame; of a limb that is bent the wrong way by more than W
 TINY = np.finfo(float).tiny  # guards divisions by the length of a vector
 
 SIDES = {'r': 1.0, 'l': -1.0}  # suffix of a side in the names of angles, and its sign above
@@ -163,16 +168,21 @@ def _measure_limb(upper: Array, lower: Array, sign: float, bend: float, fps: flo
     mirror = np.array([1.0, 1.0, sign])
     flexion, adduction = _split_direction(upper * mirror, fps)
     turned = Rotation.from_euler('ZX', np.stack([flexion, adduction], axis=1)).inv().apply(lower * mirror)
-    plane = bend * (turned[:, 0] - 1j * turned[:, 2])
-    rotation = _unwrap_phase(_smooth(plane, fps))
+    plane: ComplexArray = bend * (turned[:, 0] - 1j * turned[:, 2])
+    weight = np.abs(plane)
+    backwards = BACKWARDS_COST * plane.real / np.maximum(weight, TINY)
+    wrong = backwards + OVERSTRETCHED_COST * np.maximum(weight - WEAK_SINE, 0.0) ** 2
+    rotation = _unwrap_phase(_smooth(_follow_sign(plane, np.stack([-backwards, wrong], axis=1)) * plane, fps))
     in_plane = (plane * np.exp(-1j * rotation)).real
-    return flexion, adduction, rotation, np.unwrap(np.arctan2(in_plane, -turned[:, 1]))
+    knee = np.unwrap(np.arctan2(in_plane, -turned[:, 1]))
+    return _drop_turns(flexion, -np.pi / 2), adduction, _drop_turns(rotation, -np.pi), knee
 
 
 def _split_direction(down: Array, fps: float) -> tuple[Array, Array]:
     """Return the angles q, p (F,) in rad of R_z(q) R_x(p) that turn the downward direction to these (F, 3)."""
     plane: ComplexArray = -down[:, 1] + 1j * down[:, 0]  # e^(iq) cos(p)
-    sign = _follow_sign(plane, down[:, 2])
+    unusual = UNUSUAL_COST * (1 + 9 * (1 - down[:, 2] ** 2))
+    sign = _follow_sign(plane, np.stack([np.zeros(len(down)), unusual], axis=1))
     first = _unwrap_phase(_smooth(sign * plane, fps))
     return first, np.unwrap(np.arctan2(-down[:, 2], (plane * np.exp(-1j * first)).real))
 
@@ -182,26 +192,26 @@ def _unwrap_phase(numbers: ComplexArray) -> Array:
     return np.unwrap(np.arctan2(numbers.imag, numbers.real))
 
 
-def _follow_sign(plane: ComplexArray, side: Array) -> Array:
+def _drop_turns(angle: Array, least: float) -> Array:
+    """Return angles (F,) in rad, moved together by whole turns so that their median is the next above `least`."""
+    return np.asarray(angle - 2 * np.pi * np.floor((np.median(angle) - least) / (2 * np.pi)))
+
+
+def _follow_sign(plane: ComplexArray, unusual: Array) -> Array:
     """Return the signs (F,) with which numbers (F,) turn least from frame to frame, by dynamic programming.
 
-    The number e^(iq) cos(p) is that of p beyond 90 degrees if its sign is -1.
-
-    Args:
-        plane: the numbers.
-        side: (F,) sin(p) but for its sign; a sign of -1 is less usual where it is small.
+    The costs `unusual` (F, 2) of the signs 1 and -1 in each frame are added.
     """
     weight = np.abs(plane)
     direction = plane / np.maximum(weight, TINY)
-    unusual = UNUSUAL_COST * (1 + 9 * (1 - side**2))
-    cost, came_from = np.array([0.0, unusual[0]]), np.zeros((len(plane), 2), int)
+    cost, came_from = unusual[0], np.zeros((len(plane), 2), int)
     for frame in range(1, len(plane)):
         cosine = float((direction[frame] * direction[frame - 1].conj()).real)
         scale = weight[frame] * weight[frame - 1] + SWITCH_COST
         step = scale * np.array([[1 - cosine, 1 + cosine], [1 + cosine, 1 - cosine]])
         total = cost[:, None] + step
         came_from[frame] = total.argmin(axis=0)
-        cost = total.min(axis=0) + [0.0, unusual[frame]]
+        cost = total.min(axis=0) + unusual[frame]
     state = int(cost.argmin())
     signs = np.empty(len(plane))
     for frame in range(len(plane) - 1, -1, -1):
