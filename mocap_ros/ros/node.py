@@ -80,7 +80,7 @@ class MocapNode(ManagedNode):
             self.create_service(load_interface_class(srvtype), name, callbacks[name])
             for name, srvtype in SERVICES.items()
         ]
-        gc.collect()
+        release_free_memory()  # of files that were decoded
         gc.freeze()  # a garbage collection between two frames would take 50 ms to look at all imported libraries
 
     def _create_publishers(self) -> None:

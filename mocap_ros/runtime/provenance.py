@@ -40,7 +40,7 @@ def provenance_attachments(config: Config, models: Mapping[str, BasePoses]) -> t
     }
     lifter = load_prior_lifter(config.solver.prior, next(iter(models.values())).skeleton)
     if lifter is not None:
-        weights = [np.asarray(array, np.float32) for layer in lifter.layers for array in layer]
+        weights = (np.asarray(array, np.float32) for layer in lifter.layers for array in layer)
         provenance['lifter'] = _describe_origin(weights, lifter.provenance)
     return (
         Attachment('mocap_ros.yaml', 'application/yaml', to_yaml(config).encode()),
@@ -49,5 +49,7 @@ def provenance_attachments(config: Config, models: Mapping[str, BasePoses]) -> t
 
 
 def _describe_origin(arrays: Iterable[NDArray[Any]], provenance: Mapping[str, Any]) -> dict[str, object]:
-    content = b''.join(array.tobytes() for array in arrays)
-    return {'sha256': hashlib.sha256(content).hexdigest(), 'provenance': dict(provenance)}
+    digest = hashlib.sha256()
+    for array in arrays:  # one by one: a lifter has 13 MB
+        digest.update(array.tobytes())
+    return {'sha256': digest.hexdigest(), 'provenance': dict(provenance)}

@@ -45,7 +45,7 @@ from mocap_ros.keypoints.validation import MAX_SHARE_OUTSIDE, PointPlaces
 from mocap_ros.models.model_file import load_shipped_lifter
 from mocap_ros.offline.whole_sequence import SequenceResult
 from mocap_ros.people import CameraVertical, Person3D
-from mocap_ros.skeleton import skeleton_from_joints
+from mocap_ros.skeleton import CMU15, skeleton_from_joints
 from mocap_ros.solvers.vertical import read_given_vertical
 from mocap_ros.units import NS_PER_S
 
@@ -274,17 +274,16 @@ class RunSummary:
             self._ids[name] = None
             if len(self._ids) > MAX_IDS:
                 del self._ids[next(iter(self._ids))]
-        fits = [
-            (p.residual, p.residual / p.scale / config.tracker.body_height, p.joints[0, 2])
-            for p in seen
-            if not p.predicted and math.isfinite(p.residual)
-        ]
+        fitted = [p for p in seen if not p.predicted and math.isfinite(p.residual)]
         fresh = 1 - math.exp(-min(max(stamp_ns - self._last_ns, 0) / NS_PER_S, 1.0) / MEMORY_S)
         is_due = not 0 <= stamp_ns - self._looked_ns < LOOK_S * NS_PER_S
         if is_due and detections and (size := intrinsics.image_size) is not None:
             points, score = (np.concatenate([getattr(d, k) for d in detections]) for k in ('points', 'score'))
             self._look(stamp_ns, points, score, size, seen)
-        if fits:
+        if fitted:
+            heights = CMU15.bone_lengths(np.array([p.core for p in fitted])) @ CMU15.stature_per_bone
+            sizes = zip(fitted, heights.tolist(), strict=True)
+            fits = [(p.residual, p.residual / p.scale / height, p.joints[0, 2]) for p, height in sizes]
             share = sum((d.score >= config.tracker.min_score).mean() for d in detections) / max(len(detections), 1)
             mean = np.array([share, *np.mean(fits, axis=0)])
             self._sums += mean
