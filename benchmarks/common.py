@@ -278,10 +278,11 @@ def reconstruct_whole(
 
 @dataclass(frozen=True, eq=False)
 class TrackedSequence:
-    """Joints (F, 26, 3) m, their deviations and what was inferred, live; NaN in frames without output."""
+    """Joints (F, 26, 3) m, deviations, orientations and what was inferred, live; NaN in frames without output."""
 
     joints: Array
     std: Array
+    turns: Array
     inferred: Bools
 
 
@@ -292,11 +293,13 @@ def track(view: View, model: BasePoses | str = 'auto', parameters: Parameters | 
     )
     joints = np.full((view.frames, 26, 3), np.nan)
     std, inferred = np.full(joints.shape[:2], np.nan), np.zeros(joints.shape[:2], bool)
+    turns = np.full((view.frames, 26, 4), np.nan)
     for time_s, keypoints in zip(view.times, view.keypoints, strict=True):
         for person in tracker.update(float(time_s), [keypoints], ids=['p']):
             at = int(np.argmin(np.abs(view.times - tracker.output_time_s)))
             joints[at], std[at], inferred[at] = person.joints, person.std, person.inferred
-    return TrackedSequence(joints, std, inferred)
+            turns[at] = person.orientation
+    return TrackedSequence(joints, std, turns, inferred)
 
 
 def reconstruct(

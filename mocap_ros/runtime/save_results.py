@@ -125,7 +125,8 @@ def _save_npz(path: Path, reconstruction: ReconstructedSequence) -> None:
     if (summary := reconstruction.summary) is not None:
         arrays |= {'grade': np.array(summary.grade), 'summary': np.array(str(summary))}
     if result.orientation is not None and result.turn_inferred is not None:
-        arrays |= {'orientation': result.orientation.astype('f4'), 'turn_inferred': result.turn_inferred}
+        arrays |= {'orientation': result.orientation.astype('f4'), 'orientation_order': np.array('xyzw')}
+        arrays['turn_inferred'] = result.turn_inferred
     write_npz(path, arrays)
 
 

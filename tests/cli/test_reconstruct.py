@@ -39,7 +39,7 @@ def test_several_files_of_one_reconstruction_agree(short_recording: Path, tmp_pa
     with np.load(tmp_path / 'r.npz') as result:
         joints, upward = result['joints3d'], result['vertical'].mean(axis=0)
         assert np.linalg.norm(result['orientation'], axis=-1) == pytest.approx(np.ones((20, 26)), abs=1e-5)
-        assert result['turn_inferred'].shape == (20, 26)
+        assert (result['orientation_order'], result['turn_inferred'].shape) == ('xyzw', (20, 26))
         assert 0 < result['turn_inferred'].mean() < 1
     table = np.loadtxt(tmp_path / 'r.csv', delimiter=',', skiprows=1)[:, 1:]
     assert table.reshape(20, 26, 3) == pytest.approx(joints, abs=1e-5)

@@ -213,7 +213,7 @@ def test_bvh_has_constant_bones_and_the_same_joints(results: Path) -> None:
         limit = 1e-3 if is_at_branches else 1e-6
         assert np.ptp(np.linalg.norm(bvh_joints[:, a] - bvh_joints[:, b], axis=1)) < limit
     assert np.abs(np.diff(bvh.motion, axis=0)).max() < 1.1 * 11.8  # degrees, measured; no angle jumps by a turn
-    for node, joint in (('LeftFoot_end', 'ltoe'), ('RightHand_end', 'rhand')):
+    for node, joint in (('LeftToe', 'ltoe'), ('RightHand_end', 'rhand')):
         end = outer[:, BODY26.index(joint) - len(CMU15.joints)]
         assert np.linalg.norm(positions[node] - end, axis=1).max() < 0.01  # m; bones are constant
     (trial,) = load_trials(results / 'r.bvh')

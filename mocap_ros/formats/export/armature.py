@@ -11,8 +11,9 @@ How a bone is turned about e follows from the orientation Q of its segment (`sol
 known: R = S Q Q_0^T, with Q_0 the axes of the segment in the T-pose and S the smallest rotation that fulfils the
 formula above, since bone and segment differ a little. Else R is the smallest rotation from the parent bone.
 
-The names are those of the CMU database's BVH files. Those files have bones of zero length where the body branches
-(pelvis, neck), so that every limb rotates by itself, and after wrists and ankles, unless hands and toes are known.
+The names are those of the CMU database's BVH files, with Spine2 and toes as other rigs have them. CMU's files have
+bones of zero length where the body branches (pelvis, neck), so that every limb rotates by itself, and after wrists
+and ankles, unless hands and toes are known.
 Blender drops or lengthens bones of zero length, so here they are 1 cm long: where the body branches, a limb begins
 1 cm beside the joint, and its first bone points from there to the limb's next joint. A joint is off by no more
 than the variation of the lengths l of the bones between it and the pelvis.
@@ -69,11 +70,14 @@ class _Bone(NamedTuple):
     segment: str = ''
 
 
+CHEST = 'chest'  # no joint of the model: the middle between pelvis and neck
+
 # The bones, parents first.
 BONES = (
     _Bone('Hips', '', 'pelvis'),
-    _Bone('Spine', 'Hips', 'pelvis', 'neck', UP, 'neck'),
-    _Bone('Neck', 'Spine', 'neck'),
+    _Bone('Spine', 'Hips', 'pelvis', CHEST, UP, 'neck'),
+    _Bone('Spine2', 'Spine', CHEST, 'neck', UP, 'neck'),
+    _Bone('Neck', 'Spine2', 'neck'),
     _Bone('Head', 'Neck', 'neck', 'head', UP, 'head'),
     _Bone('LeftShoulder', 'Neck', 'neck', 'lshoulder', LEFT),
     _Bone('LeftArm', 'LeftShoulder', 'lshoulder', 'lelbow', LEFT, 'lshoulder'),
@@ -87,10 +91,12 @@ BONES = (
     _Bone('LeftUpLeg', 'LHipJoint', 'lhip', 'lknee', DOWN, 'lhip'),
     _Bone('LeftLeg', 'LeftUpLeg', 'lknee', 'lankle', DOWN, 'lknee'),
     _Bone('LeftFoot', 'LeftLeg', 'lankle', '', FORWARD),
+    _Bone('LeftToe', 'LeftFoot', 'ltoe', '', FORWARD),  # where toes are known
     _Bone('RHipJoint', 'Hips', 'pelvis', 'rhip', RIGHT),
     _Bone('RightUpLeg', 'RHipJoint', 'rhip', 'rknee', DOWN, 'rhip'),
     _Bone('RightLeg', 'RightUpLeg', 'rknee', 'rankle', DOWN, 'rknee'),
     _Bone('RightFoot', 'RightLeg', 'rankle', '', FORWARD),
+    _Bone('RightToe', 'RightFoot', 'rtoe', '', FORWARD),  # where toes are known
 )
 
 # The bones that reach to hands and toes, where these are known.
@@ -129,8 +135,11 @@ def build_armature(joints: Array, fps: float, orientation: Array | None = None) 
     from scipy.spatial.transform import Rotation
 
     has_extremities = joints.shape[1] > CORE_COUNT
-    bones = [_OUTER_BONES.get(bone.name, bone) if has_extremities else bone for bone in BONES]
-    index = {name: i for i, name in enumerate((BODY26 if has_extremities else CMU15).joints)}
+    index = {name: i for i, name in enumerate((*(BODY26 if has_extremities else CMU15).joints, CHEST))}
+    outer = _OUTER_BONES if has_extremities else {}
+    bones = [outer.get(bone.name, bone) for bone in BONES if bone.start in index]
+    chest = joints[:, [index['pelvis'], index['neck']]].mean(axis=1, keepdims=True)
+    joints = np.concatenate([joints, chest], axis=1)
     bone_by_name = {bone.name: bone for bone in bones}
     names, parents, offsets = [], [], []
     channels: list[tuple[str, ...]] = []
