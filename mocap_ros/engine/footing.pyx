@@ -36,6 +36,7 @@ cdef double MIN_STEP_S = 1e-3
 cdef double MIN_INFORMATION = 1e-9  # 1/m^2; keeps what nothing determines solvable
 cdef double MAX_DEPTH_CHANGE = 0.3  # of the depth; a root that changes by more is another solution, or another person
 cdef double MAX_SPEED_M_S = 10  # m/s; of a sprinter
+cdef double MIN_TILT_M = 0.01  # m; legs along the line of sight do not tilt
 cdef double MAX_REACH = 0.9999  # of the length of a leg; a straight knee has no direction in which it bends
 
 
@@ -56,7 +57,7 @@ cdef struct Model:
     double along, across  # m; deviations of the root's error along the line of sight and across it
     double error_s, leg_s  # s; how long errors of the root and of legs last
     double acceleration_along, acceleration_across  # m/s^2
-    double leg  # m; deviation of a foot's error about the root
+    double leg_tilt, leg_across  # m; deviations of a foot's error about the root: as legs tilt in depth, and across it
     double slip  # m/s; deviation of the speed of a point that stands
     double pace  # m/s; of a root whose deviation of accelerations is sqrt(2) of what it is at rest
     double roll  # 1; share of the root's velocity that a point has while it stands
@@ -90,7 +91,7 @@ cdef void write_precision(const double* sight, double along, double across, doub
 
 cdef void add_frame(
     const Memory* before, const Model* model, double step_s, const double* root, const double* points,
-    const double* contact, const double* estimate, double* a, double* b,
+    const double* tilts, const double* contact, const double* estimate, double* a, double* b,
 ) noexcept nogil:
     """Write the normal equations A (27, 27), b (27,) of the frames t - 2, t - 1 and t.
 
@@ -120,8 +121,8 @@ cdef void add_frame(
     add_term(a, b, 2, at, by, m, r)
     kept = exp(-step_s / model.leg_s) if before.frames > 0 else 0
     by[1], h = -kept, sqrt(1 - kept * kept)
-    write_precision(sight, h * model.leg, h * model.leg, m)
     for f in range(FEET):
+        write_precision(tilts + 3 * f, h * model.leg_tilt, h * model.leg_across, m)
         at[0], at[1] = TWO + 3 + 3 * f, OWN + 3 + 3 * f
         add_term(a, b, 2, at, by, m, r)
     if before.frames > 1:  # acceleration of the root
@@ -236,9 +237,24 @@ cdef void move_leg(const double* moved, double* hip, double* knee, double* ankle
         ankle[i] = hip[i] + reach * to[i]
 
 
-cdef void find_points(double[:, ::1] core, Rows feet, const long long[:, ::1] legs, double* root, double* points) noexcept nogil:
-    """Write the middle of the hips and the points that may stand."""
-    cdef int i, k
+cdef void find_points(
+    double[:, ::1] core, Rows feet, const long long[:, ::1] legs, double* root, double* points, double* tilts
+) noexcept nogil:
+    """Write the middle of the hips, the points that may stand, and where ankles go as legs tilt in depth."""
+    cdef int i, k, f
+    cdef double length, along
+    cdef double[3] leg
+    for f in range(FEET):
+        length = along = 0
+        for i in range(3):
+            leg[i] = core[legs[f, ANKLE], i] - core[legs[f, HIP], i]
+            length += leg[i] * leg[i]
+            along += leg[i] * core[legs[f, HIP], i]
+        for i in range(3):
+            tilts[3 * f + i] = core[legs[f, HIP], i] - along / length * leg[i]
+        length = fmax(sqrt(dot(tilts + 3 * f, tilts + 3 * f)), MIN_TILT_M)
+        for i in range(3):
+            tilts[3 * f + i] /= length
     for i in range(3):
         root[i] = (core[legs[0, HIP], i] + core[legs[1, HIP], i]) / 2
         for k in range(POINTS):
@@ -362,13 +378,14 @@ def advance(double[::1] memory, Vector numbers, double step_s, Rows core, Rows f
     cdef double[TWO] estimate
     cdef double[3] root
     cdef double[POINTS * 3] points
+    cdef double[FEET * 3] tilts
     cdef double[POINTS] contact
     cdef double squared = 0
     cdef int i
     result = np.array(core)
     cdef double[:, ::1] out = result
     step_s = fmax(step_s, MIN_STEP_S)
-    find_points(out, feet, legs, root, points)
+    find_points(out, feet, legs, root, points, tilts)
     for i in range(3):
         squared += (root[i] - own.root[i]) * (root[i] - own.root[i])
     if sqrt(squared) > MAX_DEPTH_CHANGE * fabs(root[2]) + MAX_SPEED_M_S * step_s:
@@ -377,7 +394,7 @@ def advance(double[::1] memory, Vector numbers, double step_s, Rows core, Rows f
         contact[i] = 1 / (1 + exp(-log_odds[i]))
     if own.frames > 1:
         foresee(own, step_s, root, estimate)
-    add_frame(own, &model, step_s, root, points, contact, estimate if own.frames > 1 else NULL, a, b)
+    add_frame(own, &model, step_s, root, points, tilts, contact, estimate if own.frames > 1 else NULL, a, b)
     eliminate(a, b, own)
     substitute(a, b, OWN, ALL, u)
     memcpy(own.found, u + OWN, TWO * sizeof(double))
@@ -395,17 +412,17 @@ def smooth(Vector numbers, Vector times, Stack core, Stack feet, Rows contact, c
     result, unknowns = np.array(core), np.zeros((frames + 2, OWN))
     cdef double[:, :, ::1] out = result, factors = np.empty((frames, ALL, ALL))
     cdef double[:, ::1] rights = np.empty((frames, ALL)), found = unknowns, roots = np.empty((frames, 3))
-    cdef double[:, ::1] points = np.empty((frames, POINTS * 3))
+    cdef double[:, ::1] points = np.empty((frames, POINTS * 3)), tilts = np.empty((frames, FEET * 3))
     cdef Memory memory
     for t in range(frames):
-        find_points(out[t], feet[t], legs, &roots[t, 0], &points[t, 0])
+        find_points(out[t], feet[t], legs, &roots[t, 0], &points[t, 0], &tilts[t, 0])
     with nogil:
         for n in range(rounds):
             memset(&memory, 0, sizeof(Memory))
             for t in range(frames):
                 step_s = fmax(times[t] - times[t - 1], MIN_STEP_S) if t > 0 else 1
                 add_frame(
-                    &memory, &model, step_s, &roots[t, 0], &points[t, 0], &contact[t, 0],
+                    &memory, &model, step_s, &roots[t, 0], &points[t, 0], &tilts[t, 0], &contact[t, 0],
                     &found[t + 1, 0] if n > 0 else NULL, &factors[t, 0, 0], &rights[t, 0],
                 )
                 eliminate(&factors[t, 0, 0], &rights[t, 0], &memory)

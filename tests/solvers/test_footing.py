@@ -5,12 +5,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from mocap_ros.engine import footing as engine
 from mocap_ros.skeleton import CMU15
-from mocap_ros.solvers.footing import LEGS, OF_ALL, choose_numbers
+from mocap_ros.solvers.footing import LEGS, OF_ALL, OF_NEWEST, Footing, choose_numbers, plant_sequence
 
 Array = np.ndarray
 FRAMES = 12
@@ -35,7 +38,7 @@ def solve_densely(
 
     The loss of feet is linearised at displacements (F, 2, 9) that are expected of a frame and the one before.
     """
-    along, across, error_s, leg_s, *accelerations, leg, slip, pace, roll, fast = numbers
+    along, across, error_s, leg_s, *accelerations, tilt, leg, slip, pace, roll, fast = numbers
     count, steps = len(times), np.diff(times)
     root = core[:, LEGS[:, 0]].mean(axis=1)
     points = core[:, LEGS[[0, 0, 1, 1], 2]] + feet
@@ -48,15 +51,23 @@ def solve_densely(
         rows.append(row.reshape(3, -1))
         values.append(-weights @ value)
 
-    def weigh(t: int, deep: float, wide: float) -> Array:
-        sight = root[t] / np.linalg.norm(root[t])
+    def weigh(t: int, deep: float, wide: float, leg: Array | None = None) -> Array:
+        sight = root[t]
+        if leg is not None:  # the way of an ankle as the leg tilts in depth
+            hip, _, ankle = core[t, leg]
+            sight = hip - hip @ (ankle - hip) / np.sum((ankle - hip) ** 2) * (ankle - hip)
+        sight = sight / np.linalg.norm(sight)
         return np.eye(3) / wide + (1 / deep - 1 / wide) * np.outer(sight, sight)
 
     for t in range(count):
-        for at, seconds, deep, wide in ((0, error_s, along, across), (3, leg_s, leg, leg), (6, leg_s, leg, leg)):
+        for at, seconds, weights in (
+            (0, error_s, weigh(t, along, across)),
+            (3, leg_s, weigh(t, tilt, leg, LEGS[0])),
+            (6, leg_s, weigh(t, tilt, leg, LEGS[1])),
+        ):
             kept = np.exp(-steps[t - 1] / seconds) if t else 0.0
             parts = [(t, at, 1.0), *([(t - 1, at, -kept)] if t else [])]
-            add(parts, np.zeros(3), weigh(t, deep, wide) / np.sqrt(1 - kept**2))
+            add(parts, np.zeros(3), weights / np.sqrt(1 - kept**2))
         if t > 1:
             a, b = 1 / steps[t - 2], 1 / steps[t - 1]
             velocity = a * (root[t - 1] - root[t - 2])
@@ -149,6 +160,24 @@ def test_feet_stand_and_what_is_not_on_the_ground_moves(rng: np.random.Generator
         slides.append(np.abs(np.diff(planted[:, LEGS[0, 2], 2])).mean())
     before = np.abs(np.diff(core[:, LEGS[0, 2], 2])).mean()
     assert slides[0] < 0.15 * before < 0.5 * slides[1]
+
+
+def test_unseen_legs_do_not_hold_the_root(motion: tuple[Array, Array, Array, Array], numbers: Array) -> None:
+    times, core, _, _ = motion
+    weight = np.ones((FRAMES, 15))
+    weight[:, LEGS[:, 1:].ravel()] = 0
+    observed: Any = SimpleNamespace(times=times, rays=core[..., :2] / 4, weight=weight, extremities=None)
+    offsets, upward = np.zeros((FRAMES, 11, 3)), np.tile([0.0, -1.0, 0.0], (FRAMES, 1))
+    feet = np.zeros((FRAMES, 4, 3))
+    free = engine.smooth(numbers, times, core, feet, np.zeros((FRAMES, 4)), LEGS, 3)
+    np.testing.assert_array_equal(plant_sequence(observed, core, offsets, upward, 0.01), free)
+    live, before = engine.begin(), None
+    newest = choose_numbers(0.01, OF_NEWEST)
+    for t, step_s in enumerate(np.diff(times, prepend=times[0] - 1)):
+        seen: Any = SimpleNamespace(**{**vars(observed), 'times': times[: t + 1]})
+        before = Footing.advance(before, times[t], core[t], offsets[0], seen, t, upward[0], 0.01)
+        free = engine.advance(live, newest, step_s, core[t], feet[0], np.full(4, -np.inf), LEGS)
+        np.testing.assert_array_equal(before.core, free)
 
 
 def test_another_solution_far_away_begins_anew(motion: tuple[Array, Array, Array, Array], numbers: Array) -> None:
