@@ -9,10 +9,6 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
 
-def compute_transition_cost(elapsed_s: float) -> Array: ...
-def compute_attachment_cost(
-    points: Array, weight: Array, body_size: float, mirror: Indices, upper: Indices, lower: Indices
-) -> Array: ...
 def begin_paths(
     time_s: float,
     points: Array,

@@ -95,20 +95,6 @@ cdef void find_attachment_cost(
             cost[part] = ATTACHMENT_COST * max(0.0, tanh(longer / body_size / ATTACHMENT_SCALE))
 
 
-def compute_transition_cost(double elapsed_s):
-    """Return -log P(z_t | z_(t-1)), (8, 8) in nats; rows are states before, columns states after a step."""
-    cdef double[STATES][STATES] cost
-    find_transition_cost(elapsed_s, cost)
-    return np.array(<double[:STATES, :STATES]> &cost[0][0])
-
-
-def compute_attachment_cost(Rows points, Vector weight, double body_size, Indices mirror, Indices upper, Indices lower):
-    """Return what it costs to exchange left and right of a part, but not of the shoulders, (3,) in nats."""
-    cdef double[PARTS] cost
-    find_attachment_cost(points, weight, body_size, mirror, upper, lower, cost)
-    return np.array(<double[:PARTS]> &cost[0])
-
-
 cdef inline double measure(Rows points, Py_ssize_t a, Py_ssize_t b) noexcept nogil:
     return hypot(points[a, 0] - points[b, 0], points[a, 1] - points[b, 1])
 
