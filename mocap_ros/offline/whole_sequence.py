@@ -454,10 +454,10 @@ def _solve_with_lifter(
 
 def _solve(window: Window, models: Mapping[str, BasePoses], config: SolverConfig) -> tuple[str, Reconstruction]:
     if len(models) > 1:
-        choice = choose_category(window, models, config)
+        name, reconstruction = choose_category(window, models, config)
         if config.method == 'alternation':  # the choice compares joint solutions
-            return choice.category, alternation.reconstruct(window, models[choice.category], config)
-        return choice.category, choice.reconstruction
+            return name, alternation.reconstruct(window, models[name], config)
+        return name, reconstruction
     ((name, model),) = models.items()
     if config.method == 'alternation':
         return name, alternation.reconstruct(window, model, config)

@@ -54,18 +54,10 @@ MAX_JITTER_STEP_S = 0.05  # s; in slower streams the third differences are those
 PERIODIC_FIT_TOLERANCE = 1e-3  # relative decrease of the objective; a residual needs no closer minimum
 
 
-@dataclass(frozen=True, eq=False)
-class CategoryChoice:
-    """The category chosen for a window."""
-
-    category: str  # name of the model with the highest evidence
-    reconstruction: JointReconstruction
-    # value of every model by name, up to a constant; the smallest is chosen
-    minus_twice_log_evidence: Mapping[str, float]
-
-
-def choose_category(window: Window, models: Mapping[str, BasePoses], config: SolverConfig) -> CategoryChoice:
-    """Fit every model and choose the one with the highest evidence, all under the same image noise."""
+def choose_category(
+    window: Window, models: Mapping[str, BasePoses], config: SolverConfig
+) -> tuple[str, JointReconstruction]:
+    """Fit every model; return the name and the fit of the highest evidence, all under the same image noise."""
     fits = {}
     for name, model in models.items():
         (fits[name],) = joint.solve_hypotheses([window], model, config)
@@ -75,7 +67,7 @@ def choose_category(window: Window, models: Mapping[str, BasePoses], config: Sol
         fitted = replace(window, start=InitialValues(fit.theta, fit.cameras))
         evidence[name], _ = run_to_end(minus_twice_log_evidence_stepwise(fitted, models[name], noise, config))
     best = min(evidence, key=lambda name: evidence[name])
-    return CategoryChoice(best, fits[best], evidence)
+    return best, fits[best]
 
 
 def minus_twice_log_evidence_stepwise(
@@ -174,27 +166,17 @@ def measure_jitter(times: Array, images: Array) -> float:
     return math.sqrt(float(np.median(squares)) / THIRD_DIFFERENCE_SQUARES)
 
 
-def is_periodic(fit: PeriodicFit, config: ClassifierConfig, threshold_factor: float = 1.0) -> bool:
-    """Return whether a fit passes all thresholds; a `threshold_factor` above 1 loosens every one of them."""
+def is_periodic(fit: PeriodicFit, config: ClassifierConfig, *, was_periodic: bool) -> bool:
+    """Return whether a fit passes all thresholds, which `config.hysteresis` loosens if the motion was periodic.
+
+    Else it tightens them.
+    """
     is_walk = fit.category == 'walk'
     max_residual = config.walk_residual if is_walk else config.run_residual
     min_cadence = config.walk_cadence if is_walk else config.run_cadence
+    factor = config.hysteresis if was_periodic else 1 / config.hysteresis
     return (
-        fit.excess_residual <= max_residual * threshold_factor
-        and fit.amplitude >= config.amplitude / threshold_factor
-        and fit.reconstruction.cadence >= min_cadence / threshold_factor
+        fit.excess_residual <= max_residual * factor
+        and fit.amplitude >= config.amplitude / factor
+        and fit.reconstruction.cadence >= min_cadence / factor
     )
-
-
-@dataclass
-class PeriodicSwitch:
-    """Decision whether a motion is periodic, over time and with hysteresis."""
-
-    config: ClassifierConfig  # thresholds, and the factor by which a fit must pass them to change the decision
-    currently_periodic: bool = False
-
-    def update(self, fit: PeriodicFit) -> bool:
-        """Update the decision with the fit of the newest window, and return it."""
-        factor = self.config.hysteresis if self.currently_periodic else 1 / self.config.hysteresis
-        self.currently_periodic = is_periodic(fit, self.config, factor)
-        return self.currently_periodic

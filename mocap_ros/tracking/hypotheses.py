@@ -32,8 +32,8 @@ from mocap_ros.people import Motion, MotionKind
 from mocap_ros.solvers.classification import (
     MIN_COMPARISON_NOISE,
     PERIODIC_CATEGORIES,
-    PeriodicSwitch,
     fit_periodic_stepwise,
+    is_periodic,
     measure_evidence,
     measure_jitter,
     minus_twice_log_evidence_stepwise,
@@ -313,7 +313,7 @@ class HypothesisChecker:
             fit = yield from slice_work(work, len(frames), settings.components, PERIODIC_COST)
         except InputError:
             return None
-        if not PeriodicSwitch(settings, track.schedule.is_periodic).update(fit):
+        if not is_periodic(fit, settings, was_periodic=track.schedule.is_periodic):
             return None
         return Motion(MotionKind.PERIODIC, name, fit.residual, fit.reconstruction.cadence)
 

@@ -22,7 +22,6 @@ from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.classification import (
     PeriodicFit,
-    PeriodicSwitch,
     fit_periodic_stepwise,
     is_periodic,
     measure_jitter,
@@ -66,8 +65,8 @@ def test_a_larger_factor_loosens_every_threshold(
     passed: dict[str, Any] = {f'{category}_residual': 1.0, 'amplitude': 0.0, f'{category}_cadence': 0.0}
     other = 'run' if category == 'walk' else 'walk'
     never_passed: dict[str, Any] = {f'{other}_residual': 0.0, f'{other}_cadence': 5.0}
-    config = ClassifierConfig(**passed, **never_passed)
-    assert is_periodic(fit, config)
+    config = ClassifierConfig(**passed, **never_passed, hysteresis=1.0)
+    assert is_periodic(fit, config, was_periodic=False)
     just_missed = {
         'residual': 0.95 * fit.excess_residual,
         'amplitude': 1.05 * fit.amplitude,
@@ -75,18 +74,19 @@ def test_a_larger_factor_loosens_every_threshold(
     }
     name = threshold if threshold == 'amplitude' else f'{category}_{threshold}'
     missed: dict[str, Any] = {name: just_missed[threshold]}
-    assert not is_periodic(fit, replace(config, **missed))
-    assert is_periodic(fit, replace(config, **missed), 1.1)
+    assert not is_periodic(fit, replace(config, **missed), was_periodic=True)
+    assert is_periodic(fit, replace(config, **missed, hysteresis=1.1), was_periodic=True)
 
 
 @pytest.mark.parametrize('hysteresis', [1.1, 1.25])
 def test_switch_has_hysteresis(fits: dict[str, PeriodicFit], hysteresis: float) -> None:
     config = ClassifierConfig(hysteresis=hysteresis)
-    switch = PeriodicSwitch(config)
+    decisions = [False]
     shares = (1.5, 1.02, 1.05 / hysteresis, 0.95 / hysteresis, 0.98, 0.95 * hysteresis, 1.05 * hysteresis, 1.02)
     residuals = [replace(fits['walk'], excess_residual=share * config.walk_residual) for share in shares]
-    decisions = [switch.update(fit) for fit in residuals]
-    assert decisions == [False, False, False, True, True, True, False, False]
+    for fit in residuals:
+        decisions.append(is_periodic(fit, config, was_periodic=decisions[-1]))
+    assert decisions[1:] == [False, False, False, True, True, True, False, False]
 
 
 def test_a_walk_is_periodic_whatever_the_detector_adds_to_all_frames_alike(walk_model: BasePoses) -> None:
@@ -98,8 +98,8 @@ def test_a_walk_is_periodic_whatever_the_detector_adds_to_all_frames_alike(walk_
     window = Window(points + offset, np.ones(points.shape[:2]), times)
     by_residual = fit_periodic(window, {'walk': walk_model}, QUICK)
     by_movement = fit_periodic(window, {'walk': walk_model}, QUICK, estimated)
-    assert not is_periodic(by_residual, ClassifierConfig())
-    assert is_periodic(by_movement, ClassifierConfig())
+    assert not is_periodic(by_residual, ClassifierConfig(hysteresis=1.0), was_periodic=False)
+    assert is_periodic(by_movement, ClassifierConfig(hysteresis=1.0), was_periodic=False)
     assert by_movement.excess_residual < 0.5 * by_residual.excess_residual
 
 

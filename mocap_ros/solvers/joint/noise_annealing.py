@@ -51,30 +51,15 @@ class Annealed(NamedTuple):
     iterations: NDArray[np.int64]  # (P,) number of steps of each sequence
 
 
-def minimise(
-    problem: engine.JointProblem, max_iterations: int, tolerance: float, damping: float, *, at_once: bool
-) -> Stepwise[Array]:
-    """Minimise as `minimise_stepwise` does; all steps in one piece take less time."""
-    if at_once:
-        return problem.minimise(max_iterations, tolerance, damping)
-    return (yield from minimise_stepwise(problem, max_iterations, tolerance, damping))
-
-
 def get_given_noise(windows: Sequence[Window], config: SolverConfig) -> Array:
     """Return the noise (P,) m that the windows give; the largest where it is to be found."""
     return np.array([max(w.noise or COARSE_NOISE_M[0], config.noise_floor) for w in windows])
 
 
 def anneal_stepwise(
-    batch: Batch,
-    state: State,
-    model: BasePoses,
-    windows: Sequence[Window],
-    config: SolverConfig,
-    *,
-    at_once: bool = False,
+    batch: Batch, state: State, model: BasePoses, windows: Sequence[Window], config: SolverConfig
 ) -> Stepwise[Annealed]:
-    """Find the noise of each window that does not give it, in steps, or each round at once."""
+    """Find the noise of each window that does not give it, in steps."""
     noise, is_unknown = get_given_noise(windows, config), np.array([w.noise is None for w in windows])
 
     def update_noise(problem: engine.JointProblem, least: float) -> Array:
@@ -90,7 +75,7 @@ def anneal_stepwise(
         k = max(int((model.std >= MIN_STD_OVER_NOISE * level).sum()), MIN_COMPONENTS)
         objective = JointObjective.build(some, model, config, noise, share).truncate(k)
         problem = objective.compile(coarse._replace(theta=coarse.theta[:, :k]))
-        yield from minimise(problem, config.max_iterations, tolerance, damping, at_once=at_once)
+        yield from minimise_stepwise(problem, config.max_iterations, tolerance, damping)
         iterations += problem.iterations
         found = read_state(problem)
         coarse = found._replace(theta=np.concatenate([found.theta, coarse.theta[:, k:]], axis=1))
@@ -101,7 +86,7 @@ def anneal_stepwise(
     for least in (*FINE_NOISE_M[1:], 0.0):
         objective = JointObjective.build(batch, model, config, noise, None, activity)
         problem = objective.compile(state, settle_steps, at_reference=True)
-        yield from minimise(problem, config.max_iterations, tolerance, damping, at_once=at_once)
+        yield from minimise_stepwise(problem, config.max_iterations, tolerance, damping)
         iterations += problem.iterations
         state, settle_steps, before = read_state(problem), 0, noise
         noise = update_noise(problem, least)

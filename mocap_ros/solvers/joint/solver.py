@@ -29,9 +29,9 @@ from mocap_ros.solvers.joint.noise_annealing import (
     CONTINUED_DAMPING,
     anneal_stepwise,
     get_given_noise,
-    minimise,
 )
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, JointObjective, measure_activities, read_state
+from mocap_ros.solvers.levenberg_marquardt import minimise_stepwise
 from mocap_ros.solvers.stepwise import Stepwise, run_to_end
 from mocap_ros.solvers.window import (
     Reconstruction,
@@ -65,19 +65,13 @@ def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> 
     Raises:
         InputError: no frame of a window has four seen joints, or only some of the windows have lifted poses.
     """
-    return run_to_end(_solve(windows, model, config, at_once=True))
+    return run_to_end(solve_stepwise(windows, model, config))
 
 
 def solve_stepwise(
     windows: Sequence[Window], model: BasePoses, config: SolverConfig
 ) -> Stepwise[tuple[JointReconstruction, ...]]:
     """Reconstruct as `solve` does, in steps."""
-    return (yield from _solve(windows, model, config, at_once=False))
-
-
-def _solve(
-    windows: Sequence[Window], model: BasePoses, config: SolverConfig, *, at_once: bool
-) -> Stepwise[tuple[JointReconstruction, ...]]:
     if config.components < len(model.std):
         model = model.truncate(config.components)
     is_warm = all(w.start is not None and (w.noise is not None or not config.adapt_noise) for w in windows)
@@ -92,14 +86,13 @@ def _solve(
     if config.adapt_noise and any(w.noise is None for w in windows):
         settled = JointObjective.build(batch, model, config).compile(state, settle_steps)
         yield
-        problem, earlier_iterations = yield from anneal_stepwise(
-            batch, read_state(settled), model, windows, config, at_once=at_once
-        )
+        annealed = anneal_stepwise(batch, read_state(settled), model, windows, config)
+        problem, earlier_iterations = yield from annealed
     else:
         noise = get_given_noise(windows, config) if config.adapt_noise else None
         problem = continue_from(batch, state, noise, model, config, settle_steps)
         yield
-    history = yield from minimise(problem, config.max_iterations, config.tolerance, damping, at_once=at_once)
+    history = yield from minimise_stepwise(problem, config.max_iterations, config.tolerance, damping)
     yield
     return make_reconstructions(problem, batch, windows, units, history, earlier_iterations)
 
@@ -138,30 +131,24 @@ def solve_hypotheses(
     `config.heading_hypotheses` for base poses aligned by heading: those of all motions need it for people seen
     from the front or from behind (docs/method.md). Lifted poses separate these already, so one start is enough.
     """
-    return run_to_end(_solve_hypotheses(windows, model, config, at_once=True))
+    return run_to_end(solve_hypotheses_stepwise(windows, model, config))
 
 
 def solve_hypotheses_stepwise(
     windows: Sequence[Window], model: BasePoses, config: SolverConfig
 ) -> Stepwise[tuple[JointReconstruction, ...]]:
     """Reconstruct as `solve_hypotheses` does, in steps."""
-    return (yield from _solve_hypotheses(windows, model, config, at_once=False))
-
-
-def _solve_hypotheses(
-    windows: Sequence[Window], model: BasePoses, config: SolverConfig, *, at_once: bool
-) -> Stepwise[tuple[JointReconstruction, ...]]:
     count = config.heading_hypotheses if model.aligned_by_heading else config.hypotheses
     if all(w.lifted is not None for w in windows):
         count = 1
     if count == 1:
-        return (yield from _solve(windows, model, config, at_once=at_once))
+        return (yield from solve_stepwise(windows, model, config))
     batch: list[Window] = []
     for window in windows:
         start, unit = choose_initial_values(window, model.truncate(config.components), config.start_window)
         batch += [replace(window, start=s, unit=unit) for s in (start, reverse_depth(start))]
         yield
-    results = yield from _solve(batch, model, config, at_once=at_once)
+    results = yield from solve_stepwise(batch, model, config)
     return tuple(
         min(pair, key=lambda r: negative_log_posterior(r, w, config))
         for pair, w in zip(zip(results[::2], results[1::2], strict=True), windows, strict=True)
