@@ -11,6 +11,7 @@ unknown or an output of unknown type; 2 for options that a command does not have
 from __future__ import annotations
 
 import argparse
+import gc
 import io
 import os
 import re
@@ -128,6 +129,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         args, unknown = parser.parse_known_args(arguments)
         if unknown:
             args.command.error(describe_unknown_arguments(unknown, args.command))
+        gc.freeze()  # collections of garbage need not look at all imported libraries
         return int(args.run(args))
     except MocapError as error:
         return _report_failure(str(error))
