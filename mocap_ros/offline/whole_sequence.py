@@ -59,7 +59,7 @@ from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.classification import choose_category
 from mocap_ros.solvers.contacts import find_contacts
 from mocap_ros.solvers.extremities import SEGMENT_OF, attach, collect_evidence, smooth_extremities
-from mocap_ros.solvers.floor import POSE_SHARE, SIZE_RANGE, fit_floor
+from mocap_ros.solvers.floor import POSE_SHARE, SIZE_RANGE, Stander, fit_floor
 from mocap_ros.solvers.footing import plant_sequence
 from mocap_ros.solvers.image_roll import find_camera_roll, find_roll, lift_turned, turn_about_axis, turn_upright
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
@@ -104,7 +104,8 @@ class SequenceResult:
     contact: Array | None = None  # (F, 4) probabilities of `solvers.contacts`; None likewise
     floor: Floor | None = None  # the floor on which the person stands; None if nothing shows it
     size: float = 1.0  # of the body, as a share of `tracker.body_height`
-    height_fault: str = ''  # why `tracker.camera_height`, if it is given, is not used
+    height_fault: str = ''  # in words why `tracker.camera_height`, if it is given, is not used or may be wrong
+    before_floor: SequenceResult | None = None  # the same before the floor gave size and place, if it did
     shared_world: Array | None = None  # the `world_from_camera` of another person on the same floor
 
     @property
@@ -183,7 +184,7 @@ def reconstruct_sequence(
     result, lifted = _reconstruct(observed, models, config, report)
     in_sight = find_frames_in_sight(result.seen, times)
     complete = _blank_frames(_complete(result, lifted, config.tracker), ~in_sight)
-    return _find_floor(complete, lifted, config.tracker)
+    return share_floor([_find_contacts(complete, lifted)], [times], config.tracker)[0]
 
 
 def reconstruct_window(
@@ -255,86 +256,83 @@ def _complete(result: SequenceResult, observed: ObservedWindow, config: TrackerC
     )
 
 
-def _find_floor(result: SequenceResult, observed: ObservedWindow, config: TrackerConfig) -> SequenceResult:
-    """Return a result with the feet that stand and their floor, by `tracker.camera_height` of its true size."""
+def _find_contacts(result: SequenceResult, observed: ObservedWindow) -> SequenceResult:
+    """Return a result with the feet that stand."""
     points = join_body(observed.rays, observed.weight, observed.extremities)
     contact = find_contacts(*points, result.joints, result.vertical, observed.times)
     contact[np.isnan(result.joints).all(axis=(1, 2))] = np.nan
-    result = replace(result, contact=contact)
-    upward = average_vertical(result.vertical, result.vertical_std)
-    is_known = bool(np.isfinite(upward).all())
-    tilt_std = float(np.nanmean(result.vertical_std)) if is_known else math.nan
-    if config.camera_height > 0:
-        is_calibrated = is_known and read_given_vertical(config) is not None
-        std = CALIBRATED_TILT_STD if is_calibrated else tilt_std
-        is_focal_known = observed.virtual_camera.intrinsics.is_focal_known
-        fault = find_height_fault(is_focal_known=is_focal_known, tilt_std=std)
-        if not fault:
-            floor = Floor(upward, config.camera_height, std)
-            stood = _stand_on(result, observed.times, floor, config)
-            if stood is None:
-                return replace(result, floor=floor)
-            if SIZE_RANGE[0] < stood.size < SIZE_RANGE[1]:
-                return stood
-            fault = WRONG_HEIGHT
-        result = replace(result, height_fault=fault)
-    fit = fit_floor(result.joints, contact, observed.times, Floor(upward, None, tilt_std), _assume_share(config))
-    return result if fit is None else replace(result, floor=fit.floor)
+    return replace(result, contact=contact)
 
 
 def find_height_fault(*, is_focal_known: bool, tilt_std: float) -> str:
     """Return why a known height of the camera is of no use, in words; `tilt_std` of the vertical in rad."""
     if not is_focal_known:
-        return 'the focal length is not known, and distances with it'
-    return '' if tilt_std <= MAX_CERTAIN_STD else 'the vertical is not known: give tracker.vertical'
-
-
-def _stand_on(result: SequenceResult, times: Array, floor: Floor, config: TrackerConfig) -> SequenceResult | None:
-    """Return a result of the size that a floor below a camera of known height shows; None if no foot stands."""
-    contact, share = result.contact, _assume_share(config)
-    fit = None if contact is None else fit_floor(result.joints, contact, times, floor, share)
-    if fit is None:
-        return None
-    upward, std = np.tile(fit.floor.upward, (len(times), 1)), np.full(len(times), fit.floor.tilt_std)
-    joints, size = fit.place(result.joints), result.size * fit.size
-    return replace(result, joints=joints, vertical=upward, vertical_std=std, floor=fit.floor, size=size)
-
-
-def _assume_share(config: TrackerConfig) -> float:
-    """Return the standard deviation of the size of a body, as a share of it."""
-    return math.hypot(config.body_height_std / config.body_height, POSE_SHARE)
+        return 'is not used: the focal length is not known, and distances with it'
+    return '' if tilt_std <= MAX_CERTAIN_STD else 'is not used: the vertical is not known: give tracker.vertical'
 
 
 def share_floor(
     results: Sequence[SequenceResult], times: Sequence[Array], config: TrackerConfig
 ) -> tuple[SequenceResult, ...]:
-    """Return people of one recording on one floor, and in one world, that of the first.
+    """Return people of one recording on one floor, under one vertical, and in one world, that of the first.
 
-    Where the height of the camera is not known, each of them shows it as well as body heights are known, and their
-    sizes become those with which all stand on the floor of the mean height.
+    `tracker.camera_height` shows their true sizes. Where it is not known, the sizes of several become those with
+    which all stand on the floor.
     """
-    floors, people = [r.floor for r in results if r.floor is not None], list(results)
-    if len(floors) > 1 and (not config.camera_height or all(r.height_fault for r in results)):
-        trust = np.array([floor.tilt_std**-2 for floor in floors])
-        upward = trust @ [floor.upward for floor in floors]
-        upward /= np.linalg.norm(upward)
-        level, share = Floor(upward, None), _assume_share(config)
-        fits = [
-            fit_floor(r.joints, r.contact, t, level, share)
-            for r, t in zip(people, times, strict=True)
-            if r.contact is not None
+    solved = [r.before_floor or r for r in results]
+    known = [(r, average_vertical(r.vertical, r.vertical_std)) for r in solved]
+    known = [(r, upward) for r, upward in known if np.isfinite(upward).all()]
+    trust = np.array([float(np.nanmean(r.vertical_std)) ** -2 for r, _ in known])
+    total = np.sum([t * upward for t, (_, upward) in zip(trust, known, strict=True)], axis=0)
+    vertical = total / np.linalg.norm(total) if known else np.full(3, np.nan)
+    std = float(trust.sum()) ** -0.5 if known else math.nan
+    tilt_std = min(FOUND_TILT_FACTOR * std, MAX_CERTAIN_STD) if std <= MAX_CERTAIN_STD else math.nan
+    if read_given_vertical(config) is not None:
+        std = tilt_std = CALIBRATED_TILT_STD
+    people, fault = solved, ''
+    if config.camera_height > 0:
+        is_focal_known = all(r.virtual_camera.intrinsics.is_focal_known for r in solved)
+        fault = find_height_fault(is_focal_known=is_focal_known, tilt_std=std)
+        if not fault:
+            people = _stand_on(solved, times, Floor(vertical, config.camera_height, tilt_std), config)
+            fault = next((r.height_fault for r in people if r.floor is None), '')
+    if not config.camera_height or (fault and not any(r.floor for r in people)):
+        people = [
+            replace(r, height_fault=r.height_fault or fault)
+            for r in _stand_on(solved, times, Floor(vertical, None, tilt_std), config)
         ]
-        heights = np.array([fit.floor.camera_height for fit in fits if fit is not None], float)
-        if len(heights):
-            height = math.exp(float(np.log(heights).mean()))
-            level = Floor(upward, height, height_std=height * share / math.sqrt(len(heights)))
-            std = float(trust.sum()) ** -0.5
-            for p, (result, own) in enumerate(zip(results, times, strict=True)):
-                stood = _stand_on(result, own, level, config)
-                if stood is not None and SIZE_RANGE[0] < stood.size < SIZE_RANGE[1]:
-                    people[p] = replace(stood, vertical_std=np.full(len(own), std))
-    first = min((r for r in people if r.floor is not None), key=lambda r: bool(r.height_fault), default=people[0])
-    return tuple(replace(r, shared_world=first.world_from_camera) for r in people)
+    first = next((r for r in people if r.floor is not None), people[0])
+    return tuple(replace(r, shared_world=first.world_from_camera if len(people) > 1 else None) for r in people)
+
+
+def _stand_on(
+    results: Sequence[SequenceResult], times: Sequence[Array], before: Floor, config: TrackerConfig
+) -> list[SequenceResult]:
+    """Return people on a floor, of the sizes that it shows; who cannot be of such a size has a fault instead."""
+    share = math.hypot(config.body_height_std / config.body_height, POSE_SHARE)
+    unknown = [np.full((len(r.joints), 4), np.nan) if r.contact is None else r.contact for r in results]
+    standers = [Stander(r.joints, c, t) for r, c, t in zip(results, unknown, times, strict=True)]
+    fit = fit_floor(standers, before, share)
+    if fit is None:
+        return [replace(r, floor=before if before.camera_height else None) for r in results]
+    people = []
+    is_scale_shown = before.camera_height is not None or np.isfinite(fit.sizes).sum() > 1
+    for p, (result, size) in enumerate(zip(results, fit.sizes.tolist(), strict=True)):
+        if not SIZE_RANGE[0] < (1.0 if math.isnan(size) else size) < SIZE_RANGE[1]:
+            people.append(replace(result, height_fault=WRONG_HEIGHT if before.camera_height else ''))
+            continue
+        person = replace(result, floor=fit.floor)
+        if is_scale_shown:
+            frames = len(result.joints)
+            vertical = np.tile(fit.floor.upward, (frames, 1))
+            std = np.full(frames, fit.floor.tilt_std)
+            person = replace(person, vertical=vertical, vertical_std=std, before_floor=result)
+        if is_scale_shown and not math.isnan(size):
+            person = replace(person, joints=fit.place(p, result.joints), size=size)
+            if before.camera_height and size < CHILD_SIZE:
+                person = replace(person, height_fault=CHILD.format(size))
+        people.append(person)
+    return people
 
 
 def _blank_frames(result: SequenceResult, is_blank: NDArray[np.bool_]) -> SequenceResult:
@@ -353,8 +351,8 @@ def _blank_frames(result: SequenceResult, is_blank: NDArray[np.bool_]) -> Sequen
 
 
 def describe_height_faults(results: Sequence[SequenceResult]) -> list[str]:
-    """Return why `tracker.camera_height` is not used for some people, in words."""
-    return [f'is not used: {fault}' for fault in dict.fromkeys(r.height_fault for r in results) if fault]
+    """Return in words what is wrong with `tracker.camera_height` for some people."""
+    return [fault for fault in dict.fromkeys(r.height_fault for r in results) if fault]
 
 
 def find_frames_in_sight(seen: NDArray[np.bool_], times: Array) -> NDArray[np.bool_]:
@@ -477,9 +475,13 @@ class Shares(NamedTuple):
 
 
 SHARES = Shares(0.07, 0.4, 0.68)  # measured with 3,120 frames; almost all sequences are solved three times
-# why `tracker.camera_height` is not used where feet show another one
+FOUND_TILT_FACTOR = 1.5  # 1; by which a vertical counts less that people show, who share its errors
+# what is wrong with `tracker.camera_height` where feet show another one
+CHILD_SIZE = 0.75  # 1; 3.5 standard deviations of the size of adults
+CHILD = 'makes a person {:.2f} times as tall as tracker.body_height: a child, or one of both is wrong'
 WRONG_HEIGHT = (
-    f'by it people are not {SIZE_RANGE[0]:g} to {SIZE_RANGE[1]:g} times as tall as tracker.body_height; check both'
+    f'is not used: by it people are not {SIZE_RANGE[0]:g} to {SIZE_RANGE[1]:g} times as tall as '
+    'tracker.body_height; check both'
 )
 MAX_GAP_S = 3.0  # s; a person who is not seen for longer may be anywhere
 SEEN_SHARE = 0.3  # 1; with less, unusual poses are drawn to usual ones; with more, the noise of detectors stays

@@ -45,7 +45,7 @@ from mocap_ros.geometry.level import Floor
 from mocap_ros.models.joint_std import VARIANCE_ACROSS, VARIANCE_ALONG
 from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CMU15
-from mocap_ros.solvers.floor import POSE_SHARE
+from mocap_ros.solvers.floor import POSE_SHARE, SIZE_RANGE
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ FLOOR_FACTOR = 1.7  # 1; Q, so that 95 of 100 roots of training persons are with
 CORRELATION_S = 0.5  # s; C, as long as a step lasts
 MAX_RISE_M_S = 0.3  # m/s; of a foot that stands; depth jitters, and lets standing feet rise and sink a little
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for
-SIZE_RANGE = math.log(0.4), math.log(1.25)  # 1; range of ln r: from children of 0.7 m to adults of 2.1 m
+LEAST, LARGEST = map(math.log, SIZE_RANGE)  # range of ln r
 MIN_DROP_SHARE = 0.1  # of the camera's height; a foot that seems higher than this below the camera shows nothing
 FORGOTTEN_COMMA = re.compile(r'=\s*[\d.]+[\s;]')  # in what should be an id: a height is in it
 ROOT_FACTOR = 1.1  # 1; detectors put both hips off the same way; chosen by the errors of training persons' roots
@@ -105,7 +105,7 @@ class FloorContact:
         if not (drop > MIN_DROP_SHARE * height and abs(rise) < MAX_RISE_M_S):
             return before
         found = math.log(height / (ANKLE_SHARE * body_height + drop))
-        if not SIZE_RANGE[0] < found < SIZE_RANGE[1]:
+        if not LEAST < found < LARGEST:
             return before
         distance = math.sqrt(max(float(ankle @ ankle) - drop * drop, 0.0)) * math.exp(found)
         noise, floor_std = NOISE_M / height, math.hypot(GROUND_M, floor.tilt_std * distance) / height
