@@ -48,7 +48,7 @@ demo: setup  ## run the node on the demo recording, into demo_output/
 	@$(BIN)/mocap-ros demo -o demo_output
 
 test: setup  ## run the tests and print what they cover
-	@$(BIN)/python -m pytest --cov --numprocesses 2 --dist loadfile
+	@$(BIN)/python -m pytest --cov --numprocesses 3 --dist loadfile --no-loadscope-reorder
 
 lint: setup  ## check style, types, the import contract and the tables of the pages
 	@$(BIN)/ruff check

@@ -4,8 +4,6 @@
 """Fixtures that several tests share."""
 
 # ruff: noqa: E402
-from __future__ import annotations
-
 from mocap_ros.runtime.cpu_setup import configure_process
 
 configure_process()  # sums then have the same order as in the node
@@ -19,9 +17,7 @@ from hypothesis import settings
 
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_poses
-from tests.support.evaluation_data import shared
-from tests.support.modules import load_module
-from tests.support.paths import ROOT
+from tests.support.paths import ROOT, load_module, shared
 
 # Inputs are the same every time, so that a failure is due to the change; `config/task.sh properties` has random
 # ones. A pause of a busy machine is no fault (deadline); what must be quick is measured by benchmarks.
@@ -31,6 +27,18 @@ settings.load_profile('fixed')
 
 # A shell that starts the tests in the background lets them ignore interrupts, which some tests send to programs.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Let files with slow tests begin first, so that no process has one left when the others have ended."""
+    slow = {item.path for item in items if item.get_closest_marker('slow')}
+    items.sort(key=lambda item: item.path not in slow)
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if item.get_closest_marker('ros'):
+        pytest.importorskip('rclpy')
+        pytest.importorskip('mocap_ros_msgs')
 
 
 @pytest.fixture(scope='session')

@@ -3,8 +3,6 @@
 
 """Files for RViz, Foxglove, `ros2 launch` and SROS2 name topics, types, fields and parameters that there are."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -20,10 +18,9 @@ from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.skeletons import encode_skeletons
 from mocap_ros.ros.help import BRIDGE_NAME, BRIDGE_PARAMETERS
 from mocap_ros.runtime.outputs import OUTPUTS
-from tests.support.launch_file import load_launch_file
+from tests.support.launch_file import load_launch_file, read_permissions
 from tests.support.paths import ROOT
 from tests.support.people import make_person_3d
-from tests.support.security_policy import read_permissions
 
 CONFIG = ROOT / 'config'
 # Message type that a display of RViz shows.

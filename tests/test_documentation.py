@@ -3,8 +3,6 @@
 
 """The documents name files that exist, and the code keeps the rules that a reader relies on."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

@@ -1,9 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The distributions hold what users need, the wheel works without ROS, and the version is that of package.xml."""
-
-from __future__ import annotations
+"""The distributions hold what users need, both packages build, and the wheel works without ROS."""
 
 import os
 import re
@@ -15,14 +13,18 @@ import venv
 import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Sequence
+from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
+from mocap_ros.engine import geometry
 from tests.support.paths import ROOT
 
 VERSION = ET.parse(ROOT / 'package.xml').findtext('version')
 ROS_VARIABLES = ('PYTHONPATH', 'PYTHONHOME', 'AMENT_PREFIX_PATH', 'LD_LIBRARY_PATH', 'ROS_DISTRO')
+COMPILED = 'geometry.pyx'
 NO_INDEX = ('Temporary failure in name resolution', 'NewConnectionError', 'ProxyError', 'ConnectTimeoutError')
 BUILD_SDIST = 'import sys; from setuptools import build_meta; print(build_meta.build_sdist(sys.argv[1]))'
 
@@ -53,11 +55,13 @@ def run_without_ros(command: Sequence[object], folder: Path, **variables: str) -
 def distributions(tmp_path_factory: pytest.TempPathFactory, quick_compiler: dict[str, str]) -> Path:
     """Folder with the source distribution of what the repository holds, unpacked too, and the wheel made of it.
 
-    The wheel is built in an environment of its own, where pip reaches an index.
+    One compiled module stands for the others, which `make setup` has compiled by the same means. The wheel is
+    built in an environment of its own, where pip reaches an index.
     """
     source, out = tmp_path_factory.mktemp('source'), tmp_path_factory.mktemp('distributions')
+    others = {path.name for path in ROOT.glob('mocap_ros/engine/*.pyx')} - {COMPILED}
+    ignored = shutil.ignore_patterns('__pycache__', 'node_modules', '*.so', *others)
     for name in ('config', 'examples', 'mocap_ros', 'msg_defs', 'resource'):
-        ignored = shutil.ignore_patterns('__pycache__', 'node_modules', '*.so')
         shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=ignored)
     for file in ROOT.iterdir():
         if file.is_file():
@@ -96,8 +100,7 @@ def test_the_wheel_holds_every_file_of_the_package(distributions: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
     assert {file for file in files if '__pycache__' not in file} - held == set()
     compiled = {name.partition('.')[0] for name in held if name.endswith('.so')}
-    modules = {path.stem for path in package.glob('engine/*.pyx')} | {'_shared'}
-    assert compiled == {f'mocap_ros/engine/{name}' for name in modules}
+    assert compiled == {f'mocap_ros/engine/{name}' for name in (COMPILED.removesuffix('.pyx'), '_shared')}
     shared = {name.partition('.data/data/')[2] for name in held} - {''}
     assert shared >= {
         'share/ament_index/resource_index/packages/mocap_ros',
@@ -167,8 +170,87 @@ def test_the_wheel_works_without_ros(distributions: Path, tmp_path: Path) -> Non
     except NoIndexError:
         pytest.skip('pip reaches no package index')
 
+    (installed,) = environment.glob('lib/python*/site-packages/mocap_ros/engine')
+    for path in Path(geometry.__file__).parent.glob('*.so'):
+        shutil.copy(path, installed)
     notebook.mkdir()
     (notebook / 'notebook.py').write_text(NOTEBOOK, encoding='utf-8')
     printed = run_without_ros([python, '-W', 'error', 'notebook.py'], notebook)
     assert 'Evaluation: MPJPE' in printed
     assert {p.suffix for p in notebook.iterdir()} == {'.py', '.npz', '.csv', '.mcap', '.bvh', '.trc'}
+
+
+MESSAGES = sorted((ROOT / 'msg_defs' / 'msg').glob('*.msg'))
+# Folders of the repository's root that no build needs.
+BUILD_OUTPUTS = {'.git', '.venv', 'build', 'demo_output', 'dist', 'install', 'log'}
+# One compiled module and one message with its part stand for the others: `make setup` has all.
+BUILT_MESSAGES = 'Keypoints2D'
+
+
+def test_both_packages_have_the_same_version() -> None:
+    manifests = ROOT / 'package.xml', ROOT / 'msg_defs' / 'package.xml'
+    versions = {ET.parse(manifest).findtext('version') for manifest in manifests}
+    assert len(versions) == 1
+
+
+@pytest.mark.parametrize('message', MESSAGES, ids=lambda path: path.stem)
+def test_every_message_field_is_commented(message: Path) -> None:
+    lines = ['', *message.read_text(encoding='utf-8').splitlines()]
+    uncommented = [
+        line for above, line in pairwise(lines) if line and '#' not in line and not above.startswith('#')
+    ]
+    assert not uncommented
+
+
+def test_message_definitions_in_the_package_link_to_their_only_home() -> None:
+    assert (ROOT / 'mocap_ros' / 'messages' / 'msg').resolve() == ROOT / 'msg_defs' / 'msg'
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_colcon_builds_both_packages(tmp_path: Path, quick_compiler: dict[str, str]) -> None:
+    tools = Path(sys.executable).parent
+    path = os.pathsep.join([str(tools), os.environ['PATH']])
+    if not shutil.which('colcon', path=path):
+        pytest.skip('colcon is not installed')
+    if not find_spec('rclpy'):
+        pytest.skip('rclpy is not installed')
+
+    workspace = tmp_path / 'workspace'
+    shutil.copytree(ROOT, workspace, symlinks=True, ignore=ignore_what_is_not_built)
+    prefixes = os.environ.get('AMENT_PREFIX_PATH', sys.prefix)
+    env = {**os.environ, **quick_compiler, 'PATH': path, 'AMENT_PREFIX_PATH': prefixes, 'HOME': str(tmp_path)}
+    build = subprocess.run(
+        ['colcon', 'build'],
+        cwd=workspace,
+        env=env,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    assert build.returncode == 0, build.stdout
+
+    install = workspace / 'install'
+    assert os.access(install / 'mocap_ros' / 'lib' / 'mocap_ros' / 'mocap_node', os.X_OK)
+    assert [*install.glob(f'mocap_ros/**/{COMPILED.removesuffix(".pyx")}*.so')]
+    script = 'source "$0/setup.bash" && exec "$1" -c "$2"'
+    use_install = f"""
+import mocap_ros, mocap_ros_msgs.msg
+from rclpy.serialization import serialize_message
+serialize_message(mocap_ros_msgs.msg.Keypoints2DArray())
+assert all(module.__file__.startswith({str(install)!r}) for module in (mocap_ros, mocap_ros_msgs))
+"""
+    command = ['bash', '-c', script, str(install), sys.executable, use_install]
+    subprocess.run(command, cwd=tmp_path, env=env, check=True)
+
+
+def ignore_what_is_not_built(folder: str, names: list[str]) -> set[str]:
+    path = Path(folder)
+    return {
+        name
+        for name in names
+        if (path == ROOT and name in BUILD_OUTPUTS)
+        or (path.name == 'engine' and name.endswith(('.so', '.pyx')) and name != COMPILED)
+        or (name.endswith('.msg') and not name.startswith(BUILT_MESSAGES))
+    }

@@ -3,8 +3,6 @@
 
 """The vocabulary: keypoint layouts, spellings of joint names, and errors of one printable line."""
 
-from __future__ import annotations
-
 import pickle
 import re
 

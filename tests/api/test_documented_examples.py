@@ -3,8 +3,6 @@
 
 """The examples of docs/python.md run, one after the other, and print nearly what the page says."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

@@ -3,8 +3,6 @@
 
 """`mocap_ros.evaluate`: the errors of results and arrays, and one exception for each wrong argument."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from typing import Any

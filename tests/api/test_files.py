@@ -3,8 +3,6 @@
 
 """`mocap_ros.read` and `mocap_ros.write`: every format, what is logged, and one error for each wrong argument."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 
 """The public names and their signatures, which change only with the version, and what importing them costs."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import inspect

@@ -1,9 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Bags that cannot be read are refused with the cause, and the topics of people are found in the others."""
-
-from __future__ import annotations
+"""Bags that cannot be read are refused with the cause; topics of people and entries of the journal are read."""
 
 import os
 import re
@@ -15,11 +13,13 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from mocap_ros.bags.journal import Entry, Verdict, decode_entry, encode_entry
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.rosbag2 import BAG_INFORMATION, METADATA
 from mocap_ros.bags.topics import Source, find_people_topics, list_input_types
 from mocap_ros.config import RecorderConfig
+from mocap_ros.config.defaults import Value
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.messages.cdr import typestore
 from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON, YOLO_DETECTIONS
@@ -194,3 +194,17 @@ def test_bodies_that_the_package_published_itself_are_no_input(tmp_path: Path) -
 def test_an_unknown_type_is_refused() -> None:
     with pytest.raises(ConfigError, match='yolo_msgs/msg/DetectionArray'):
         list_input_types('std_msgs/msg/String')
+
+
+def test_journal_entries_round_trip() -> None:
+    parameters: dict[str, Value] = {
+        'solver.components': 20,
+        'tracker.model': 'all',
+        'solver.tolerance': 1e-05,
+        'x': True,
+    }
+    for entry in (
+        Entry('input', 3, Verdict.BACKLOG, 'late', '/keypoints'),
+        Entry('parameters', 0, parameters=parameters),
+    ):
+        assert decode_entry(encode_entry(entry)) == entry

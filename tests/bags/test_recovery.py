@@ -3,12 +3,9 @@
 
 """Damaged bags: opening them is an error of one line, and everything readable is recovered."""
 
-from __future__ import annotations
-
 import os
 import random
 import sqlite3
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -296,21 +293,3 @@ def test_bags_that_rosbag2_compressed_are_recovered(
     assert recover(tmp_path / 'bag', tmp_path / 'out').losses == []
     assert read_frames(tmp_path / 'out') == list(range(FRAMES))
     assert {f.name for f in tmp_path.iterdir()} == {'bag', 'out'}
-
-
-def test_a_bag_with_a_type_that_rosbag2_could_not_define_is_read_and_recovered(tmp_path: Path) -> None:
-    bag, foreign = tmp_path / 'bag', 'foreign_msgs/msg/Foreign'
-    with Writer(bag, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        connection = writer.add_connection('/keypoints', KEYPOINTS, typestore=typestore())
-        other = writer.add_connection('/foreign', foreign, msgdef='string data', rihs01='RIHS01_' + 64 * '0')
-        for i, raw in enumerate(MESSAGES):
-            writer.write(connection, i + 1, raw)
-        writer.write(other, FRAMES, MESSAGES[0])
-    with closing(sqlite3.connect(bag / 'bag.db3')) as database, database:
-        query = "UPDATE message_definitions SET encoding = 'unknown', encoded_message_definition = ''"
-        database.execute(f'{query} WHERE topic_type = ?', (foreign,))
-    recover(bag, tmp_path / 'out')
-    for path in (bag, tmp_path / 'out', bag / 'bag.db3'):
-        assert read_frames(path) == list(range(FRAMES))
-        with Bag(path) as opened:
-            assert [(m.type, m.raw) for m in opened.messages(['/foreign'])] == [(foreign, MESSAGES[0])]

@@ -3,8 +3,6 @@
 
 """Batch runs: the same results as the plain commands, whatever is killed, damaged, cut or interrupted."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

@@ -3,9 +3,6 @@
 
 """The recordings of a corpus, in folders, patterns and lists, on the local and on another file system."""
 
-from __future__ import annotations
-
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +13,7 @@ from mocap_ros.errors import InputError
 fsspec = pytest.importorskip('fsspec')
 pytest.importorskip('upath')
 
-from mocap_ros.batch.recordings import Work, compute_content_key, find_recordings  # noqa: E402
+from mocap_ros.batch.recordings import Work, find_recordings  # noqa: E402
 
 FILES = {
     'day1/bag_a/metadata.yaml': b'a',
@@ -92,25 +89,3 @@ def test_recordings_whose_results_would_overwrite_each_other_are_refused(root: s
     fs.pipe_file(f'{path}/{other}', b'b')
     with pytest.raises(InputError, match=r'the results of day2/b and day2/b(/c)? '):
         find_recordings(root, Work.REPLAY)
-
-
-def test_the_content_and_no_time_stamp_identifies_a_recording(root: str) -> None:
-    (bag,) = find_recordings(f'{root}/day1', Work.REPLAY)
-    key = compute_content_key(bag)
-    fs, path = fsspec.url_to_fs(f'{root}/day1/bag_a/bag_a_1.mcap')
-    fs.pipe_file(path, b'aa')
-    if '://' not in root:
-        os.utime(path, (0, 0))
-    assert compute_content_key(bag) == key
-    fs.pipe_file(path, b'ab')
-    assert compute_content_key(bag) != key
-
-
-def test_a_name_without_a_scheme_is_a_local_path_whatever_is_in_it(tmp_path: Path) -> None:
-    bag = tmp_path / 'a::b' / 'c::d.mcap'
-    bag.parent.mkdir()
-    bag.write_bytes(b'bag')
-    (found,) = find_recordings(str(tmp_path), Work.REPLAY)
-    assert (found.name, found.url) == ('a::b/c::d', str(bag))
-    assert names(str(bag.parent)) == names(str(bag)) == names(f'{bag.parent}/*.mcap') == ['c::d']
-    assert len(compute_content_key(found)) == 64

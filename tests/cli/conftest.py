@@ -3,8 +3,6 @@
 
 """Recordings that the tests of the commands share."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

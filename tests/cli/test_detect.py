@@ -3,8 +3,6 @@
 
 """The command `detect`, and `reconstruct` of a video."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import signal
@@ -94,7 +92,7 @@ def test_an_interrupt_ends_a_recording_of_a_camera_and_keeps_what_was_detected(
         def __iter__(self) -> Iterator[VideoImage]:
             yield from itertools.islice(super().__iter__(), 20)
             os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(0.2)
+            time.sleep(2.0)  # in which the command has ended, however busy the machine is
             yield from super().__iter__()
 
     monkeypatch.setattr(detection, 'VideoReader', InterruptedCamera)

@@ -3,8 +3,6 @@
 
 """Failures of the commands: one line on stderr, and no file is lost."""
 
-from __future__ import annotations
-
 import os
 import re
 import resource
@@ -70,6 +68,8 @@ LIVE_REFUSES = (
         (['view', 'RECORDING', '-o', 'x.html', '--port', '1'], '--port applies only to --live'),
         *((['view', *given, '--live'], f'publishes; {given[0]} does not apply') for given in LIVE_REFUSES),
         (['detect', 'RECORDING'], 'demo.npz: is a sequence file'),
+        (['keyframes', 'RECORDING', '-o', 'k.txt'], 'k.txt: unknown file type; expected .yaml'),
+        (['reconstruct', 'RECORDING', '--choices', 'zero.json'], '--choices needs --method keyframes'),
         (['detect', '99'], '/dev/video99: no camera ('),
     ],
 )

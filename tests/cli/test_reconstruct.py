@@ -3,8 +3,6 @@
 
 """The commands `reconstruct`, `view` and `train`."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +18,6 @@ from mocap_ros.formats.detections import Detections
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS
 from mocap_ros.formats.mocap.joint_maps import map_to_model
-from mocap_ros.formats.sequence_file import load_sequence, save_sequence
 from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.runtime import save_results
 from mocap_ros.runtime.save_results import save_detections
@@ -68,22 +65,6 @@ def test_the_summary_says_that_distances_are_nominal_unless_a_field_of_view_is_g
         with np.load(out) as arrays:
             assert bool(arrays['scale_known']) == is_known
             assert (arrays['grade'], f'{short_recording}: {arrays["summary"]}') == ('good', line)
-
-
-@pytest.mark.filterwarnings('error')
-@pytest.mark.parametrize('command', [['reconstruct'], ['view'], ['reconstruct', '--method', 'keyframes']])
-def test_keypoints_at_one_point_are_refused_in_one_line(
-    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str]
-) -> None:
-    whole = replace(load_sequence(short_recording), truth=None)
-    keypoints = whole.keypoints.copy()
-    keypoints[..., :2] = 100
-    path = tmp_path / 'd.npz'
-    save_sequence(path, replace(whole, keypoints=keypoints))
-    suffix = '.png' if command == ['view'] else '.npz'
-    assert main([*command, str(path), '-o', str(tmp_path / f'o{suffix}'), *QUICK_OPTIONS]) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert 'd.npz: all seen points lie ' in line
 
 
 def write_two_people(path: Path, ids: tuple[str, str], seen_joints: int = 17) -> None:
@@ -135,25 +116,6 @@ def test_one_of_whom_too_little_is_seen_does_not_stop_the_others(
     assert main([*command, '-o', str(tmp_path / 'r.npz')]) == 0
     assert {path.name for path in tmp_path.iterdir()} == {'two.mcap', 'r_b.npz'}
     assert '12 detections left out, of which fewer than 6 joints are seen' in capsys.readouterr().err
-
-
-@pytest.mark.filterwarnings('error')
-@pytest.mark.parametrize('options', [[], ['-o', 'page.html'], ['-o', 'page.png']])
-def test_it_writes_a_page_or_a_picture(
-    short_recording: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    options: list[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    output = Path(options[1] if options else f'{short_recording.stem}.html')
-    assert main(['view', str(short_recording), *options, *QUICK_OPTIONS]) == 0
-    assert capsys.readouterr().out.startswith(f'{output}\n')
-    if output.suffix == '.html':
-        assert short_recording.name in output.read_text(encoding='utf-8')
-    else:
-        assert output.read_bytes().startswith(b'\x89PNG')
 
 
 def test_an_option_that_does_nothing_to_a_result_is_refused(

@@ -13,10 +13,7 @@ import pytest
 from mocap_ros.errors import InputError
 from mocap_ros.evaluation import metrics
 from mocap_ros.evaluation.coverage import compute_coverage
-from mocap_ros.evaluation.evaluate import (
-    Evaluation,
-    evaluate,
-)
+from mocap_ros.evaluation.evaluate import Evaluation, evaluate
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.skeleton import CMU15
 from tests.support.swinging_body import make_swinging_body
@@ -168,9 +165,7 @@ def measure(factor: float, joints: np.ndarray, names: tuple[str, ...] = CMU15.jo
     return compute_coverage(joints, std, covariance, CMU15, np.tile(TRUTH, (DRAWN, 1, 1)), names)
 
 
-def test_right_covariances_hold_the_share_and_unknown_ones_are_left_out(
-    rng: np.random.Generator,
-) -> None:
+def test_right_covariances_hold_the_share_and_unknown_ones_are_left_out(rng: np.random.Generator) -> None:
     joints = draw(rng)
     known = measure(1.0, joints)
     right = {'joints68': 0.68, 'joints95': 0.95, 'roots68': 0.68, 'roots95': 0.95}

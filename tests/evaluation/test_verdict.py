@@ -3,8 +3,6 @@
 
 """Points in another layout, order or axes than said are noticed, and sound ones are not."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

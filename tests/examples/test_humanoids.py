@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mocap_ros.skeleton import BODY26
-from tests.support.modules import load_module
-from tests.support.paths import ROOT
+from tests.support.paths import ROOT, load_module
 
 JOINTS = BODY26.joints
 ROBOT = ROOT / 'tests' / 'data' / 'humanoid.xml'

@@ -3,8 +3,6 @@
 
 """Motions that the tests of the file formats share."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,11 +1,10 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The JSON of detectors: every form gives the same people, and what is none is refused by its place."""
-
-from __future__ import annotations
+"""JSON of detectors and files of Sports2D: every form gives the same people, others are refused by their place."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,11 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError
 from mocap_ros.formats.detections import Detections, Video, associate_people, select_person
 from mocap_ros.formats.detector_json import MIN_PERSON_SCORE, load_json_file, load_json_folder
+from mocap_ros.formats.export.trc import save_trc
 from mocap_ros.formats.sequence_file import KeypointSequence
-from mocap_ros.runtime.load_keypoints import InputOptions, load_input
+from mocap_ros.runtime.load_keypoints import InputOptions, load_input, load_people
 from mocap_ros.skeleton import keypoint_layout
 from tests.support.keypoint_files import FPS, FRAMES, LIMITS, VIDEO, check_same_keypoints, flatten_keypoints
 
@@ -178,8 +179,6 @@ HALPE = [
     'nose', *(f'{"left" if n[0] == "l" else "right"}_{n[1:]}' for n in COCO17[1:]), 'head', 'neck', 'hip',
     *(f'{s}_{n}' for n in ('big_toe', 'small_toe', 'heel') for s in ('left', 'right')),
 ]  # fmt: skip
-AIC = [*(f'{s}_{j}' for s in ('right', 'left') for j in ('shoulder', 'elbow', 'wrist')),
-       *(f'{s}_{j}' for s in ('right', 'left') for j in ('hip', 'knee', 'ankle')), 'head_top', 'neck']  # fmt: skip
 SWAPPED_COCO = [n.replace('left', '?').replace('right', 'left').replace('?', 'right') for n in HALPE[:17]]
 
 
@@ -192,7 +191,6 @@ NAMED_IN = ['keypoint_id2name', 'keypoint_name2id', 'keypoint_info', 'categories
         (H36M, keypoint_layout('h36m17').joints),
         (HALPE, keypoint_layout('halpe26').joints),
         (MPII, ('rankle', 'rknee', 'rhip', 'lhip', 'lknee', 'lankle', 'pelvis', 'neck', 'upperneck', 'headtop')),
-        (AIC, ('rshoulder', 'relbow', 'rwrist', 'lshoulder', 'lelbow', 'lwrist', 'rhip', 'rknee', 'rankle')),
         (SWAPPED_COCO, ('nose', 'reye', 'leye', 'rear', 'lear', 'rshoulder', 'lshoulder')),
         ([f'left_hip {i}' if i == 1 else n for i, n in enumerate(H36M)], ('pelvis', 'lhip1', 'rknee', 'rankle')),
     ],
@@ -213,10 +211,7 @@ def test_joints_are_called_as_the_file_says(
             by_index = {n: i for i, n in enumerate(names)}
         elif place == 'keypoint_info':
             by_index = {str(i): {'name': n, 'swap': ''} for i, n in enumerate(names)}
-        content = {
-            'meta_info': {place: by_index},
-            'instance_info': [{'frame_id': 1, 'instances': [person]}],
-        }
+        content = {'meta_info': {place: by_index}, 'instance_info': [{'frame_id': 1, 'instances': [person]}]}
     elif place == 'categories':
         other = {'id': 1, 'name': 'person', 'keypoints': list(COCO17)}
         content['categories'] = [other, {'id': 5, 'name': 'person', 'keypoints': names}]
@@ -365,3 +360,51 @@ def test_an_invalid_folder_is_refused_in_one_line(tmp_path: Path, contents: dict
         load_json_folder(write_folder(tmp_path, {f'{n}_keypoints.json': c for n, c in contents.items()}), VIDEO)
     assert str(caught.value).startswith(str(tmp_path))
     assert '\n' not in str(caught.value)
+
+
+WALK = make_recording().sequence()
+NAMES = [
+    n[0].upper() + n[1:2].upper() + n[2:] if n[0] in 'lr' else n.title() for n in WALK.joint_names
+]  # LShoulder
+OPTIONS = InputOptions(Video(image_size=WALK.image_size))
+
+
+def write(path: Path, shift: float = 0.0, depth: float = 0.0) -> Path:
+    count = len(NAMES)
+    axes = '\t\t' + '\t'.join(f'X{i}\tY{i}\tZ{i}' for i in range(1, count + 1))
+    head = [f'PathFileType\t4\t(X/Y/Z)\t{path}', 'DataRate\t...', '30\t...']
+    lines = [*head, 'Frame#\tTime\t' + '\t\t\t'.join(NAMES) + '\t\t\t', axes]
+    for frame, keypoints in enumerate(WALK.keypoints):
+        cells = ['\t\t0.0' if np.isnan(x) else f'{x + shift}\t{y}\t{depth}' for x, y, _ in keypoints]
+        lines.append('\t'.join([str(frame), f'{frame / 30}', *cells]))
+    path.write_text('\n'.join(lines) + '\n')
+    return path
+
+
+def test_a_file_or_a_folder_of_people_is_read(tmp_path: Path) -> None:
+    folder = tmp_path / 'walk_Sports2D'
+    folder.mkdir()
+    path = write(folder / 'walk_Sports2D_px_person00.trc')
+    write(folder / 'walk_Sports2D_px_person01.trc', 3000.0)
+    write(folder / 'walk_Sports2D_m_person00.trc', depth=1.0)
+    sequence, _ = load_input(path, OPTIONS)
+    assert sequence.joint_names == WALK.joint_names
+    seen = WALK.keypoints[..., 2] > 0
+    np.testing.assert_allclose(sequence.keypoints[seen, :2], WALK.keypoints[seen, :2], atol=1e-3)
+    np.testing.assert_array_equal(sequence.keypoints[..., 2] > 0, seen)
+    np.testing.assert_allclose(sequence.timestamps, np.arange(len(WALK)) / 30, atol=1e-9)
+    assert [s.person_id for s in load_people(folder, InputOptions())[0]] == ['00', '01']
+
+
+def test_other_files_are_refused_by_line(tmp_path: Path) -> None:
+    save_trc(tmp_path / 'own.trc', ['lhip', 'rhip'], np.ones((3, 2, 3)), 30.0)
+    write(tmp_path / 'walk_m_person00.trc', depth=0.1)
+    damaged = write(tmp_path / 'walk_px_person00.trc')
+    damaged.write_text(damaged.read_text() + '3\tlater\n')
+    for name, problem in (
+        ('own', '3D markers'),
+        ('walk_m_person00', '3D'),
+        ('walk_px_person00', r'line \d+: expec'),
+    ):
+        with pytest.raises(InputError, match=rf'{re.escape(name)}\.trc: .*{problem}'):
+            load_input(tmp_path / f'{name}.trc', OPTIONS)

@@ -3,8 +3,6 @@
 
 """Motion capture is read from files and folders in all formats, and what is none is refused by its place."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

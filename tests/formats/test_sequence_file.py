@@ -3,8 +3,6 @@
 
 """Sequence files are read as they were written, and invalid files are refused by an error of one line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,7 +20,7 @@ from mocap_ros.formats.sequence_file import (
     validate_sequence,
 )
 from mocap_ros.skeleton import keypoint_layout
-from tests.support.evaluation_data import shared
+from tests.support.paths import shared
 
 FRAMES = 5
 JOINTS = keypoint_layout('coco17').joints
@@ -56,19 +54,6 @@ def test_round_trip(tmp_path: Path, sequence: KeypointSequence) -> None:
         np.testing.assert_array_equal(getattr(loaded, field), getattr(sequence, field))
     np.testing.assert_array_equal(loaded.truth.joints, sequence.truth.joints)
     assert loaded.truth.joint_names == sequence.truth.joint_names
-
-
-def test_unseen_keypoints_have_nan_points_and_score_0(tmp_path: Path, sequence: KeypointSequence) -> None:
-    sequence.keypoints[0, 0, 2] = np.nan
-    sequence.keypoints[0, 1, 0] = np.nan
-    sequence.keypoints[0, 2, 2] = 0
-    sequence.keypoints[0, 4, :2], sequence.keypoints[0, 5, :2], sequence.keypoints[0, 6, 2] = 0, -1, -0.5
-    sequence.keypoints[0, 3, 2] = 1.24
-    path = tmp_path / 'walk.npz'
-    save_sequence(path, sequence)
-    person = load_sequence(path).person(0)
-    np.testing.assert_array_equal(person.score[:4], [0, 0, 0, 1])
-    np.testing.assert_array_equal(np.isnan(person.points[:7]).all(axis=1), [True] * 3 + [False] + [True] * 3)
 
 
 def set_element(arrays: dict[str, Any], key: str, index: Any, value: float) -> None:
@@ -148,11 +133,7 @@ def test_names_that_no_layout_has_are_noted(given: Sequence[str], note: tuple[st
 def test_invalid_files_are_refused(tmp_path: Path, sequence: KeypointSequence) -> None:
     valid = tmp_path / 'walk.npz'
     save_sequence(valid, sequence)
-    invalid = {
-        'cut.npz': valid.read_bytes()[:-700],
-        'text.npz': b'keypoints: none',
-        'empty.npz': b'',
-    }
+    invalid = {'cut.npz': valid.read_bytes()[:-700], 'text.npz': b'keypoints: none', 'empty.npz': b''}
     for name, content in invalid.items():
         path = tmp_path / name
         path.write_bytes(content)

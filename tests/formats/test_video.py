@@ -3,8 +3,6 @@
 
 """Reading of videos: times, turned images, and files that cannot be read."""
 
-from __future__ import annotations
-
 import struct
 import threading
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 
 """Valid inputs of every fuzz target, from which the mutations of a run start."""
 
-from __future__ import annotations
-
 import io
 import json
 import sqlite3
@@ -33,13 +31,7 @@ from mocap_ros.formats.bvh import save_bvh
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header, encode, typestore
-from mocap_ros.messages.foreign_types import (
-    HRI_IDS,
-    HRI_SKELETON,
-    OPENPOSE_POSES,
-    YOLO_DETECTIONS,
-    ZED_OBJECTS,
-)
+from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON, OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS
 from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS, encode_skeletons
@@ -49,11 +41,10 @@ from mocap_ros.npz_file import write_npz
 from mocap_ros.skeleton import CMU15
 from tests.fuzz.targets import FILE_SEPARATOR, IMAGE_SIZE, MESSAGE_READERS
 from tests.support.bag_writing import START_NS, STEP_NS, make_keypoints
-from tests.support.camera_infos import camera_info, encode_ros1_camera_info
+from tests.support.camera_infos import camera_info, encode_ros1_camera_info, make_transforms
 from tests.support.foreign_messages import create_blank_message, make_inputs
 from tests.support.motion_files import Z_UP_TO_Y_UP, make_bvh, make_poses
 from tests.support.people import make_person_3d
-from tests.support.transforms import make_transforms
 
 Examples = Callable[[], list[bytes]]
 
@@ -104,7 +95,6 @@ def make_messages() -> list[bytes]:
 
 
 def make_json() -> list[bytes]:
-    """Return JSON in each of the forms that are read."""
     flat = np.nan_to_num(make_recording().keypoints[:2]).round(1).reshape(2, -1).tolist()
     people = [
         {'keypoints': np.reshape(f, (-1, 3))[:, :2].tolist(), 'keypoint_scores': f[2::3], 'bbox_score': 0.9}
@@ -127,7 +117,6 @@ def make_json() -> list[bytes]:
 
 
 def make_bvhs() -> list[bytes]:
-    """Return BVH files of one joint, and of a whole body."""
     with TemporaryDirectory() as folder:
         save_bvh(Path(folder) / 'a.bvh', build_armature(make_poses()[:2] @ Z_UP_TO_Y_UP.T, 30.0))
         whole = (Path(folder) / 'a.bvh').read_bytes()
@@ -135,7 +124,6 @@ def make_bvhs() -> list[bytes]:
 
 
 def make_c3ds() -> list[bytes]:
-    """Return a C3D file of the markers of a walk."""
     import ezc3d
 
     content = ezc3d.c3d()

@@ -8,8 +8,6 @@ runs found in build/fuzz/SOURCE/corpus. A fault does not end the run: its input 
 build/fuzz/SOURCE/faults, once for each place in the code.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

@@ -8,8 +8,6 @@ A target takes bytes. It returns where the bytes are read, or where they are ref
 the tests with structured inputs and the replay of the inputs that once failed (`failed/`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import partial
@@ -115,13 +113,11 @@ def read_json(data: bytes, folder: Path) -> None:
 
 
 def read_bvh(data: bytes, folder: Path) -> None:
-    """Read a BVH file."""
     (folder / 'a.bvh').write_bytes(data)
     load_trials(folder / 'a.bvh')
 
 
 def read_c3d(data: bytes, folder: Path) -> None:
-    """Read a C3D file."""
     (folder / 'a.c3d').write_bytes(data)
     load_trials(folder / 'a.c3d')
 
@@ -157,7 +153,6 @@ def read_yaml(data: bytes, folder: Path) -> None:
 
 
 def _read_bag(path: Path) -> None:
-    """Read topics, QoS profiles and messages of a bag."""
     with Bag(path) as bag:
         assert isinstance(bag.qos, dict)
         assert bag.latched_topics <= set(bag.topics)
@@ -171,7 +166,6 @@ def _read_bag(path: Path) -> None:
 
 
 def _make_bag_reader(suffix: str) -> Read:
-    """Return a function that reads a bag of one file."""
 
     def read(data: bytes, folder: Path) -> None:
         (folder / f'a{suffix}').write_bytes(data)

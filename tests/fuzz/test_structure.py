@@ -3,8 +3,6 @@
 
 """Inputs of the right structure with any content give a result or one clear error."""
 
-from __future__ import annotations
-
 import io
 import json
 from typing import Any

@@ -3,8 +3,6 @@
 
 """Keypoints: joints that a detector lacks, faults, points that are not seen, rays, and the size of the image."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -19,7 +17,7 @@ from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_imag
 from mocap_ros.keypoints.joint_map import JointMap, build_joint_map
 from mocap_ros.keypoints.left_right import PARTS
 from mocap_ros.keypoints.rays import convert_to_rays
-from mocap_ros.keypoints.validation import PointPlaces, find_first_fault, mark_unseen
+from mocap_ros.keypoints.validation import PointPlaces, mark_unseen
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, LAYOUT_NAMES, keypoint_layout
 
 
@@ -84,34 +82,6 @@ def test_joints_of_mediapipe_are_moved_to_where_motion_capture_has_them() -> Non
     mapped, mapped_score = joint_map.apply(points, score)
     assert mapped[CMU15.index('lankle')] == pytest.approx(points[at['lankle']]), 'without the trunk as it is'
     assert mapped_score[CMU15.index('lankle')] == 0.9
-
-
-@pytest.mark.parametrize(
-    ('name', 'index', 'value', 'fault'),
-    [
-        ('points', (3, 1), 1e10, ('y', (3,))),
-        ('points', (2, 0), -1e10, ('x', (2,))),
-        ('score', (1,), np.inf, ('score', (1,))),
-        ('score', (1,), 9.7, None),  # as a SimCC head has them
-    ],
-)
-def test_numbers_that_no_detector_means_are_faults(
-    name: str, index: tuple[int, ...], value: float, fault: tuple[str, tuple[int, ...]] | None
-) -> None:
-    arrays = {'points': np.full((5, 2), 100.0), 'score': np.ones(5)}
-    arrays[name][index] = value
-    found = find_first_fault(**arrays)
-    assert (found and (found.field, found.index)) == fault
-
-
-@pytest.mark.parametrize('point', [(0, 0), (-1, -1), (np.nan, 5), (5, np.inf)])
-def test_what_detectors_write_for_a_point_that_they_do_not_see_is_not_seen_whatever_its_score(
-    point: tuple[float, float],
-) -> None:
-    points, score = mark_unseen(np.array([point, (0.0, 5.0), (5.0, -1.0)]), np.array([0.4, 0.5, 0.6]))
-    assert np.isnan(points[0]).all()
-    np.testing.assert_array_equal(points[1:], [(0, 5), (5, -1)])
-    np.testing.assert_array_equal(score, [0, 0.5, 0.6])
 
 
 def test_scores_of_a_person_are_divided_by_the_largest_of_those_seen_if_it_exceeds_one() -> None:

@@ -9,13 +9,7 @@ from scipy.linalg import fractional_matrix_power
 
 from mocap_ros.engine.left_right import begin_paths
 from mocap_ros.keypoints.association import measure_sizes
-from mocap_ros.keypoints.left_right import (
-    BodySides,
-    SwapFilter,
-    ViterbiPaths,
-    exchange_sides,
-    find_swapped_parts,
-)
+from mocap_ros.keypoints.left_right import BodySides, SwapFilter, ViterbiPaths, exchange_sides, find_swapped_parts
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15
 from tests.support.synthetic_walk import make_walk

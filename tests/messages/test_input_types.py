@@ -3,8 +3,6 @@
 
 """All accepted message types give the same people, and their faults are refused by field."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -3,8 +3,6 @@
 
 """Outputs are encoded as a ROS 2 subscriber reads them, and invalid keypoints are refused by field and person."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -94,10 +92,7 @@ def set_fields(**fields: Any) -> Callable[[Any], None]:
 NORMALISED = {'x': np.linspace(-0.3, 1.2, 17, dtype='f4'), 'y': np.linspace(0, 1, 17, dtype='f4')}
 INVALID = {
     'unequal lengths': (set_fields(y=np.zeros(3, 'f4')), r'people\[1\].x, y, score: unequal lengths 17, 3, 17'),
-    'unknown layout': (
-        set_fields(skeleton='coco99'),
-        r"people\[1\].skeleton: unknown .* 'coco99'",
-    ),
+    'unknown layout': (set_fields(skeleton='coco99'), r"people\[1\].skeleton: unknown .* 'coco99'"),
     'joint count': (set_fields(skeleton='body25'), r"people\[1\].skeleton: 'body25' has 25 joints, x has 17"),
     'count of names': (set_fields(joint_names=['neck']), r'people\[1\].joint_names: there are 1 joints, x has 17'),
     'no names': (set_fields(skeleton=''), r'people\[1\].skeleton: empty, and no joint_names'),

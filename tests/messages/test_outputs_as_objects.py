@@ -3,8 +3,6 @@
 
 """Encoders write the bytes that the library writes for message objects, and decoders read what it reads."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

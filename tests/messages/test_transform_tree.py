@@ -3,8 +3,6 @@
 
 """The place of a camera from /tf and /tf_static: chains, times between two messages, and what must not count."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -20,9 +18,9 @@ from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.transform_tree import HISTORY_S, MAX_FRAMES, TransformTree, is_of_people_only
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
 from mocap_ros.people import Person3D
+from tests.support.camera_infos import SECOND_NS, make_transforms
 from tests.support.people import make_person_3d
 from tests.support.swinging_body import STANDING
-from tests.support.transforms import SECOND_NS, make_transforms
 
 CAMERA = np.array([0.1, 0.0, 0.4])  # m, of the camera in base
 TURN = Rotation.from_euler('z', 90, degrees=True)  # of odom in map

@@ -3,8 +3,6 @@
 
 """Messages are converted between versions of their type: of distributions of ROS, installed, and made-up ones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,10 +22,56 @@ from mocap_ros.messages.foreign_types import OPENPOSE_POSES
 from mocap_ros.messages.markers import MARKERS, MarkerEncoder
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons, encode_skeletons
 from mocap_ros.messages.versions import compare_versions, make_converter
+from mocap_ros.ros import message_types
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from tests.support.camera_infos import camera_info, encode_ros1_camera_info
-from tests.support.installed_types import MARKER_TYPES, Fields, describe_as_rclpy, replace_installed_types
 from tests.support.people import make_person_3d
+
+Fields = dict[str, dict[str, str]]  # rclpy's descriptions of fields, by type and name
+RCLPY_NAMES = {'bool': 'boolean', 'byte': 'octet', 'float32': 'float', 'float64': 'double'}
+DEFINITION_RULE = '=' * 80  # line between the types in a definition
+
+# All types that MarkerArray contains in ROS 2 Foxy.
+MARKER_TYPES = (
+    'visualization_msgs/msg/MarkerArray',
+    'visualization_msgs/msg/Marker',
+    'std_msgs/msg/Header',
+    'std_msgs/msg/ColorRGBA',
+    'builtin_interfaces/msg/Time',
+    'builtin_interfaces/msg/Duration',
+    'geometry_msgs/msg/Pose',
+    'geometry_msgs/msg/Point',
+    'geometry_msgs/msg/Quaternion',
+    'geometry_msgs/msg/Vector3',
+)
+
+
+def replace_installed_types(monkeypatch: pytest.MonkeyPatch, installed: Fields) -> None:
+    """Let these types, and no others, count as installed."""
+
+    def load_installed_class(msgtype: str) -> Any:
+        return type('Installed', (), {'get_fields_and_field_types': staticmethod(lambda: installed[msgtype])})
+
+    monkeypatch.setattr(message_types, 'load_interface_class', load_installed_class)
+
+
+def describe_as_rclpy(store: Typestore, *msgtypes: str) -> Fields:
+    """Describe the fields of types, which have no bounds, as rclpy does."""
+    described: Fields = {}
+    for msgtype in msgtypes:
+        text = store.generate_msgdef(msgtype, ros_version=2)[0].partition(DEFINITION_RULE)[0]
+        lines = [line.split() for line in text.splitlines()]
+        described[msgtype] = {field[1]: _describe_type(field[0]) for field in lines if len(field) == 2}
+    return described
+
+
+def _describe_type(kind: str) -> str:
+    element, bracket, length = kind.rstrip(']').partition('[')
+    name = RCLPY_NAMES.get(element, element).replace('/msg/', '/')
+    if not bracket:
+        return name
+    return f'{name}[{length}]' if length else f'sequence<{name}>'
+
 
 BOX = 'test_msgs/msg/Box'
 ITEM = 'test_msgs/msg/Item'

@@ -3,8 +3,6 @@
 
 """What a pose shows, and the networks of its motion: what they must not depend on, and where they do nothing."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

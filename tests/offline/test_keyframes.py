@@ -385,30 +385,3 @@ def test_the_commands_read_a_bag(bag: Path, tmp_path: Path, capsys: pytest.Captu
     with np.load(plain) as a, np.load(chosen) as b:
         assert a['joints3d'].shape == b['joints3d'].shape == (150, 15, 3)
         assert np.abs(a['joints3d'] - b['joints3d']).max() > 0.05
-
-
-@pytest.mark.parametrize(
-    ('arguments', 'message'),
-    [
-        (['keyframes', 'nothing.npz'], 'nothing.npz: No such file'),
-        (['keyframes', 'BAG', '-o', 'k.txt'], 'k.txt: unknown file type; expected .yaml'),
-        (['reconstruct', 'BAG', '--choices', 'c.yaml'], 'c.yaml: --choices needs --method keyframes'),
-        (['reconstruct', 'BAG', '--method', 'keyframes', '--choices', 'no.yaml'], 'no.yaml: No such file'),
-        (['reconstruct', 'BAG', '--method', 'keyframes', '--choices', 'c.yaml'], 'c.yaml: not YAML'),
-        (['reconstruct', 'BAG', '--method', 'keyframes', '--choices', 'd.yaml'], 'd.yaml: keyframes[0]: '),
-    ],
-)
-def test_bad_input_is_one_line(
-    bag: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    message: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / 'c.yaml').write_text('{')
-    (tmp_path / 'd.yaml').write_text('keyframes: [{half: upper, time: 99, forward: [lelbow]}]')
-    assert main([str(bag) if a == 'BAG' else a for a in arguments]) == 1
-    error = capsys.readouterr().err.splitlines()[-1]
-    assert message in error

@@ -3,16 +3,17 @@
 
 """Fixtures of the tests over DDS: a domain for each test, a peer, and the node."""
 
-from __future__ import annotations
-
 import os
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from mocap_ros.cli.demo import reserve_domain
-from tests.support.ros_node import Peer, Process, StartNode, launch_node
+from tests.support.ros_node import FAST_PARAMETERS, RELIABLE_INPUT, Peer, Process, StartNode, StartProgram
 
 
 @pytest.fixture
@@ -35,14 +36,25 @@ def peer(env: dict[str, str]) -> Iterator[Peer]:
 
 
 @pytest.fixture
-def start_node(env: dict[str, str], tmp_path: Path) -> Iterator[StartNode]:
+def start(env: dict[str, str], tmp_path: Path) -> Iterator[StartProgram]:
+    """Start programs in a folder of their own, which are killed when the test ends."""
     started: list[Process] = []
 
-    def start(*parameters: str, ros: Sequence[str] = ()) -> Process:
-        started.append(launch_node(env, tmp_path, parameters, ros))
+    def start_program(*command: object) -> Process:
+        pipes: Any = {'stdout': subprocess.PIPE, 'stderr': subprocess.PIPE, 'text': True}
+        started.append(subprocess.Popen([*map(str, command)], env=env, cwd=tmp_path, **pipes))
         return started[-1]
 
-    yield start
+    yield start_program
     for process in started:
         process.kill()
         process.wait()
+
+
+@pytest.fixture
+def start_node(start: StartProgram) -> StartNode:
+    def start_with(*parameters: str, ros: Sequence[str] = ()) -> Process:
+        options = [word for p in (*FAST_PARAMETERS, RELIABLE_INPUT, *parameters) for word in ('-p', p)]
+        return start(sys.executable, '-m', 'mocap_ros.ros.main', '--ros-args', *options, *ros)
+
+    return start_with

@@ -3,8 +3,7 @@
 
 """What the node reports: its diagnostic status, and a log that is not flooded."""
 
-from __future__ import annotations
-
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,10 +16,15 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.ros.diagnostics import DIAGNOSTICS, DiagnosticsReporter, Level, RunStatistics
 from mocap_ros.ros.throttled_log import MAX_KINDS, ThrottledLog
 from mocap_ros.runtime.pipeline import Pipeline
+from tests.support.camera_infos import make_transforms
 from tests.support.pipeline_inputs import FAST_CONFIG, LineLog, encode_demo_frames, process, with_stamp
-from tests.support.transforms import make_transforms
 
 GOOD, NO_PEOPLE = (Level.OK, '1 people'), (Level.OK, '0 people')
+
+
+@pytest.fixture(autouse=True)
+def _time_stands_still(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('mocap_ros.ros.diagnostics.time', SimpleNamespace(monotonic=lambda: 100.0))
 
 
 class Run:
@@ -184,17 +188,9 @@ def test_people_in_the_frame_of_the_camera_instead_of_the_output_frame_are_a_war
 @pytest.mark.parametrize(
     ('topic', 'reason', 'count'),
     [
-        (
-            '/keypoints',
-            "people[0].skeleton: unknown keypoint layout 'x{0}'; known: a",
-            4,
-        ),
+        ('/keypoints', "people[0].skeleton: unknown keypoint layout 'x{0}'; known: a", 4),
         ('/humans/bodies/b{1}/skeleton2d', 'the same of every body', 4),
-        (
-            '/keypoints',
-            'a kind of its own: {0}',
-            MAX_KINDS + 3,
-        ),
+        ('/keypoints', 'a kind of its own: {0}', MAX_KINDS + 3),
     ],
 )
 def test_the_log_is_not_flooded(topic: str, reason: str, count: int) -> None:

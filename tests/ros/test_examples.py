@@ -3,13 +3,10 @@
 
 """The examples for robots, the recipe of a detector and the live page, as programs of their own over DDS."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import re
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -25,13 +22,9 @@ from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.messages.skeletons import SKELETONS, encode_skeletons
 from mocap_ros.ros.message_types import load_interface_class
-from tests.support.modules import load_module
-from tests.support.paths import ROOT
+from tests.support.paths import ROOT, load_module
 from tests.support.people import make_person_3d
-from tests.support.ros_node import TIMEOUT_S, Peer, StartNode, stop_node
-
-pytest.importorskip('rclpy')
-pytest.importorskip('mocap_ros_msgs')
+from tests.support.ros_node import TIMEOUT_S, Peer, StartNode, StartProgram, stop_node
 
 pytestmark = pytest.mark.ros
 
@@ -86,13 +79,13 @@ def test_what_the_examples_decide(place: tuple[float, ...], fields: dict[str, An
     ],
 )
 def test_an_example_acts_on_a_person_far_away_and_is_safe_when_nothing_is_heard_or_it_ends(
-    peer: Peer, env: dict[str, str], name: str, topic: str, kind: str, is_free: Callable[[Any], bool]
+    peer: Peer, start: StartProgram, name: str, topic: str, kind: str, is_free: Callable[[Any], bool]
 ) -> None:
     received: list[Any] = []
     subscription = peer.node.create_subscription(load_interface_class(kind), topic, received.append, 10)
     peer.subscriptions.append(subscription)
     skeletons = peer.node.create_publisher(load_interface_class(SKELETONS), 'skeletons', 10)
-    example = subprocess.Popen([sys.executable, str(ROOT / 'examples' / f'{name}.py')], env=env)
+    example = start(sys.executable, ROOT / 'examples' / f'{name}.py')
 
     def publish_until(ahead_m: float, condition: Callable[[Any], bool]) -> None:
         def is_as_expected() -> bool:
@@ -101,32 +94,25 @@ def test_an_example_acts_on_a_person_far_away_and_is_safe_when_nothing_is_heard_
 
         peer.wait_until(is_as_expected)
 
-    try:
-        peer.wait_until(lambda: peer.node.count_subscribers('skeletons') == 2)  # the peer has one of its own
+    peer.wait_until(lambda: peer.node.count_subscribers('skeletons') == 2)  # the peer has one of its own
+    publish_until(5.0, is_free)
+    if name == 'people_layer':
+        cloud = received[-1]
+        assert (cloud.header.frame_id, [field.name for field in cloud.fields]) == ('base_link', ['x', 'y', 'z'])
+        points = np.frombuffer(cloud.data.tobytes(), '<f4').reshape(cloud.width, 3)
+        assert points[:, :2].mean(axis=0) == pytest.approx([5.0, 0.0], abs=1e-5)
+    else:
+        publish_until(0.5, lambda message: not is_free(message))
         publish_until(5.0, is_free)
-        if name == 'people_layer':
-            cloud = received[-1]
-            assert (cloud.header.frame_id, [field.name for field in cloud.fields]) == (
-                'base_link',
-                ['x', 'y', 'z'],
-            )
-            points = np.frombuffer(cloud.data.tobytes(), '<f4').reshape(cloud.width, 3)
-            assert points[:, :2].mean(axis=0) == pytest.approx([5.0, 0.0], abs=1e-5)
-        else:
-            publish_until(0.5, lambda message: not is_free(message))
-            publish_until(5.0, is_free)
-            peer.wait_until(lambda: not is_free(received[-1]))  # nothing is heard any more
-            publish_until(5.0, is_free)
-        example.send_signal(signal.SIGINT)
-        assert example.wait(TIMEOUT_S) == 0
-        peer.wait_until(lambda: name == 'people_layer' or not is_free(received[-1]))
-    finally:
-        example.kill()
-        example.wait()
+        peer.wait_until(lambda: not is_free(received[-1]))  # nothing is heard any more
+        publish_until(5.0, is_free)
+    example.send_signal(signal.SIGINT)
+    assert example.wait(TIMEOUT_S) == 0
+    peer.wait_until(lambda: name == 'people_layer' or not is_free(received[-1]))
 
 
 def test_the_recipe_of_the_documentation_runs(
-    env: dict[str, str], peer: Peer, start_node: StartNode, tmp_path: Path
+    peer: Peer, start: StartProgram, start_node: StartNode, tmp_path: Path
 ) -> None:
     from sensor_msgs.msg import Image
 
@@ -135,64 +121,55 @@ def test_the_recipe_of_the_documentation_runs(
     assert (ROOT / tested_by).samefile(__file__)
     (tmp_path / 'detector.py').write_text(recipe)
     node = start_node()
-    detector = subprocess.Popen(
-        [sys.executable, str(tmp_path / 'detector.py')], env=env, stderr=subprocess.PIPE, text=True
-    )
-    try:
-        peer.wait_for_node()
-        images = peer.node.create_publisher(Image, 'image', 10)
-        peer.wait_until(images.get_subscription_count)
-        image = Image(width=640, height=480)
-        image.header.frame_id = 'camera'
-        while not peer.received['skeletons']:
-            image.header.stamp.sec += 1
-            images.publish(image)
-            peer.executor.spin_once(timeout_sec=0.2)
-            assert image.header.stamp.sec < 100
-        detector.send_signal(signal.SIGINT)
-        _, complaints = detector.communicate(timeout=TIMEOUT_S)
-        assert (detector.returncode, complaints) == (0, ''), 'Ctrl-C does not end it in peace'
-    finally:
-        detector.kill()
-        detector.wait()
+    detector = start(sys.executable, tmp_path / 'detector.py')
+    peer.wait_for_node()
+    images = peer.node.create_publisher(Image, 'image', 10)
+    peer.wait_until(images.get_subscription_count)
+    image = Image(width=640, height=480)
+    image.header.frame_id = 'camera'
+    while not peer.received['skeletons']:
+        image.header.stamp.sec += 1
+        images.publish(image)
+        peer.executor.spin_once(timeout_sec=0.2)
+        assert image.header.stamp.sec < 100
+    detector.send_signal(signal.SIGINT)
+    _, complaints = detector.communicate(timeout=TIMEOUT_S)
+    assert (detector.returncode, complaints) == (0, ''), 'Ctrl-C does not end it in peace'
     (person,) = decode(peer.received['skeletons'][-1], SKELETONS).people
     assert len(person.joints) == 26
     stop_node(node)
 
 
-def test_the_page_gets_the_newest_people_with_their_keypoints(env: dict[str, str], peer: Peer) -> None:
-    command = [sys.executable, '-m', 'mocap_ros.cli.main', 'view', '--live', '/robot', '--port', '0']
-    view = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        assert view.stdout is not None
-        line = view.stdout.readline()
-        assert '/robot/skeletons' in line
-        skeletons, keypoints = (
-            peer.node.create_publisher(load_interface_class(msgtype), f'/robot/{topic}', 10)
-            for topic, msgtype in (('skeletons', SKELETONS), ('keypoints', KEYPOINTS))
-        )
-        peer.wait_until(lambda: skeletons.get_subscription_count() and keypoints.get_subscription_count())
-        person, deadline, content = make_recording().sequence().person(0), time.monotonic() + TIMEOUT_S, b''
-        connection = http.client.HTTPConnection(urlsplit(line.split()[0]).netloc, timeout=30)
-        frame: dict[str, Any] = {}
-        for second in range(1, 1000):
-            header = Header(second * 10**9, 'camera')
-            keypoints.publish(encode_keypoints(header, (640, 480), [person]))
-            time.sleep(0.05)
-            skeletons.publish(encode_skeletons(header, [make_person_3d('ann'), make_person_3d('bob', 1.0)]))
-            connection.request('GET', '/frame?after=0')
-            content = connection.getresponse().read()
-            frame = json.loads(content) if content else {}
-            if frame.get('keypoints'):
-                break
-            assert time.monotonic() < deadline
-        assert frame['ids'] == ['ann', 'bob']
-        joints = np.array(frame['people']['joints']).reshape(2, 15, 3) / 1000
-        assert joints[0] == pytest.approx(np.minimum(make_person_3d('ann').joints, 32.767))
-        assert len(frame['keypoints']) == 1
-        assert frame['keypoints'][0]['points'][0] / 8 == pytest.approx(person.points[0, 0], abs=0.1)
-        assert frame['camera']['imageSize'] == [640, 480]
-    finally:
-        view.send_signal(2)
-        _, errors = view.communicate(timeout=TIMEOUT_S)
+def test_the_page_gets_the_newest_people_with_their_keypoints(start: StartProgram, peer: Peer) -> None:
+    view = start(sys.executable, '-m', 'mocap_ros.cli.main', 'view', '--live', '/robot', '--port', '0')
+    assert view.stdout is not None
+    line = view.stdout.readline()
+    assert '/robot/skeletons' in line
+    skeletons, keypoints = (
+        peer.node.create_publisher(load_interface_class(msgtype), f'/robot/{topic}', 10)
+        for topic, msgtype in (('skeletons', SKELETONS), ('keypoints', KEYPOINTS))
+    )
+    peer.wait_until(lambda: skeletons.get_subscription_count() and keypoints.get_subscription_count())
+    person, deadline, content = make_recording().sequence().person(0), time.monotonic() + TIMEOUT_S, b''
+    connection = http.client.HTTPConnection(urlsplit(line.split()[0]).netloc, timeout=30)
+    frame: dict[str, Any] = {}
+    for second in range(1, 1000):
+        header = Header(second * 10**9, 'camera')
+        keypoints.publish(encode_keypoints(header, (640, 480), [person]))
+        time.sleep(0.05)
+        skeletons.publish(encode_skeletons(header, [make_person_3d('ann'), make_person_3d('bob', 1.0)]))
+        connection.request('GET', '/frame?after=0')
+        content = connection.getresponse().read()
+        frame = json.loads(content) if content else {}
+        if frame.get('keypoints'):
+            break
+        assert time.monotonic() < deadline
+    assert frame['ids'] == ['ann', 'bob']
+    joints = np.array(frame['people']['joints']).reshape(2, 15, 3) / 1000
+    assert joints[0] == pytest.approx(np.minimum(make_person_3d('ann').joints, 32.767))
+    assert len(frame['keypoints']) == 1
+    assert frame['keypoints'][0]['points'][0] / 8 == pytest.approx(person.points[0, 0], abs=0.1)
+    assert frame['camera']['imageSize'] == [640, 480]
+    view.send_signal(signal.SIGINT)
+    _, errors = view.communicate(timeout=TIMEOUT_S)
     assert (view.returncode, errors) == (0, '')

@@ -3,8 +3,6 @@
 
 """The queue of a live run: order, backlog, and limits for publishers that send without a pause."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import pytest
@@ -34,17 +32,6 @@ def take_all(queue: InputQueue, limit: int = 10**6) -> list[tuple[str, int, bool
     while popped := queue.pop(limit):
         taken.append((popped[0].topic, popped[0].number, popped[1]))
     return taken
-
-
-def test_a_full_topic_loses_its_own_oldest_messages_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(input_queue, 'MAX_WAITING', 3)
-    queue = InputQueue()
-    for topic, number in (('/tf', 2), ('/keypoints', 2), ('/tf', 4), ('/keypoints', 1)):
-        put(queue, topic, number)
-    taken = [(topic, number) for topic, number, _ in take_all(queue)]
-    assert taken == [*(('/keypoints', n) for n in (1, 2)), *(('/tf', n) for n in (4, 5, 6)), ('/keypoints', 3)]
-    assert queue.pop_removed_counts() == {'/tf': 3}
-    assert not queue.pop_removed_counts()
 
 
 def put_image(queue: InputQueue, stamp_s: int, bodies: range = BODIES) -> None:
@@ -77,40 +64,6 @@ def test_images_of_single_bodies_are_skipped_as_a_whole() -> None:
     assert take_images(queue, limit=3) == {8: 12, 9: 12, 10: 12, 3: 12}
     put_image(queue, 2)
     assert take_images(queue, limit=3) == {2: 12}, 'what comes later is not skipped'
-
-
-def test_a_forgotten_topic_takes_no_memory_and_is_numbered_anew() -> None:
-    queue = InputQueue()
-    put(queue, '/keypoints', 3)
-    queue.forget('/keypoints')
-    put(queue, '/keypoints')
-    assert [number for _, number, _ in take_all(queue, limit=2)] == [1, 2, 3, 4], 'not while one waits'
-    queue.forget('/keypoints')
-    assert not queue._topics
-    put(queue, '/keypoints')
-    assert take_all(queue) == [('/keypoints', 1, False)]
-
-
-def test_messages_of_people_alone_are_skipped() -> None:
-    queue = InputQueue()
-    assert queue.find_first_receipt_ns() is None
-    put(queue, '/camera_info')
-    put(queue, '/keypoints', 3)
-    put(queue, '/tf')
-    assert queue.find_first_receipt_ns() == 1
-    assert take_all(queue, limit=3) == [
-        ('/camera_info', 1, False),
-        ('/keypoints', 1, True),
-        ('/keypoints', 2, True),
-        ('/keypoints', 3, False),
-        ('/tf', 1, False),
-    ]
-    put(queue, '/keypoints', 2)
-    caught_up = [('/keypoints', 4, True), ('/keypoints', 5, False)]
-    assert take_all(queue, limit=3) == caught_up
-    was_behind = queue.is_behind
-    assert not queue.wait(0.0)
-    assert (was_behind, queue.is_behind) == (True, False), 'none waits any more'
 
 
 @given(st.lists(st.tuples(st.sampled_from([*SOURCES, 'pop']), st.integers(0, 60))), st.integers(1, 5))

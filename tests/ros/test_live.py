@@ -3,8 +3,6 @@
 
 """A live run without ROS: what it publishes, logs and records, and that a replay of its bag gives the same."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,10 +10,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
-from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
 from mocap_ros.bags.journal import JOURNAL, Verdict, read_run
 from mocap_ros.bags.reader import Bag
@@ -25,12 +19,10 @@ from mocap_ros.bags.topics import Source
 from mocap_ros.config import Config, with_settings
 from mocap_ros.errors import RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import Header, OutputMessage, decode, typestore
+from mocap_ros.messages.cdr import Header, OutputMessage, decode
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
-from mocap_ros.messages.markers import MARKERS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.messages.transforms import TRANSFORMS
-from mocap_ros.messages.versions import make_converter
 from mocap_ros.ros.input_queue import ReceivedMessage
 from mocap_ros.ros.live import LiveRun
 from mocap_ros.ros.live_recording import Recording
@@ -39,8 +31,7 @@ from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.replay import replay
 from mocap_ros.tracking.tracker import Tracker
-from tests.support.camera_infos import camera_info
-from tests.support.installed_types import MARKER_TYPES, describe_as_rclpy, replace_installed_types
+from tests.support.camera_infos import camera_info, make_transforms
 from tests.support.pipeline_inputs import (
     FAST_CONFIG,
     STEP_NS,
@@ -49,10 +40,9 @@ from tests.support.pipeline_inputs import (
     read_messages,
     with_stamp,
 )
-from tests.support.transforms import make_transforms
 
 FRAMES = 25
-TIMEOUT_S = 20
+TIMEOUT_S = 60.0  # s; far above what anything here takes on a busy machine
 START_NS = 1_700_000_000_000_000_000  # since the epoch
 NAMES = {t: f'/{t}' for t in ('keypoints', 'camera_info', *OUTPUTS, 'skeleton_definition')} | {
     'journal': '/mocap_node/journal'
@@ -186,58 +176,6 @@ def test_a_replay_repeats_resets_parameters_and_bad_inputs(tmp_path: Path, strea
     assert live.run.statistics.reason.startswith('/keypoints: not a mocap_ros_msgs/msg/Keypoints2DArray')
 
 
-# Keypoints of another version of the package: a field less, a field more, and another order.
-OTHER_KEYPOINTS = {
-    'mocap_ros_msgs/msg/Keypoints2D': 'string note\nstring skeleton\nfloat32[] x\nfloat32[] y\nfloat32[] score',
-    KEYPOINTS: (
-        'mocap_ros_msgs/Keypoints2D[] people\nuint32 image_height\nuint32 image_width\nstd_msgs/Header header'
-    ),
-}
-
-
-def make_other_ros() -> Typestore:
-    """Return the message types of a ROS with Foxy's markers and other keypoints than this package's."""
-    store = get_typestore(Stores.ROS2_FOXY)
-    for name, text in OTHER_KEYPOINTS.items():
-        store.register(get_types_from_msg(text, name))
-    return store
-
-
-def test_a_run_on_a_ros_with_other_message_versions_is_recorded_as_there_and_replays(
-    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    store = make_other_ros()
-    replace_installed_types(monkeypatch, describe_as_rclpy(store, *MARKER_TYPES, *OTHER_KEYPOINTS))
-    versions = MessageVersions()
-    versions.add_input(KEYPOINTS)
-    versions.add_output(MARKERS)
-    to_other_ros = make_converter(typestore(), store, KEYPOINTS)
-    received = [to_other_ros(raw) for raw in stream[:8]]
-    received.insert(4, received[4][:60])
-    usual = CollectingRun(FAST_CONFIG)
-    live = CollectingRun(recording_to(tmp_path / 'live'), versions=versions)
-    usual.enqueue(*stream[:8])
-    live.enqueue(*received)
-    for run in (usual, live):
-        run.wait_for_frames(8)
-        run.run.stop()
-
-    assert [o.data for o in live.skeletons] == [o.data for o in usual.skeletons]
-    to_foxy = make_converter(typestore(), store, MARKERS)
-    published = [o.data for o in live.published if o.topic == 'markers'][1:]  # the first came before the recording
-    assert published == [to_foxy(o.data) for o in usual.published if o.topic == 'markers']
-    bag = find_bag(tmp_path)
-    with Reader(bag) as reader:
-        for topic, msgtype, expected in (('/keypoints', KEYPOINTS, received), ('/markers', MARKERS, published)):
-            (connection,) = [c for c in reader.connections if c.topic == topic]
-            assert connection.digest == store.hash_rihs01(msgtype) != typestore().hash_rihs01(msgtype)
-            assert [bytes(raw) for _, _, raw in reader.messages([connection])] == expected
-    with AnyReader([bag]) as any_reader:  # checks that the definitions in the bag have the recorded hashes
-        assert any_reader.message_count
-    assert [line for line in live.log.lines if line.startswith('error /keypoints: message 5: ')]
-    assert_replay_gives_the_same(bag, tmp_path / 'again')
-
-
 def test_tracking_restarts_when_stamps_go_back_both_live_and_replayed(tmp_path: Path, stream: list[bytes]) -> None:
     live = CollectingRun(recording_to(tmp_path / 'live'))
     seconds = [5.0, 5.1, 900.0, 5.2, 5.3, 0.0, 0.1, 0.05]  # one from the future, and then a loop
@@ -342,20 +280,6 @@ def test_inputs_that_are_too_many_for_the_disk_are_counted_in_state_log_and_bag(
     assert run.lost_count == missing
     before = sum(raw in stream[:8] for raw in recorded)
     assert {number: [e.kind for e in events] for number, events in run.events.items()} == {before: ['reset']}
-
-
-def test_inputs_that_did_not_reach_the_tracker_leave_room_for_those_that_did(
-    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    disk_is_ready = block_disk(monkeypatch)
-    live = CollectingRun(recording_to(tmp_path / 'live', **{'recorder.backlog': 12, 'node.queue': 100}))
-    live.enqueue(*[b'no message'] * 30)
-    live.process(stream[:4])
-    disk_is_ready.set()
-    live.run.stop()
-    recorded = read_messages(find_bag(tmp_path), '/keypoints')
-    assert recorded[-4:] == stream[:4]
-    assert 5 <= len(recorded) - 4 <= 7
 
 
 def test_what_the_middleware_refuses_is_recorded_and_stops_nothing_else(

@@ -3,11 +3,8 @@
 
 """The node as a process of its own: starts that fail, life cycle, parameters, services and hostile requests."""
 
-from __future__ import annotations
-
 import re
 import signal
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -31,9 +28,6 @@ from tests.support.ros_node import (
     keypoints_at,
     stop_node,
 )
-
-pytest.importorskip('rclpy')
-pytest.importorskip('mocap_ros_msgs')
 
 pytestmark = pytest.mark.ros
 
@@ -157,8 +151,8 @@ def test_repeated_transitions_leak_neither_threads_nor_files(
         peer.wait_for_keypoints_subscription()
         peer.keypoints.publish(keypoints_at(round_number))
         peer.wait_for_frames(round_number)
-    assert counts[-1][0] <= counts[0][0]
-    assert counts[-1][1] <= counts[0][1] + 1
+    for of_one_kind in zip(*counts, strict=True):  # a leak has more in each of the later rounds
+        assert min(of_one_kind[2:]) <= max(of_one_kind[:2])
     assert [line for line in stop_node(node) if 'no message has arrived' not in line] == []
 
 
@@ -223,8 +217,6 @@ def test_peers_with_an_incompatible_qos_are_logged_once(peer: Peer, start_node: 
         )
         peer.wait_for_log('a weaker RELIABILITY policy')
         peer.wait_for_log('a stricter DURABILITY policy')
-    end = time.monotonic() + 0.5  # s, in which further lines would come
-    peer.wait_until(lambda: time.monotonic() > end)
     publisher, subscriber = sorted(line.partition('[mocap_node]: ')[2] for line in stop_node(node))
     assert publisher.startswith('/keypoints: ')
     assert subscriber.startswith('/skeletons: ')

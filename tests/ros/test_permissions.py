@@ -3,9 +3,6 @@
 
 """What node and player publish, read, offer and call on the middleware is what the policies for SROS2 allow."""
 
-from __future__ import annotations
-
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -21,11 +18,8 @@ from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.runtime.outputs import SWITCHED_OUTPUTS
 from tests.support.camera_infos import camera_info
-from tests.support.ros_node import Peer, StartNode, keypoints_at
-from tests.support.security_policy import Permissions, read_permissions
-
-pytest.importorskip('rclpy')
-pytest.importorskip('mocap_ros_msgs')
+from tests.support.launch_file import Permissions, read_permissions
+from tests.support.ros_node import Peer, StartNode, StartProgram, keypoints_at
 
 pytestmark = pytest.mark.ros
 
@@ -90,16 +84,11 @@ def test_the_node_has_what_the_policies_allow(peer: Peer, start_node: StartNode)
     wait_for_permissions(peer, 'mocap_node', missing)
 
 
-def test_the_player_has_what_the_policies_allow(peer: Peer, env: dict[str, str], tmp_path: Path) -> None:
+def test_the_player_has_what_the_policies_allow(peer: Peer, start: StartProgram, tmp_path: Path) -> None:
     with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
         recorder.write('/camera_info', CAMERA_INFO, camera_info(), 0, 0)
         for i in range(10):
             recorder.write('/keypoints', KEYPOINTS, keypoints_at(i), i * 10**8, i * 10**8)
-    command = [sys.executable, '-m', 'mocap_ros.cli.main', 'play', str(tmp_path / 'bag'), '--loop', '--clock']
-    player = subprocess.Popen(command, env=env)
-    try:
-        missing = {BODIES, '/humans/bodies/tracked', '/tf', '/tf_static'}  # they are not in this bag
-        wait_for_permissions(peer, 'mocap_player', missing)
-    finally:
-        player.kill()
-        player.wait()
+    start(sys.executable, '-m', 'mocap_ros.cli.main', 'play', tmp_path / 'bag', '--loop', '--clock')
+    missing = {BODIES, '/humans/bodies/tracked', '/tf', '/tf_static'}  # they are not in this bag
+    wait_for_permissions(peer, 'mocap_player', missing)

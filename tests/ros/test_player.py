@@ -3,11 +3,8 @@
 
 """The player over DDS: loop, clock and QoS; and its times without middleware."""
 
-from __future__ import annotations
-
 import re
 import signal
-import subprocess
 import sys
 from math import inf
 from pathlib import Path
@@ -30,10 +27,8 @@ from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.ros.player import PlaybackOptions, Player
 from mocap_ros.runtime.playback import PlaybackMessage, PlayedTopic
 from mocap_ros.skeleton import CMU15
-from tests.support.ros_node import TIMEOUT_S, Peer, keypoints_at
+from tests.support.ros_node import TIMEOUT_S, Peer, StartProgram, keypoints_at
 
-pytest.importorskip('rclpy')
-pytest.importorskip('mocap_ros_msgs')
 pytestmark = pytest.mark.ros
 
 
@@ -56,19 +51,19 @@ def test_what_cannot_be_played_is_one_line(
 
 
 def test_all_topics_play_in_a_loop_with_clock_and_recorded_qos(
-    env: dict[str, str], peer: Peer, tmp_path: Path
+    start: StartProgram, peer: Peer, tmp_path: Path
 ) -> None:
     from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-    bag, start = tmp_path / 'bag', 5 * 10**9
+    bag, first_ns = tmp_path / 'bag', 5 * 10**9
     best_effort = {**make_topic('/keypoints', KEYPOINTS).qos[0], 'reliability': 'best_effort'}
     definition = encode_skeleton_definition(CMU15)
     with Recorder(bag, RecorderConfig()) as recorder:
         recorder.add_topic(make_topic('/keypoints', KEYPOINTS, qos=[best_effort]))
         recorder.declare_topic('/skeleton_definition', SKELETON_DEFINITION, latched=True)
-        recorder.write('/skeleton_definition', SKELETON_DEFINITION, definition, start, start)
+        recorder.write('/skeleton_definition', SKELETON_DEFINITION, definition, first_ns, first_ns)
         for i in range(10):
-            recorder.write('/keypoints', KEYPOINTS, keypoints_at(i), start + i * 10**8, start)
+            recorder.write('/keypoints', KEYPOINTS, keypoints_at(i), first_ns + i * 10**8, first_ns)
 
     received: list[bytes] = []
     clocks: list[Any] = []
@@ -80,20 +75,16 @@ def test_all_topics_play_in_a_loop_with_clock_and_recorded_qos(
         message_class = load_interface_class(msgtype)
         subscription = peer.node.create_subscription(message_class, topic, keep, qos, raw=topic == '/keypoints')
         peer.subscriptions.append(subscription)
-    options = ['--all', '--loop', '--clock', '--rate', '2']
-    command = [sys.executable, '-m', 'mocap_ros.cli.main', 'play', str(bag), *options]
-    player = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        peer.wait_until(lambda: len(received) > 25 and len({c.clock.nanosec for c in clocks}) > 10)
-        peer.wait_until(lambda: peer.received['skeleton_definition'])
-        peer.wait_until(lambda: 'mocap_player' in peer.node.get_node_names())
-        offered = peer.node.get_publishers_info_by_topic('/keypoints')
-        reliability = {p.qos_profile.reliability for p in offered if p.node_name == 'mocap_player'}
-        (latched,) = peer.node.get_publishers_info_by_topic('/skeleton_definition')
-        player.send_signal(signal.SIGINT)
-        out, err = player.communicate(timeout=TIMEOUT_S)
-    finally:
-        player.kill()
+    options = '--all', '--loop', '--clock', '--rate', '2'
+    player = start(sys.executable, '-m', 'mocap_ros.cli.main', 'play', bag, *options)
+    peer.wait_until(lambda: len(received) > 25 and len({c.clock.nanosec for c in clocks}) > 10)
+    peer.wait_until(lambda: peer.received['skeleton_definition'])
+    peer.wait_until(lambda: 'mocap_player' in peer.node.get_node_names())
+    offered = peer.node.get_publishers_info_by_topic('/keypoints')
+    reliability = {p.qos_profile.reliability for p in offered if p.node_name == 'mocap_player'}
+    (latched,) = peer.node.get_publishers_info_by_topic('/skeleton_definition')
+    player.send_signal(signal.SIGINT)
+    out, err = player.communicate(timeout=TIMEOUT_S)
 
     assert (player.returncode, err) == (0, '')
     assert re.search(r'\d+ messages published on /keypoints, /skeleton_definition\n', out)

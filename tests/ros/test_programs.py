@@ -3,12 +3,9 @@
 
 """The programs as users start them: help, wrong arguments, interrupts, and `detector_node` on images."""
 
-from __future__ import annotations
-
-import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -21,16 +18,11 @@ from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS
-from mocap_ros.ros.help import INPUT_TYPES, SERVICES
-from mocap_ros.ros.main import bridge_main, detector_main, main
+from mocap_ros.ros.main import detector_main, main
 from mocap_ros.ros.message_types import load_interface_class
-from mocap_ros.runtime.outputs import OUTPUTS
 from tests.support.blob_people import draw, save_movenet, walk
 from tests.support.image_messages import encode_pixels, make_compressed
-from tests.support.ros_node import TIMEOUT_S, Peer, Process, StartNode, stop_node, wait_until_discovered
-
-pytest.importorskip('rclpy')
-pytest.importorskip('mocap_ros_msgs')
+from tests.support.ros_node import Peer, Process, StartNode, StartProgram, stop_node, wait_until_discovered
 
 pytestmark = pytest.mark.ros
 
@@ -41,26 +33,6 @@ TAKE_ALL_IMAGES = (
     'qos_overrides./image.subscription.depth:=10',
 )
 DETECTOR = sys.executable, '-c', 'import sys; from mocap_ros.ros import main; sys.exit(main.detector_main())'
-StartDetector = Callable[..., Process]
-
-
-@pytest.mark.parametrize(
-    ('program', 'words'),
-    [
-        (main, ['-p tracker.window:=', '--params-file FILE', *OUTPUTS.values(), KEYPOINTS, *SERVICES.values()]),
-        (detector_main, ['model:=', 'max_people:=1', 'image_type:=', IMAGE, COMPRESSED_IMAGE, KEYPOINTS]),
-        (bridge_main, ['publish:=', SKELETONS]),
-    ],
-)
-def test_help_lists_arguments_topics_and_installed_types(
-    capsys: pytest.CaptureFixture[str], program: Callable[..., int], words: list[str]
-) -> None:
-    with pytest.raises(SystemExit, match=r'^0$'):
-        program(['--help'])
-    text = capsys.readouterr().out
-    assert [word for word in words if word not in text] == []
-    for interface in (*INPUT_TYPES.values(), *SERVICES.values()):
-        assert load_interface_class(interface)
 
 
 @pytest.mark.parametrize(
@@ -131,21 +103,15 @@ def test_an_interrupt_during_the_start_gives_no_traceback(
 
 
 @pytest.fixture
-def start_detector(env: dict[str, str], tmp_path: Path) -> Iterator[StartDetector]:
+def start_detector(start: StartProgram, tmp_path: Path) -> Callable[..., Process]:
     """Start `detector_node` with a network that finds people made of blobs, and further parameters."""
     model = save_movenet(tmp_path / 'movenet.onnx')
-    started: list[Process] = []
 
-    def start(*parameters: str) -> Process:
+    def start_with(*parameters: str) -> Process:
         options = [word for p in (f'model:={model}', *TAKE_ALL_IMAGES, *parameters) for word in ('-p', p)]
-        command = [*DETECTOR, '--ros-args', *options]
-        started.append(subprocess.Popen(command, env=env, stderr=subprocess.PIPE, text=True))
-        return started[-1]
+        return start(*DETECTOR, '--ros-args', *options)
 
-    yield start
-    for process in started:
-        process.kill()
-        process.wait()
+    return start_with
 
 
 class Camera:
@@ -177,16 +143,8 @@ class Camera:
         return self.received[-1]
 
 
-def stop(process: Process) -> list[str]:
-    """Stop the node; return the warnings and errors that it logged."""
-    process.send_signal(signal.SIGTERM)
-    _, log = process.communicate(timeout=TIMEOUT_S)
-    assert process.returncode == 0
-    return [line for line in log.splitlines() if not line.startswith('[INFO]')]
-
-
 def test_images_of_several_encodings_become_skeletons_and_bad_ones_are_logged(
-    peer: Peer, start_detector: StartDetector, start_node: StartNode
+    peer: Peer, start_detector: Callable[..., Process], start_node: StartNode
 ) -> None:
     node, detector = start_node(), start_detector()
     peer.wait_for_node()
@@ -218,15 +176,15 @@ def test_images_of_several_encodings_become_skeletons_and_bad_ones_are_logged(
     assert len(camera.show(3 * 10**12, **good).people) == 1
     camera.send(3 * 10**12, **good)
     assert len(camera.show(10**9, **good).people) == 1  # a bag that is played again
-    lines = stop(detector)
+    lines = stop_node(detector)
     places = ': encoding: ', ': step: ', ': header.stamp: ', 'the detector starts anew'
     assert [[place in line for line in lines].count(True) for place in places] == [1] * len(lines) == [1] * 4
 
 
-def test_compressed_images_are_taken(peer: Peer, start_detector: StartDetector) -> None:
+def test_compressed_images_are_taken(peer: Peer, start_detector: Callable[..., Process]) -> None:
     detector = start_detector(f'image_type:={COMPRESSED_IMAGE}')
     camera = Camera(peer, COMPRESSED_IMAGE)
     for stamp_ns, kind in enumerate(['PNG', 'JPEG'], 1):
         (found,) = camera.show(stamp_ns, **make_compressed(draw([walk(1)[0]]), kind)).people
         assert max(found.score) > 0.5
-    assert stop(detector) == []
+    assert stop_node(detector) == []

@@ -3,12 +3,9 @@
 
 """Bags that the node records: what is in them, how recordings start and end, and their replay."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import signal
-import subprocess
 import sys
 import time
 from itertools import islice
@@ -29,10 +26,7 @@ from mocap_ros.messages.skeletons import SKELETON_DEFINITION
 from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.runtime.playback import encode_sequence
 from tests.support.pipeline_inputs import read_messages
-from tests.support.ros_node import TIMEOUT_S, Peer, StartNode, keypoints_at, stack_joints, stop_node
-
-pytest.importorskip('rclpy')
-pytest.importorskip('mocap_ros_msgs')
+from tests.support.ros_node import TIMEOUT_S, Peer, StartNode, StartProgram, keypoints_at, stack_joints, stop_node
 
 pytestmark = pytest.mark.ros
 
@@ -40,7 +34,7 @@ FRAMES = 40
 
 
 def test_a_live_run_is_received_recorded_and_replayed(
-    env: dict[str, str], peer: Peer, start_node: StartNode, tmp_path: Path
+    start: StartProgram, peer: Peer, start_node: StartNode, tmp_path: Path
 ) -> None:
     sequence = make_recording().sequence()
     frames = list(islice(encode_sequence(sequence), FRAMES))
@@ -53,18 +47,10 @@ def test_a_live_run_is_received_recorded_and_replayed(
     node = start_node('recorder.enabled:=true', f'recorder.folder:={tmp_path}/bags', *patient)
     peer.wait_for_node()
     started, started_ns = time.monotonic(), time.time_ns()
-    player = subprocess.Popen(
-        [sys.executable, '-m', 'mocap_ros.cli.main', 'play', str(tmp_path / 'played')],
-        env=env,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        peer.wait_until(lambda: all(len(peer.received[t]) >= FRAMES for t in OUTPUTS))
-        assert time.monotonic() - started > (FRAMES - 1) / 30
-        out, _ = player.communicate(timeout=TIMEOUT_S)
-    finally:
-        player.kill()
+    player = start(sys.executable, '-m', 'mocap_ros.cli.main', 'play', tmp_path / 'played')
+    peer.wait_until(lambda: all(len(peer.received[t]) >= FRAMES for t in OUTPUTS))
+    assert time.monotonic() - started > (FRAMES - 1) / 30
+    out, _ = player.communicate(timeout=TIMEOUT_S)
     assert out.splitlines()[-1] == f'{tmp_path}/played: {FRAMES} messages published on keypoints'
     assert stop_node(node) == []
     peer.wait_until(peer.are_markers_deleted)

@@ -3,8 +3,6 @@
 
 """Subscriptions: QoS, silence, topics of single bodies, and messages that do not arrive."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any, cast

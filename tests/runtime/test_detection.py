@@ -3,8 +3,6 @@
 
 """From a video to people: their times, their names, and where a detector jumps to another person."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,13 +12,12 @@ import numpy as np
 import pytest
 
 from mocap_ros.config import NodeConfig
-from mocap_ros.detectors.detector import Detector, Image
+from mocap_ros.detectors.detector import Image
 from mocap_ros.errors import InputError, ModelError
 from mocap_ros.formats.detections import Detections, Video, create_person
 from mocap_ros.formats.video import VideoImage
-from mocap_ros.keypoints.person import Person2D
 from mocap_ros.runtime import detection
-from mocap_ros.runtime.detection import detect_in_video, detect_people, name_people
+from mocap_ros.runtime.detection import detect_in_video, name_people
 from mocap_ros.runtime.load_keypoints import InputOptions, load_input
 from tests.support.blob_people import draw, save_movenet, walk, write_video
 
@@ -83,7 +80,7 @@ class BreakingCamera:
     def __init__(self, *_: object, **__: object) -> None:
         pass
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> 'Self':
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -100,8 +97,6 @@ class BreakingCamera:
     [
         ('unplugged', r'the camera has gone'),
         ('resized', r'the size of the images changes .* at 0\.240 s'),
-        ('endless', r'more than 6 images'),
-        ('overheated', r'movenet\.onnx: the network failed \(hot\)'),
     ],
 )
 def test_what_a_camera_showed_is_kept_when_it_breaks_off(
@@ -109,16 +104,9 @@ def test_what_a_camera_showed_is_kept_when_it_breaks_off(
 ) -> None:
     path, model = Path('/dev/video0'), save_movenet(tmp_path / 'movenet.onnx')
     seen = [draw([person]) for person in walk(6)]
-    further = {'unplugged': [], 'resized': [seen[0][::2, ::2]], 'endless': [seen[0]], 'overheated': [seen[0]]}
-
-    def detect_until_it_fails(detector: Detector, image: Image, time_s: float) -> list[Person2D]:
-        if fault == 'overheated' and round(25 * time_s) == 6:
-            raise ModelError('the network failed (hot)')
-        return detect_people(detector, image, time_s)
+    further = {'unplugged': [], 'resized': [seen[0][::2, ::2]]}
 
     monkeypatch.setattr(detection, 'VideoReader', BreakingCamera)
-    monkeypatch.setattr(detection, 'detect_people', detect_until_it_fails)
-    monkeypatch.setattr(detection, 'MAX_FRAMES', 6 if fault == 'endless' else 100)
     monkeypatch.setattr(BreakingCamera, 'images', [*seen, *further[fault]])
     monkeypatch.setattr(
         BreakingCamera, 'error', InputError('the camera has gone') if fault == 'unplugged' else None
@@ -127,10 +115,10 @@ def test_what_a_camera_showed_is_kept_when_it_breaks_off(
     assert [[person.id for person in people] for people in found.people] == [['person_1']] * 6
     assert found.stamps_ns == [STEP_NS * i for i in range(6)]
     assert re.search(f'ended early: .*{reason}', found.notes[1])
-    with pytest.raises((InputError, ModelError), match=reason):
+    with pytest.raises(InputError, match=reason):
         detect_in_video(path, model)
     monkeypatch.setattr(BreakingCamera, 'images', [draw([])] * 6 + further[fault])
-    with pytest.raises((InputError, ModelError), match=reason):
+    with pytest.raises(InputError, match=reason):
         detect_in_video(path, model, is_camera=True)
 
 

@@ -3,8 +3,6 @@
 
 """Mistakes in keypoints and calibrations are described once, after seconds; of several cameras one is used."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -135,14 +133,6 @@ def test_points_are_judged_at_any_rate_and_by_a_vertical_that_is_given(
     assert [reason.startswith(problem) for reason in reasons] == [True] * bool(problem)
 
 
-def test_points_are_judged_after_the_clock_went_back(stream: list[bytes]) -> None:
-    pipeline = Pipeline(FAST_CONFIG)
-    late = [with_stamp(raw, round((900 + i * STEP_S) * 1e9)) for i, raw in enumerate(stream[:10])]
-    assert not any(list_reasons(pipeline, late))
-    reasons = list_reasons(pipeline, [edit_people(raw, reverse_joints) for raw in stream])
-    assert 'people: these look like coco17' in ' '.join(reasons)
-
-
 @pytest.mark.parametrize(
     ('model', 'coefficients', 'focal_in_widths', 'is_unusable'),
     [
@@ -179,19 +169,11 @@ def test_a_distortion_that_cannot_be_undone_is_described_once(
         ('', 'right_hip', ''),
     ],
 )
-def test_misspelt_joints_that_are_missing_are_described_once(
-    stream: list[bytes], wrong: str, right: str, meant: str
-) -> None:
-    names = [wrong if j == right else j for j in SPELT_OUT]
+def test_misspelt_joints_that_are_missing_are_described(wrong: str, right: str, meant: str) -> None:
+    names = tuple(wrong if j == right else j for j in SPELT_OUT)
     expected = f'joint_names: {wrong!r} is no known joint and is ignored; is it {meant!r}?' if meant else ''
+    assert describe_misspelt_joint(names) == expected
     assert describe_misspelt_joint((*names, right)) == '', 'an extra joint beside the right one'
-
-    def misspell(person: Any) -> None:
-        person.skeleton, person.joint_names = '', names
-
-    pipeline = Pipeline(FAST_CONFIG)
-    assert list_reasons(pipeline, [edit_people(raw, misspell) for raw in stream[:3]]) == [expected, '', '']
-    assert pipeline.checks.warnings == (expected,) * bool(expected)
 
 
 def test_no_layout_has_misspelt_joints() -> None:

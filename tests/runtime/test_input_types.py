@@ -3,8 +3,6 @@
 
 """Every message type gives the same people, live and from a bag, also among garbage; bodies become images."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -16,13 +14,12 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source, list_input_types, make_body_topic
 from mocap_ros.config import RecorderConfig
-from mocap_ros.errors import FrameDropped, RecordingError
+from mocap_ros.errors import RecordingError
 from mocap_ros.formats.detections import Video
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.runtime.frame_assembly import FrameAssembler
 from mocap_ros.runtime.load_keypoints import InputOptions, load_bag, load_input
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.replay import ReplayOptions, replay
@@ -32,7 +29,6 @@ from tests.support.foreign_messages import (
     IMAGE_SIZE,
     INPUT_TYPES,
     LIMITS,
-    STEP_NS,
     decode_skeletons,
     encode_body,
     encode_ids,
@@ -121,36 +117,3 @@ def test_images_are_complete_when_all_tracked_bodies_have_arrived() -> None:
     (empty,) = decode_skeletons([pipeline.feed(Source.TRACKED_BODIES, encode_ids(3), HRI_IDS_TOPIC)])
     assert empty.people == [], 'two frames are too few to predict a person'
     assert pipeline.counters.dropped['stamp'] == 2
-
-
-def add_ids(assembler: FrameAssembler, frame: int, *ids: str) -> list[int]:
-    """Add a list of tracked bodies; return the frames that are complete then."""
-    return assemble(assembler, Source.TRACKED_BODIES, encode_ids(frame, *ids))
-
-
-def add_body(assembler: FrameAssembler, frame: int) -> list[int]:
-    """Add the first body of a frame; return the frames that are complete then."""
-    return assemble(assembler, Source.BODY, encode_body(make_people(0)[0], make_header(frame)))
-
-
-def assemble(assembler: FrameAssembler, source: Source, raw: bytes) -> list[int]:
-    topic = make_body_topic(HRI_IDS_TOPIC, 'b0')
-    frames = assembler.assemble(source, raw, topic, make_config(HRI_SKELETON).node, IMAGE_SIZE, 1.0)
-    return [round(f.header.stamp_ns / STEP_NS) - 1 for f in frames]
-
-
-def test_a_late_body_is_dropped_and_after_time_went_back_far_a_sequence_begins() -> None:
-    assembler = FrameAssembler()
-    add_ids(assembler, 0, 'b0')
-    assert add_body(assembler, 1) == [1]
-    with pytest.raises(FrameDropped, match='after its image was complete'):
-        add_body(assembler, 1)
-    assert [add_body(assembler, frame) for frame in (300, 1)] == [[300], [1]], 'a bag that loops'
-    assert [add_ids(assembler, frame) for frame in (300, 297, 1)] == [[300], [], [1]], 'empty lists, likewise'
-
-
-def test_the_list_of_bodies_outlives_a_reset() -> None:
-    assembler = FrameAssembler()
-    add_ids(assembler, 0, 'b0')
-    assembler.reset()
-    assert add_body(assembler, 1) == [1], 'a publisher sends it on changes'

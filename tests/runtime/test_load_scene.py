@@ -3,8 +3,6 @@
 
 """The scenes of bags, results and keypoints of any format: what was recorded is what is drawn."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

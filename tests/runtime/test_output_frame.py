@@ -3,8 +3,6 @@
 
 """People in the frame of the robot, by a parameter and by transforms, live and replayed; floor and predictions."""
 
-from __future__ import annotations
-
 import math
 import re
 from itertools import pairwise
@@ -17,21 +15,17 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.bags.journal import Verdict
 from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source
-from mocap_ros.config import Config, RecorderConfig, with_values
+from mocap_ros.config import Config, with_values
 from mocap_ros.errors import ConfigError
-from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import decode
-from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS, decode_skeletons
 from mocap_ros.messages.transforms import TRANSFORMS
-from mocap_ros.runtime.load_results import load_result
 from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import CMU15
-from tests.support.camera_infos import camera_info
+from tests.support.camera_infos import SECOND_NS, camera_info, make_transforms
 from tests.support.pipeline_inputs import (
     FAST_CONFIG,
     STEP_NS,
@@ -42,7 +36,6 @@ from tests.support.pipeline_inputs import (
     write_keypoints_bag,
 )
 from tests.support.pipeline_inputs import decode_skeletons as decode_outputs
-from tests.support.transforms import SECOND_NS, make_transforms
 
 FRAMES = 12
 START_NS = 1_700_000_000_000_000_000  # since the epoch
@@ -86,18 +79,6 @@ def stamp_of(array: Any) -> int:
 
 def static_transforms() -> bytes:
     return make_transforms(('base', 'camera', 0, CAMERA, OPTICAL.as_quat()))
-
-
-def robot_at(stamp_ns: int) -> bytes:
-    """Return where the robot is at a time."""
-    return make_transforms(('map', 'base', stamp_ns, (SPEED_M_S * stamp_ns / SECOND_NS, 0, 0)))
-
-
-def expected_joints(array: Any) -> np.ndarray:
-    """Return the joints of skeletons in the camera's frame as they are in map, from a robot that drives."""
-    moved = np.array([SPEED_M_S * stamp_of(array) / SECOND_NS, 0, 0])
-    joints = stack(array)
-    return OPTICAL.apply(joints.reshape(-1, 3)).reshape(joints.shape) + CAMERA + moved
 
 
 def feed_transforms(pipeline: Pipeline, source: Source, raw: bytes) -> None:
@@ -208,37 +189,6 @@ def test_without_transforms_people_are_in_the_frame_of_the_camera_and_the_reason
 def test_parameters_that_cannot_be_used_are_refused(values: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         Pipeline(with_values(PLAIN_CONFIG, values))
-
-
-def write_bag(folder: Path, stream: list[bytes], in_camera: list[Any]) -> None:
-    """Write a bag as `ros2 bag record` does: transforms and keypoints, in the order in which they came."""
-    with Recorder(folder, RecorderConfig()) as recorder:
-        recorder.write('/camera_info', CAMERA_INFO, camera_info(), START_NS, START_NS)
-        recorder.write('/tf_static', TRANSFORMS, static_transforms(), START_NS, START_NS)
-        recorder.write('/tf', TRANSFORMS, robot_at(0), START_NS, START_NS)
-        for i, (raw, own) in enumerate(zip(stream, in_camera, strict=True)):
-            now_ns = START_NS + i * STEP_NS
-            recorder.write('/tf', TRANSFORMS, robot_at(stamp_of(own) + STEP_NS // 2), now_ns, now_ns)
-            recorder.write('/keypoints', KEYPOINTS, raw, now_ns + 1, now_ns + 1)
-
-
-def read_joints(bag_path: Path) -> np.ndarray:
-    return np.array([stack(decode(raw, SKELETONS)) for raw in read_messages(bag_path, '/skeletons')])
-
-
-def test_a_replay_reads_the_transforms_of_the_bag(
-    tmp_path: Path, stream: list[bytes], in_camera: list[Any]
-) -> None:
-    write_bag(tmp_path / 'bag', stream, in_camera)
-    with Bag(tmp_path / 'bag') as bag:
-        result = replay(bag, tmp_path / 'out', ReplayOptions(MAP_CONFIG))
-        replay(bag, tmp_path / 'plain', ReplayOptions(PLAIN_CONFIG))
-    assert (result.counters.accepted, result.first_rejection) == (FRAMES, '')
-    expected = np.array([expected_joints(own) for own in in_camera])
-    np.testing.assert_allclose(read_joints(tmp_path / 'out'), expected, atol=1e-9)
-    np.testing.assert_allclose(read_joints(tmp_path / 'plain'), [stack(own) for own in in_camera], atol=1e-9)
-    in_optical_frame, _ = load_result(tmp_path / 'out')
-    np.testing.assert_allclose(in_optical_frame.joints, [stack(own)[0] for own in in_camera], atol=1e-9)
 
 
 def test_predictions_are_in_the_output_frame_and_the_same_in_a_replay(

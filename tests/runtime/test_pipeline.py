@@ -3,8 +3,6 @@
 
 """The pipeline: bytes in, bytes out; bad input is counted and changes nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -126,11 +124,6 @@ def test_a_nominal_focal_length_is_named_once_after_seconds_of_people(
     assert [s for s, reason in reasons.items() if 'no CameraInfo' in reason] == ([3.5] if is_named else [])
 
 
-def test_a_focal_length_that_is_none_in_px_is_named_by_its_parameter(stream: list[bytes]) -> None:
-    pipeline = Pipeline(with_values(FAST_CONFIG, {'node.focal': 4.0}))
-    assert reject(pipeline, stream[0], Verdict.INVALID).startswith('node.focal: 4 px in an image 640 px wide')
-
-
 def test_a_camera_info_that_does_not_fit_is_rejected(stream: list[bytes]) -> None:
     pipeline = Pipeline(FAST_CONFIG)
     with pytest.raises(InputError, match='not calibrated, and width and height are 0'):
@@ -225,12 +218,6 @@ def test_people_wait_for_the_first_calibration_unless_a_focal_length_is_given(
     assert sum(bool(result.outputs) for result in results) == published
     assert any('CameraInfo came late' in result.reason for result in results) == is_restarted
     assert len({person.scale_known for person in pipeline.people}) == (published > 0)
-
-
-def test_a_focal_length_that_is_given_beside_a_calibrated_camera_is_named_once() -> None:
-    pipeline = Pipeline(with_values(FAST_CONFIG, {'node.hfov': 60.0}))
-    reasons = [pipeline.feed(Source.CAMERA_INFO, camera_info()).reason for _ in range(2)]
-    assert reasons == ['the camera is calibrated; node.hfov and node.focal are not used', '']
 
 
 @pytest.mark.parametrize(

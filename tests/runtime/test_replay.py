@@ -3,8 +3,6 @@
 
 """Replays and playback of bags of every storage, version and origin, and what a replay records of its origin."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import platform
@@ -21,11 +19,7 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mocap_ros.bags.journal import (
-    Journal,
-    Verdict,
-    read_run,
-)
+from mocap_ros.bags.journal import Journal, Verdict, read_run
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.rosbag2 import make_topic
@@ -47,7 +41,7 @@ from mocap_ros.runtime.playback import Playback, encode_sequence
 from mocap_ros.runtime.provenance import RECORDED_PACKAGES
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.bag_writing import DEFINITION
-from tests.support.camera_infos import camera_info, encode_ros1_camera_info, make_ros1_header
+from tests.support.camera_infos import camera_info, encode_ros1_camera_info, make_ros1_header, make_transforms
 from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import (
     FAST_CONFIG,
@@ -56,7 +50,6 @@ from tests.support.pipeline_inputs import (
     read_messages,
     write_keypoints_bag,
 )
-from tests.support.transforms import make_transforms
 
 OPTIONS = ReplayOptions(FAST_CONFIG)
 FAST_ARGUMENTS = [word for name, value in FAST_VALUES.items() for word in ('--set', f'{name}={value}')]

@@ -3,8 +3,6 @@
 
 """Results in every format agree, and are read again from result files and from bags of skeletons."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

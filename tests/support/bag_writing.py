@@ -3,8 +3,6 @@
 
 """Bags of synthetic keypoints for the tests of recorder, reader and recovery."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -9,8 +9,6 @@ outputs of YOLO-pose, RTMPose and MoveNet. The response of keypoint j at a pixel
     r_j = max(0, 1 - |c - COLOURS[j]|^2 / TOLERANCE^2)
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path

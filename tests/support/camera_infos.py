@@ -1,9 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""CameraInfo messages for tests."""
-
-from __future__ import annotations
+"""Messages of CameraInfo, /tf and /tf_static."""
 
 from typing import Any
 
@@ -13,6 +11,7 @@ from rosbags.typesys.store import Typestore
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.plain import encode_plain
+from mocap_ros.messages.transforms import StampedTransform, write_transforms
 
 
 def camera_info(
@@ -54,3 +53,17 @@ def encode_ros1_camera_info(store: Typestore, raw: bytes | None = None) -> bytes
     fields = {name: by_name[name.lower()] for name, _ in store.fielddefs[CAMERA_INFO][1]}
     old = store.types[CAMERA_INFO](**{**fields, 'header': make_ros1_header(store, message.header)})
     return bytes(store.serialize_ros1(old, CAMERA_INFO))
+
+
+SECOND_NS = 1_000_000_000  # ns in a second
+
+
+def make_transforms(*transforms: Any) -> bytes:
+    """Return a TFMessage of (parent, child, stamp in ns, translation in m, and optionally a quaternion)."""
+    return write_transforms([_list_fields(*t) for t in transforms])
+
+
+def _list_fields(
+    parent: str, child: str, stamp_ns: int, translation: Any, rotation: Any = (0, 0, 0, 1)
+) -> StampedTransform:
+    return Header(stamp_ns, parent), child, (*translation, *rotation)

@@ -3,8 +3,6 @@
 
 """Messages of every type that is accepted as keypoints, with the same two people in each."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -16,13 +14,7 @@ from mocap_ros.config import Config, with_values
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import Header, create_header, create_message, decode, encode, typestore
-from mocap_ros.messages.foreign_types import (
-    HRI_IDS,
-    HRI_SKELETON,
-    OPENPOSE_POSES,
-    YOLO_DETECTIONS,
-    ZED_OBJECTS,
-)
+from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON, OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS
 from mocap_ros.messages.input_types import COCO17, HRI18, ZED38
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult

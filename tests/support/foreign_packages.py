@@ -3,8 +3,6 @@
 
 """Builds foreign interface packages for tests, once, into build/foreign."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

@@ -3,8 +3,6 @@
 
 """The fields of image messages in every encoding."""
 
-from __future__ import annotations
-
 import io
 from typing import Any
 

@@ -3,8 +3,6 @@
 
 """A walk as detectors write it to files."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

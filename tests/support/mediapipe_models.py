@@ -3,8 +3,6 @@
 
 """MediaPipe where it is installed with its model, which versions up to 0.10.21 are, and a picture of a person."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 from typing import Any

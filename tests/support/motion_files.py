@@ -3,8 +3,6 @@
 
 """A motion and small motion-capture files, and rotation matrices to check them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -3,8 +3,6 @@
 
 """People in 3D, as the tracker returns them."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

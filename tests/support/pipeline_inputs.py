@@ -3,8 +3,6 @@
 
 """Keypoint messages of the demo recording, bags of them, and a pipeline that is fast enough for tests."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path

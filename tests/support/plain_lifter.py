@@ -3,8 +3,6 @@
 
 """The lifter in plain NumPy and double precision, which the compiled one is compared with."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

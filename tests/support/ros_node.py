@@ -3,14 +3,10 @@
 
 """The node as its users run it, a process of its own, and a peer in this process that talks to it over DDS."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -36,6 +32,7 @@ RELIABLE_INPUT = 'qos_overrides./keypoints.subscription.reliability:=reliable'
 DEACTIVATE, ACTIVATE, CLEAN_UP, CONFIGURE = 4, 3, 2, 1  # of lifecycle_msgs/Transition
 
 Process = subprocess.Popen[str]
+StartProgram = Callable[..., Process]  # a command's words
 
 
 class StartNode(Protocol):
@@ -134,7 +131,6 @@ class Peer:
         assert len(self.received['skeletons']) == count
 
     def wait_for_log(self, words: str) -> None:
-        """Wait until the node has logged a line with these words."""
         self.wait_until(lambda: any(words in line for line in self.log))
 
     def wait_for_diagnostics(self, key: str, value: str) -> None:
@@ -167,7 +163,6 @@ class Peer:
         return self.call_service(SetParameters, 'mocap_node/set_parameters', parameters=request).results[0]
 
     def get_parameter(self, name: str) -> Any:
-        """Return the value of a parameter of the node."""
         from rcl_interfaces.srv import GetParameters
         from rclpy.parameter import parameter_value_to_python
 
@@ -175,7 +170,6 @@ class Peer:
         return parameter_value_to_python(value)
 
     def record(self, is_wanted: bool) -> Any:
-        """Call ~/record of the node."""
         from std_srvs.srv import SetBool
 
         return self.call_service(SetBool, 'mocap_node/record', data=is_wanted)
@@ -213,15 +207,6 @@ class Peer:
             header = message.markers[0].header if topic == 'markers' else message.header
             stamps.append(header.stamp.sec * 10**9 + header.stamp.nanosec)
         return stamps
-
-
-def launch_node(env: dict[str, str], folder: Path, parameters: Sequence[str], ros: Sequence[str]) -> Process:
-    """Start the node in a working folder."""
-    options = [word for p in (*FAST_PARAMETERS, RELIABLE_INPUT, *parameters) for word in ('-p', p)]
-    command = [sys.executable, '-m', 'mocap_ros.ros.main', '--ros-args', *options, *ros]
-    return subprocess.Popen(
-        command, env=env, cwd=folder, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
 
 
 def stop_node(process: Process, by: signal.Signals = signal.SIGTERM) -> list[str]:

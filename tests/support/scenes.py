@@ -1,13 +1,15 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Scenes for the tests of the viewers: people who swing their limbs before a camera."""
-
-from __future__ import annotations
+"""Scenes of people who swing their limbs before a camera, and pages that tests look at with Playwright."""
 
 from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.people import MotionKind
@@ -62,3 +64,14 @@ def make_scene(frames: int = 40) -> Scene:
         intrinsics=INTRINSICS,
         marks=(Mark(0.5, 'too late'),),
     )
+
+
+def count_colours(png: bytes) -> int:
+    """Return the number of different colours in a picture, which is 1 where nothing was drawn."""
+    return len(np.unique(np.asarray(Image.open(BytesIO(png)).convert('RGB')).reshape(-1, 3), axis=0))
+
+
+def write_and_open(page: Any, path: Path, text: str) -> None:
+    """Write a page to a file and open it as a user would, without a server."""
+    path.write_text(text, encoding='utf-8')
+    page.goto(path.as_uri())

@@ -3,8 +3,6 @@
 
 """A synthetic body that stands and swings all its limbs."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mocap_ros.offline.keyframes.motion import assemble_poses, compute_limb_directions

@@ -3,8 +3,6 @@
 
 """A synthetic walk with known weights and cameras, and the error of its reconstruction."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mocap_ros.geometry.rotations import rotation_from_vector

@@ -3,8 +3,6 @@
 
 """Tracks of a synthetic walk, frame by frame and solved by the tracker."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -3,8 +3,6 @@
 
 """A body that stands upright with hanging arms, as the axes of its segments are defined by it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mocap_ros.skeleton import CMU15

@@ -3,8 +3,6 @@
 
 """Chromium without a window, for the tests that look at pages; skipped, visibly, where it is missing."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from typing import Any

@@ -3,8 +3,6 @@
 
 """The images behind the points: from videos and bags, in step on the page, and as films and pictures."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -28,11 +26,10 @@ from mocap_ros.viewing.overlay import MAX_OFFSET_S, Overlay, StampedImage, find_
 from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.scene import Scene
 from tests.support.blob_people import write_video
-from tests.support.browser import write_and_open
 from tests.support.foreign_messages import create_blank_message
 from tests.support.image_messages import encode_pixels
 from tests.support.keypoint_files import QUICK_OPTIONS
-from tests.support.scenes import make_scene
+from tests.support.scenes import make_scene, write_and_open
 
 FRAMES = 40
 SIZE = (480, 640, 3)

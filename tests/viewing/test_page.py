@@ -3,8 +3,6 @@
 
 """The page, of files and live: its arrays, its size, its server, and what Chromium draws of it."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import hashlib
@@ -29,9 +27,8 @@ from mocap_ros.skeleton import CMU15
 from mocap_ros.viewing.live_page import LiveScene, PageServer, make_person
 from mocap_ros.viewing.page import NOT_A_NUMBER, UNKNOWN_STD, build_page
 from mocap_ros.viewing.scene import Scene
-from tests.support.browser import count_colours, write_and_open
 from tests.support.paths import ROOT
-from tests.support.scenes import INTRINSICS, STEP_NS, make_scene, make_scene_person
+from tests.support.scenes import INTRINSICS, STEP_NS, count_colours, make_scene, make_scene_person, write_and_open
 
 TIMEOUT_S = 60.0  # s; a busy machine draws a picture a second
 TELEPHONE = {'width': 390, 'height': 844}  # px

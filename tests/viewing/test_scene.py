@@ -3,8 +3,6 @@
 
 """Scenes: undone swaps, colours and the space that they fill; pictures: the errors that they draw."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,13 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.skeleton import CMU15
 from mocap_ros.viewing import plots
-from mocap_ros.viewing.scene import (
-    SceneKeypoints,
-    ScenePerson,
-    SidedPoints,
-    find_undone_swaps,
-    image_corners,
-)
+from mocap_ros.viewing.scene import SceneKeypoints, ScenePerson, SidedPoints, find_undone_swaps, image_corners
 from tests.support.scenes import INTRINSICS, make_keypoints, make_scene, make_scene_person
 from tests.support.swinging_body import make_swinging_body
 
