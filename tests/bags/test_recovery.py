@@ -137,6 +137,7 @@ def test_attachments_and_qos_of_a_split_bag_are_recovered(
     assert sorted(set(read_frames(recovered))) == list(range(FRAMES))
     with Bag(recovered) as opened:
         assert opened.qos['/keypoints'][0].durability.name == 'TRANSIENT_LOCAL'
+    assert "ros_distro: ''" in (recovered / 'metadata.yaml').read_text()
     with (recovered / 'bag_recovered_0.mcap').open('rb') as file:
         attachments = list(make_reader(file).iter_attachments())
     assert {a.data for a in attachments} == {b'kept'}

@@ -24,7 +24,6 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.runtime import detection
 from mocap_ros.skeleton import CMU15
 from tests.support.blob_people import draw, save_movenet, save_multi_pose_movenet, walk, write_video
-from tests.support.mediapipe_models import load_portrait, require_mediapipe, save_task
 
 FRAMES = 40
 FPS = 30.0  # Hz, that of the demo
@@ -116,20 +115,3 @@ def test_wrong_outputs_are_named_in_one_line(
     assert main(['detect', str(folder / 'walk.mp4'), *options]) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert reason in line
-
-
-@pytest.mark.parametrize('interface', ['bundled', 'tasks'])
-def test_mediapipe_sees_a_real_person_in_a_video(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], interface: str
-) -> None:
-    require_mediapipe()
-    portrait = load_portrait()
-    images = [np.zeros_like(portrait)] * 3 + [np.roll(portrait, 2 * i, axis=1) for i in range(10)]
-    video = write_video(tmp_path / 'a.mp4', images, [i / 30 for i in range(13)], 'libx264', 'yuv420p')
-    model = [] if interface == 'bundled' else ['--model', str(save_task(tmp_path / 'pose.task'))]
-    assert main(['detect', str(video), '-o', str(tmp_path / 'a.npz'), *model]) == 0
-    assert 'keypoints by MediaPipe' in capsys.readouterr().err
-    sequence = load_sequence(tmp_path / 'a.npz')
-    assert sequence.timestamps == pytest.approx(np.arange(3, 13) / 30, abs=1e-3)
-    nose = sequence.keypoints[:, sequence.joint_names.index('nose')]
-    assert nose[:, 0] - 2 * np.arange(10) == pytest.approx(np.full(10, 270.0), abs=12)

@@ -228,7 +228,6 @@ def test_a_terminal_shows_one_bar_with_the_time_left_and_a_pipe_none(
     [
         (['reconstruct', 'LONG', '-o', 'x.npz'], 'loading'),
         (['reconstruct', 'LONG', '-o', 'x.npz'], 'left'),
-        (['view', 'LONG', '-o', 'x.html'], 'left'),
         (['batch', 'FOLDER', '-o', 'x', '--work', 'reconstruct', '--workers', '1'], 'dashboard'),
         pytest.param(['play', 'LONG'], 'waiting for a subscriber', marks=pytest.mark.ros),
         pytest.param(['demo', '-o', 'x'], 'play: ', marks=[pytest.mark.ros, pytest.mark.slow]),

@@ -98,10 +98,10 @@ def test_a_turned_camera_whose_vertical_is_given_is_sound() -> None:
     ('mirrored', 'layout', 'share', 'size', 'is_backwards', 'expected'),
     [
         (-2.3, -1.2, 0.05, Grade.GOOD, False, GOOD),
-        (-2.4, -1.2, 0.05, Grade.GOOD, False, GOOD),
-        (-2.5, -1.2, 0.05, Grade.GOOD, False, Judgement(Grade.WRONG, Fault.MIRRORED)),
-        (-2.3, -1.2, 0.05, Grade.GOOD, True, GOOD),
-        (-2.4, -1.2, 0.05, Grade.GOOD, True, Judgement(Grade.DOUBTFUL, Fault.MIRRORED)),
+        (-2.44, -1.2, 0.05, Grade.GOOD, False, GOOD),
+        (-2.46, -1.2, 0.05, Grade.GOOD, False, Judgement(Grade.WRONG, Fault.MIRRORED)),
+        (-2.34, -1.2, 0.05, Grade.GOOD, True, GOOD),
+        (-2.36, -1.2, 0.05, Grade.GOOD, True, Judgement(Grade.DOUBTFUL, Fault.MIRRORED)),
         (-2.3, -3.0, 0.05, Grade.GOOD, False, GOOD),  # a layout that is hardly another one
         (-2.3, -1.2, 0.06, Grade.GOOD, False, GOOD),
         (-2.3, -1.2, 0.08, Grade.GOOD, False, Judgement(Grade.DOUBTFUL, Fault.MISFIT)),

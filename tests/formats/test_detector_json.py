@@ -146,16 +146,6 @@ def test_every_folder_gives_the_same_keypoints(tmp_path: Path, walker: KeypointS
     assert sequence.keypoints == pytest.approx(walker.keypoints, nan_ok=True, abs=1e-4)
 
 
-def test_a_frame_that_is_missing_in_a_folder_is_a_gap(tmp_path: Path, walker: KeypointSequence) -> None:
-    files = FOLDERS['OpenPose'](flatten_keypoints(walker))
-    del files[f'clip2_{7:012d}_keypoints.json']
-    sequence, _ = select_person(load_json_folder(write_folder(tmp_path, files), VIDEO))
-    assert len(sequence) == FRAMES
-    assert not sequence.keypoints[7, :, 2].any()
-    with pytest.raises(InputError, match='--fps'):
-        load_json_folder(tmp_path, Video())
-
-
 def test_images_whose_names_are_times_need_no_frame_rate(tmp_path: Path, walker: KeypointSequence) -> None:
     results = [
         {'image_id': f'{1305031102 + f / FPS:.6f}.png', 'keypoints': k}

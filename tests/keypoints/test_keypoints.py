@@ -46,6 +46,9 @@ def test_missing_joints_are_derived_in_order_of_precision() -> None:
     points[at['leye']] = points[at['reye']] = (0, 82)
     mapped, mapped_score = build_joint_map(joints).apply(points, score)
     assert mapped[CMU15.index('head')] == pytest.approx([0, 100 + 1.2 * (82 - 100)])
+    score[[at['leye'], at['reye'], at['rear']]] = 0
+    mapped, mapped_score = build_joint_map(joints).apply(points, score)
+    assert mapped[CMU15.index('head')] == pytest.approx([0, 100 + 1.3 * (80 - 100)])
     score[at['lshoulder']] = 0
     mapped, mapped_score = build_joint_map(joints).apply(points, score)
     assert np.isnan(mapped[CMU15.index('neck')]).all()

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.bags.reader import is_bag
 from mocap_ros.cli.main import main
-from mocap_ros.config import Config, KeyframesConfig, TrackerConfig, with_settings
+from mocap_ros.config import Config, TrackerConfig, with_settings
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import save_sequence
@@ -36,7 +36,6 @@ from mocap_ros.offline.keyframes.keyframe_method import observe_shots, reconstru
 from mocap_ros.offline.keyframes.keyframe_set import (
     estimate_frame_interval,
     find_interpolatable,
-    find_keyframe_set,
     select_keyframes,
 )
 from mocap_ros.offline.keyframes.motion import FitResult, fit_motion
@@ -111,19 +110,6 @@ def test_incremental_selection_equals_direct_selection(data: st.DataObject) -> N
     gap = data.draw(st.sampled_from([0.0, 0.1, 0.3]))
     found = select_keyframes(represents, times, alpha, gap)
     assert found.tolist() == select_directly(represents, times, alpha, gap)
-
-
-def test_sections_need_hardly_more_keyframes_than_one_matrix() -> None:
-    poses, times = make_swinging_body(600)
-    half = split_into_halves()[1]
-    half_poses = replace(make_half_poses(poses[:, list(half.joints), :2] / 0.5), times=times)
-    one_matrix, in_sections = (
-        find_keyframe_set(half_poses, half, 600, KeyframesConfig(beta=0.03, max_matrix_frames=frames))
-        for frames in (600, 150)
-    )
-    assert min(one_matrix.coverage, in_sections.coverage) >= 0.95
-    assert 8 < len(in_sections.frames) <= 1.1 * len(one_matrix.frames)  # measured: 11 and 12
-    assert (in_sections.distance[in_sections.frames] == 0).all()
 
 
 def test_the_fit_descends_and_keeps_limbs() -> None:

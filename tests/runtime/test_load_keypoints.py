@@ -58,16 +58,6 @@ def write_bag(folder: Path, images: Iterable[Image], infos: Mapping[str, bytes] 
     return folder
 
 
-def test_a_bag_gives_the_keypoints_and_their_stamps(tmp_path: Path) -> None:
-    sequence, (chosen,) = load_input(write_bag(tmp_path / 'bag', make_images()), InputOptions(Video(), LIMITS))
-    assert sequence.stamps_ns == [stamp for stamp, *_ in make_images()]
-    assert (sequence.person_id, sequence.frame_id, sequence.image_size) == ('anna', 'cam', (640, 480))
-    assert sequence.keypoints == pytest.approx(make_walker().keypoints, nan_ok=True, abs=1e-3)
-    assert "'anna', seen in 40 of 40 frames" in chosen
-    with pytest.raises(InputError, match="bag: no person 'bob'; there are anna"):
-        load_input(tmp_path / 'bag', InputOptions(Video(), LIMITS, person='bob'))
-
-
 def add_other_camera(images: list[Image]) -> list[Image]:
     """Add another camera with the same stamps: the images of the two would alternate in one sequence."""
     others = [(image[0], 'right', image[2], FRAMES - 1 - image[3]) for image in images]

@@ -23,11 +23,9 @@ from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.messages.markers import POINT_DTYPE, POINTS
 from mocap_ros.messages.skeletons import CAMERAS, SKELETONS, encode_skeletons
 from mocap_ros.people import Motion, MotionKind, Person3D
 from mocap_ros.runtime.load_results import holds_result, load_result
-from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS
 from mocap_ros.skeleton import BODY26, CMU15
 from tests.support.keypoint_files import FRAMES, make_walker
 from tests.support.motion_files import Z_UP_TO_Y_UP
@@ -176,20 +174,6 @@ def load_joints_in_world(folder: Path) -> np.ndarray:
     result = np.load(folder / 'r.npz')
     world = result['world_from_camera']
     return result['joints3d'] @ world[:3, :3].T + world[:3, 3]
-
-
-def test_bag_holds_the_joints(results: Path) -> None:
-    joints = np.load(results / 'r.npz')['joints3d']
-    with Bag(results / 'r.mcap') as bag:
-        assert bag.topics.keys() == {'/keypoints', *(f'/{topic}' for topic in (*OUTPUTS, *LATCHED_OUTPUTS))}
-        skeletons = [decode(m.raw, SKELETONS) for m in bag.messages(['/skeletons'])]
-        clouds = [decode(m.raw, POINTS) for m in bag.messages(['/points'])]
-    assert len(skeletons) == FRAMES
-    points = np.array([[(p.x, p.y, p.z) for p in m.people[0].joints] for m in skeletons])
-    assert points == pytest.approx(joints, abs=1e-5)
-    cloud = np.stack([np.frombuffer(m.data.tobytes(), POINT_DTYPE) for m in clouds])
-    assert np.stack([cloud[axis] for axis in 'xyz'], axis=-1) == pytest.approx(joints, abs=1e-5)
-    assert not list(results.glob('.*'))
 
 
 def test_bvh_has_constant_bones_and_the_same_joints(results: Path) -> None:

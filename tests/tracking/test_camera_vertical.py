@@ -91,8 +91,11 @@ def test_another_camera_or_a_restart_forgets_what_was_found_and_a_little_drift_d
         assert np.array_equal(feed(drifting, frame, frame + 1, near), expected)
     known = std_of(steady)
     assert std_of(drifting) == known
-    feed(drifting, FRAMES, FRAMES + 1, replace(CAMERA, focal=1.002 * CAMERA.focal))
-    assert std_of(drifting) > known
+    beside = CAMERA.center[0] + 0.002 * CAMERA.focal, CAMERA.center[1]
+    refocused, moved = replace(CAMERA, focal=1.002 * CAMERA.focal), replace(CAMERA, center=beside)
+    for tracker, other in ((steady, refocused), (drifting, moved)):
+        feed(tracker, FRAMES, FRAMES + 1, other)
+        assert std_of(tracker) > known
     drifting.reset()
     assert drifting.vertical is None
 
