@@ -3,9 +3,8 @@
 
 """Drive a humanoid by a person, live or from a result, by inverse kinematics: pip install mink daqp.
 
-`humanoid.py ROBOT.xml` turns `skeletons`, in a frame with z up, into sensor_msgs/JointState on `joint_states`
-and a pose on `pelvis_pose`. With RESULT.npz MOTION.csv it writes Unitree's CSV: x y z in m, qx qy qz qw, angles in
-rad. ROBOT.xml is an MJCF with a free pelvis, whose zero pose has hanging upper arms and elbows at 90 degrees.
+ROBOT.xml, an MJCF whose zero pose has hanging upper arms and elbows at 90 degrees, follows `skeletons` (z up) on
+`joint_states` and `pelvis_pose`, or RESULT.npz in Unitree's MOTION.csv: x y z in m, qx qy qz qw, angles in rad.
 """
 
 import signal
@@ -18,9 +17,8 @@ import numpy as np
 ARMS = ['lshoulder', 'lelbow', 'lwrist', 'rshoulder', 'relbow', 'rwrist']  # skeleton_definition's first joints
 JOINTS = ['head', 'neck', *ARMS, 'pelvis', 'lhip', 'lknee', 'lankle', 'rhip', 'rknee', 'rankle']
 LINKS = [('pelvis', 'pelvis', 2.0), ('neck', 'torso_link', 1.0)]  # segment, by its first joint; link; weight
-LINK_OF = {'hip': 'hip_yaw', 'shoulder': 'shoulder_yaw', 'knee': 'knee', 'elbow': 'elbow', 'ankle': 'ankle_roll'}
-for side in ('left', 'right'):
-    LINKS += [(side[0] + j, f'{side}_{link}_link', 0.5 if j == 'ankle' else 1.0) for j, link in LINK_OF.items()]
+PARTS = {'hip': 'hip_yaw', 'shoulder': 'shoulder_yaw', 'knee': 'knee', 'elbow': 'elbow', 'ankle': 'ankle_roll'}
+LINKS += [(s[0] + j, f'{s}_{k}_link', 1 - (j == 'ankle') / 2) for s in ('left', 'right') for j, k in PARTS.items()]
 BENT = mink.SO3(np.array([2**-0.5, 0, 2**-0.5, 0]))  # from the axes of a hanging forearm to those at 90 degrees
 
 
@@ -28,27 +26,29 @@ class Humanoid:
     """The robot in the pose of a person."""
 
     def __init__(self, path):
-        self.robot, self.targets = mink.Configuration(mujoco.MjModel.from_xml_path(path)), []
+        self.robot, self.targets = mink.Configuration(mujoco.MjModel.from_xml_path(path)), {}
         self.joint_names = [self.robot.model.joint(j).name for j in range(1, self.robot.model.njnt)]
         at = {s: self.robot.get_transform_frame_to_world(link, 'body').translation() for s, link, _ in LINKS}
         self.leg = np.linalg.norm(at['lknee'] - at['lhip']) + np.linalg.norm(at['lankle'] - at['lknee'])
         self.hips = (at['lhip'] + at['rhip']) / 2 - at['pelvis']
         for segment, link, weight in LINKS:
             rest = self.robot.get_transform_frame_to_world(link, 'body').rotation()
-            task = mink.FrameTask(link, 'body', 5.0 * (link == 'pelvis'), weight, lm_damping=0.01)
-            self.targets.append((JOINTS.index(segment), BENT @ rest if 'elbow' in segment else rest, task))
+            task = mink.FrameTask(link, 'body', 5.0 * (link == 'pelvis'), weight, lm_damping=0.1)
+            self.targets[task] = JOINTS.index(segment), BENT @ rest if 'elbow' in segment else rest
 
     def follow(self, joints, turns, world):
         """Return a row of the CSV for joints (J, 3), orientations (J, 4) and a transform to a frame with z up."""
         lhip, *_, rhip = leg = [world.apply(joints[i]) for i in (9, 10, 11, 12)]
         hips = self.leg / np.linalg.norm(np.diff(leg[:3], axis=0), axis=1).sum() * (lhip + rhip) / 2
-        for index, rest, task in self.targets:
+        for task, (index, rest) in self.targets.items():
             turn = world.rotation() @ mink.SO3(np.roll(turns[index], 1)) @ rest
             task.set_target(mink.SE3.from_rotation_and_translation(turn, hips - turn.apply(self.hips)))
         for _ in range(3):  # steps from the pose of the frame before
-            step = mink.solve_ik(self.robot, [task for *_, task in self.targets], 1.0, 'daqp', damping=1e-3)
-            self.robot.integrate_inplace(step, 1.0)
-        return np.concatenate([self.robot.q[[0, 1, 2, 4, 5, 6, 3]], self.robot.q[7:]])
+            self.robot.integrate_inplace(mink.solve_ik(self.robot, self.targets, 1.0, 'daqp', damping=1e-3), 1.0)
+        q = self.robot.q
+        if max(np.linalg.norm(task.compute_error(self.robot)[3:]) for task in self.targets) > 0.6:  # rad
+            self.robot.update(np.r_[q[:7], 0 * q[7:]])  # begins at rest again, for its limits may have caught it
+        return np.r_[q[[0, 1, 2, 4, 5, 6, 3]], q[7:]]
 
 
 def convert(robot, result, fps=30.0, gap_s=0.5):
@@ -86,8 +86,8 @@ def run(robot):
     rclpy.init()
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     node = rclpy.create_node('humanoid')
-    topics = (JointState, 'joint_states'), (PoseStamped, 'pelvis_pose')
-    states, poses = (node.create_publisher(*topic, 10) for topic in topics)
+    states = node.create_publisher(JointState, 'joint_states', 10)
+    poses = node.create_publisher(PoseStamped, 'pelvis_pose', 10)
     node.create_subscription(Skeleton3DArray, 'skeletons', take, 1)
     rclpy.spin(node)
 

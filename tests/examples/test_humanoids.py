@@ -63,6 +63,18 @@ def test_a_robot_takes_the_pose_of_a_person(turns: dict[str, Any], angles: dict[
     assert row[:7] == pytest.approx([0, 0, 0.9 * 0.72 / 0.82, 0, 0, 0, 1], abs=0.02)
 
 
+def test_an_arm_that_is_caught_at_its_limits_finds_back() -> None:
+    mink = pytest.importorskip('mink')
+    robot = load_module(ROOT / 'examples' / 'humanoid.py').Humanoid(str(ROBOT))
+    caught = dict.fromkeys(robot.joint_names, 0.0)
+    caught |= {'left_shoulder_pitch_joint': 153.0, 'left_shoulder_roll_joint': -91.0}
+    caught |= {'left_shoulder_yaw_joint': 114.0, 'left_elbow_joint': 107.0}
+    robot.robot.update(np.r_[robot.robot.q[:7], np.radians([*caught.values()])])
+    for _ in range(5):
+        row = robot.follow(*stand(**BENT), mink.SE3.identity())
+    assert np.degrees(row[7:]) == pytest.approx(0.0, abs=1.5)
+
+
 def test_a_message_for_sonic_has_the_fields_of_the_protocol() -> None:
     sonic = load_module(ROOT / 'examples' / 'sonic.py')
     forward = turn('z', 30)
