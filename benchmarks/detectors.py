@@ -13,7 +13,8 @@ were not trained on the tested people. Sections of `--only`:
     recordings  the recorded detections of `data/detections`, 12 joints of the limbs
     extremities where heads and feet point, and how far off toes, hands and faces are
     labs        people of two other labs whom the lifter (`--set solver.prior=FILE`) was not trained on, by posture
-                and by where the wrists are; `lifter_heldout.npz` saw others of these labs
+                and by where the wrists are, and whether depths are as certain as live standard deviations say;
+                `lifter_heldout.npz` saw others of these labs
 
 `--persons training` tests other people, for tuning. `--against FILE` compares with the JSON of an earlier run,
 view by view.
@@ -41,6 +42,7 @@ from report import Records, Report, Section, cross, group, run
 
 from mocap_ros.models import model_file
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.joint_std import VARIANCE_ALONG
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 from mocap_ros.training.example_arrays import find_trunks
 
@@ -270,6 +272,22 @@ def measure_lab_view(options: ViewOptions, view: View, joints: Array) -> Records
     return records
 
 
+def measure_depths(options: ViewOptions, joints: Array, std: Array, truth: Array) -> Records:
+    """Return the shares of depths about the centre within one and two standard deviations, by joint and posture."""
+    found, truth = common.align_scale(joints, truth)
+    sight = joints / np.linalg.norm(joints, axis=-1, keepdims=True)
+    off = np.abs(((found - truth) * sight).sum(axis=-1)) / (np.sqrt(VARIANCE_ALONG) * std)
+    postures, kinds = describe_frames(options.trial, options.frames)[0], [n.lstrip('lr') for n in CMU15.joints]
+    records = []
+    for posture, kind in product(np.unique(postures), dict.fromkeys(kinds)):
+        own = off[postures == posture][:, np.array(kinds) == kind]
+        if (own := own[np.isfinite(own)]).size:
+            shares = [float((own < n).mean()) for n in (1, 2)]
+            about = {'part': 'depths', 'kind': kind, 'posture': str(posture)}
+            records.append({**about, 'count': own.size, 'errors': shares})
+    return records
+
+
 def report_labs(report: Report) -> dict[str, Any]:
     frames, count = (SHORT_FRAMES, 4) if report.quick else (MAX_FRAMES, 16)
     persons = {r['subject'] for n, r in load_motion()[2].items() if n.startswith(LABS)}
@@ -278,20 +296,28 @@ def report_labs(report: Report) -> dict[str, Any]:
     records = []
     for options in common.show_progress(list_views(list_lab_trials(seen, count), LAB_POINTS, frames, [0]), 'labs'):
         view = options.make_view()
-        for way in WAYS:
-            joints = common.reconstruct(way, view, model, parameters)
+        live = common.track(view, model, parameters)
+        for way, joints in zip(
+            WAYS, (common.reconstruct_whole(view, model, parameters), live.joints), strict=True
+        ):
             about = {**asdict(options), 'lab': options.trial[:2], 'way': way}
             records += [{**about, **r} for r in measure_lab_view(options, view, joints)]
+        core = live.joints[:, :CORE_COUNT], live.std[:, :CORE_COUNT], view.true_poses
+        records += [{**about, **r} for r in measure_depths(options, *core)]
 
-    def show(some: Records) -> str:
+    def show(some: Records, digits: int = 0) -> str:
         means = np.average([r['errors'] for r in some], axis=0, weights=[r['count'] for r in some])
-        return '{:.0f} / {:.0f}'.format(*means)
+        return ' / '.join(f'{m:.{digits}f}' for m in means)
 
     for part, unit in (('body', 'MPJPE / PA'), ('wrists', 'error / along the line of sight')):
         mine = [{**r, 'points': f'{r["detector"]}, {r["way"]}'} for r in records if r['part'] == part]
         mine += [{**r, 'kind': f'all of {r["lab"]}'} for r in mine]
         table = cross(mine, 'kind', 'points', show)
         report.table(*table, f'People of other labs, {part}: {unit}, mm', f'detectors.labs_{part}')
+    mine = [r for r in records if r['part'] == 'depths']
+    mine += [{**r, 'kind': 'all'} for r in mine] + [{**r, 'posture': 'all'} for r in mine]
+    table = cross(mine, 'kind', 'posture', partial(show, digits=2))
+    report.table(*table, 'Shares of depths within one and two live standard deviations (0.68 / 0.95)')
     return {'labs': records}
 
 

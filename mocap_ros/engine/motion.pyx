@@ -465,7 +465,8 @@ def estimate_joint_std(
 
     `posterior` (P, J) m; `weight` (P, J or more) scores, 0 for inferred joints; `lifter_std` (P, J or more, 3) m,
     NaN where not lifted; `noise` (P,) m; `seen_factor`, `inferred_factor`, `floor` h of seen and inferred joints,
-    and the floor in m; `lifter_seen_factor`, `lifter_inferred_factor`, `noise_factor` f, g and n.
+    and the floor in m; `lifter_seen_factor`, `lifter_inferred_factor`, `noise_factor` f / a^0.5, g
+    and n.
     """
     cdef Py_ssize_t p, j
     cdef double length
@@ -478,7 +479,7 @@ def estimate_joint_std(
                 length = posterior[p, j] * (seen_factor if weight[p, j] > 0 else inferred_factor)
                 out[p, j] = sqrt(square(length) + square(floor))
             elif weight[p, j] > 0:
-                out[p, j] = sqrt(square(lifter_seen_factor * length) + square(noise_factor * noise[p]))
+                out[p, j] = sqrt(square(lifter_seen_factor * lifter_std[p, j, 2]) + square(noise_factor * noise[p]))
             else:
                 out[p, j] = lifter_inferred_factor * length
     return result

@@ -61,6 +61,7 @@ class NewestFrames:
         roots: Array,
         bone_lengths: Array,
         residuals: Array,
+        lifted_std: Array | None,
         new_theta: Array,
         new_rotation: Array,
         joints: Array,
@@ -68,4 +69,5 @@ class NewestFrames:
         translation: Array,
         new_residuals: Array,
         stature_per_bone: Array,
+        hidden_share: float,
     ) -> tuple[Array, Array, Array, Array, Array, float, float]: ...

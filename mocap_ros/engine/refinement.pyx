@@ -195,8 +195,8 @@ cdef class NewestFrames:
 
     def finish(
         self, Py_ssize_t p, Py_ssize_t fixed_frames, double focal, Rows camera, Rows theta, Stack rotation, Rows roots,
-        Rows bone_lengths, Vector residuals, Rows new_theta, Stack new_rotation, Stack joints, Vector scale,
-        Rows translation, Vector new_residuals, Vector stature_per_bone,
+        Rows bone_lengths, Vector residuals, Stack lifted_std, Rows new_theta, Stack new_rotation, Stack joints,
+        Vector scale, Rows translation, Vector new_residuals, Vector stature_per_bone, double hidden_share,
     ):
         """Return the solution of all F frames of a person, and what follows from it.
 
@@ -210,6 +210,7 @@ cdef class NewestFrames:
             roots: likewise.
             bone_lengths: likewise.
             residuals: (F - 1,) px.
+            lifted_std: (F, J or more, 3) in the unit of rays, NaN where not lifted; None without a lifter.
             new_theta: (N, K) and with the next five, what the solver found.
             new_rotation: (N, 3, 3) in the virtual cameras.
             joints: (N, J, 3) m.
@@ -217,6 +218,7 @@ cdef class NewestFrames:
             translation: (N, 2) px.
             new_residuals: (N,) px.
             stature_per_bone: (B,).
+            hidden_share: `models.joint_std.HIDDEN_SHARE`.
 
         Returns:
             Weights (F, K) m, rotations (F, 3, 3), roots (F, 3) m, bone lengths (F, B) m and residuals (F,) px; then
@@ -225,7 +227,7 @@ cdef class NewestFrames:
         cdef Py_ssize_t frames = theta.shape[0] + 1, start = self.start[p], count = self.counts[p]
         cdef Py_ssize_t first = frames - count, kept = first + fixed_frames, n, t, i, k, seen = 0
         cdef Py_ssize_t K = theta.shape[1], B = bone_lengths.shape[1], J = joints.shape[1]
-        cdef double stature = 0, squares = 0, radius = 0
+        cdef double stature = 0, squares = 0, radius = 0, depth, hidden
         cdef double[3] towards
         arrays = np.empty((frames, K)), np.empty((frames, 3, 3)), np.empty((frames, 3)), np.empty((frames, B)), np.empty(
             frames
@@ -258,8 +260,13 @@ cdef class NewestFrames:
                     towards[i] = joints[t, self.children[k], i] - joints[t, self.parents[k], i]
                 out_lengths[n, k] = sqrt(dot(towards, towards))
         for n in range(frames):
+            depth = dot(&out_roots[n, 0], &camera[2, 0])
             for k in range(B):
-                stature += out_lengths[n, k] * stature_per_bone[k]
+                hidden = 0
+                if lifted_std is not None and stature_per_bone[k] > 0:
+                    hidden = depth * max(lifted_std[n, self.parents[k], 2], lifted_std[n, self.children[k], 2])
+                    hidden = hidden_share * hidden * hidden if isfinite(hidden) else 0
+                stature += sqrt(out_lengths[n, k] * out_lengths[n, k] + hidden) * stature_per_bone[k]
         t = start + count - 1
         for k in range(J):
             radius += (joints[t, k, 0] * joints[t, k, 0] + joints[t, k, 1] * joints[t, k, 1]) / J

@@ -51,10 +51,11 @@ from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.keypoints.extremities import join_body
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
+from mocap_ros.models.joint_std import expect_stature
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.model_file import load_prior_lifter
 from mocap_ros.models.upward_direction import Stances
-from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, Skeleton, estimate_stature
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, Skeleton
 from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.classification import choose_category
 from mocap_ros.solvers.contacts import find_contacts
@@ -227,7 +228,8 @@ def _reconstruct(
     camera = observed.virtual_camera
     root = camera.root_positions(solution.cameras, solution.translation)
     joints = camera.to_real_camera(solution.joints) + root[:, None]
-    joints *= body_height / estimate_stature(solution.joints, skeleton)
+    lengths, depth = skeleton.bone_lengths(solution.joints), camera.measure_depth(root)
+    joints *= body_height / expect_stature(lengths, skeleton, observed.lifted, depth)
     if vertical is None:
         vertical = choose_vertical(observed, joints, config.tracker)
     result = SequenceResult(joints, observed.weight > 0, skeleton, category, solution, camera, *vertical)

@@ -63,7 +63,7 @@ MAX_STEP_S = 0.2  # s; longest time that one frame stands for
 LEAST, LARGEST = map(math.log, SIZE_RANGE)  # range of ln r
 MIN_DROP_SHARE = 0.1  # of the camera's height; a foot that seems higher than this below the camera shows nothing
 FORGOTTEN_COMMA = re.compile(r'=\s*[\d.]+[\s;]')  # in what should be an id: a height is in it
-ROOT_FACTOR = 1.1  # 1; detectors put both hips off the same way; chosen by the errors of training persons' roots
+ROOT_FACTOR = 1.3  # 1; detectors put both hips off the same way; chosen by the errors of training persons' roots
 ANKLES = CMU15.index('lankle'), CMU15.index('rankle')
 
 

@@ -31,6 +31,7 @@ from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint
 from mocap_ros.engine import refinement as engine
 from mocap_ros.models.base_poses import BasePoses, arrange_model
+from mocap_ros.models.joint_std import HIDDEN_SHARE
 from mocap_ros.solvers.joint.batch import Batch, State
 from mocap_ros.solvers.joint.lifted_start import ALTERNATIONS
 from mocap_ros.solvers.joint.solver import WARM_DAMPING, continue_from
@@ -85,8 +86,9 @@ def refine(kept: Refinement, tracks: Sequence[Track], parts: Sequence[tuple[int,
         theta, rotation, roots, bone_lengths, residuals, stature, fit = newest.finish(
             *(p, fixed_frames, camera.intrinsics.focal, camera.rotation),
             *(old.theta, old.rotation, old.roots, old.bone_lengths, old.frame_residuals),
+            None if track.observed.lifted is None else track.observed.lifted.std,
             *found,
-            stature_per_bone,
+            *(stature_per_bone, HIDDEN_SHARE),
         )
         old_share = math.exp((first - count) / count) if fixed_frames else 0.0
         own_noise = math.sqrt(old_share * old.noise**2 + (1 - old_share) * noises[p] ** 2)

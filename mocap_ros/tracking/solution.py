@@ -28,6 +28,7 @@ from mocap_ros.geometry.interpolation import interpolate_linearly, interpolate_r
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.joint_std import expect_stature
 from mocap_ros.solvers.joint import JointReconstruction
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.solvers.window import InitialValues
@@ -94,7 +95,9 @@ class TrackSolution:
             states = [
                 np.concatenate([getattr(earlier, n)[:first], s]) for n, s in zip(_STATES, states, strict=True)
             ]
-        return _finish(states, reconstruction, reconstruction.noise, model_name, model, base_poses_lead)
+        stature = expect_stature(states[3], model.skeleton, observed.lifted, camera.measure_depth(states[2]))
+        stature_ratio = stature / model.stature
+        return _finish(states, reconstruction, model_name, model, stature_ratio, base_poses_lead)
 
     def drop_oldest(self, frames: int) -> TrackSolution | None:
         """Return the solution without so many of the oldest frames; None if no solved frame is left."""
@@ -158,9 +161,9 @@ class TrackSolution:
 def _finish(
     states: Sequence[Array],
     reconstruction: JointReconstruction,
-    noise: float,
     model_name: str,
     model: BasePoses,
+    stature_ratio: float,
     base_poses_lead: bool,
 ) -> TrackSolution:
     """Return the solution with these states, and with the fit of the reconstruction that ended them."""
@@ -171,7 +174,6 @@ def _finish(
     errors = [error for error in reconstruction.residual.tolist() if not math.isnan(error)]
     rms_error = math.sqrt(sum(error * error for error in errors) / len(errors)) if errors else math.nan
     theta, rotation, roots, bone_lengths, frame_residuals = states
-    stature = float(np.add.reduce(bone_lengths) @ model.skeleton.stature_per_bone) / len(bone_lengths)
     return TrackSolution(
         *(
             model_name,
@@ -181,8 +183,8 @@ def _finish(
             roots,
             bone_lengths,
             frame_residuals,
-            noise,
-            stature / model.stature,
+            reconstruction.noise,
+            stature_ratio,
         ),
         *(joint_std, rms_error / body_radius_px, base_poses_lead),
     )

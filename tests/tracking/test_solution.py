@@ -13,7 +13,9 @@ from scipy.spatial.transform import Rotation
 from mocap_ros.engine.refinement import NewestFrames
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.joint_std import HIDDEN_SHARE, expect_stature
 from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.joint import JointReconstruction
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.solvers.window import Array, SolverStatus
@@ -219,22 +221,31 @@ def test_a_solver_gets_the_solution_in_the_virtual_camera(
 
 
 def test_a_refinement_replaces_the_newest_states_and_no_others(
-    truth: TrackSolution, model: BasePoses, track: Track
+    truth: TrackSolution, model: BasePoses, track: Track, rng: np.random.Generator
 ) -> None:
-    """What the solver found is the truth, in the image of the virtual camera; before, all was wrong."""
+    """What the solver found is the truth, in the image of the virtual camera; before, all was wrong.
+
+    Bones may have more depth than those of the pose, by as much as NumPy says too.
+    """
     newest, to_virtual, old = collect(track), track.observed.virtual_camera.rotation, track.solved
     rotation, roots = to_virtual @ truth.rotation[FIRST:], truth.roots[FIRST:] @ to_virtual.T
     joints, scale = model.poses(truth.theta[FIRST:]) @ np.swapaxes(rotation, 1, 2), CAMERA.focal / roots[:, 2]
     wrong = old.theta + 1, old.rotation[::-1].copy(), old.roots + 2, old.bone_lengths + 3, old.frame_residuals
     translation = CAMERA.focal * roots[:, :2] / roots[:, 2:]
     body_px = np.sqrt((joints[-1, :, :2] ** 2).sum(axis=1).mean()) * scale[-1]
-    for residual, rms in (([np.nan, 3.0, np.nan, 4.0], np.sqrt(12.5)), ([np.nan] * 4, np.nan)):
+    lifted = LiftedPoses(np.zeros((FRAMES, 15, 3)), rng.uniform(0, 0.1, (FRAMES, 15, 3)))
+    lifted.std[1] = np.nan
+    for residual, rms, seen in (([np.nan, 3.0, np.nan, 4.0], 12.5**0.5, lifted), ([np.nan] * 4, np.nan, None)):
         found = truth.theta[FIRST:], rotation, joints, scale, translation, np.array(residual)
         camera, per_bone = (CAMERA.focal, to_virtual), model.skeleton.stature_per_bone
-        *states, stature, fit = newest.finish(0, FIXED, *camera, *wrong, *found, per_bone)
+        std = None if seen is None else seen.std
+        *states, stature, fit = newest.finish(0, FIXED, *camera, *wrong, std, *found, per_bone, HIDDEN_SHARE)
         for name, value, before in zip(STATES[:4], states, wrong, strict=False):
             assert value[FIRST + 1 :] == pytest.approx(getattr(truth, name)[FIRST + 1 :], abs=1e-9), name
             np.testing.assert_array_equal(value[: FIRST + 1], before[: FIRST + 1])
         np.testing.assert_array_equal(states[4], [2.0] * FIRST + residual)
-        assert stature == pytest.approx((states[3] @ per_bone).mean(), rel=1e-12)
+        mean = (states[3] @ per_bone).mean()
+        expected = expect_stature(states[3], CMU15, seen, states[2] @ to_virtual[2])
+        assert stature == pytest.approx(expected, rel=1e-12)
+        assert stature > 1.001 * mean if seen else stature == pytest.approx(mean, rel=1e-12)
         assert fit == pytest.approx(rms / body_px, nan_ok=True)
