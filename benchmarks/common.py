@@ -118,12 +118,7 @@ def list_trials() -> list[Trial]:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A test sequence that the protocol made.
-
-    Attributes:
-        sequence: arrays of a sequence file.
-        heading: degrees, direction from which the camera looks at the person; 0 is the front.
-    """
+    """A test sequence that the protocol made: arrays of a sequence file, seen from a heading in degrees, 0 the front."""
 
     sequence: dict[str, Array]
     heading: float = 0.0

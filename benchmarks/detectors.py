@@ -254,8 +254,11 @@ def describe_frames(trial: str, frames: int) -> tuple[NDArray[np.str_], NDArray[
     return np.select([height > h for h in POSTURES.values()], [*POSTURES], ''), np.select(at, PLACES, '')
 
 
-def measure_lab_view(options: ViewOptions, view: View, joints: Array) -> Records:
-    """Return the errors in mm of the frames of each posture, and those of the wrists at each place."""
+def measure_lab_view(options: ViewOptions, view: View, joints: Array, std: Array | None) -> Records:
+    """Return the errors in mm of the frames of each posture, and those of the wrists at each place.
+
+    With standard deviations (F, J) m the shares of depths about the centre within one and two of them, likewise.
+    """
     found, truth = common.align_scale(joints[:, :CORE_COUNT], view.true_poses)
     known, error = np.isfinite(found).all(axis=(1, 2)), np.abs(found - truth) * 1e3
     postures, places = describe_frames(options.trial, options.frames)
@@ -269,22 +272,15 @@ def measure_lab_view(options: ViewOptions, view: View, joints: Array) -> Records
             own = (kind == labels.T) & known
             means = [float(e.T[own].mean()) for e in errors] if own.any() else [0.0, 0.0]
             records.append({'part': part, 'kind': str(kind), 'count': int(own.sum()), 'errors': means})
-    return records
-
-
-def measure_depths(options: ViewOptions, joints: Array, std: Array, truth: Array) -> Records:
-    """Return the shares of depths about the centre within one and two standard deviations, by joint and posture."""
-    found, truth = common.align_scale(joints, truth)
-    sight = joints / np.linalg.norm(joints, axis=-1, keepdims=True)
-    off = np.abs(((found - truth) * sight).sum(axis=-1)) / (np.sqrt(VARIANCE_ALONG) * std)
-    postures, kinds = describe_frames(options.trial, options.frames)[0], [n.lstrip('lr') for n in CMU15.joints]
-    records = []
-    for posture, kind in product(np.unique(postures), dict.fromkeys(kinds)):
-        own = off[postures == posture][:, np.array(kinds) == kind]
-        if (own := own[np.isfinite(own)]).size:
-            shares = [float((own < n).mean()) for n in (1, 2)]
-            about = {'part': 'depths', 'kind': kind, 'posture': str(posture)}
-            records.append({**about, 'count': own.size, 'errors': shares})
+    if std is None:
+        return records
+    sight = joints[:, :CORE_COUNT] / np.linalg.norm(joints[:, :CORE_COUNT], axis=-1, keepdims=True)
+    off = np.abs(((found - truth) * sight).sum(axis=-1)) / (np.sqrt(VARIANCE_ALONG) * std[:, :CORE_COUNT])
+    kinds = np.array([n.lstrip('lr') for n in CMU15.joints])
+    for posture, kind in product(np.unique(postures[known]), dict.fromkeys(kinds)):
+        own = off[known & (postures == posture)][:, kinds == kind]
+        about = {'part': 'depths', 'kind': str(kind), 'posture': str(posture)}
+        records.append({**about, 'count': own.size, 'errors': [float((own < n).mean()) for n in (1, 2)]})
     return records
 
 
@@ -296,14 +292,10 @@ def report_labs(report: Report) -> dict[str, Any]:
     records = []
     for options in common.show_progress(list_views(list_lab_trials(seen, count), LAB_POINTS, frames, [0]), 'labs'):
         view = options.make_view()
-        live = common.track(view, model, parameters)
-        for way, joints in zip(
-            WAYS, (common.reconstruct_whole(view, model, parameters), live.joints), strict=True
-        ):
+        live, whole = common.track(view, model, parameters), common.reconstruct_whole(view, model, parameters)
+        for way, joints, std in zip(WAYS, (whole, live.joints), (None, live.std), strict=True):
             about = {**asdict(options), 'lab': options.trial[:2], 'way': way}
-            records += [{**about, **r} for r in measure_lab_view(options, view, joints)]
-        core = live.joints[:, :CORE_COUNT], live.std[:, :CORE_COUNT], view.true_poses
-        records += [{**about, **r} for r in measure_depths(options, *core)]
+            records += [{**about, **r} for r in measure_lab_view(options, view, joints, std)]
 
     def show(some: Records, digits: int = 0) -> str:
         means = np.average([r['errors'] for r in some], axis=0, weights=[r['count'] for r in some])
@@ -315,7 +307,8 @@ def report_labs(report: Report) -> dict[str, Any]:
         table = cross(mine, 'kind', 'points', show)
         report.table(*table, f'People of other labs, {part}: {unit}, mm', f'detectors.labs_{part}')
     mine = [r for r in records if r['part'] == 'depths']
-    mine += [{**r, 'kind': 'all'} for r in mine] + [{**r, 'posture': 'all'} for r in mine]
+    for key in ('kind', 'posture'):
+        mine += [{**r, key: 'all'} for r in mine]
     table = cross(mine, 'kind', 'posture', partial(show, digits=2))
     report.table(*table, 'Shares of depths within one and two live standard deviations (0.68 / 0.95)')
     return {'labs': records}

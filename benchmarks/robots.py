@@ -136,13 +136,7 @@ def measure_inside(scene: RobotScene, frame: int, person: Person3D) -> tuple[flo
 
 
 def sample_body(joints: Array, stature: float, rng: np.random.Generator) -> Array:
-    """Return points (N, 3) m in the volume of a body.
-
-    Args:
-        joints: (26, 3) m, true joints in the order of `BODY26`.
-        stature: m, true stature.
-        rng: draws the points.
-    """
+    """Return points (N, 3) m in the volume of a body of the true joints (26, 3) m and stature in m."""
     size, at = stature / STATURE_M, dict(zip(BODY26.joints, joints, strict=True))
     left = at['lhip'] - at['rhip'] + at['lshoulder'] - at['rshoulder']
     cones, volumes = [], []

@@ -5,9 +5,9 @@
 
 One camera sees the same image of a large person far away and of a small one near by. The true body is r times as
 large as the assumed one and r times as far away; at first ln r has the variance s_0^2 = s_height^2 + s_pose^2 of
-body heights and of the reconstruction. Where the floor is known, by the direction upwards u and the height c of
-the camera, the lower ankle, found at a, is f b over it, with b the assumed body height and f the share of an
-ankle:
+body heights and of the reconstruction, s_pose = H h with the share h of the body that is hidden in depth. Where
+the floor is known, by the direction upwards u and the height c of the camera, the lower ankle, found at a, is f b
+over it, with b the assumed body height and f the share of an ankle:
 
     c + r u.a = r f b,    x = ln r = ln c - ln(f b - u.a)
     s_x^2 = s_noise^2 + s_floor^2,    s_noise = F / c,    s_floor^2 = (G / c)^2 + (T d / c)^2
@@ -63,6 +63,8 @@ MAX_STEP_S = 0.2  # s; longest time that one frame stands for
 LEAST, LARGEST = map(math.log, SIZE_RANGE)  # range of ln r
 MIN_DROP_SHARE = 0.1  # of the camera's height; a foot that seems higher than this below the camera shows nothing
 FORGOTTEN_COMMA = re.compile(r'=\s*[\d.]+[\s;]')  # in what should be an id: a height is in it
+# 1; H, so that as many distances of training persons of known height are within as should be, by posture alike
+HIDDEN_FACTOR = 2.3
 ROOT_FACTOR = 1.3  # 1; detectors put both hips off the same way; chosen by the errors of training persons' roots
 ANKLES = CMU15.index('lankle'), CMU15.index('rankle')
 
@@ -151,12 +153,17 @@ def read_body_heights(text: str) -> Mapping[str, float]:
     return heights
 
 
-def assume_size(config: TrackerConfig, person_id: str = '', *, is_focal_known: bool) -> BodySize:
-    """Return what is known of a person's size before anything is seen: s_0 of the module, and the ratio of x_0."""
+def assume_size(
+    config: TrackerConfig, person_id: str = '', is_focal_known: bool = True, hidden_share: float = 0.0
+) -> BodySize:
+    """Return what is known of a person's size before anything is seen: s_0 of the module, and the ratio of x_0.
+
+    `hidden_share` is that of `TrackSolution`, 0 without a lifter.
+    """
     height, std = read_body_heights(config.body_heights).get(person_id), KNOWN_HEIGHT_STD_M
     if height is None:
         height, std = config.body_height, config.body_height_std
-    share = math.hypot(std / height, POSE_SHARE)
+    share = math.hypot(std / height, HIDDEN_FACTOR * hidden_share or POSE_SHARE)
     return BodySize(height / config.body_height, share, 0.0 if is_focal_known else FOCAL_SHARE)
 
 

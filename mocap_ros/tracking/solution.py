@@ -99,6 +99,12 @@ class TrackSolution:
         stature_ratio = stature / model.stature
         return _finish(states, reconstruction, model_name, model, stature_ratio, base_poses_lead)
 
+    @property
+    def hidden_share(self) -> float:
+        """Share of the stature that `models.joint_std` expects in depth that the poses do not have."""
+        seen = float(np.add.reduce(self.bone_lengths) @ self.model.skeleton.stature_per_bone)
+        return max(self.stature_ratio * self.model.stature * len(self.bone_lengths) / seen - 1, 0.0)
+
     def drop_oldest(self, frames: int) -> TrackSolution | None:
         """Return the solution without so many of the oldest frames; None if no solved frame is left."""
         if frames >= len(self.theta):

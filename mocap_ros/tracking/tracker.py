@@ -508,7 +508,8 @@ class Tracker:
         settings, person_id = self.config.tracker, track.id
         if track.given_id in read_body_heights(settings.body_heights):
             person_id = track.given_id
-        assumed = assume_size(settings, person_id, is_focal_known=track.intrinsics.is_focal_known)
+        known = track.intrinsics.is_focal_known, track.solved.hidden_share
+        assumed = assume_size(settings, person_id, *known)
         return assumed if track.floor_contact is None else track.floor_contact.find_size(assumed)
 
     def _predict_missing(self, stamp_ns: int) -> list[Person3D]:

@@ -39,7 +39,7 @@ from tests.support.swinging_body import STANDING
 from tests.support.synthetic_walk import make_walk
 
 HEIGHT_M = 1.7
-ASSUMED = assume_size(Config().tracker, is_focal_known=True)
+ASSUMED = assume_size(Config().tracker)
 STEP_NS = 33_333_333
 CAMERA_HEIGHT_M = 1.5
 LEVEL = Floor(np.array([0.0, -1.0, 0.0]), CAMERA_HEIGHT_M)
@@ -101,6 +101,7 @@ def test_the_longer_and_the_nearer_the_more_certain() -> None:
     assert shares == sorted(shares, reverse=True)
     assert shares[-1] > 0.02, 'the tilt of the camera stays unknown'
     assert min(find_share(300, distance=10.0), find_share(300, camera_height=0.5)) > shares[2]
+    assert assume_size(Config().tracker, '', True, 0.01).share < ASSUMED.share, 'little of the body is hidden'
 
 
 @pytest.mark.parametrize(
