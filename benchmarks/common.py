@@ -118,7 +118,7 @@ def list_trials() -> list[Trial]:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A test sequence that the protocol made: arrays of a sequence file, seen from a heading in degrees, 0 the front."""
+    """A test sequence that the protocol made: a sequence file's arrays; heading in degrees, 0 is the front."""
 
     sequence: dict[str, Array]
     heading: float = 0.0

@@ -9,9 +9,10 @@
     covariance about the body's origin:  C_j = std_j^2 (I / 6 + u u^T / 2)       u: direction of the line of sight
 
 The factors were chosen so that two thirds of the true errors along the line of sight are within their standard
-deviation and 95 % within two, for each joint and posture alike: with a lifter on trials of training persons seen by
-models of detectors, with a lifter that knows their laboratory and one that does not; h_j on CMU trials of subject
-35 (walk), UJ, UB and 05, left out of training. In 160 trials, 0.71 of the squared errors lie along that line.
+deviation and 95 % within two, in all joints and postures as evenly as may be: with a lifter on training persons seen
+by models of detectors, and wide enough there that it holds for a laboratory that the lifter does not know; h_j on
+CMU trials of subject 35 (walk), UJ, UB and 05, left out of training. In 160 trials, 0.71 of the squared errors lie
+along that line.
 
 A pose is the mean of those that the image allows, so its bones have too little depth, and a person who is enlarged
 until they have their true lengths is too large and too far away. A bone of the length l is expected to be
