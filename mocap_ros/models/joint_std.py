@@ -9,8 +9,8 @@
     covariance about the body's origin:  C_j = std_j^2 (I / 6 + u u^T / 2)       u: direction of the line of sight
 
 The factors were chosen so that two thirds of the true errors along the line of sight are within their standard
-deviation and 95 % within two, in all joints and postures as evenly as may be: with a lifter on training persons seen
-by models of detectors, and wide enough there that it holds for a laboratory that the lifter does not know; h_j on
+deviation and 95 % within two, in all joints and postures as evenly as can be: with a lifter on training persons
+seen by models of detectors, and wide enough there that it holds for a laboratory that the lifter does not know; h_j on
 CMU trials of subject 35 (walk), UJ, UB and 05, left out of training. In 160 trials, 0.71 of the squared errors lie
 along that line.
 
