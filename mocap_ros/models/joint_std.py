@@ -10,7 +10,7 @@
 
 The factors were chosen so that two thirds of the true errors along the line of sight are within their standard
 deviation and 95 % within two, in all joints and postures as evenly as can be: with a lifter on training persons
-seen by models of detectors, and wide enough there that it holds for a laboratory that the lifter does not know; h_j on
+seen by models of detectors, wide enough to hold for a laboratory that the lifter does not know; h_j on
 CMU trials of subject 35 (walk), UJ, UB and 05, left out of training. In 160 trials, 0.71 of the squared errors lie
 along that line.
 
