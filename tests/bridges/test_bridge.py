@@ -164,6 +164,8 @@ def test_a_hand_and_a_foot_have_capsules_where_they_are_known() -> None:
     assert len(names['body26']) == MAX_PARTS
     *_, radius = compute_capsules(STANDING, np.full(15, np.nan), CMU15)  # as thick as the body
     assert radius == pytest.approx([p.half_thickness_m for p in list_body_parts(CMU15)])
+    *_, wider = compute_capsules(STANDING, np.where(np.array(CMU15.joints) == 'lwrist', 0.3, 0.0), CMU15)
+    assert [p.end for p, r in zip(list_body_parts(CMU15), wider - radius, strict=True) if r > 0.01] == ['lwrist']
 
 
 def test_collision_objects_hold_the_capsules_and_leave_the_scene_with_the_person() -> None:

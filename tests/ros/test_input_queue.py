@@ -66,6 +66,16 @@ def test_images_of_single_bodies_are_skipped_as_a_whole() -> None:
     assert take_images(queue, limit=3) == {2: 12}, 'what comes later is not skipped'
 
 
+def test_from_as_many_images_as_the_limit_on_the_newest_alone_is_not_skipped() -> None:
+    queue = InputQueue()
+    put(queue, '/keypoints', 2)
+    assert [skipped for *_, skipped in take_all(queue, limit=3)] == [False, False]
+    put(queue, '/camera_info')
+    put(queue, '/keypoints', 3)
+    skipped = [(topic, skipped) for topic, _, skipped in take_all(queue, limit=3)]
+    assert skipped == [('/camera_info', False), *(('/keypoints', s) for s in (True, True, False))]
+
+
 @given(st.lists(st.tuples(st.sampled_from([*SOURCES, 'pop']), st.integers(0, 60))), st.integers(1, 5))
 def test_every_message_is_taken_in_order_or_counted_as_removed(steps: list[tuple[str, int]], most: int) -> None:
     with pytest.MonkeyPatch.context() as patch:

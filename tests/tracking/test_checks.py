@@ -356,22 +356,11 @@ def test_periodic_motion_ends_when_the_newest_poses_do_not_repeat_the_last_cycle
     assert found.periodic_model_name == ('' if stops else 'walk')
 
 
-PERIODIC = Classification(Motion(MotionKind.PERIODIC, 'walk', 0.01, 0.9), 'walk')
-OTHER = Classification(Motion(MotionKind.NON_PERIODIC, 'jump', 0.01, np.nan), '')
-
-
 def check(schedule: CheckSchedule, stamp_s: float, age_s: float, noise: float = 0.01) -> float:
     """Check a track among three models, at most half a second apart; return the time in s to the next check."""
     schedule.begin_check(round(stamp_s * S), age_s, 0.5)
     schedule.finish_check(noise, turns=3)
     return schedule.next_check_ns / S - stamp_s
-
-
-def classify(*found: tuple[float, Classification | None]) -> CheckSchedule:
-    schedule = CheckSchedule()
-    for stamp_s, classification in found:
-        schedule.finish_classification(round(stamp_s * S), classification)
-    return schedule
 
 
 def test_checks_become_rarer_with_age() -> None:
@@ -399,15 +388,3 @@ def test_a_rise_of_the_noise_starts_a_round_from_scratch() -> None:
     assert schedule.baseline_noise == 0.02, 'a new round of all models has ended'
     assert not schedule.is_from_scratch(age_s=60.0)
     assert check(schedule, 20, age_s=60.0) == 0.5
-
-
-def test_who_has_walked_is_classified_often_until_the_walk_goes_on() -> None:
-    walking, stopped = classify((4, PERIODIC)), ((4, PERIODIC), (5, OTHER))
-    assert walking.next_classification_ns == 5 * S, 'periodic motions less often than others'
-    assert classify((4, OTHER)).next_classification_ns == 4.5 * S
-    schedule, resumed, long_ago = (classify(*stopped, *more) for more in ((), ((6, PERIODIC),), ((20, OTHER),)))
-    assert (schedule.next_classification_ns, schedule.may_resume) == (5.25 * S, True)
-    assert (resumed.next_classification_ns, resumed.may_resume, resumed.is_periodic) == (7 * S, False, True)
-    assert (long_ago.next_classification_ns, long_ago.may_resume) == (20.5 * S, False)
-    impossible = classify(*stopped, (6, None))
-    assert (impossible.may_resume, impossible.classification) == (True, OTHER)

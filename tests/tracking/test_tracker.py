@@ -190,18 +190,6 @@ def test_a_person_near_the_camera_and_off_its_axis_is_located(walk_model: BasePo
     assert reprojection_error.max() < 1.1 * 2.9  # px, measured
 
 
-def test_people_stay_where_they_are_when_the_images_become_larger(walk_model: BasePoses, walk: Walk) -> None:
-    cameras = [Intrinsics.from_image_size(640 * n, 480 * n, 1.0) for n in (1, 2)]
-    same, changing = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
-    for frame in range(len(walk[2])):
-        scale = 1 + (frame >= 25)
-        (expected,) = same.update(frame * STEP_NS, people(walk[2], frame), cameras[0])
-        (person,) = changing.update(frame * STEP_NS, people(scale * walk[2], frame), cameras[scale - 1])
-        assert (person.id, person.predicted) == (expected.id, expected.predicted)
-        assert np.linalg.norm(person.core - expected.core, axis=-1).max() < 0.1, frame  # m
-        assert person.scale == pytest.approx(scale * expected.scale, rel=0.03)
-
-
 def test_hidden_joints_are_inferred_and_flagged(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
