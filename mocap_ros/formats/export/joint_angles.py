@@ -171,11 +171,12 @@ def _measure_limb(upper: Array, lower: Array, sign: float, bend: float, fps: flo
     plane: ComplexArray = bend * (turned[:, 0] - 1j * turned[:, 2])
     weight = np.abs(plane)
     backwards = BACKWARDS_COST * plane.real / np.maximum(weight, TINY)
-    wrong = backwards + OVERSTRETCHED_COST * np.maximum(weight - WEAK_SINE, 0.0) ** 2
+    bent = np.where(turned[:, 1] > 0, 1.0, weight)  # the sine, and 1 beyond 90 degrees
+    wrong = backwards + OVERSTRETCHED_COST * np.maximum(bent - WEAK_SINE, 0.0) ** 2
     rotation = _unwrap_phase(_smooth(_follow_sign(plane, np.stack([-backwards, wrong], axis=1)) * plane, fps))
     in_plane = (plane * np.exp(-1j * rotation)).real
     knee = np.unwrap(np.arctan2(in_plane, -turned[:, 1]))
-    return _drop_turns(flexion, -np.pi / 2), adduction, _drop_turns(rotation, -np.pi), knee
+    return _drop_turns(flexion, -np.pi / 2), adduction, _drop_turns(rotation, -np.pi), _drop_turns(knee, -np.pi)
 
 
 def _split_direction(down: Array, fps: float) -> tuple[Array, Array]:
