@@ -101,37 +101,30 @@ cdef class NewestFrames:
         self.mean, self.basis, self.sigma = mean, arrays.components, sigma
         self.mean_lengths, self.parents, self.children = arrays.mean_bone_lengths, arrays.parents, arrays.children
 
-    def add(
-        self, Py_ssize_t p, Py_ssize_t fixed_frames, double share, int alternations, double focal, double solver_focal,
-        Vector times, Stack rays, Rows weight, Rows camera, Stack lifted, Stack std, Rows theta, Stack rotation,
-        Rows roots, Rows bone_lengths,
-    ):
-        """Add the frames of a person.
+    def add(self, Py_ssize_t p, Py_ssize_t fixed_frames, double share, int alternations, observed, solution):
+        """Add the frames of a person, of whom all but the newest are solved.
 
         Args:
             p: index of the person.
             fixed_frames: number of frames at the beginning that keep their state.
             share: a, of the last step that is repeated.
             alternations: of the fit to the newest lifted pose.
-            focal: px.
-            solver_focal: px, infinite for weak perspective.
-            times: (F,) s.
-            rays: (F, J, 2).
-            weight: (F, J).
-            camera: (3, 3) rotation from the real to the virtual camera.
-            lifted: (F, J or more, 3) lifted poses; None without a lifter.
-            std: of the same shape.
-            theta: (F - 1, K) m, and with the next three the solution so far.
-            rotation: (F - 1, 3, 3).
-            roots: (F - 1, 3) m.
-            bone_lengths: (F - 1, B) m.
+            observed: `solvers.observed_window.ObservedWindow` of F frames with one virtual camera.
+            solution: `tracking.solution.TrackSolution` of F - 1 frames.
         """
+        cdef Vector times = observed.times
+        cdef Stack rays = observed.rays, rotation = solution.rotation, lifted = None, std = None
+        cdef Rows weight = observed.weight, camera = observed.virtual_camera.rotation
+        cdef Rows theta = solution.theta, roots = solution.roots, bone_lengths = solution.bone_lengths
+        cdef double focal = observed.virtual_camera.intrinsics.focal, solver_focal = observed.focal
         cdef Py_ssize_t start = self.start[p], count = self.counts[p], first = times.shape[0] - count
         cdef Py_ssize_t n, t, j, i, k, J = self.scores.shape[1], B = self.lengths.shape[1], K = self.weights.shape[1]
         cdef double depth, unit, total, x, y, value
         cdef bint is_known = True
         cdef double[9] turn
         cdef double* scales = <double*> malloc(count * sizeof(double))
+        if observed.lifted is not None:
+            lifted, std = observed.lifted.joints, observed.lifted.std
         for n in range(count):
             t = start + n
             self.time[t], self.free_frames[t] = times[first + n], n >= fixed_frames
@@ -194,36 +187,38 @@ cdef class NewestFrames:
             )
 
     def finish(
-        self, Py_ssize_t p, Py_ssize_t fixed_frames, double focal, Rows camera, Rows theta, Stack rotation, Rows roots,
-        Rows bone_lengths, Vector residuals, Stack lifted_std, Rows new_theta, Stack new_rotation, Stack joints,
-        Vector scale, Rows translation, Vector new_residuals, Vector stature_per_bone, double hidden_share,
+        self, fixed_frames, observed, solutions, Rows theta, Stack rotation, Stack joints, Vector scale,
+        Rows translation, Vector residuals, Vector stature_per_bone, double hidden_share,
     ):
-        """Return the solution of all F frames of a person, and what follows from it.
+        """Return the solution of all F frames of each person, and what follows from it.
 
-        Args:
-            p: index of the person.
-            fixed_frames: number of frames at the beginning that keep their state.
-            focal: px.
-            camera: (3, 3) rotation from the real to the virtual camera.
-            theta: with the next four, the solution of the F - 1 frames before.
-            rotation: likewise.
-            roots: likewise.
-            bone_lengths: likewise.
-            residuals: (F - 1,) px.
-            lifted_std: (F, J or more, 3) in the unit of rays, NaN where not lifted; None without a lifter.
-            new_theta: (N, K) and with the next five, what the solver found.
-            new_rotation: (N, 3, 3) in the virtual cameras.
-            joints: (N, J, 3) m.
-            scale: (N,) px/m.
-            translation: (N, 2) px.
-            new_residuals: (N,) px.
-            stature_per_bone: (B,).
-            hidden_share: `models.joint_std.HIDDEN_SHARE`.
+        Fixed frames, windows and solutions are those of `add`, of all people; weights (N, K) m, rotations (N, 3, 3)
+        in the virtual cameras, joints (N, J, 3) m, scales (N,) px/m, translations (N, 2) px and residuals (N,) px
+        are what the solver found; `hidden_share` is `models.joint_std.HIDDEN_SHARE`.
 
         Returns:
-            Weights (F, K) m, rotations (F, 3, 3), roots (F, 3) m, bone lengths (F, B) m and residuals (F,) px; then
-            the stature in m, and the residual of the newest frames as a fraction of the body's RMS radius.
+            For each person weights (F, K) m, rotations (F, 3, 3), roots (F, 3) m, bone lengths (F, B) m and residuals
+            (F,) px; then the stature in m, and the residual of the newest frames as a fraction of the body's RMS radius.
         """
+        return [
+            self.finish_person(
+                p, fixed_frames[p], observed[p], solutions[p], theta, rotation, joints, scale, translation, residuals,
+                stature_per_bone, hidden_share,
+            )
+            for p in range(len(solutions))
+        ]
+
+    cdef tuple finish_person(
+        self, Py_ssize_t p, Py_ssize_t fixed_frames, observed, solution, Rows new_theta, Stack new_rotation,
+        Stack joints, Vector scale, Rows translation, Vector new_residuals, Vector stature_per_bone,
+        double hidden_share,
+    ):
+        cdef Rows camera = observed.virtual_camera.rotation
+        cdef Stack lifted_std = None if observed.lifted is None else observed.lifted.std
+        cdef Rows theta = solution.theta, roots = solution.roots, bone_lengths = solution.bone_lengths
+        cdef Stack rotation = solution.rotation
+        cdef Vector residuals = solution.frame_residuals
+        cdef double focal = observed.virtual_camera.intrinsics.focal
         cdef Py_ssize_t frames = theta.shape[0] + 1, start = self.start[p], count = self.counts[p]
         cdef Py_ssize_t first = frames - count, kept = first + fixed_frames, n, t, i, k, seen = 0
         cdef Py_ssize_t K = theta.shape[1], B = bone_lengths.shape[1], J = joints.shape[1]

@@ -77,24 +77,17 @@ def refine(kept: Refinement, tracks: Sequence[Track], parts: Sequence[tuple[int,
         noise = np.array([max(track.solved.noise, config.noise_floor) for track in tracks])
     kept.problem = problem = continue_from(batch, state, noise, model, config, kept=kept.problem)
     problem.minimise(config.max_iterations, config.tolerance, WARM_DAMPING)
-    joints, scale, translation, residual = problem.describe(newest.units)
-    found = problem.read('theta'), problem.read('rotation'), joints, scale, translation, residual
-    stature_per_bone, solutions = model.skeleton.stature_per_bone, []
-    noises, joint_std = problem.estimate_noise().tolist(), problem.measure_joint_std()
-    for p, (track, (first, fixed_frames)) in enumerate(zip(tracks, parts, strict=True)):
-        old, camera, count = track.solved, track.observed.virtual_camera, len(track.stamps_ns)
-        theta, rotation, roots, bone_lengths, residuals, stature, fit = newest.finish(
-            *(p, fixed_frames, camera.intrinsics.focal, camera.rotation),
-            *(old.theta, old.rotation, old.roots, old.bone_lengths, old.frame_residuals),
-            None if track.observed.lifted is None else track.observed.lifted.std,
-            *found,
-            *(stature_per_bone, HIDDEN_SHARE),
-        )
-        old_share = math.exp((first - count) / count) if fixed_frames else 0.0
-        own_noise = math.sqrt(old_share * old.noise**2 + (1 - old_share) * noises[p] ** 2)
+    before = [track.solved for track in tracks]
+    people = [fixed for _, fixed in parts], [track.observed for track in tracks], before
+    newest_states = problem.read('theta'), problem.read('rotation'), *problem.describe(newest.units)
+    finished = newest.finish(*people, *newest_states, model.skeleton.stature_per_bone, HIDDEN_SHARE)
+    noises, joint_std, solutions = problem.estimate_noise().tolist(), problem.measure_joint_std(), []
+    for old, found, (first, fixed), noise_m, std in zip(before, finished, parts, noises, joint_std, strict=True):
+        theta, rotation, roots, bone_lengths, residuals, stature, fit = found
+        old_share = math.exp((first - len(theta)) / len(theta)) if fixed else 0.0
+        own_noise = math.sqrt(old_share * old.noise**2 + (1 - old_share) * noise_m**2)
         states = theta, rotation, roots, bone_lengths, residuals, own_noise, stature / model.stature
-        found_of_newest = joint_std[p], fit, old.base_poses_lead
-        solutions.append(TrackSolution(old.model_name, model, *states, *found_of_newest))
+        solutions.append(TrackSolution(old.model_name, model, *states, std, fit, old.base_poses_lead))
     return solutions
 
 
@@ -110,14 +103,9 @@ def collect_newest_frames(
     if newest is None or newest.counts.tolist() != counts or (len(newest.lifted) > 0) != has_lifted:
         newest = engine.NewestFrames(counts, model.mean, arrange_model(model), model.std, has_lifted)
     for p, (track, (_, fixed_frames)) in enumerate(zip(tracks, parts, strict=True)):
-        observed, solution, stamps_ns, share = track.observed, track.solved, track.stamps_ns, 0.0
+        solution, stamps_ns, share = track.solved, track.stamps_ns, 0.0
         if len(solution.theta) > 1:
             steps = (stamps_ns[-1] - stamps_ns[-2]) / max(stamps_ns[-2] - stamps_ns[-3], 1)
             share = EXTRAPOLATION_SHARE * min(steps, MAX_EXTRAPOLATION_STEPS)
-        lifted, camera = observed.lifted, observed.virtual_camera
-        seen = observed.times, observed.rays, observed.weight, camera.rotation
-        joints, std = (None, None) if lifted is None else (lifted.joints, lifted.std)
-        states = solution.theta, solution.rotation, solution.roots, solution.bone_lengths
-        focal_lengths = camera.intrinsics.focal, observed.focal
-        newest.add(p, fixed_frames, share, ALTERNATIONS, *focal_lengths, *seen, joints, std, *states)
+        newest.add(p, fixed_frames, share, ALTERNATIONS, track.observed, solution)
     return newest

@@ -237,9 +237,9 @@ def test_a_refinement_replaces_the_newest_states_and_no_others(
     lifted.std[1] = np.nan
     for residual, rms, seen in (([np.nan, 3.0, np.nan, 4.0], 12.5**0.5, lifted), ([np.nan] * 4, np.nan, None)):
         found = truth.theta[FIRST:], rotation, joints, scale, translation, np.array(residual)
-        camera, per_bone = (CAMERA.focal, to_virtual), model.skeleton.stature_per_bone
-        std = None if seen is None else seen.std
-        *states, stature, fit = newest.finish(0, FIXED, *camera, *wrong, std, *found, per_bone, HIDDEN_SHARE)
+        per_bone, start = model.skeleton.stature_per_bone, replace(old, **dict(zip(STATES, wrong, strict=True)))
+        people = [FIXED], [replace(track.observed, lifted=seen)], [start]
+        ((*states, stature, fit),) = newest.finish(*people, *found, per_bone, HIDDEN_SHARE)
         for name, value, before in zip(STATES[:4], states, wrong, strict=False):
             assert value[FIRST + 1 :] == pytest.approx(getattr(truth, name)[FIRST + 1 :], abs=1e-9), name
             np.testing.assert_array_equal(value[: FIRST + 1], before[: FIRST + 1])
