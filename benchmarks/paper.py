@@ -111,7 +111,7 @@ def solve_by_alternation(
 
 ALGORITHM_1 = Method(solve_by_alternation, is_of_paper=True)
 JOINT = Method(joint.solve_hypotheses)
-PERIODIC = Method(periodic.solve)
+PERIODIC = Method(lambda windows, *given: [periodic.solve(window, *given) for window in windows])
 SLOW: dict[str, Any] = {'tolerance': 1e-3}  # of Algorithm 1, so that sweeps end
 METHODS: Sequence[tuple[Method, dict[str, Any]]] = ((ALGORITHM_1, SLOW), (JOINT, {}), (PERIODIC, {}))
 
@@ -382,7 +382,7 @@ def claim_classification(quick: bool) -> list[Row]:
         w = view.window
         sections = [slice(s, s + SECTION_FRAMES) for s in starts]
         windows = [Window(w.points[s], w.weight[s], w.times[s]) for s in sections]
-        found = [periodic.solve([one], model, SolverConfig(bone_weight=0.0))[0] for one in windows]
+        found = [periodic.solve(one, model, SolverConfig(bone_weight=0.0)) for one in windows]
         residuals.append([np.sqrt((r.residual**2).mean()) for r in found])
     mean = np.mean(residuals, axis=0)
     is_jump = jumps[np.array(starts) + SECTION_FRAMES // 2]

@@ -30,7 +30,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import ClassifierConfig, SolverConfig
-from mocap_ros.errors import InputError
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint, periodic
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
@@ -91,7 +90,7 @@ def measure_evidence(fit: JointReconstruction, model: BasePoses, noise: float) -
 class PeriodicFit:
     """Measures of how well a periodic motion explains a window."""
 
-    category: str  # `walk` or `run`, the one with the smaller residual
+    category: str  # `walk` or `run`
     residual: float  # RMS 2D residual as a fraction of the stature
     # what the periodic motion leaves unexplained of the movement found without periodicity, as a fraction of the
     # stature (formula of the module); equals `residual` if no such movement is known
@@ -102,40 +101,28 @@ class PeriodicFit:
 
 def fit_periodic_stepwise(
     window: Window,
-    models: Mapping[str, BasePoses],
+    category: str,
+    model: BasePoses,
     config: SolverConfig,
     initial: EstimatedPoses | None = None,
 ) -> Stepwise[PeriodicFit]:
-    """Fit the periodic model of every periodic category and return the fit with the smallest residual.
+    """Fit the periodic model of a category to a window.
 
-    `initial` are poses to start from, which also give the image noise; without, they are computed for each model.
+    `initial` are poses to start from, which also give the image noise; without, they are computed.
 
     Raises:
-        InputError: none of `models` is of a periodic category, or the periodic solver rejects the window.
+        InputError: the periodic solver rejects the window.
     """
     config = replace(config, tolerance=max(config.tolerance, PERIODIC_FIT_TOLERANCE))
-    fits = []
-    for name in PERIODIC_CATEGORIES:
-        if name in models:
-            model = models[name]
-            (result,) = yield from periodic.solve_stepwise([window], model, config, [initial])
-            fits.append(_measure_periodic_fit(name, model, result, initial))
-            yield
-    if not fits:
-        raise InputError(f'no model of {" or ".join(PERIODIC_CATEGORIES)} to fit')
-    return min(fits, key=lambda fit: fit.residual)
-
-
-def _measure_periodic_fit(
-    name: str, model: BasePoses, result: PeriodicReconstruction, initial: EstimatedPoses | None
-) -> PeriodicFit:
+    result = yield from periodic.solve_stepwise(window, model, config, initial)
     movement = result.theta - result.theta.mean(axis=0)
     amplitude = np.sqrt((movement**2).sum(axis=1).mean() / len(model.mean))
     residual = np.sqrt(np.nanmean((result.residual / result.cameras.scale) ** 2))
     excess = residual if initial is None else _compare_movements(result, initial)
+    yield
     stature = model.stature
     return PeriodicFit(
-        name, float(residual) / stature, float(excess) / stature, float(amplitude) / stature, result
+        category, float(residual) / stature, float(excess) / stature, float(amplitude) / stature, result
     )
 
 

@@ -309,7 +309,7 @@ class HypothesisChecker:
         poses = self._current_poses(track, start)
         try:
             window = observed.build_solver_window()
-            work = fit_periodic_stepwise(window, {name: self.models[name]}, solver, poses)
+            work = fit_periodic_stepwise(window, name, self.models[name], solver, poses)
             fit = yield from slice_work(work, len(frames), settings.components, PERIODIC_COST)
         except InputError:
             return None

@@ -3,7 +3,6 @@
 
 """Which motion: periodic or not with its hysteresis, and which prior leads."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -43,9 +42,9 @@ QUICK = SolverConfig(components=20, max_iterations=30)
 
 
 def fit_periodic(
-    window: Window, models: Mapping[str, BasePoses], config: SolverConfig, initial: EstimatedPoses | None = None
+    window: Window, model: BasePoses, initial: EstimatedPoses | None = None, category: str = 'walk'
 ) -> PeriodicFit:
-    return run_to_end(fit_periodic_stepwise(window, models, config, initial))
+    return run_to_end(fit_periodic_stepwise(window, category, model, QUICK, initial))
 
 
 @pytest.fixture(scope='module')
@@ -53,7 +52,7 @@ def fits(walk_model: BasePoses) -> dict[str, PeriodicFit]:
     """A walk, as the periodic model of either category finds it."""
     _, _, points, times = make_walk(walk_model)
     window = Window(points, np.ones(points.shape[:2]), times)
-    return {name: fit_periodic(window, {name: walk_model}, QUICK) for name in ('walk', 'run')}
+    return {name: fit_periodic(window, walk_model, category=name) for name in ('walk', 'run')}
 
 
 @pytest.mark.parametrize('category', ['walk', 'run'])
@@ -96,8 +95,8 @@ def test_a_walk_is_periodic_whatever_the_detector_adds_to_all_frames_alike(walk_
     poses = walk_model.poses(theta) @ np.swapaxes(cameras.rotation, -1, -2)
     estimated = EstimatedPoses(poses, cameras.scale, 0.01)
     window = Window(points + offset, np.ones(points.shape[:2]), times)
-    by_residual = fit_periodic(window, {'walk': walk_model}, QUICK)
-    by_movement = fit_periodic(window, {'walk': walk_model}, QUICK, estimated)
+    by_residual = fit_periodic(window, walk_model)
+    by_movement = fit_periodic(window, walk_model, estimated)
     assert not is_periodic(by_residual, ClassifierConfig(hysteresis=1.0), was_periodic=False)
     assert is_periodic(by_movement, ClassifierConfig(hysteresis=1.0), was_periodic=False)
     assert by_movement.excess_residual < 0.5 * by_residual.excess_residual
@@ -111,7 +110,7 @@ def test_what_a_periodic_motion_does_not_explain_counts(walk_model: BasePoses) -
         moved[:, 1] += added * np.sin(times**2 * 4)
         poses = walk_model.poses(moved) @ np.swapaxes(cameras.rotation, -1, -2)
         window = Window(cameras.project(walk_model.poses(moved)), np.ones(points.shape[:2]), times)
-        fit = fit_periodic(window, {'walk': walk_model}, QUICK, EstimatedPoses(poses, cameras.scale, 0.01))
+        fit = fit_periodic(window, walk_model, EstimatedPoses(poses, cameras.scale, 0.01))
         estimates.append(fit.excess_residual)
     assert estimates[0] < 0.005
     assert estimates[1] > 2 * ClassifierConfig().walk_residual
@@ -122,10 +121,10 @@ def test_what_jitters_does_not_speak_against_a_periodic_motion(
 ) -> None:
     _, _, points, times = make_walk(walk_model)
     window = Window(points, np.ones(points.shape[:2]), times)
-    exact = fit_periodic(window, {'walk': walk_model}, QUICK).reconstruction
+    exact = fit_periodic(window, walk_model).reconstruction
     jittering = exact.joints + rng.normal(0, 0.02, exact.joints.shape)
     poses = [EstimatedPoses(jittering, exact.cameras.scale, 0.01, jitter) for jitter in (0.0, 0.01)]
-    excess = [fit_periodic(window, {'walk': walk_model}, QUICK, p).excess_residual for p in poses]
+    excess = [fit_periodic(window, walk_model, p).excess_residual for p in poses]
     assert excess[0] ** 2 - excess[1] ** 2 == pytest.approx(3 * (0.01 / walk_model.stature) ** 2, rel=0.05)
 
 

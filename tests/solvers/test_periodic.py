@@ -244,7 +244,7 @@ def test_finds_cadence_and_motion(walk_model: BasePoses, missing: float, measure
     weight = (np.random.default_rng(2).random(points.shape[:2]) >= missing).astype(float)
     if missing:
         weight[:, [3, 4]] = 0
-    (result,) = periodic.solve([Window(points, weight, times)], walk_model, SolverConfig(components=10))
+    result = periodic.solve(Window(points, weight, times), walk_model, SolverConfig(components=10))
     assert result.cadence == pytest.approx(CADENCE, rel=0.01)
     assert compute_mpjpe(result, walk_model, theta, cameras) < 1.1 * measured_mm
     assert (np.diff(result.history) <= 0).all()

@@ -48,12 +48,7 @@ def solve_jointly(window: Window, model: BasePoses, config: SolverConfig) -> Rec
     return result
 
 
-def solve_periodically(window: Window, model: BasePoses, config: SolverConfig) -> Reconstruction:
-    (result,) = periodic.solve([window], model, config)
-    return result
-
-
-SOLVERS = [solve_jointly, reconstruct, solve_periodically]
+SOLVERS = [solve_jointly, reconstruct, periodic.solve]
 
 
 @pytest.mark.parametrize('solve', SOLVERS)

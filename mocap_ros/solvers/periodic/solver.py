@@ -82,59 +82,41 @@ class PeriodicReconstruction(Reconstruction):
 
 
 def solve(
-    windows: Sequence[Window],
-    model: BasePoses,
-    config: SolverConfig,
-    initial: Sequence[EstimatedPoses | None] | None = None,
-) -> tuple[PeriodicReconstruction, ...]:
-    """Reconstruct windows under the periodic model.
+    window: Window, model: BasePoses, config: SolverConfig, initial: EstimatedPoses | None = None
+) -> PeriodicReconstruction:
+    """Reconstruct a window under the periodic model.
 
-    `windows` image points, each window should contain a cycle or more. Times may be irregular. Lifted poses, fixed
-    frames and earlier frames are ignored; `config` weights of the terms, and `harmonics`. `max_iterations` limits
-    the number of steps that are tried for a window, in all its searches together; `initial` poses for each window,
-    from which to start, None computes them.
+    `window` image points of a cycle or more. Times may be irregular. Lifted poses, fixed frames and earlier frames
+    are ignored; `config` weights of the terms, and `harmonics`. `max_iterations` limits the number of steps that
+    are tried, in all searches together; `initial` poses from which to start, None computes them.
 
     Raises:
         InputError: the equations cannot be solved, or the result is not finite because numbers are too large.
     """
-    return run_to_end(solve_stepwise(windows, model, config, initial))
+    return run_to_end(solve_stepwise(window, model, config, initial))
 
 
 def solve_stepwise(
-    windows: Sequence[Window],
-    model: BasePoses,
-    config: SolverConfig,
-    initial: Sequence[EstimatedPoses | None] | None = None,
-) -> Stepwise[tuple[PeriodicReconstruction, ...]]:
-    """Reconstruct as `solve` does, in steps."""
-    model = model.truncate(config.components)
-    all_poses = initial or [None] * len(windows)
-    results = []
-    for window, poses in zip(windows, all_poses, strict=True):
-        alone = replace(window, lifted=None)
-        work = _solve_window(alone, poses, model, config)
-        result = yield from ignore_overflow(work)  # numbers that overflow are found in the result
-        results.append(result)
-    return tuple(results)
-
-
-def _solve_window(
-    window: Window,
-    initial: EstimatedPoses | None,
-    model: BasePoses,
-    config: SolverConfig,
+    window: Window, model: BasePoses, config: SolverConfig, initial: EstimatedPoses | None = None
 ) -> Stepwise[PeriodicReconstruction]:
-    """Reconstruct one window."""
-    try:
-        start, noise = yield from _choose_initial_values(window, initial, model, config)
-        unit = window.unit or float(np.median(start.cameras.scale))
-        result = yield from _fit_window(window, start, noise, unit, model, config)
+    """Reconstruct as `solve` does, in steps."""
+    window, model = replace(window, lifted=None), model.truncate(config.components)
+    try:  # numbers that overflow are found in the result
+        result = yield from ignore_overflow(_solve(window, model, config, initial))
     except LinAlgError as error:
         raise InputError(f'no periodic motion can be fitted: {error}') from None
     numbers = (result.joints, result.cameras.scale, result.translation, result.series.coefficients, result.history)
     if not all(np.isfinite(n).all() for n in numbers):
         raise InputError('no periodic motion can be fitted: image points or weights are too large')
     return result
+
+
+def _solve(
+    window: Window, model: BasePoses, config: SolverConfig, initial: EstimatedPoses | None
+) -> Stepwise[PeriodicReconstruction]:
+    start, noise = yield from _choose_initial_values(window, initial, model, config)
+    unit = window.unit or float(np.median(start.cameras.scale))
+    return (yield from _fit_window(window, start, noise, unit, model, config))
 
 
 def _choose_initial_values(
