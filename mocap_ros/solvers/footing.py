@@ -161,5 +161,5 @@ class Footing(NamedTuple):
         memory = engine.begin() if before is None else before.memory.copy()
         step_s = 1.0 if before is None else time_s - before.time_s
         numbers = choose_numbers(round(noise, 4), OF_NEWEST)
-        planted = engine.advance(memory, numbers, step_s, core, feet, np.nan_to_num(log_odds, nan=-math.inf), LEGS)
+        planted = engine.advance(memory, numbers, step_s, core, feet, np.fmax(log_odds, -math.inf), LEGS)
         return Footing(time_s, planted, planted[LEGS[0, 0]] - core[LEGS[0, 0]], log_odds, memory)

@@ -279,7 +279,7 @@ class Tracker:
         differences from those in use are left out.
         """
         used = self._intrinsics
-        if used is None:
+        if used is None or given is used:
             return given
         is_near = (
             abs(given.focal / used.focal - 1) <= MAX_CAMERA_DIFFERENCE
