@@ -211,6 +211,16 @@ def test_a_further_file_repeats_what_no_later_message_replaces(
         assert [m.raw for m in bag.messages(['/once', '/growing'])] == [b'once', b'x', b'abc']
 
 
+def test_a_file_begins_only_with_a_message_that_may_begin_it(tmp_path: Path) -> None:
+    with Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=1.0)) as recorder:
+        for i, may_begin in enumerate((True, False, False, True, False)):
+            raw, time_ns = make_keypoints(i), START_NS + i * NS_PER_S
+            recorder.write('/keypoints', KEYPOINTS, raw, time_ns, time_ns, may_begin_file=may_begin)
+    with Bag(tmp_path / 'bag' / 'bag_1.mcap') as bag:
+        assert [m.raw for m in bag.messages(bag.topics)] == [make_keypoints(3), make_keypoints(4)]
+    assert not (tmp_path / 'bag' / 'bag_2.mcap').exists()
+
+
 @pytest.fixture(scope='module', params=['zstd', 'lz4', 'none'])
 def recorded(request: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Message]]:
     """Return the folder and the messages of a bag, for each compression."""

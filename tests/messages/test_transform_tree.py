@@ -149,3 +149,5 @@ def test_a_time_before_a_late_transform_is_that_before_the_newest_of_each_frame(
     np.testing.assert_allclose(tree.find(*image, 0.2).translation, [1 - 0.4, 1 - 0.2, 0])
     with pytest.raises(InputError, match=r'oldest transform of odom is 0\.10 s newer'):
         tree.find(*image, 0.6)
+    with pytest.raises(InputError, match=r'newest transform of base is 0\.80 s older'):
+        tree.find('odom', 'base', 2 * SECOND_NS, 0.5, 0.2)

@@ -70,6 +70,7 @@ def scene() -> Scene:
 
 def test_the_arrays_are_those_of_the_scene_to_a_millimetre(scene: Scene) -> None:
     scene.people[0].tentative[:4] = True
+    scene.keypoints[0].points[10] = scene.keypoints[0].points[10, list(CMU15.mirror)]  # of the first person alone
     page = ReadPage(scene)
     for person, described in zip(scene.people, page.scene['people'], strict=True):
         arrays = {name: page.read(layout) for name, layout in described['arrays'].items()}
@@ -83,7 +84,8 @@ def test_the_arrays_are_those_of_the_scene_to_a_millimetre(scene: Scene) -> None
         assert np.abs(arrays['std'] * page.scene['stdPerStep'] - person.std)[~unknown].max() < 0.0011
         inferred = arrays['inferred'] >> np.arange(15) & 1
         assert (inferred == person.inferred).all()
-        for bit, values in enumerate((person.predicted, person.tentative)):
+        is_swapped = (person.frames == 10) & (person is scene.people[0])
+        for bit, values in enumerate((person.predicted, person.tentative, is_swapped)):
             assert ((arrays['state'][:, 0] >> bit & 1) == values).all()
         assert ((arrays['state'][:, 0] >> 4 & 3) == person.motion).all()
         assert ((arrays['state'][:, :1] >> [6, 7] & 1) == (person.contact > 0.5)).all()
