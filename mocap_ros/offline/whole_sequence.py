@@ -238,12 +238,13 @@ def _reconstruct(
 
 def _complete(result: SequenceResult, observed: ObservedWindow, config: TrackerConfig) -> SequenceResult:
     """Return a result with the orientations and, if `tracker.skeleton` says so, with face, feet and hands."""
-    core = result.joints
+    core, count = result.joints, len(result.joints)
     image_noise = result.solution.noise if isinstance(result.solution, joint.JointReconstruction) else 0.0
-    evidence = collect_evidence(core, observed, image_noise)
+    seen = [observed] * count, np.full(count, image_noise), range(count)
+    evidence = collect_evidence(core, *seen)
     found = smooth_extremities(observed.times, evidence, config.body_height)
     core = plant_sequence(observed, core, found.offsets, result.vertical, image_noise or NOISE_REFERENCE)
-    evidence = collect_evidence(core, observed, image_noise)
+    evidence = collect_evidence(core, *seen)
     found = smooth_extremities(observed.times, evidence, config.body_height)
     result = replace(result, joints=core)
     if config.skeleton == CMU15.name:

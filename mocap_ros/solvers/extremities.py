@@ -170,31 +170,19 @@ class ExtremityEvidence(NamedTuple):
         return ExtremityEvidence(np.ascontiguousarray(core), lifted, std, *seen)
 
 
-def collect_evidence(core: Array, observed: ObservedWindow, noise: float) -> ExtremityEvidence:
-    """Return what the F frames of a window say of the extremities, of core joints (F, 15, 3) m and noise in m."""
-    found = ExtremityEvidence.without_image(core)
-    found.noise[:] = noise
-    if observed.lifted is not None:
-        depth = observed.virtual_camera.measure_depth(core.mean(axis=1))[:, None, None]
-        found.lifted[:], found.lifted_std[:] = depth * observed.lifted.joints, depth * observed.lifted.std
-    found.rays[:, :CORE_COUNT], found.weight[:, :CORE_COUNT] = observed.rays, observed.weight
-    if observed.extremities is not None:
-        found.rays[:, CORE_COUNT:], found.weight[:, CORE_COUNT:] = observed.extremities
-    return found
-
-
-def collect_frame_evidence(
+def collect_evidence(
     core: Array, observed: Sequence[ObservedWindow], noise: Array, frames: Sequence[int]
 ) -> ExtremityEvidence:
-    """Return that of one frame of each of P windows with one virtual camera; core (P, 15, 3) m, noise (P,) m."""
+    """Return what a frame of each of P windows says of the extremities; core (P, 15, 3) m, noise (P,) m."""
     found = ExtremityEvidence.without_image(core)._replace(noise=noise)
     out_lifted, out_std, out_rays, out_weight = found.lifted, found.lifted_std, found.rays, found.weight
     for p, (own, frame) in enumerate(zip(observed, frames, strict=True)):
         lifted, std = (None, None) if own.lifted is None else (own.lifted.joints, own.lifted.std)
         other_rays, other_weight = (None, None) if own.extremities is None else own.extremities
         seen = lifted, std, own.rays, own.weight, other_rays, other_weight
-        camera = own.virtual_camera.rotation
-        engine.collect_frame(p, frame, core, camera, *seen, out_lifted, out_std, out_rays, out_weight)
+        cameras = own.virtual_camera.rotation.reshape(-1, 3, 3)
+        camera = cameras[frame % len(cameras)]  # one for each frame, or one for all
+        engine.collect_frame(p, frame, found.core, camera, *seen, out_lifted, out_std, out_rays, out_weight)
     return found
 
 

@@ -31,7 +31,7 @@ from mocap_ros.solvers.extremities import (
     SEGMENT_OF,
     ExtremityEvidence,
     attach,
-    collect_frame_evidence,
+    collect_evidence,
     follow_extremities,
     read_states,
 )
@@ -201,7 +201,7 @@ def find_root_covariance(tracks: Sequence[Track], joints: Array, std: Array, siz
 
 def collect_seen(shown: Shown, core: Array) -> ExtremityEvidence:
     """Return what the frame shows of people with cores (P, J, 3) m of the assumed size."""
-    return collect_frame_evidence(core, [t.observed for t in shown.tracks], shown.noise, shown.frames)
+    return collect_evidence(core, [t.observed for t in shown.tracks], shown.noise, shown.frames)
 
 
 def find_joint_std(tracks: Sequence[Track], seen: ExtremityEvidence) -> Array:
