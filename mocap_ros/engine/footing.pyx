@@ -36,6 +36,7 @@ cdef double MIN_STEP_S = 1e-3
 cdef double MIN_INFORMATION = 1e-9  # 1/m^2; keeps what nothing determines solvable
 cdef double MAX_DEPTH_CHANGE = 0.3  # of the depth; a root that changes by more is another solution, or another person
 cdef double MAX_SPEED_M_S = 10  # m/s; of a sprinter
+cdef double FAR_M = 5  # m; beyond it the root's error along the line of sight grows with the distance
 cdef double MIN_TILT_M = 0.01  # m; legs along the line of sight do not tilt
 cdef double MAX_REACH = 0.9999  # of the length of a leg; a straight knee has no direction in which it bends
 
@@ -117,7 +118,7 @@ cdef void add_frame(
     at[0], at[1], by[0] = TWO, OWN, 1
     kept = exp(-step_s / model.error_s) if before.frames > 0 else 0
     by[1], h = -kept, sqrt(1 - kept * kept)
-    write_precision(sight, h * model.along, h * model.across, m)
+    write_precision(sight, h * model.along * fmax(distance / FAR_M, 1.0), h * model.across, m)
     add_term(a, b, 2, at, by, m, r)
     kept = exp(-step_s / model.leg_s) if before.frames > 0 else 0
     by[1], h = -kept, sqrt(1 - kept * kept)

@@ -22,6 +22,8 @@ precise the points, the less feet are held, for they roll by 0.05 to 0.1 m/s whi
 
     C = C_0 + C_1 n,    A = A_0 + A_1 n,    S = S_0 sqrt(1 + (N / n)^2)
 
+Beyond 5 m, C along the line of sight grows with the distance, as an error of the scale is a share of it.
+
 Whole sequences are solved from all frames, in some rounds for rho; live, the newest frame is solved from all
 frames so far, by one step of the same elimination (`engine.footing`), with rho about where inertia leads. An ankle
 moves about its hip, and the knee as the lengths of the bones demand. All constants are chosen on training persons

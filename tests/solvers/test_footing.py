@@ -21,9 +21,9 @@ FRAMES = 12
 
 @pytest.fixture
 def motion(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
-    """Times (F,), cores (F, 15, 3), feet (F, 4, 3) and contacts (F, 4) of somebody 4 m away who jitters."""
+    """Times (F,), cores (F, 15, 3), feet (F, 4, 3) and contacts (F, 4) of somebody 7 m away who jitters."""
     times = np.cumsum(rng.uniform(0.02, 0.05, FRAMES))
-    core = rng.normal(0, 0.3, (15, 3)) + [0.5, 0.2, 4.0] + 0.01 * rng.normal(size=(FRAMES, 15, 3))
+    core = rng.normal(0, 0.3, (15, 3)) + [0.5, 0.2, 7.0] + 0.01 * rng.normal(size=(FRAMES, 15, 3))
     core += 0.02 * rng.normal(size=(FRAMES, 1, 3))
     feet = np.tile([[-0.05, 0.05, 0], [0.18, 0.05, 0]] * 2, (FRAMES, 1, 1)) + 0.002 * rng.normal(
         size=(FRAMES, 4, 3)
@@ -61,7 +61,7 @@ def solve_densely(
 
     for t in range(count):
         for at, seconds, weights in (
-            (0, error_s, weigh(t, along, across)),
+            (0, error_s, weigh(t, along * max(np.linalg.norm(root[t]) / 5, 1), across)),
             (3, leg_s, weigh(t, tilt, leg, LEGS[0])),
             (6, leg_s, weigh(t, tilt, leg, LEGS[1])),
         ):
@@ -185,6 +185,6 @@ def test_another_solution_far_away_begins_anew(motion: tuple[Array, Array, Array
     memory, odds = engine.begin(), np.zeros(4)
     for joints in core:
         engine.advance(memory, numbers, 1 / 30, joints, feet[0], odds, LEGS)
-    far = core[0] + [0.0, 0.0, 3.0]
+    far = core[0] + [0.0, 0.0, 6.0]
     planted = engine.advance(memory, numbers, 1 / 30, far, feet[0], odds, LEGS)
     np.testing.assert_allclose(planted[LEGS[:, 0]], far[LEGS[:, 0]], atol=1e-6)
