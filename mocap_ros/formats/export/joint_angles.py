@@ -58,7 +58,7 @@ NEUTRAL_WEIGHT = 1e-6  # E; decides only where a limb is straight in all frames
 SWITCH_COST = 0.01  # 1; cost of a half turn between two frames in which the angle means nothing
 UNUSUAL_COST = 1e-4  # 1 a frame; cost of a second angle beyond 90 degrees
 BACKWARDS_COST = 1e-3  # 1 a frame; of a limb that is turned backwards
-OVERSTRETCHED_COST = 0.1  # 1 a frame; of a limb that is bent the wrong way by more than W
+OVERSTRETCHED_COST = 1.0  # 1 a frame; of a limb that is bent the wrong way by more than W
 TINY = np.finfo(float).tiny  # guards divisions by the length of a vector
 
 SIDES = {'r': 1.0, 'l': -1.0}  # suffix of a side in the names of angles, and its sign above
@@ -175,8 +175,8 @@ def _measure_limb(upper: Array, lower: Array, sign: float, bend: float, fps: flo
     wrong = backwards + OVERSTRETCHED_COST * np.maximum(bent - WEAK_SINE, 0.0) ** 2
     rotation = _unwrap_phase(_smooth(_follow_sign(plane, np.stack([-backwards, wrong], axis=1)) * plane, fps))
     in_plane = (plane * np.exp(-1j * rotation)).real
-    knee = np.unwrap(np.arctan2(in_plane, -turned[:, 1]))
-    return _drop_turns(flexion, -np.pi / 2), adduction, _drop_turns(rotation, -np.pi), _drop_turns(knee, -np.pi)
+    knee = np.arctan2(in_plane, -turned[:, 1])
+    return _drop_turns(flexion, -np.pi / 2), adduction, _drop_turns(rotation, -np.pi), knee
 
 
 def _split_direction(down: Array, fps: float) -> tuple[Array, Array]:
