@@ -88,19 +88,15 @@ def list_views(report: Report) -> Iterator[tuple[dict[str, Any], View, Array]]:
             view = View(protocol.make_view(poses, names, heading, ELEVATION_DEG, **options), heading)
             height = float(poses[0, 0, 1] * 1e-3 - view.truth[0, 0] @ upward)  # the floor of the capture is at 0
             if motion == MOVING:  # true directions of the first camera, in which these views are measured
-                upward = find_turns(poses * 1e-3, view.truth)[0] @ [0.0, 1.0, 0.0]
+                upward = fit_rotation(centre_poses(poses), centre_poses(view.truth))[0] @ [0.0, 1.0, 0.0]
             yield {'motion': motion, 'trial': trial, 'points': points, 'camera_height': height}, view, upward
-
-
-def find_turns(poses: Array, seen: Array) -> Array:
-    """Return the rotations (F, 3, 3) from the frame of poses (F, J, 3) to that in which they are seen."""
-    return fit_rotation(centre_poses(poses), centre_poses(seen))
 
 
 def hold_camera(view: View, about: dict[str, Any], joints: Array) -> Array:
     """Return joints (F, J, 3) m of each frame in the camera of the first one, by the true motion of the camera."""
     poses = load_middle(about['trial'], FRAMES) * 1e-3
-    turns, middles = find_turns(poses, view.truth), view.truth.mean(axis=1, keepdims=True)
+    turns = fit_rotation(centre_poses(poses), centre_poses(view.truth))
+    middles = view.truth.mean(axis=1, keepdims=True)
     in_capture = (joints - middles) @ turns + poses.mean(axis=1, keepdims=True)
     return np.asarray((in_capture - poses[0].mean(axis=0)) @ turns[0].T + middles[0])
 
@@ -152,9 +148,10 @@ def report_way(report: Report, way: str) -> dict[str, Any]:
     by_motion = sorted(group(records, 'motion', 'points').items(), key=lambda item: POINTS.index(item[0][1]))
     report.table(['motion', 'points', *header], ([*k, *summarise(r)] for k, r in by_motion), f'{way}, by motion')
     report.results[way] = records
-    shown = [r | {'column': f'{w}, {r["points"]}'} for w in WAYS for r in report.results.get(w, ())]
+    shown = [r | {'column': f'{w}, {r["points"]}-like'} for w in WAYS for r in report.results.get(w, ())]
     total = [r | {'motion': 'all, fixed camera'} for r in shown if r['motion'] != MOVING]
-    report.table(*cross([*shown, *total], 'motion', 'column', summarise_briefly), page='feet.motions')
+    shown = [r for r in (*shown, *total) if r['points'] != CLEAN and r['motion'] != 'other']
+    report.table(*cross(shown, 'motion', 'column', summarise_briefly), page='feet.motions')
     return {way: records}
 
 

@@ -151,6 +151,8 @@ def report_table_1(report: Report) -> None:
             ),
             'joint solver, defaults': (nothing, find(JOINT, category, (default,))),
         }
+        if cells['joint solver, defaults'] == (nothing, cells['best'][1]):
+            del cells['joint solver, defaults']
         if category != 'jump':
             e, mpjpe = find(PERIODIC, category, (default,))
             cells = {'periodic': (nothing, (e.partition(' ')[0], mpjpe))} | cells
