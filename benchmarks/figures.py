@@ -36,7 +36,6 @@ BENCHMARKS: Mapping[str, Sequence[str]] = {
     'detectors': ('--detectors', 'mediapipe', '--seeds', '0'),
     'table1': (),
     'paper': (),
-    'tracker': (),
     'keyframes': (),
     'robots': (),
     'engine': (),

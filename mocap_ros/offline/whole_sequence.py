@@ -479,9 +479,9 @@ class Shares(NamedTuple):
 
 SHARES = Shares(0.07, 0.4, 0.68)  # measured with 3,120 frames; almost all sequences are solved three times
 FOUND_TILT_FACTOR = 1.5  # 1; by which a vertical counts less that people show, who share its errors
-# what is wrong with `tracker.camera_height` where feet show another one
 CHILD_SIZE = 0.75  # 1; 3.5 standard deviations of the size of adults
 CHILD = 'makes a person {:.2f} times as tall as tracker.body_height: a child, or one of both is wrong'
+# why `tracker.camera_height` is not used where feet show another one
 WRONG_HEIGHT = (
     f'is not used: by it people are not {SIZE_RANGE[0]:g} to {SIZE_RANGE[1]:g} times as tall as '
     'tracker.body_height; check both'
