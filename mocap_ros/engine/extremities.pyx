@@ -21,7 +21,7 @@ cdef extern from *:
     #define MIN_LENGTH_M 1e-6      /* far under any bone, guards divisions */
     #define WEAK_SINE 0.2          /* W; sine of 12 degrees, by which a bent joint differs from a straight, noisy one */
     #define REST_SINE 0.15         /* D; weight of the direction without evidence: that of a limb bent by 9 degrees */
-    #define FOOT_SINE 0.3          /* D_f; weight of the foot: that of a knee bent by 17 degrees */
+    #define FOOT_SINE 1.0          /* D_f; weight of the foot: that of a knee bent by 90 degrees */
     #define KNOWN_SINE 0.3         /* |v| from which the bend of a limb says how it is turned, and not its rest */
     #define LIMB_MEMORY_S 0.3      /* T; so long a straight limb keeps the direction that it had when it was bent */
     #define LIFTED_MEMORY_S 0.1    /* T of the lifter's errors; more would leave turning heads and stepping feet behind */
