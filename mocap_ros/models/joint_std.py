@@ -33,8 +33,8 @@ from mocap_ros.skeleton import Skeleton
 
 Array = NDArray[np.float64]
 
-LIFTER_FACTOR_SEEN = 0.7  # 1, f: factor on the lifter's standard deviations of seen joints, tuned as described
-NOISE_FACTOR_SEEN = 0.7  # 1, n: factor on the image noise for seen joints, tuned likewise
+LIFTER_FACTOR_SEEN = 0.65  # 1, f: factor on the lifter's standard deviations of seen joints, tuned as described
+NOISE_FACTOR_SEEN = 0.9  # 1, n: factor on the image noise for seen joints, tuned likewise
 LIFTER_FACTOR_INFERRED = 0.8  # 1, g: as f for inferred joints, of which the image says little
 POSTERIOR_FACTOR_SEEN = 3.5  # 1, factor on the solver's posterior of seen joints; tuned as described above
 POSTERIOR_FACTOR_INFERRED = 5.6  # 1, the same for inferred joints

@@ -65,7 +65,7 @@ MIN_DROP_SHARE = 0.1  # of the camera's height; a foot that seems higher than th
 FORGOTTEN_COMMA = re.compile(r'=\s*[\d.]+[\s;]')  # in what should be an id: a height is in it
 # 1; H, so that as many distances of training persons of known height are within as should be, by posture alike
 HIDDEN_FACTOR = 2.3
-ROOT_FACTOR = 1.3  # 1; detectors put both hips off the same way; chosen by the errors of training persons' roots
+ROOT_FACTOR = 1.2  # 1; detectors put both hips off the same way; chosen by the errors of training persons' roots
 ANKLES = CMU15.index('lankle'), CMU15.index('rankle')
 
 
