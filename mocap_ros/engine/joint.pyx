@@ -70,6 +70,11 @@ cdef double MAX_DAMPING = 1e8  # relative; a sequence whose steps are still refu
 cdef double DAMPING_AFTER_SUCCESS = 0.2  # factor; tuned on CMU views for few steps, as the next
 cdef double DAMPING_AFTER_FAILURE = 10
 DAMPINGS = MIN_DAMPING, MAX_DAMPING, DAMPING_AFTER_SUCCESS, DAMPING_AFTER_FAILURE  # for `solvers.levenberg_marquardt`
+cdef double ROUGHNESS_STEP_S = 1.0 / 30  # s between the frames of which third differences are taken
+cdef double MAX_ROUGHNESS_STEP_S = 0.05  # s; third differences over longer ones are those of the motion
+cdef double ROUGHNESS_LOSS_M = 0.02  # m; c of the loss of third differences: joints jump in single frames
+cdef double MOTION_ROUGHNESS_M = 0.002  # m; q of people who move, without noise
+cdef double NOISE_OVER_ROUGHNESS = 4.0  # 1; detectors err by 3 to 5 times what is new in a frame of 30 Hz
 cdef double MIN_FREE_SHARE = 0.05  # of the coordinates; so many still measure the noise if all are fitted
 cdef int COUNTED_FRAMES = 3  # frames of a sequence, at least, in which absorbed coordinates are counted
 cdef double MIN_SCALE = 1e-9  # px/m; guards against a scale of zero where a lifted pose is degenerate
@@ -192,7 +197,7 @@ cdef class JointProblem:
     cdef const unsigned char[::1] is_free
     cdef const double[:, :, ::1] image, lifted, precision  # (N, J, 2), (N, J, 3), (N, J, 3)
     cdef const double[:, ::1] score, earlier_lengths, basis, mean, bones  # (N, J), (P, B), (3J, K), (J, 3), (3B, K)
-    cdef const double[::1] focal, noise_ratio, bone_weight, prior  # (N,), (P,), (B,), (K,)
+    cdef const double[::1] times, focal, noise_ratio, bone_weight, prior  # (N,), (P,), (B,), (K,)
     cdef double robust_scale, lifter_weight, lifter_robust_scale
     cdef const long long[::1] orders
     cdef const double[:, :, ::1] factors  # (T, N, 3)
@@ -229,6 +234,7 @@ cdef class JointProblem:
         self.feature_weight = np.array([d.weight for d in differences]).reshape(-1, K + FEATURES)
         self.starts, self.counts, self.is_free = batch.starts, batch.counts, batch.is_free.view(np.uint8)
         self.image, self.score, self.focal = batch.image, batch.score, batch.focal
+        self.times = batch.times
         self.lifted, self.precision = batch.lifted, batch.precision
         self.earlier_lengths, self.earlier_frames = batch.earlier_lengths, batch.earlier_frames
         self.mean, self.parents, self.children = objective.model.mean, arrays.parents, arrays.children
@@ -678,6 +684,33 @@ cdef class JointProblem:
 
     # Noise and covariance
 
+    cdef double measure_roughness(self, int p) noexcept nogil:
+        """Return what is new in each frame of the points of a sequence in m, as of white noise; 0 if not known."""
+        cdef int start = self.starts[p], count = self.counts[p], t, j, i, stride, points = 0
+        cdef double step, squares = 0, total, x, weight
+        if count < 4 or self.lifted.shape[0] == 0:
+            return 0
+        step = (self.times[start + count - 1] - self.times[start]) / (count - 1)
+        stride = max(<int> (ROUGHNESS_STEP_S / max(step, 1e-4) + 0.5), 1)
+        if stride * step > MAX_ROUGHNESS_STEP_S:
+            return 0
+        for t in range(start + 3 * stride, start + count):
+            if self.times[t] - self.times[t - 3 * stride] > 4.5 * stride * step:
+                continue
+            for j in range(self.joints):
+                weight = min(min(self.score[t, j], self.score[t - stride, j]),
+                             min(self.score[t - 2 * stride, j], self.score[t - 3 * stride, j]))
+                if not weight > 0:
+                    continue
+                total = 0
+                for i in range(2):
+                    x = (self.image[t, j, i] - 3 * self.image[t - stride, j, i]
+                         + 3 * self.image[t - 2 * stride, j, i] - self.image[t - 3 * stride, j, i])
+                    total += x * x / 20
+                points += 1
+                squares += weight * compute_loss(total, ROUGHNESS_LOSS_M)
+        return sqrt(max(squares / (2 * points) - MOTION_ROUGHNESS_M * MOTION_ROUGHNESS_M, 0.0)) if points > 0 else 0
+
     cdef double count_absorbed_coordinates(self, int p, int t) noexcept nogil:
         """Return how many image coordinates of a frame its unknowns fit away while its neighbours are held.
 
@@ -705,7 +738,7 @@ cdef class JointProblem:
             total += square if row < rows else -square / w
         return 2 + total
 
-    cdef double estimate_noise_of(self, int p) noexcept nogil:
+    cdef double measure_misfit_of(self, int p) noexcept nogil:
         """Return the noise of a sequence in m, from its residual and the coordinates that are not absorbed."""
         cdef int start = self.starts[p], end = start + self.counts[p], first = start, t, j, stride
         cdef int coordinates = 0, counted = 0
@@ -729,14 +762,24 @@ cdef class JointProblem:
             squares / max(coordinates - absorbed / max(counted, 1), MIN_FREE_SHARE * coordinates + 1)
         )
 
-    def estimate_noise(self):
-        """Return the image noise (P,) m of a coordinate of a point of weight 1, from the residuals."""
+    def measure_misfit(self):
+        """Return what the poses leave unexplained, as a noise (P,) m of a coordinate of a point of weight 1."""
+        cdef int p
+        misfit = np.empty(self.sequences)
+        cdef double[::1] out = misfit
+        with nogil:
+            for p in range(self.sequences):
+                out[p] = self.measure_misfit_of(p)
+        return misfit
+
+    def measure_least_noise(self):
+        """Return the noise (P,) m that the points show by themselves, whatever the poses; 0 without lifted poses."""
         cdef int p
         noise = np.empty(self.sequences)
         cdef double[::1] out = noise
         with nogil:
             for p in range(self.sequences):
-                out[p] = self.estimate_noise_of(p)
+                out[p] = NOISE_OVER_ROUGHNESS * self.measure_roughness(p)
         return noise
 
     def measure_joint_std(self):

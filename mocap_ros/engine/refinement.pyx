@@ -114,7 +114,7 @@ cdef class NewestFrames:
         """
         cdef Vector times = observed.times
         cdef Stack rays = observed.rays, rotation = solution.rotation, lifted = None, std = None
-        cdef Rows weight = observed.weight, camera = observed.virtual_camera.rotation
+        cdef Rows weight = observed.evidence, camera = observed.virtual_camera.rotation
         cdef Rows theta = solution.theta, roots = solution.roots, bone_lengths = solution.bone_lengths
         cdef double focal = observed.virtual_camera.intrinsics.focal, solver_focal = observed.focal
         cdef Py_ssize_t start = self.start[p], count = self.counts[p], first = times.shape[0] - count

@@ -109,6 +109,7 @@ class JointMap:
     # (A, Jt, Js) weights of the A alternatives. A row sums to one, or is zero if the joint has fewer alternatives
     weights: Array
     score_factor: Array  # (A, Jt) factor on the confidence score, 0 if the joint has fewer alternatives
+    is_evidence: NDArray[np.bool_]  # (Jt,) whether a joint says more than others do (`find_evidence`)
 
     def apply(self, points: Array, score: Array) -> tuple[Array, Array]:
         """Map keypoints (..., Js, D) with scores (..., Js) to the target skeleton; NaN or score 0: not seen.
@@ -166,7 +167,21 @@ def build_joint_map(source: tuple[str, ...], target: Skeleton = CMU15) -> JointM
             score_factor[a, t] = derivation.score_factor
             for joint, weight in derivation.weights.items():
                 weights[a, t, source.index(joint)] = weight
-    return JointMap(source, target, weights, score_factor)
+    body = frozenset(CMU15.joints)
+    is_evidence = np.array([any(d.weights.keys() - body for d in a) for a in alternatives])
+    is_evidence |= np.isin(target.joints, source)
+    return JointMap(source, target, weights, score_factor, is_evidence)
+
+
+def find_evidence(weight: Array, source: tuple[str, ...], target: Skeleton = CMU15) -> NDArray[np.bool_]:
+    """Return which joints (F, Jt), of scores (F, Jt), say more than other joints of the body do.
+
+    Neck and pelvis midway between shoulders and hips do not, and in the model they are elsewhere, by up to a fifth
+    of the trunk; a head by points of the face does. Where fewer than `MIN_TARGET_JOINTS` joints were seen, all
+    count.
+    """
+    is_evidence = build_joint_map(source, target).is_evidence
+    return np.asarray(is_evidence | ((weight[:, is_evidence] > 0).sum(axis=1) < MIN_TARGET_JOINTS)[:, None])
 
 
 def _list_usable_names(target: Skeleton) -> list[str]:

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.association import (
@@ -40,6 +41,7 @@ from mocap_ros.keypoints.association import (
     show_people,
 )
 from mocap_ros.keypoints.extremities import Extremities, convert_body_to_rays
+from mocap_ros.keypoints.joint_map import find_evidence
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.skeleton import CMU15
 from mocap_ros.units import NS_PER_S
@@ -68,6 +70,7 @@ class Detection:
     given_id: str  # name that the detector gives the person; empty if it gives none
     rays: Array  # (J, 2) x / z and y / z of the model's joints in the camera; 0 for a joint that was not seen
     weight: Array  # (J,) confidence scores in [0, 1]; 0 for a joint that was not seen
+    is_evidence: NDArray[np.bool_]  # (J,) as of `joint_map.find_evidence`
     size: float  # RMS distance of the seen joints from their mean, in the units of rays
     extremities: Extremities
 
@@ -89,11 +92,12 @@ class Detection:
             own = [i for i, p in enumerate(people) if p.joints == joints]
             points, score = np.array([people[i].points for i in own]), np.array([people[i].score for i in own])
             rays, weight, others = convert_body_to_rays(points, score, joints, intrinsics, min_score)
-            sizes = measure_sizes(rays, weight)
+            sizes, is_evidence = measure_sizes(rays, weight), find_evidence(weight, joints)
             usable = ((weight > 0).sum(axis=1) >= min_joints) & show_people(sizes)
             for n in np.flatnonzero(usable).tolist():
                 given_id = '' if people[own[n]].id == UNTRACKED_ID else people[own[n]].id
-                found[own[n]] = Detection(given_id, rays[n], weight[n], float(sizes[n]), others.select_frames(n))
+                seen = rays[n], weight[n], is_evidence[n]
+                found[own[n]] = Detection(given_id, *seen, float(sizes[n]), others.select_frames(n))
         return found
 
     def join(self, part: Detection) -> Detection:
@@ -101,7 +105,8 @@ class Detection:
         rays, weight = _fill_gaps(self.rays, self.weight, part.rays, part.weight)
         extremities = Extremities(*_fill_gaps(*self.extremities, *part.extremities))
         (size,) = measure_sizes(rays[None], weight[None]).tolist()
-        return Detection(self.given_id or part.given_id, rays, weight, size, extremities)
+        is_evidence = np.where(self.weight > 0, self.is_evidence, part.is_evidence)
+        return Detection(self.given_id or part.given_id, rays, weight, is_evidence, size, extremities)
 
 
 def _fill_gaps(rays: Array, weight: Array, other_rays: Array, other_weight: Array) -> tuple[Array, Array]:

@@ -466,7 +466,7 @@ def _solve(window: Window, models: Mapping[str, BasePoses], config: SolverConfig
     if window.lifted is None or not can_base_poses_lead(name):
         return name, solution
     (led,) = joint.solve_hypotheses([window], model, let_base_poses_lead(config))
-    return name, led if explains_as_well(led.noise, solution.noise) else solution
+    return name, led if explains_as_well(led.misfit, solution.misfit) else solution
 
 
 class Shares(NamedTuple):

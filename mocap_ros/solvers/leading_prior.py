@@ -9,7 +9,7 @@ poses, which still separates front from back. They do where they explain the ima
 
     (n_b^2 + n_0^2)^(1/2) <= MAX_NOISE_RATIO (n_l^2 + n_0^2)^(1/2)    and    n_b <= MAX_NOISE
 
-with n_b and n_l the image noise where base poses or lifted poses lead, and n_0 = `NEGLIGIBLE_NOISE`.
+with n_b and n_l the misfit where base poses or lifted poses lead, and n_0 = `NEGLIGIBLE_NOISE`.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def let_base_poses_lead(config: SolverConfig) -> SolverConfig:
     )
 
 
-def explains_as_well(noise: float, lifter_noise: float, slack: float = 1.0) -> bool:
-    """Return whether base poses explain the image as well, by noises in m; `slack` widens the limits."""
-    ratio = math.hypot(noise, NEGLIGIBLE_NOISE) / math.hypot(lifter_noise, NEGLIGIBLE_NOISE)
-    return noise <= slack * MAX_NOISE and ratio <= slack * MAX_NOISE_RATIO
+def explains_as_well(misfit: float, lifter_misfit: float, slack: float = 1.0) -> bool:
+    """Return whether base poses explain the image as well, by misfits in m; `slack` widens the limits."""
+    ratio = math.hypot(misfit, NEGLIGIBLE_NOISE) / math.hypot(lifter_misfit, NEGLIGIBLE_NOISE)
+    return misfit <= slack * MAX_NOISE and ratio <= slack * MAX_NOISE_RATIO

@@ -32,6 +32,7 @@ from mocap_ros.keypoints.extremities import (
     exchange_body_sides,
     join_body,
 )
+from mocap_ros.keypoints.joint_map import find_evidence
 from mocap_ros.keypoints.left_right import BodySides, exchange_sides, find_swapped_parts
 from mocap_ros.keypoints.rays import convert_to_rays
 from mocap_ros.models.lifter import LiftedPoses, concatenate_lifted
@@ -82,6 +83,8 @@ class ObservedWindow:
     # face, feet and hands, for the lifter, as rays in the real camera, left and right put right; None if none were
     # seen
     extremities: Extremities | None = None
+    # (F, J) as of `joint_map.find_evidence`; None if every joint that was seen counts
+    is_evidence: NDArray[np.bool_] | None = None
 
     @staticmethod
     def facing_person(
@@ -91,10 +94,16 @@ class ObservedWindow:
         intrinsics: Intrinsics,
         focal: float,
         extremities: Extremities | None = None,
+        is_evidence: NDArray[np.bool_] | None = None,
     ) -> ObservedWindow:
         """Return a window whose virtual cameras, one for each frame, follow the person."""
         camera = VirtualCamera.look_at_person(rays, weight, times, VIEW_SMOOTHING_S, intrinsics)
-        return ObservedWindow(times, rays, weight, camera, focal, None, extremities)
+        return ObservedWindow(times, rays, weight, camera, focal, None, extremities, is_evidence)
+
+    @cached_property
+    def evidence(self) -> Array:
+        """Scores (F, J) of the joints as the solvers see them: 0 for those that were derived from others."""
+        return self.weight if self.is_evidence is None else self.weight * self.is_evidence
 
     @cached_property
     def points(self) -> Array:
@@ -107,7 +116,8 @@ class ObservedWindow:
         lifted = None if self.lifted is None else self.lifted.select_frames(frames)
         extremities = None if self.extremities is None else self.extremities.select_frames(frames)
         seen = self.rays[frames], self.weight[frames]
-        return ObservedWindow(self.times[frames], *seen, camera, self.focal, lifted, extremities)
+        is_evidence = None if self.is_evidence is None else self.is_evidence[frames]
+        return ObservedWindow(self.times[frames], *seen, camera, self.focal, lifted, extremities, is_evidence)
 
     def exclude_points(self, excluded: NDArray[np.bool_]) -> ObservedWindow:
         """Return the window with the points of a mask (F, J) set to not seen."""
@@ -136,7 +146,7 @@ class ObservedWindow:
         before = [] if self.lifted is None else [self.lifted]
         all_lifted = concatenate_lifted([*before, in_real_camera])
         seen = self.rays, self.weight, self.virtual_camera, self.focal
-        return ObservedWindow(self.times, *seen, all_lifted, self.extremities)
+        return ObservedWindow(self.times, *seen, all_lifted, self.extremities, self.is_evidence)
 
     def convert_to_initial_values(self, theta: Array, rotation: Array, roots: Array) -> InitialValues:
         """Return theta (F, K) m, rotations (F, 3, 3) and roots (F, 3) m in the real camera as initial values."""
@@ -160,7 +170,7 @@ class ObservedWindow:
             lifted = LiftedPoses(focal * self.virtual_camera.to_virtual_camera(lifted.joints), focal * lifted.std)
         return Window(
             self.points,
-            self.weight,
+            self.evidence,
             self.times,
             start=start,
             unit=None if start is None else statistics.median(start.cameras.scale.tolist()),
@@ -214,7 +224,8 @@ def observe_sequence(
         else:
             rays, weight, extremities = exchange_body_sides(rays, weight, extremities, swapped)
     focal = solver_focal(intrinsics, config.perspective)
-    return ObservedWindow.facing_person(times, rays, weight, intrinsics, focal, extremities)
+    seen = times, rays, weight, intrinsics, focal, extremities
+    return ObservedWindow.facing_person(*seen, find_evidence(weight, joint_names, skeleton))
 
 
 def _exclude_frames_in_one_place(

@@ -209,7 +209,7 @@ class HypothesisChecker:
         led = yield from self._settle(window, own.model_name, base_poses_lead=True)
         by_lifter = yield from self._settle(window, own.model_name, base_poses_lead=False)
         slack = LEAD_SLACK if own.base_poses_lead else 1.0
-        base_poses_lead = explains_as_well(led.noise, by_lifter.noise, slack)
+        base_poses_lead = explains_as_well(led.misfit, by_lifter.misfit, slack)
         if base_poses_lead == own.base_poses_lead:
             return None
         fit = led if base_poses_lead else by_lifter

@@ -81,7 +81,8 @@ def refine(kept: Refinement, tracks: Sequence[Track], parts: Sequence[tuple[int,
     people = [fixed for _, fixed in parts], [track.observed for track in tracks], before
     newest_states = problem.read('theta'), problem.read('rotation'), *problem.describe(newest.units)
     finished = newest.finish(*people, *newest_states, model.skeleton.stature_per_bone, HIDDEN_SHARE)
-    noises, joint_std, solutions = problem.estimate_noise().tolist(), problem.measure_joint_std(), []
+    noises = np.maximum(problem.measure_misfit(), problem.measure_least_noise()).tolist()
+    joint_std, solutions = problem.measure_joint_std(), []
     for old, found, (first, fixed), noise_m, std in zip(before, finished, parts, noises, joint_std, strict=True):
         theta, rotation, roots, bone_lengths, residuals, stature, fit = found
         old_share = math.exp((first - len(theta)) / len(theta)) if fixed else 0.0

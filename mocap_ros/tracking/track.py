@@ -54,6 +54,7 @@ class Track:
     rays: Array  # (F, J, 2) x / z and y / z of the joints in the real camera, with the detector's labels
     weight: Array  # (F, J) confidence scores with the detector's labels; 0 for a joint that was not seen
     extremities: Extremities  # face, feet and hands with the detector's labels
+    is_evidence: NDArray[np.bool_]  # (F, J) as of `Detection`
     # the same frames with swaps undone, their lifted poses, and one virtual camera that faces the person in all of
     # them; its times begin with 0 at the first frame of the window
     observed: ObservedWindow = field(init=False)
@@ -88,7 +89,7 @@ class Track:
         arrays = detection.rays, detection.weight, *detection.extremities
         rays, weight, *others = (a[None][:0] for a in arrays)
         camera = intrinsics, focal, is_tentative
-        track = Track(name, stamp_ns, swap_filter, *camera, rays, weight, Extremities(*others))
+        track = Track(name, stamp_ns, swap_filter, *camera, rays, weight, Extremities(*others), weight > 0)
         track.add_frame(stamp_ns, detection, window_s=0.0)
         return track
 
@@ -162,6 +163,7 @@ class Track:
         self.stamps_ns = (*self.stamps_ns[dropped:], stamp_ns)
         self.rays = np.concatenate([self.rays[dropped:], detection.rays[None]])
         self.weight = np.concatenate([self.weight[dropped:], detection.weight[None]])
+        self.is_evidence = np.concatenate([self.is_evidence[dropped:], detection.is_evidence[None]])
         self.extremities = self.extremities.append_frame(detection.extremities, dropped)
         self.frames_seen += 1
         self.is_tentative &= is_new(self.frames_seen, self.age_s)
@@ -174,7 +176,8 @@ class Track:
         )
         camera = VirtualCamera.look_at_mean_position(rays, weight, self.intrinsics)
         times = (np.array(self.stamps_ns) - self.stamps_ns[0]) / NS_PER_S
-        self.observed = ObservedWindow(times, rays, weight, camera, self.focal, lifted, extremities)
+        seen = times, rays, weight, camera, self.focal
+        self.observed = ObservedWindow(*seen, lifted, extremities, self.is_evidence)
 
     def change_camera(self, intrinsics: Intrinsics, focal: float) -> None:
         """Use other intrinsics: the image points stay, or are resized as the image is; nothing is lifted yet."""

@@ -14,7 +14,7 @@ from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.extremities import convert_body_to_rays, exchange_body_sides, join_body, split_body
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_image_size
-from mocap_ros.keypoints.joint_map import JointMap, build_joint_map
+from mocap_ros.keypoints.joint_map import JointMap, build_joint_map, find_evidence
 from mocap_ros.keypoints.left_right import PARTS
 from mocap_ros.keypoints.rays import convert_to_rays
 from mocap_ros.keypoints.validation import PointPlaces, mark_unseen
@@ -53,6 +53,17 @@ def test_missing_joints_are_derived_in_order_of_precision() -> None:
     mapped, mapped_score = build_joint_map(joints).apply(points, score)
     assert np.isnan(mapped[CMU15.index('neck')]).all()
     assert mapped_score[CMU15.index('neck')] == 0
+
+
+@pytest.mark.parametrize(
+    ('layout', 'derived'), [('coco17', {'neck', 'pelvis'}), ('body25', set()), ('mediapipe33', {'neck', 'pelvis'})]
+)
+def test_joints_between_others_are_no_evidence_but_where_little_is_seen(layout: str, derived: set[str]) -> None:
+    weight = np.ones((2, len(CMU15.joints)))
+    weight[1, [CMU15.index(j) for j in CMU15.joints if j[0] in 'lr' and not j.endswith('shoulder')]] = 0
+    enough, few = find_evidence(weight, keypoint_layout(layout).joints)
+    assert {j for j, e in zip(CMU15.joints, enough, strict=True) if not e} == derived
+    assert few.all()
 
 
 def test_too_few_or_repeated_joints_are_refused() -> None:

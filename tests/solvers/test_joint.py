@@ -182,7 +182,7 @@ def test_a_step_solves_the_damped_equations(walk_model: BasePoses, rng: np.rando
 
 def test_the_limit_of_accelerations_gives_way_to_fast_motion_and_holds_under_noise() -> None:
     change = np.array([[1.0, -2.0, 1.0]])
-    for noise_ratio, limit in ((1.0, 3.0), (0.5, 1.5), (1.5, 4.5), (20.0, 3 * MAX_NOISE_RATIO)):
+    for noise_ratio, limit in ((1.0, 3.0), (0.5, 3.0), (1.5, 4.5), (20.0, 3 * MAX_NOISE_RATIO)):
         for acceleration in (0.0, 3.0, 9.0):
             given = np.array([acceleration**2]), np.array([noise_ratio])
             share = (limit_acceleration(2.0, 3.0, change, *given) / change) ** 2
@@ -193,6 +193,21 @@ def make_batch(walk_model: BasePoses, times: list[np.ndarray]) -> Batch:
     points = [np.random.default_rng(0).normal(size=(len(t), 15, 2)) for t in times]
     windows = [Window(p, np.ones(p.shape[:2]), t) for p, t in zip(points, times, strict=True)]
     return Batch.build(windows, np.ones(len(times)), walk_model)
+
+
+@pytest.mark.parametrize(('rate_hz', 'factor'), [(30.0, 4.0), (60.0, 4.0), (15.0, 0.0)])
+def test_the_least_noise_follows_what_is_new_in_the_points(
+    walk_model: BasePoses, rng: np.random.Generator, rate_hz: float, factor: float
+) -> None:
+    """Points at rest, some of which jump, under noise of 5 mm; of slower streams nothing is known."""
+    batch = replace(make_batch(walk_model, [np.arange(300) / rate_hz]), lifted=np.zeros((300, 15, 3)))
+    batch = replace(batch, precision=np.ones_like(batch.lifted))
+    batch.image[:] = 0.005 * rng.standard_normal(batch.image.shape)
+    batch.image[rng.random(batch.score.shape) < 0.002] += 0.3
+    problem = JointObjective.build(batch, walk_model, CONFIG).compile()
+    assert problem.measure_least_noise() == pytest.approx([factor * 0.005], rel=0.5)
+    batch.image[:] = 0.1 * np.sin(4 * batch.times)[:, None, None]
+    assert JointObjective.build(batch, walk_model, CONFIG).compile().measure_least_noise() == pytest.approx([0.0])
 
 
 def test_activity_is_the_mean_square_acceleration_nearby(walk_model: BasePoses, rng: np.random.Generator) -> None:
@@ -279,7 +294,7 @@ def test_reaches_the_alternations_minimum_or_a_lower_one(walk_model: BasePoses) 
     w = window(walk_model)
     slow = alternation.reconstruct(w, walk_model, config)
     (fast,) = joint.solve([w], walk_model, config)
-    assert fast.history[0] == pytest.approx(slow.history[0], rel=1e-9)
+    assert fast.history[0] == pytest.approx(slow.history[0], rel=1e-5)
     assert fast.cost <= slow.cost * (1 + 1e-3), 'the same or a neighbouring minimum'
     assert np.argmax(np.array(fast.history) <= fast.cost * (1 + 1e-4)) <= 15
 

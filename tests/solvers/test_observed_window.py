@@ -101,7 +101,7 @@ def test_the_solver_gets_the_px_of_a_camera_that_faces_the_person(single_camera:
     window = observed.build_solver_window()
     assert window.points == pytest.approx(expected, abs=1e-3)
     assert np.abs(expected.mean(axis=(0, 1))).max() < 5, 'px; the person is near the optical axis'
-    assert (window.weight, window.times) == (observed.weight, observed.times)
+    assert (window.weight, window.times) == (observed.evidence, observed.times)
     assert window.focal == CAMERA.focal
 
 

@@ -85,6 +85,7 @@ def reconstruct(
         history=(2e-4, 1e-4),
         iterations=1,
         noise=0.03,
+        misfit=0.03,
         joint_std=np.full(15, 0.04),
     )
 

@@ -16,11 +16,11 @@ Of order 1 the terms are, with dt_t the time from frame t to the next,
 Of order 2 they are the integral of the squared acceleration of the weights and of R[:2], whatever the frame rate:
 
     sum_t alpha_t |v_(t+1) - v_t|^2 / h_t,    v_t = (x_(t+1) - x_t) / dt_t,    h_t = (dt_t + dt_(t+1)) / 2
-    alpha_t = alpha / (1 + a_t^4 / (A min(r, R))^4)
+    alpha_t = alpha / (1 + a_t^4 / (A r)^4)
 
 The limit gives way to fast motion: a_t is the RMS acceleration within `ACTIVITY_SPAN_S` in frames a tenth of a
-second apart, A that at which the weight is halved under the reference noise, and r the image noise over it, at
-most R.
+second apart, A that at which the weight is halved under the reference noise, and r the image noise over it,
+between 1 and R.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def limit_acceleration(
     weight: float, typical: float, velocity_change: Array, mean_square: Array, noise_ratio: Array
 ) -> Array:
     """Return sqrt(alpha_t) times the factors of the change of velocity (N, 3), by a_t^2 (N,) and r (N,)."""
-    limit = typical * np.minimum(noise_ratio, MAX_NOISE_RATIO)
+    limit = typical * np.clip(noise_ratio, 1.0, MAX_NOISE_RATIO)
     return np.asarray(np.sqrt(weight / (1 + (mean_square / limit**2) ** 2))[:, None] * velocity_change)
 
 

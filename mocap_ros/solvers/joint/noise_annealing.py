@@ -9,7 +9,19 @@ the coordinates that the unknowns have not absorbed:
     noise^2 = sum_tj w_tj rho(|e_tj|^2) / (2 S - m),    m = F / |T| sum_(t in T) m_t
 
 over the S seen joints of a sequence, with m_t the coordinates that the unknowns of frame t fit away while its
-neighbours are held, counted in some free frames T. Under large noise the priors hold the weights and few local
+neighbours are held, counted in some free frames T.
+
+Errors of a detector wander for some tenths of a second, or stay. Poses follow these, the more so the fewer joints
+there are, so the residual shows too little of them. But they are about C times what is new in every frame, which
+the points show by themselves. So with lifted poses
+
+    noise >= C (q^2 - q_0^2)^(1/2),    q^2 = mean_tj w_tj rho(|d_tj|^2 / 20) / 2
+    d_tj = x_tj - 3 x_(t-1)j + 3 x_(t-2)j - x_(t-3)j
+
+with x the points at 30 Hz and q_0 the q of people who move without noise. C and the constants of rho were measured
+on the protocol's detectors; of noise that is new in every frame the estimate is C times too large.
+
+Under large noise the priors hold the weights and few local
 minima are left. So the rounds begin with 50 mm, on a tenth of a second's best-seen frame each and the base poses
 that vary by a good part of the noise, and end with all frames and all base poses.
 """
@@ -26,7 +38,7 @@ from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint as engine
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.joint.batch import Batch, State
-from mocap_ros.solvers.joint.objective import JointObjective, measure_activities, read_state
+from mocap_ros.solvers.joint.objective import JointObjective, measure_activities, read_state, weigh_motion
 from mocap_ros.solvers.levenberg_marquardt import minimise_stepwise
 from mocap_ros.solvers.stepwise import Stepwise
 from mocap_ros.solvers.window import Window
@@ -63,14 +75,15 @@ def anneal_stepwise(
     noise, is_unknown = get_given_noise(windows, config), np.array([w.noise is None for w in windows])
 
     def update_noise(problem: engine.JointProblem, least: float) -> Array:
-        estimate = np.maximum(problem.estimate_noise(), max(least, config.noise_floor))
+        estimate = np.maximum(problem.measure_misfit(), problem.measure_least_noise())
+        estimate = np.maximum(estimate, max(least, config.noise_floor))
         return np.where(is_unknown, estimate, noise)
 
     tolerance, damping = max(ROUND_TOLERANCE, config.tolerance), COLD_DAMPING
     iterations = np.zeros(len(windows), np.int64)
     frames = batch.find_best_seen(COARSE_FRAME_STEP_S)
     some, coarse = batch.select(frames), state.select(frames)
-    share = some.counts / batch.counts
+    share = weigh_motion(batch) * some.counts / batch.counts
     for level, least in zip(COARSE_NOISE_M, (*COARSE_NOISE_M[1:], FINE_NOISE_M[0]), strict=True):
         k = max(int((model.std >= MIN_STD_OVER_NOISE * level).sum()), MIN_COMPONENTS)
         objective = JointObjective.build(some, model, config, noise, share).truncate(k)

@@ -25,6 +25,7 @@ from mocap_ros.models.base_poses import MAX_MODELS, BasePoses, arrange_model
 from mocap_ros.solvers.joint.batch import Batch, State
 from mocap_ros.solvers.joint.differences import (
     CAMERA_FEATURES,
+    MIN_TIME_STEP_S,
     TYPICAL_OF_CAMERA,
     TYPICAL_OF_POSE,
     VERTICAL_FEATURES,
@@ -38,6 +39,7 @@ from mocap_ros.solvers.joint.differences import (
 Array = NDArray[np.float64]
 
 NOISE_REFERENCE = 0.01  # m; image noise at the body for which the weights in the configuration are given
+LASTING_S = 1 / 30  # s; frames that are nearer have the same errors, for which weights were tuned at this rate
 MIN_ROBUST_SCALE = 1e-6  # m; a smaller `robust_scale` selects least squares
 
 
@@ -100,16 +102,18 @@ class JointObjective:
     ) -> JointObjective:
         """Return the objective with the weights of the configuration, at a noise (P,) m, None for the reference.
 
-        Differences of a selection count by the `share` (P,) of frames in it, and there are none of order 2.
+        Differences of a selection count by a `share` (P,), and there are none of order 2; else by `weigh_motion`.
         `activity` are mean square accelerations (N,) m^2/s^4 of poses and (N,) 1/s^4 of cameras; None for rest.
         """
         weights = choose_weights(model, config, len(batch.lifted) > 0)
         noise_ratio = np.ones(len(batch.starts)) if noise is None else noise / NOISE_REFERENCE
         inverse = invert_time_steps(batch)
-        root = np.sqrt(inverse if share is None else batch.repeat_per_frame(share) * inverse)
+        share_of_frame = batch.repeat_per_frame(weigh_motion(batch) if share is None else share)
+        root = np.sqrt(share_of_frame * inverse)
         differences = [FiniteDifference(np.stack([-root, root], axis=1), weights.of_velocity)]
         if share is None and config.pose_acceleration_weight > 0:
-            change, ratio = weigh_velocity_change(batch), batch.repeat_per_frame(noise_ratio)
+            change = np.sqrt(share_of_frame)[:, None] * weigh_velocity_change(batch)
+            ratio = batch.repeat_per_frame(noise_ratio)
             of_pose, of_camera = activity or (np.zeros(len(ratio)), np.zeros(len(ratio)))
             alpha, kappa = config.pose_acceleration_weight, config.camera_acceleration_weight
             pose = limit_acceleration(alpha, TYPICAL_OF_POSE, change, of_pose, ratio)
@@ -155,6 +159,12 @@ class JointObjective:
 def read_state(problem: engine.JointProblem) -> State:
     """Return the unknowns at the current point of a problem."""
     return State(*(problem.read(name) for name in State._fields))
+
+
+def weigh_motion(batch: Batch) -> Array:
+    """Return the weights (P,) of differences: as errors of a detector last, more frames a second say no more."""
+    spans = batch.times[batch.starts + batch.counts - 1] - batch.times[batch.starts]
+    return np.asarray(np.maximum(LASTING_S * (batch.counts - 1) / np.maximum(spans, MIN_TIME_STEP_S), 1.0))
 
 
 def measure_activities(state: State, coarse: Batch, batch: Batch) -> tuple[Array, Array]:

@@ -51,7 +51,8 @@ WARM_DAMPING = 1e-2  # first damping from the solution of the last frame; tuned 
 class JointReconstruction(Reconstruction):
     """Reconstruction by the joint solver. Its objective never rises."""
 
-    noise: float  # m, standard deviation of a coordinate of a point of weight 1, estimated from the residual
+    noise: float  # m, standard deviation of a coordinate of a point of weight 1 (`noise_annealing`)
+    misfit: float  # m, the same by the residual alone: how well poses explain the image
     # (J,) m, posterior standard deviation (root of the trace of the covariance) of each joint of the last frame
     # relative to the origin of the body frame; None where the equations are singular
     joint_std: Array | None
@@ -182,7 +183,8 @@ def make_reconstructions(
     """Return the reconstruction of each sequence of a batch; units (P,) px/m."""
     joints, scale, translation, residual = problem.describe(units)
     theta, rotation = problem.read('theta'), problem.read('rotation')
-    noise, joint_std = problem.estimate_noise(), problem.measure_joint_std()
+    misfit, joint_std = problem.measure_misfit(), problem.measure_joint_std()
+    noise = np.maximum(misfit, problem.measure_least_noise())
     costs, out = history.T.tolist(), []
     for i, own in enumerate(batch.slices):
         iterations = int(problem.iterations[i])
@@ -197,6 +199,7 @@ def make_reconstructions(
                 history=tuple(costs[i][: iterations + 1]),
                 iterations=int(earlier_iterations[i]) + iterations,
                 noise=float(noise[i]),
+                misfit=float(misfit[i]),
                 joint_std=None if np.isnan(joint_std[i, 0]) else joint_std[i],
             )
         )
