@@ -207,19 +207,22 @@ def find_standing(
 ):
     """Return the shares (N,) to which poses stand.
 
-    `joints`, `sides`, `neck`, `pelvis`, `min_length` as of `find_upward`; `standing_deg` who has a hip that is
-    bent by no more stands; `seated_deg` who has both hips bent by more does not.
+    `joints`, `sides`, `neck`, `pelvis`, `min_length` as of `find_upward`; `standing_deg` who has a leg whose hip and
+    knee are bent by no more stands; `seated_deg` who has in both legs one that is bent by more does not.
     """
     cdef Py_ssize_t n, s
-    cdef double[3] trunk, thigh
-    cdef double cosine, straighter = 0
+    cdef double[3] trunk, thigh, shank
+    cdef double cosine, of_knee, straighter = 0
     result = np.empty(joints.shape[0])
     cdef double[::1] out = result
     for n in range(joints.shape[0]):
         subtract(joints[n], neck, pelvis, trunk)
         for s in range(2):
             subtract(joints[n], sides[s, 1], sides[s, 2], thigh)
+            subtract(joints[n], sides[s, 2], sides[s, 3], shank)
             cosine = dot(trunk, thigh) / max(sqrt(dot(trunk, trunk)) * sqrt(dot(thigh, thigh)), min_length)
+            of_knee = dot(thigh, shank) / max(sqrt(dot(thigh, thigh)) * sqrt(dot(shank, shank)), min_length)
+            cosine = of_knee if of_knee < cosine else cosine
             straighter = cosine if s == 0 or not cosine <= straighter else straighter  # NaN stays
         out[n] = NAN
         if straighter == straighter:

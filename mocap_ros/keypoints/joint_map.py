@@ -43,6 +43,10 @@ _SHOULDERS = {'lshoulder': 0.5, 'rshoulder': 0.5}  # weights of the point midway
 _HIPS = {'lhip': 0.5, 'rhip': 0.5}  # weights of the point midway between the hips
 
 
+_MIDWAY = {'neck': tuple(_SHOULDERS), 'pelvis': tuple(_HIPS)}  # joints that some programs put between two others
+MIDWAY_SHARE = 1e-3  # 1; of the size of the body in the image; so near to the middle no neck and no pelvis is seen
+
+
 def _extrapolate_from_shoulders(end: dict[str, float], fraction: float) -> dict[str, float]:
     towards = {j: fraction * w for j, w in end.items()}
     return towards | {j: (1 - fraction) * w for j, w in _SHOULDERS.items()}
@@ -173,15 +177,23 @@ def build_joint_map(source: tuple[str, ...], target: Skeleton = CMU15) -> JointM
     return JointMap(source, target, weights, score_factor, is_evidence)
 
 
-def find_evidence(weight: Array, source: tuple[str, ...], target: Skeleton = CMU15) -> NDArray[np.bool_]:
-    """Return which joints (F, Jt), of scores (F, Jt), say more than other joints of the body do.
+def find_evidence(
+    rays: Array, weight: Array, source: tuple[str, ...], target: Skeleton = CMU15
+) -> NDArray[np.bool_]:
+    """Return which joints (F, Jt), of rays (F, Jt, 2) and scores (F, Jt), say more than others of the body do.
 
-    Neck and pelvis midway between shoulders and hips do not, and in the model they are elsewhere, by up to a fifth
-    of the trunk; a head by points of the face does. Where fewer than `MIN_TARGET_JOINTS` joints were seen, all
-    count.
+    Neck and pelvis midway between shoulders and hips do not, whoever put them there, and in the model they are
+    elsewhere, by up to a fifth of the trunk; a head by points of the face does. Where fewer than
+    `MIN_TARGET_JOINTS` joints were seen, all count.
     """
-    is_evidence = build_joint_map(source, target).is_evidence
-    return np.asarray(is_evidence | ((weight[:, is_evidence] > 0).sum(axis=1) < MIN_TARGET_JOINTS)[:, None])
+    is_evidence = np.repeat(build_joint_map(source, target).is_evidence[None], len(weight), axis=0)
+    tolerance = MIDWAY_SHARE * np.ptp(rays, axis=1).max(axis=1)
+    for joint, pair in _MIDWAY.items():
+        if joint in target.joints:
+            middle = rays[:, [target.index(j) for j in pair]].mean(axis=1)
+            off = np.abs(rays[:, target.index(joint)] - middle).max(axis=1)
+            is_evidence[:, target.index(joint)] &= off > tolerance
+    return np.asarray(is_evidence | ((is_evidence & (weight > 0)).sum(axis=1) < MIN_TARGET_JOINTS)[:, None])
 
 
 def _list_usable_names(target: Skeleton) -> list[str]:

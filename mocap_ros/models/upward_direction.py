@@ -8,7 +8,8 @@
 
 with m_j the share of the body's mass that joint j carries (Winter, "Biomechanics and Motor Control of Human
 Movement", 4th edition, table 4.1), l the length of a leg and the trunk, and n the direction ahead. Who sits shows
-no direction upwards; whether a person stands shows in the flexion phi of the straighter hip:
+no direction upwards, nor does who kneels; whether a person stands shows in the straighter leg, by the flexion phi
+of its hip or its knee, whichever is more bent:
 
     share = (PHI_1 - phi) / (PHI_1 - PHI_0), between 0 and 1
 
@@ -67,7 +68,7 @@ def find_upward(joints: Array) -> Array:
 
 
 def find_standing(joints: Array) -> Array:
-    """Return the shares (N,) to which poses stand: 1 with a straight hip, 0 if both are bent as on a chair."""
+    """Return the shares (N,) to which poses stand: 1 with a straight leg, 0 if both are bent as on a chair."""
     poses, limits_deg = np.ascontiguousarray(joints), (STANDING_FLEXION_DEG, SEATED_FLEXION_DEG)
     return engine.find_standing(poses, _SIDES, _NECK, _PELVIS, MIN_LENGTH, *limits_deg)
 

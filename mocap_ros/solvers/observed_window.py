@@ -225,7 +225,7 @@ def observe_sequence(
             rays, weight, extremities = exchange_body_sides(rays, weight, extremities, swapped)
     focal = solver_focal(intrinsics, config.perspective)
     seen = times, rays, weight, intrinsics, focal, extremities
-    return ObservedWindow.facing_person(*seen, find_evidence(weight, joint_names, skeleton))
+    return ObservedWindow.facing_person(*seen, find_evidence(rays, weight, joint_names, skeleton))
 
 
 def _exclude_frames_in_one_place(

@@ -59,10 +59,12 @@ def test_missing_joints_are_derived_in_order_of_precision() -> None:
     ('layout', 'derived'), [('coco17', {'neck', 'pelvis'}), ('body25', set()), ('mediapipe33', {'neck', 'pelvis'})]
 )
 def test_joints_between_others_are_no_evidence_but_where_little_is_seen(layout: str, derived: set[str]) -> None:
-    weight = np.ones((2, len(CMU15.joints)))
+    rays, weight = np.random.default_rng(0).normal(size=(3, len(CMU15.joints), 2)), np.ones((3, len(CMU15.joints)))
+    rays[2, CMU15.index('neck')] = rays[2, [CMU15.index('lshoulder'), CMU15.index('rshoulder')]].mean(axis=0)
     weight[1, [CMU15.index(j) for j in CMU15.joints if j[0] in 'lr' and not j.endswith('shoulder')]] = 0
-    enough, few = find_evidence(weight, keypoint_layout(layout).joints)
+    enough, few, midway = find_evidence(rays, weight, keypoint_layout(layout).joints)
     assert {j for j, e in zip(CMU15.joints, enough, strict=True) if not e} == derived
+    assert {j for j, e in zip(CMU15.joints, midway, strict=True) if not e} == derived | {'neck'}
     assert few.all()
 
 
