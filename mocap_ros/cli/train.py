@@ -72,7 +72,8 @@ OPTIONS: Options = {
     '--checkpoint FILE': 'with --lifter, file that keeps the state of the training every few minutes; a training '
     'that finds one goes on from there, also with more --steps (default: none is kept)',
     '--start-from LIFTER.npz': 'with --lifter, one whose weights the training begins with, at a lower learning '
-    'rate and with its batch norms as they are; give another --seed than it had, so that the examples are new '
+    'rate and with its batch norms as they are, and of which the result keeps a part; give another --seed than it '
+    'had, so that the examples are new '
     '(default: random weights)',
     '--seed N': option(
         'with --lifter, random seed of the initial weights and the examples (default: 0)',

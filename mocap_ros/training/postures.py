@@ -115,35 +115,34 @@ overhead  shoulder  -1:-0.8     -0.1:0.3    0:0.4       0.2,0.6,1    0,0,-1    l
 # kind: what `without` names. trunk: a of the trunk; spine: by how much the upper trunk leans more. pitch: by how
 # much the whole body leans forward: -90 on the back, 90 on the front, 180 upside down; roll: the same to a side.
 # rests_on: nothing is lower, and the line between the two is level. arms: places of the hands, equally likely.
-# vertical: degrees, standard deviation about each axis of the vertical that a tracker finds by such people.
 POSTURES = """
-kind       share  trunk    spine    pitch     roll    legs                rests_on        vertical  arms
-bend       0.02   35:110   -5:20    0         0       bent_over           ankle           8         own,down,floor
-bend       0.02   0:70     -5:20    0         0       crouching           ankle           8         own,knee,ahead
-chair      0.04   -30:55   -5:20    0         0       chair               ankle           21        SEATED
-chair      0.02   -30:40   -5:20    0         0       steady,crossed      ankle           21        SEATED
-chair      0.01   -30:40   -5:20    0         0       steady,figure4      ankle           21        SEATED
-floor      0.012  -35:30   -5:25    0         0       stretched           hip,ankle       20        FLOOR
-floor      0.012  -35:35   -5:25    0         0       knees_up            hip,ankle       20        FLOOR,shin,shin
-floor      0.006  -30:30   -5:25    0         0       stretched,knees_up  hip,ankle       20        FLOOR
-floor      0.018  -15:40   -5:25    0         0       tailor,cross        hip,ankle       20        FLOOR
-floor      0.008  -15:30   -5:20    0         0       cross,side_far      hip,ankle       20        FLOOR
-kneel      0.015  -10:35   -5:20    0         0       kneeling            knee,ankle      22        own,lap,ahead
-kneel      0.01   -10:45   -5:20    0         0       kneeling,foot_flat  knee            22        own,knee,ahead
-kneel      0.015  -10:50   -5:20    0         0       heels               knee,ankle      22        own,lap,chest
-lie        0.015  -8:8     -5:15    -95:-85   0       straight            shoulder,ankle  30        LYING
-lie        0.01   -8:8     -5:20    -95:-85   0       supine              shoulder,ankle  30        LYING
-lie        0.005  -8:8     -5:30    -95:-85   0       raised              shoulder,hip    30        LYING
-lie        0.015  -10:20   -10:25   0         75:105  sideways            shoulder,hip    30        cuddle
-lie        0.01   -5:8     -30:5    85:95     0       prone               hip,knee        30        beside,pillow
-fours      0.015  65:105   -15:15   0         0       crawling            wrist,knee      30        floor
-fours      0.01   70:135   -15:10   0         0       plank               wrist,ankle     30        floor
-bridge     0.01   -60:-10  -45:0    0         0       back_bend           ankle           20        own,hip,up
-bridge     0.006  -25:15   -65:-15  -95:-85   0       bridge              wrist,ankle     30        overhead
-bridge     0.004  -10:10   10:30    -120:-95  0       bridge              shoulder,ankle  30        beside
-bridge     0.005  -65:-30  -15:15   0         0       crab                wrist,ankle     30        floor
-handstand  0.008  -15:15   -25:10   160:200   0       upturned            wrist           60        up
-hang       0.01   -15:15   -15:10   -10:10    0       hanging             -               10        up
+kind       share  trunk    spine    pitch     roll    legs                rests_on        arms
+bend       0.02   35:110   -5:20    0         0       bent_over           ankle           own,down,floor
+bend       0.02   0:70     -5:20    0         0       crouching           ankle           own,knee,ahead
+chair      0.04   -30:55   -5:20    0         0       chair               ankle           SEATED
+chair      0.02   -30:40   -5:20    0         0       steady,crossed      ankle           SEATED
+chair      0.01   -30:40   -5:20    0         0       steady,figure4      ankle           SEATED
+floor      0.012  -35:30   -5:25    0         0       stretched           hip,ankle       FLOOR
+floor      0.012  -35:35   -5:25    0         0       knees_up            hip,ankle       FLOOR,shin,shin
+floor      0.006  -30:30   -5:25    0         0       stretched,knees_up  hip,ankle       FLOOR
+floor      0.018  -15:40   -5:25    0         0       tailor,cross        hip,ankle       FLOOR
+floor      0.008  -15:30   -5:20    0         0       cross,side_far      hip,ankle       FLOOR
+kneel      0.015  -10:35   -5:20    0         0       kneeling            knee,ankle      own,lap,ahead
+kneel      0.01   -10:45   -5:20    0         0       kneeling,foot_flat  knee            own,knee,ahead
+kneel      0.015  -10:50   -5:20    0         0       heels               knee,ankle      own,lap,chest
+lie        0.015  -8:8     -5:15    -95:-85   0       straight            shoulder,ankle  LYING
+lie        0.01   -8:8     -5:20    -95:-85   0       supine              shoulder,ankle  LYING
+lie        0.005  -8:8     -5:30    -95:-85   0       raised              shoulder,hip    LYING
+lie        0.015  -10:20   -10:25   0         75:105  sideways            shoulder,hip    cuddle
+lie        0.01   -5:8     -30:5    85:95     0       prone               hip,knee        beside,pillow
+fours      0.015  65:105   -15:15   0         0       crawling            wrist,knee      floor
+fours      0.01   70:135   -15:10   0         0       plank               wrist,ankle     floor
+bridge     0.01   -60:-10  -45:0    0         0       back_bend           ankle           own,hip,up
+bridge     0.006  -25:15   -65:-15  -95:-85   0       bridge              wrist,ankle     overhead
+bridge     0.004  -10:10   10:30    -120:-95  0       bridge              shoulder,ankle  beside
+bridge     0.005  -65:-30  -15:15   0         0       crab                wrist,ankle     floor
+handstand  0.008  -15:15   -25:10   160:200   0       upturned            wrist           up
+hang       0.01   -15:15   -15:10   -10:10    0       hanging             -               up
 """
 _ARMS = {
     'SEATED': 'own,knee,knee,lap,lap,chest,ahead,chin,ear,head,beside',
@@ -152,7 +151,6 @@ _ARMS = {
     'STANDING': 'hip,back,head,ear,chin,chest,ahead,aside,up',  # of people in none of the postures
 }
 ARMS_SHARE = 0.12  # share of these people whose arms are posed; left out as `arms`
-STANDING_VERTICAL_DEG = 6.0  # standard deviation of the vertical that a tracker finds by them
 
 SYMMETRIC_SHARE = 0.5  # share of the examples with both legs, or both hands, in the same position
 SIDE_STD_RAD = 0.08  # rad, standard deviation of each angle by which the two sides differ even then
@@ -201,7 +199,6 @@ _LEG, _PLACE, _POSTURE = (read_table(t) for t in (LEGS, PLACES, POSTURES))
 KINDS = tuple(dict.fromkeys(_POSTURE['kind']))
 _SHARES = np.array([float(s) for s in _POSTURE['share']])
 _COUNT = len(_SHARES)
-_VERTICAL_RAD = np.radians([*map(float, _POSTURE['vertical']), STANDING_VERTICAL_DEG])
 _BODY_RANGES = np.radians(_read_ranges(*(_POSTURE[c] for c in ('trunk', 'spine', 'pitch', 'roll'))))
 _LEG_RANGES = np.radians(_read_ranges(*(_LEG[c] for c in ('thigh', 'out', 'shank', 'out_2', 'toes'))))
 # (P, 2) rows of `LEGS` of a leg and of the other one
@@ -240,7 +237,7 @@ _SHOULDERS, _ELBOW, _WRIST, _HAND, _KNEE, _ANKLE, _TOE, _HEEL = (
 _AGO = HISTORY_SLOTS_S.astype(np.float32)
 
 
-def take_postures(vectors: Array, random: RandomArrays, without: Collection[str] = ()) -> tuple[Array, Array]:
+def take_postures(vectors: Array, random: RandomArrays, without: Collection[str] = ()) -> Array:
     """Take the postures of `POSTURES`, and hold the arms of others elsewhere, in their shares of the examples.
 
     Args:
@@ -249,7 +246,7 @@ def take_postures(vectors: Array, random: RandomArrays, without: Collection[str]
         without: kinds of postures that are left out; `arms` of people in none of them.
 
     Returns:
-        (N, T, J, 3) m, bone vectors; and (N,) rad, standard deviation of the vertical that a tracker finds.
+        (N, T, J, 3) m, bone vectors.
     """
     count = len(vectors)
     shares = np.where(np.isin(_POSTURE['kind'], list(without)), 0, _SHARES)
@@ -272,8 +269,7 @@ def take_postures(vectors: Array, random: RandomArrays, without: Collection[str]
     is_good[is_posture] &= _check_ground(add_bones(laid[:, 0]), kinds) & (levelling < MAX_LEVELLING_RAD)
     out = vectors.copy()
     out[changed[is_good]] = posed[is_good]
-    number[changed[~is_good]] = _COUNT
-    return out, _VERTICAL_RAD[number].astype(np.float32)
+    return out
 
 
 def _draw_angles(ranges: Array, random: RandomArrays, is_moving: Bools) -> Array:

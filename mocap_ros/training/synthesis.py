@@ -15,7 +15,6 @@ had seen neither these nor the test subjects. Shares are shares of the examples.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -47,9 +46,6 @@ from mocap_ros.training.postures import KINDS as POSTURE_KINDS
 
 # Bodies and poses: the library has few people and motions, and the lifter meets many.
 MIRRORED_SHARE = 0.5  # share; people are left- and right-handed alike
-# Adults differ in the lengths of these parts, and little in how a part is divided into bones.
-PROPORTION_RANGE = (0.88, 1.12)  # 1, factor on each of the parts below; left out as `proportions`
-PARTS = (('knee', 'ankle'), ('elbow', 'wrist'), ('neck',), ('shoulder',), ('hip',))
 BONE_LENGTH_STD = 0.07  # 1, standard deviation of the factor on each bone length
 MAX_BONE_LENGTH_DEVIATIONS = 2.5  # standard deviations; bounds the factor to 0.83 and 1.18
 MIN_BONE_LENGTH_M = 1e-6  # m; guards divisions by the length of bones that a trial lacks
@@ -73,15 +69,10 @@ COMMON_ELEVATION_SHARE = 0.6  # share of the examples with such a camera
 COMMON_ELEVATION_DEG = (12, 14)  # degrees, mean and standard deviation of the elevation in these
 ELEVATION_RANGE_DEG = (-20, 45)  # degrees in the others; from a camera on the floor to one under the ceiling
 ROLL_STD_DEG = 7  # degrees, standard deviation; hand-held cameras and cameras that are not levelled
-ANY_ROLL_SHARE = 0.06  # share of the examples with a camera on its side, upside down or in between; `roll`
 
 # What the lifter gets of the vertical.
 KNOWN_VERTICAL_SHARE = 0.5  # share of the examples in which it is known
 VERTICAL_STD_RANGE_RAD = (0.008, 0.25)  # rad, by how much it is off, log-uniform; 0.5 to 14 degrees
-# Share of these in which a tracker has found it by such people, with the standard deviation of their posture. What
-# it believes is between one that suits people who stand and this; left out as `found`.
-FOUND_VERTICAL_SHARE = 0.25
-BELIEVED_STD_RAD = math.radians(8.0)  # rad, of the direction that a standing person shows
 
 # Projection.
 ORTHOGRAPHIC_SHARE = 0.35  # share; distant people, and the weak-perspective images of the solvers
@@ -101,10 +92,8 @@ _FRAMES_AGO = np.round(HISTORY_SLOTS_S * FPS).astype(int)  # frames from each sl
 _SAME_FACTOR = np.minimum(np.arange(JOINT_COUNT), MIRROR_PERMUTATION)
 _SAME_FACTOR[joint_indices(*FACE)] = BODY26.index(FACE[0])
 _RIGHT = [right for _, right in BODY26.left_right_pairs]
-# (J,) number of the part of `PARTS` to which each joint belongs; the last for others
-_PART = np.array([*(next((i for i, p in enumerate(PARTS) if n.endswith(p)), len(PARTS)) for n in BODY26.joints)])
 # What can be left out of the examples.
-KINDS = (*POSTURE_KINDS, 'arms', 'proportions', 'roll', 'found')
+KINDS = (*POSTURE_KINDS, 'arms')
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +121,7 @@ class ExampleSynthesiser:
     def make_batch(self, count: int) -> ExampleBatch:
         """Make the next `count` examples."""
         vectors, is_recorded, is_known = self._draw_motion(count)
-        vectors, found_std = self._vary_bodies(vectors)
+        vectors = self._vary_bodies(vectors)
         points = add_bones(vectors)  # (N, T, J, 3)
         is_precise = self.random.chance(count, PRECISE_SHARE)
         offsets = np.where(is_precise[:, None, None, None], np.float32(0), self._draw_offsets(points))
@@ -141,7 +130,7 @@ class ExampleSynthesiser:
         in_camera = rotate_points(points + offsets, rotation)
         image, focal = self._project(in_camera)
         image, weight = self.errors.detect(image, in_camera[:, 0, :, 2], is_recorded, is_known, is_precise)
-        upward = self._draw_verticals(rotation[:, 0], found_std)
+        upward = self._draw_verticals(rotation[:, 0])
         features, newest, size = encode_features(image, weight, focal, upward)
         target = (truth - truth[:, :CORE_COUNT].mean(axis=1, keepdims=True)) / size[:, None, None]
         return ExampleBatch(
@@ -171,19 +160,12 @@ class ExampleSynthesiser:
         is_known = self.library.has_extremities[newest][:, None] | (np.arange(JOINT_COUNT) < CORE_COUNT)
         return rotate_points(vectors, axis_rotations(2, yaw)[:, None]), index >= first, is_known
 
-    def _vary_bodies(self, vectors: Array) -> tuple[Array, Array]:
-        """Vary bone vectors (N, T, J, 3): lengths, borrowed limbs, rotated limbs, postures, tilted bodies.
-
-        Returns the vectors, and (N,) rad, the standard deviation of the vertical that a tracker finds by them.
-        """
+    def _vary_bodies(self, vectors: Array) -> Array:
+        """Vary bone vectors (N, T, J, 3): lengths, borrowed limbs, rotated limbs, postures, tilted bodies."""
         random = self.random
         count = len(vectors)
         limit = MAX_BONE_LENGTH_DEVIATIONS
         factor = 1 + BONE_LENGTH_STD * np.clip(random.normal(count, JOINT_COUNT), -limit, limit)
-        if 'proportions' not in self.without:
-            of_part = random.uniform(*PROPORTION_RANGE, count, len(PARTS) + 1)
-            of_part[:, -1] = 1
-            factor *= of_part[:, _PART]
         vectors = vectors * factor[:, None, _SAME_FACTOR, None]
         donor = np.roll(vectors, 1, axis=0)
         for limb, share in BORROWED_LIMB_SHARES.items():
@@ -198,10 +180,10 @@ class ExampleSynthesiser:
             rotation = rotations_from_vectors(np.float32(LIMB_ROTATION_STD_RAD) * random.normal(len(chosen), 3))
             rotated = rotate_points(vectors[chosen][:, :, joints], rotation[:, None])
             vectors[chosen[:, None], :, joints] = np.moveaxis(rotated, 2, 1)
-        vectors, found_std = take_postures(vectors, random, self.without)
+        vectors = take_postures(vectors, random, self.without)
         tilt_std = random.choose(count, TILTED_SHARE, STRONG_TILT_STD_RAD, SLIGHT_TILT_STD_RAD, axes=1)
         tilt = tilt_std * random.normal(count, 3)
-        return rotate_points(vectors, rotations_from_vectors(tilt)[:, None]), found_std
+        return rotate_points(vectors, rotations_from_vectors(tilt)[:, None])
 
     def _draw_offsets(self, points: Array) -> Array:
         """Return offsets (N, T, J, 3) in m from the joints of motion capture to those of a detector.
@@ -229,25 +211,19 @@ class ExampleSynthesiser:
         )
         elevation = np.radians(elevation)
         elevation = elevation + ELEVATION_RATE_STD * random.normal(count, 1) * turning_time
-        has_any_roll = random.chance(count, 0 if 'roll' in self.without else ANY_ROLL_SHARE, axes=1)
         roll = np.radians(ROLL_STD_DEG) * random.normal(count, 1)
-        roll = np.where(has_any_roll, random.uniform(-np.pi, np.pi, count, 1), roll)
         roll = np.broadcast_to(roll, heading.shape)
         to_optical = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]], np.float32)
         rotation = axis_rotations(2, roll) @ axis_rotations(0, elevation) @ to_optical
         return np.asarray(rotation @ axis_rotations(2, heading))
 
-    def _draw_verticals(self, rotation: Array, found_std: Array) -> Array64:
+    def _draw_verticals(self, rotation: Array) -> Array64:
         """Return what the lifter gets of the vertical (N, 3); rotations (N, 3, 3) from body to camera."""
         random, count = self.random, len(rotation)
         std = random.log_uniform(VERTICAL_STD_RANGE_RAD, count)
-        is_found = random.chance(count, 0 if 'found' in self.without else FOUND_VERTICAL_SHARE)
-        share = random.uniform(0, 1, count)
-        believed = np.where(is_found, BELIEVED_STD_RAD * (found_std / BELIEVED_STD_RAD) ** share, std)
-        true_std = np.where(is_found, found_std, std)[:, None]
-        error = rotations_from_vectors(true_std.astype(np.float32) * random.normal(count, 3))
+        error = rotations_from_vectors(std[:, None].astype(np.float32) * random.normal(count, 3))
         seen = (error @ rotation[:, :, 2, None])[..., 0].astype(float)
-        return weigh_vertical(seen, np.where(random.chance(count, KNOWN_VERTICAL_SHARE), believed, np.inf))
+        return weigh_vertical(seen, np.where(random.chance(count, KNOWN_VERTICAL_SHARE), std, np.inf))
 
     def _project(self, points: Array) -> tuple[Array, Array64]:
         """Project points (N, T, J, 3) in m, in the camera's axes, by random perspective or orthographic cameras.

@@ -82,7 +82,7 @@ def test_shares_follow_the_formula() -> None:
     assert shares == pytest.approx(expected / expected.sum())
 
 
-@pytest.mark.parametrize('kind', ['roll', 'proportions', 'found', 'arms'])
+@pytest.mark.parametrize('kind', ['arms', 'chair'])
 def test_what_is_left_out_changes_the_examples(library: MotionLibrary, kind: str) -> None:
     whole, less = (ExampleSynthesiser(library, 1, without).make_batch(EXAMPLES) for without in ((), (kind,)))
     assert np.isfinite(whole.features).all()
@@ -109,14 +109,14 @@ def standing(walk_model: BasePoses) -> Array:
 def take(standing: Array, kind: str) -> tuple[Array, Array]:
     """Return the bone vectors (M, T, J, 3) and joints (M, J, 3) of those in a kind of posture, or `arms`."""
     without = {*KINDS, 'arms'} - {kind}
-    vectors, _ = take_postures(standing, RandomArrays(3), without)
+    vectors = take_postures(standing, RandomArrays(3), without)
     vectors = vectors[(np.abs(vectors - standing) > 1e-4).any(axis=(1, 2, 3))]
     assert len(vectors) > 5
     return vectors, add_bones(vectors[:, 0])
 
 
 def test_nothing_is_changed_where_all_is_left_out(standing: Array) -> None:
-    vectors, _ = take_postures(standing, RandomArrays(3), {*KINDS, 'arms'})
+    vectors = take_postures(standing, RandomArrays(3), {*KINDS, 'arms'})
     np.testing.assert_array_equal(vectors, standing)
 
 
@@ -147,11 +147,6 @@ def test_bodies_rest_on_the_ground(standing: Array, kind: str, lowest: tuple[str
 def test_trunks_are_upright_or_lie(standing: Array, kind: str, up: float) -> None:
     _, joints = take(standing, kind)
     assert np.median(find_trunks(joints[:, None])[:, 0, 2, 2]) == pytest.approx(up, abs=0.2)
-
-
-def test_a_tracker_errs_about_the_vertical_of_people_who_lie(standing: Array) -> None:
-    _, std = take_postures(standing, RandomArrays(3), {*KINDS, 'arms'} - {'lie'})
-    assert sorted(np.unique(np.degrees(std)).round()) == [6, 30]
 
 
 DETECTIONS = 400
