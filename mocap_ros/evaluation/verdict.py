@@ -61,7 +61,7 @@ NEAR_SHARE, FAR_SHARE, WRONG_SHARE = 0.045, 0.075, 0.1
 LAYOUT_MARGIN = 0.35  # u by which another layout must be more certain
 MIN_LAYOUT_UNCERTAINTY = -1.85  # u above which other layouts are considered
 TURN_MARGIN = 0.12  # u by which a turned image must be more certain
-AXES_MARGIN = 0.05  # u by which a mirrored and turned image must be more certain than a turned one
+AXES_MARGIN = 0.04  # u by which a mirrored and turned image must be more certain than a turned one
 MIRROR_MARGIN = 0.15  # u by which a mirrored image must be more certain
 BACKWARDS_MARGIN = 0.05  # u, likewise where people walk backwards
 # m, s; people walk where they move by at least so far within a time

@@ -260,7 +260,7 @@ def train_lifter(
         (share * weight_0 + (1 - share) * weight, share * bias_0 + (1 - share) * bias)
         for (weight_0, bias_0), (weight, bias) in zip(start.layers, lifter.layers, strict=True)
     )
-    return Lifter(tuple(layers), lifter.provenance)
+    return Lifter(tuple(layers), {**lifter.provenance, 'start_from_share': START_FROM_SHARE})
 
 
 class _Training:
