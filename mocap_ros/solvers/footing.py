@@ -90,7 +90,7 @@ class Knowledge(NamedTuple):
 
 
 OF_ALL = Knowledge(0.5, 0.2, 2.0, 3.5, 0.02, 0.6, 1.2, 0.05, 0.1)  # B of people who walk
-OF_NEWEST = Knowledge(0.7, 0.1, 4.0, 7.0, LEG_M, LEG_PER_NOISE, math.inf, 0.3, 0.3)
+OF_NEWEST = Knowledge(0.7, 0.1, 4.0, 7.0, LEG_M, LEG_PER_NOISE, math.inf, 0.3, 0.3)  # B of any
 
 
 @lru_cache(maxsize=64)
