@@ -3,8 +3,6 @@
 
 """Motion capture as detectors see it: trials of `data/motion` through the protocol's models of detectors."""
 
-from __future__ import annotations
-
 import csv
 import functools
 from collections.abc import Iterator, Mapping, Sequence

@@ -20,8 +20,6 @@ were not trained on the tested people. Sections of `--only`:
 view by view.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import statistics

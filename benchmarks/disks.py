@@ -9,8 +9,6 @@ the rest after a power cut. To make a folder `cut N` in it is one: what the disk
 folder N of `images`, and the file system goes on.
 """
 
-from __future__ import annotations
-
 import errno
 import io
 import os

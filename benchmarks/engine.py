@@ -14,8 +14,6 @@ thread. Sections of `--only`:
     crowd    the largest number of people that the node tracks at 30 Hz for a minute with recording
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

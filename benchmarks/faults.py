@@ -15,8 +15,6 @@ recording if it was being closed; after a power cut, from the first message that
     steps  each of the recorder's steps on the disk fails in each way, and the clock jumps at each frame
 """
 
-from __future__ import annotations
-
 import common
 
 # isort: split

@@ -13,8 +13,6 @@ by its true motion, and are in no mean. `--persons training` tests other people,
 vertical and the camera's height are given.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Iterator
 from functools import partial

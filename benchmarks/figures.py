@@ -15,8 +15,6 @@ The record, `figures.json`, holds every table with its command, commit, date and
 the marks `<!-- table: NAME -->` and `<!-- end of table -->`; edits between them are overwritten.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

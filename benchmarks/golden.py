@@ -13,8 +13,6 @@ keyframes; three people before one camera; and a bag, replayed. A file is compar
 other processors round otherwise.
 """
 
-from __future__ import annotations
-
 import argparse
 import subprocess
 import sys

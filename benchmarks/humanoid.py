@@ -12,8 +12,6 @@ recorded detections at 60 Hz, median and RMS (rad/s^2). Needs mink and daqp; `--
 a Unitree G1.
 """
 
-from __future__ import annotations
-
 import argparse
 from functools import partial
 from typing import Any

@@ -10,8 +10,6 @@ gap of up to 0.5 s every 10 s, and a burst of up to 0.3 s with noise of 3 % of b
 and lifter were not trained on the tested subjects.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial

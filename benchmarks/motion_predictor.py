@@ -15,8 +15,6 @@ limbs do, as people on wheels and treadmills: training has none of these. Errors
 persons who were left out.
 """
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import asdict, replace
 from pathlib import Path

@@ -12,8 +12,6 @@ trial. Sections of `--only`:
     claims   a row for each further figure or claim of the paper
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

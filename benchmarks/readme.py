@@ -7,8 +7,6 @@ What ships is measured here: on the recorded detections, whose person no model s
 demo. The other rows show what other benchmarks have measured, as the record has it; this one runs last.
 """
 
-from __future__ import annotations
-
 import re
 from importlib.resources import files
 

@@ -8,8 +8,6 @@ all. The JSON goes to `build/figures/`, from where `figures.py write` takes the 
 record.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -25,8 +25,6 @@ over example poses B_i, by the alternating direction method of multipliers with 
 and then the refinement min_{R, c} 1/2 |x - R sum_i c_i B_i|^2 + a |c|_1 from the rotation nearest to sum_i M_i.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares

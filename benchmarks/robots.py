@@ -13,8 +13,6 @@ the velocities that are published. Bodies are put about the true joints, by stat
 volume, shares are in the capsules, as these are published, and when the place of the root counts as right.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

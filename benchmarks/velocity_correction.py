@@ -12,8 +12,6 @@ are larger, and alone they would cost the others. Some people are shown again as
 their limbs move, as by a robot that drives, by wheels or a treadmill: training has none of these.
 """
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import asdict
 from pathlib import Path
