@@ -25,7 +25,7 @@ from mocap_ros.skeleton import CMU15
 Array = NDArray[np.float64]
 
 LEVEL_UP = np.array([0.0, -1.0, 0.0])  # upwards in the optical frame of a level camera
-MAX_CERTAIN_STD = math.radians(20.0)  # rad; no person is turned by a vertical that is less certain
+MAX_CERTAIN_STD = math.radians(10.0)  # rad; no person is turned by a vertical that is less certain
 CALIBRATED_TILT_STD = 0.005  # rad, 0.3 degrees; of a camera that was calibrated to its robot
 CALIBRATED_HEIGHT_STD_M = 0.02  # m; of a height that was measured, and of the floor itself
 HEADING_FRAMES = 15  # frames; their mean is where a person looks first

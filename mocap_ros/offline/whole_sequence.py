@@ -386,7 +386,9 @@ def choose_vertical(observed: ObservedWindow, joints: Array, config: TrackerConf
     """
     if config.vertical == AUTO:
         roll = _find_camera_roll(observed)
-        direction, std = find_vertical(observed.times, Stances.of(turn_about_axis(joints, roll)))
+        direction, std = find_vertical(
+            observed.times, Stances.of(turn_about_axis(joints, roll)), is_turned=roll != 0
+        )
         return Verticals(turn_about_axis(direction, -roll), std)
     given, frames = read_given_vertical(config), len(observed.times)
     if given is None:

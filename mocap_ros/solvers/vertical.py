@@ -8,13 +8,12 @@ direction upwards u (`models.upward_direction`); the vertical v of a camera is t
 some time:
 
     v_t = normalise(sum_i max(p_i, P) k_i u_i),    k_i = exp(-|t - t_i| / T) dt_i / (1 + (angle(u_i, v) / A)^2)
-    s_v = min(S sqrt(C / sum_i p_i k_i), MAX_STD_DEG)
+    s_v = min(sqrt(B^2 + S^2 / sum_i p_i k_i), MAX_STD_DEG)
 
 with p_i the share to which the pose stands and dt_i the time to the next frame; live, the sums are over the
 frames before t alone. Who lies or stands on the hands has straight hips as well, and cameras are mostly level:
 p_i is multiplied by a share that falls from 1 to 0 as the angle from u_i to -y grows from `LEVEL_DEG`[0] to [1].
-Directions of one person within the time C have nearly the same error, so sum_i p_i k_i / C counts the independent
-ones, and s_v is the standard deviation of their mean.
+Part of the error of a direction lasts, for it is that of a body, B; the rest is another one after a second.
 
 Where hardly anybody stands, the likeliest vertical is that of a level camera that looks down a little, v_0: with n
 the seconds in which people are seen and m those in which people stand, by the same weights,
@@ -23,7 +22,8 @@ the seconds in which people are seen and m those in which people stand, by the s
     s = (1 - r) s_v + r (MAX_STD_DEG + q (ASKEW_STD_DEG - MAX_STD_DEG))
 
 with q the share of n in which people have straight hips, but not upright in the image: they lie, or the camera is
-on its side. Where the camera is upside down (`solvers.image_roll`), -y becomes y in all of this.
+on its side; 1 where the image was turned (`solvers.image_roll`), for who lies may have looked like people before a
+camera that is upside down. There -y becomes y in all of this.
 
 Each lifted pose y is then turned about the horizontal axis of its virtual camera, as the probabilities demand:
 
@@ -58,11 +58,11 @@ AUTO, NONE = 'auto', 'none'  # values of `tracker.vertical` besides three number
 # Constants of the formulas above; angles in degrees. All were measured on training persons seen by the protocol's
 # detectors from elevations of 0 to 32 degrees.
 MEMORY_S = 20.0  # s; T: long for people who turn about, short enough for a camera that is moved
-DIRECTION_STD_DEG = 8.0  # S: of the direction that a lifted pose shows
-CORRELATION_S = 4.0  # s; C: means over so long still differ by almost as much as those of single frames
-MAX_STD_DEG = 25.0  # of a vertical of which next to nothing is known: that of people who sit all the time
+BODY_STD_DEG = 2.5  # B: of the directions that all poses of a person show
+SECOND_STD_DEG = 2.8  # S: besides, of the mean direction of a second
+MAX_STD_DEG = 12.0  # of v_0: that of cameras before people who sit all the time
 GIVEN_STD_DEG = 1.0  # s_v of a vertical that is given: that of a spirit level or an accelerometer at rest
-LEVEL_DEG = 60.0, 75.0  # between up in the image of a level camera and who stands: cameras look down by up to 45
+LEVEL_DEG = 50.0, 60.0  # between up in the image of a level camera and who stands: cameras look down by up to 45
 LEVEL_PITCH_DEG = 10.0  # by which v_0 looks down, as robots and tripods do; roll and pitch differ by some 10
 STANDING_SHARE = 0.1  # 1; of the time; who stands for less of it still shows more than v_0 does
 ASKEW_STD_DEG = 45.0  # half of the quarter of a turn by which v_0 is wrong if the camera is on its side
@@ -170,10 +170,10 @@ class Vertical:
         added = len(stances.standing), *stood
         sums = _Sums(*(faded * old + step_s * new for old, new in zip(self.sums, added, strict=True)))
         seconds += faded * self.seconds
-        std_deg = min(DIRECTION_STD_DEG * math.sqrt(CORRELATION_S / max(seconds, 1e-9)), MAX_STD_DEG)
+        std_deg = min(math.hypot(BODY_STD_DEG, SECOND_STD_DEG / math.sqrt(max(seconds, 1e-9))), MAX_STD_DEG)
         direction, std = found, math.radians(std_deg)
         if sums.standing < STANDING_SHARE * sums.seen:
-            sums_by_frame = np.array(sums)[:, None]
+            sums_by_frame = np.array(sums if self.sign > 0 else sums._replace(askew=sums.seen))[:, None]
             ((direction,), (std,)) = _add_prior(found[None], np.array([std_deg]), self.sign, *sums_by_frame)
         weight += faded * self.weight
         return Vertical(direction, float(std), False, stamp_ns, found, seconds, weight, sums, self.sign)
@@ -226,13 +226,14 @@ def turn_towards_vertical(
     return LiftedPoses(joints, lifted.std)
 
 
-def find_vertical(times: Array, stances: Stances) -> tuple[Array, Array]:
+def find_vertical(times: Array, stances: Stances, *, is_turned: bool = False) -> tuple[Array, Array]:
     """Return the vertical of a whole sequence, found from all its frames.
 
     Args:
         times: (F,) s, increasing.
         stances: what the F poses of one person show, in the optical frame of the camera, turned by
             `image_roll.find_camera_roll`; NaN where there is none.
+        is_turned: whether that turned the camera.
 
     Returns:
         (F, 3) unit vectors and (F,) rad, their standard deviations; NaN where no frame has a pose.
@@ -247,8 +248,9 @@ def find_vertical(times: Array, stances: Stances) -> tuple[Array, Array]:
     levelness = _measure_levelness(stances.upward)
     standing, is_level = stances.standing * levelness, weight * (levelness > 0)
     directions, seconds = engine.find_sequence(times, stances.upward, is_level, standing)
-    std_deg = np.minimum(DIRECTION_STD_DEG * np.sqrt(CORRELATION_S / np.maximum(seconds, 1e-9)), MAX_STD_DEG)
+    std_deg = np.hypot(BODY_STD_DEG, SECOND_STD_DEG / np.sqrt(np.maximum(seconds, 1e-9))).clip(None, MAX_STD_DEG)
     same = np.tile([0.0, -1.0, 0.0], (len(times), 1))
-    shares = known.astype(float), standing, np.maximum(stances.standing - standing, 0.0)
+    seen = known.astype(float)
+    shares = seen, standing, seen if is_turned else np.maximum(stances.standing - standing, 0.0)
     sums = [engine.find_sequence(times, same, weight, np.ascontiguousarray(s))[1] for s in shares]
     return _add_prior(directions, std_deg, 1.0, *sums)

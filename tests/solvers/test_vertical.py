@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from mocap_ros.config import Config, TrackerConfig, with_values
 from mocap_ros.errors import ConfigError
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.level import MAX_CERTAIN_STD
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
@@ -88,8 +89,8 @@ def test_who_sits_hardly_counts(rng: np.random.Generator) -> None:
     both, standing = np.concatenate([seated, upright]), np.repeat([0.0, 1.0], [1800, 150])
     directions, std = find_vertical(np.arange(1950) / 30, Stances(both, standing))
     assert angle_deg(directions[-1], UP) < 4
-    assert std[-1] < math.radians(9)
-    assert std[0] == math.radians(module.MAX_STD_DEG)
+    assert std[-1] < math.radians(4)
+    assert std[0] > MAX_CERTAIN_STD
 
 
 @pytest.mark.parametrize('sign', [1.0, -1.0])
@@ -97,15 +98,17 @@ def test_who_sits_hardly_counts(rng: np.random.Generator) -> None:
 def test_where_all_lie_or_stand_on_their_hands_a_level_camera_is_likeliest(
     rng: np.random.Generator, lying: tuple[float, float, float], sign: float
 ) -> None:
-    stances = Stances(scatter(rng, 90, 4.0, np.array(lying) * [1, sign, 1]), np.ones(90))
+    standing = np.full(90, float(sign > 0))  # where the image was turned, those with bent hips may lie as well
+    stances = Stances(scatter(rng, 90, 4.0, np.array(lying) * [1, sign, 1]), standing)
     half_turn = np.array([sign, sign, 1.0])
-    directions, std = find_vertical(np.arange(90) / 30, Stances(stances.upward * half_turn, stances.standing))
+    turned = Stances(stances.upward * half_turn, standing)
+    directions, std = find_vertical(np.arange(90) / 30, turned, is_turned=sign < 0)
     directions = directions * half_turn
     live = Vertical.begin(0, stances.select(np.arange(90) < 1), sign)
     live = live.advance(STEP_NS, stances.select(np.arange(90) == 1), sign)
     for direction, std_rad in ((directions[40], std[40]), (live.direction, live.std)):
         assert angle_deg(direction, LEVEL * [1, sign, 1]) < 3
-        assert std_rad == pytest.approx(math.radians(module.ASKEW_STD_DEG), rel=0.02)
+        assert std_rad == pytest.approx(math.radians(module.ASKEW_STD_DEG), rel=0.03)
 
 
 def test_a_camera_that_was_tilted_is_forgotten(rng: np.random.Generator) -> None:
