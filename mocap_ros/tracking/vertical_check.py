@@ -39,22 +39,22 @@ class VerticalCheck:
     def __init__(self) -> None:
         self._seconds = self._seconds_off = 0.0  # n and m of the module
         self._stamp_ns: int | None = None
-        self._angle_deg = 0.0
+        self._degrees_off = 0.0  # the sum of m with the angles as factors
 
     def advance(self, stamp_ns: int, people: Sequence[Person3D], vertical: NDArray[np.float64]) -> float | None:
-        """Return the angle in degrees by which people contradict a given vertical (3,); None if they do not."""
+        """Return the mean angle in degrees by which people contradict a vertical (3,); None if they do not."""
         seen = [p.core for p in people if not (p.tentative or p.predicted)]
         cosines = find_upward(np.array(seen)) @ vertical if seen else np.zeros(0)
         angles = np.degrees(np.arccos(cosines[np.isfinite(cosines)].clip(-1, 1)))
         is_off = angles > MAX_ANGLE_DEG
-        if is_off.any():
-            self._angle_deg = float(angles[is_off].mean())
         age_s = 0.0 if self._stamp_ns is None else (stamp_ns - self._stamp_ns) / NS_PER_S
         self._stamp_ns = stamp_ns
         if age_s < 0:  # the stamps began anew
-            self._seconds = self._seconds_off = age_s = 0.0
+            self._seconds = self._seconds_off = self._degrees_off = age_s = 0.0
         kept, step_s = math.exp(-age_s / MEMORY_S), min(age_s, MAX_STEP_S) if is_off.size else 0.0
         self._seconds = kept * self._seconds + step_s
         self._seconds_off = kept * self._seconds_off + step_s * (is_off.mean() if is_off.size else 0.0)
+        angle_deg = float((angles * is_off).mean()) if is_off.size else 0.0
+        self._degrees_off = kept * self._degrees_off + step_s * angle_deg
         lasts = self._seconds >= LEAST_S and self._seconds_off >= LEAST_SHARE * self._seconds
-        return self._angle_deg if lasts else None
+        return self._degrees_off / self._seconds_off if lasts else None
