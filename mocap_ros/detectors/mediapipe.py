@@ -108,7 +108,7 @@ class BundledMediaPipe:
     """The model for one person that comes with MediaPipe up to 0.10.21."""
 
     def __init__(self) -> None:
-        place = 'no model file is given (--model, of other commands --detector; docs/detectors.md), and '
+        place = 'no model file is given (--detector FILE, of detect --model FILE; docs/detectors.md), and '
         mediapipe = _import_mediapipe(f'{place}the model that comes with MediaPipe 0.10.21 ')
         solutions = getattr(mediapipe, 'solutions', None)
         if solutions is None:

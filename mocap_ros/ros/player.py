@@ -139,10 +139,7 @@ class Player:
         deadline = time.monotonic() + self._options.wait
         while not any(p.get_subscription_count() for p in awaited):
             if time.monotonic() > deadline:
-                raise MocapError(
-                    f'no subscriber to {names} appeared within {self._options.wait:g} s; '
-                    'a node that starts for the first time compiles for one to two minutes before it listens'
-                )
+                raise MocapError(f'no subscriber to {names} appeared within {self._options.wait:g} s')
             time.sleep(DISCOVERY_POLL_SECONDS)
         time.sleep(SETTLE_SECONDS)
 
