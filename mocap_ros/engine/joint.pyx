@@ -75,6 +75,8 @@ cdef double MAX_ROUGHNESS_STEP_S = 0.05  # s; third differences over longer ones
 cdef double ROUGHNESS_LOSS_M = 0.02  # m; c of the loss of third differences: joints jump in single frames
 cdef double MOTION_ROUGHNESS_M = 0.002  # m; q of people who move, without noise
 cdef double NOISE_OVER_ROUGHNESS = 4.0  # 1; detectors err by 3 to 5 times what is new in a frame of 30 Hz
+cdef double WHITE_CORRELATION = 0.27  # of third differences two frames apart; 0.3 of white noise, less by motion
+cdef double WALK_CORRELATION = 1.0 / 6  # the same, of errors that wander
 cdef double MIN_FREE_SHARE = 0.05  # of the coordinates; so many still measure the noise if all are fitted
 cdef int COUNTED_FRAMES = 3  # frames of a sequence, at least, in which absorbed coordinates are counted
 cdef double MIN_SCALE = 1e-9  # px/m; guards against a scale of zero where a lifted pose is degenerate
@@ -169,6 +171,52 @@ cdef void differentiate_features(Frame* f, double* out) noexcept nogil:
         if i < 6:
             row[3] = f.features[i]
     out[12 * CAMERA + 3] = 1
+
+
+def measure_noise_growth(
+    const double[:, :, :] points, const double[:, :] score, const double[:] times, double unit
+):
+    """Return how many times larger than what is new in each frame the errors of points (F, J, 2) in 1/unit m are."""
+    return compute_noise_growth(points, score, times, 0, times.shape[0], unit)
+
+
+cdef double compute_noise_growth(
+    const double[:, :, :] points, const double[:, :] score, const double[:] times, int start, int end, double unit
+) noexcept nogil:
+    cdef int t, j, i, k, s
+    cdef double step, products = 0, powers = 0, weight, product
+    cdef double[2] square
+    cdef double[2][2] change
+    if end - start < 6:
+        return NOISE_OVER_ROUGHNESS
+    step = (times[end - 1] - times[start]) / (end - start - 1)
+    s = max(<int> (ROUGHNESS_STEP_S / max(step, 1e-4) + 0.5), 1)
+    for t in range(start + 5 * s, end):
+        if times[t] - times[t - 5 * s] > 7.5 * s * step:
+            continue
+        for j in range(points.shape[1]):
+            weight = score[t, j]
+            for k in range(1, 6):
+                weight = min(weight, score[t - k * s, j])
+            if not weight > 0:
+                continue
+            product = 0
+            for k in range(2):
+                square[k] = 0
+                for i in range(2):
+                    change[k][i] = unit * (
+                        points[t - 2 * k * s, j, i] - 3 * points[t - (2 * k + 1) * s, j, i]
+                        + 3 * points[t - (2 * k + 2) * s, j, i] - points[t - (2 * k + 3) * s, j, i]
+                    )
+                    square[k] += change[k][i] * change[k][i]
+            for i in range(2):
+                product += change[0][i] * change[1][i]
+            weight /= 1 + max(square[0], square[1]) / (20 * ROUGHNESS_LOSS_M * ROUGHNESS_LOSS_M)
+            products += weight * product
+            powers += weight * (square[0] + square[1]) / 2
+    product = products / powers if powers > 0 else 0
+    product = (WHITE_CORRELATION - product) / (WHITE_CORRELATION - WALK_CORRELATION)
+    return 1 + (NOISE_OVER_ROUGHNESS - 1) * min(max(product, 0.0), 1.0)
 
 
 cdef class JointProblem:
@@ -772,14 +820,24 @@ cdef class JointProblem:
                 out[p] = self.measure_misfit_of(p)
         return misfit
 
-    def measure_least_noise(self):
-        """Return the noise (P,) m that the points show by themselves, whatever the poses; 0 without lifted poses."""
+    def measure_least_noise(self, growth=None):
+        """Return the noise (P,) m that the points show by themselves, whatever the poses; 0 without lifted poses.
+
+        `growth` (P,), of `measure_noise_growth`, is that of more frames than those of the batch.
+        """
         cdef int p
+        cdef const double[::1] given = growth
         noise = np.empty(self.sequences)
         cdef double[::1] out = noise
         with nogil:
             for p in range(self.sequences):
-                out[p] = NOISE_OVER_ROUGHNESS * self.measure_roughness(p)
+                out[p] = self.measure_roughness(p)
+                if given is not None:
+                    out[p] *= given[p]
+                elif out[p] > 0:
+                    out[p] *= compute_noise_growth(
+                        self.image, self.score, self.times, self.starts[p], self.starts[p] + self.counts[p], 1.0
+                    )
         return noise
 
     def measure_joint_std(self):

@@ -12,14 +12,16 @@ over the S seen joints of a sequence, with m_t the coordinates that the unknowns
 neighbours are held, counted in some free frames T.
 
 Errors of a detector wander for some tenths of a second, or stay. Poses follow these, the more so the fewer joints
-there are, so the residual shows too little of them. But they are about C times what is new in every frame, which
-the points show by themselves. So with lifted poses
+there are, so the residual shows too little of them. But they are some times what is new in every frame, which the
+points show by themselves. So with lifted poses
 
-    noise >= C (q^2 - q_0^2)^(1/2),    q^2 = mean_tj w_tj rho(|d_tj|^2 / 20) / 2
+    noise >= g (q^2 - q_0^2)^(1/2),    q^2 = mean_tj w_tj rho(|d_tj|^2 / 20) / 2
     d_tj = x_tj - 3 x_(t-1)j + 3 x_(t-2)j - x_(t-3)j
+    g = 1 for r >= r_w,    G for r <= 1 / 6,    linear between,    r = corr(d_t, d_(t-2))
 
-with x the points at 30 Hz and q_0 the q of people who move without noise. C and the constants of rho were measured
-on the protocol's detectors; of noise that is new in every frame the estimate is C times too large.
+with x the points at 30 Hz and q_0 the q of people who move without noise. The correlation r is 3/10 of noise that
+is new in every frame and 1/6 of a random walk; live it is that of all frames of the window. G, r_w and the
+constants of rho were measured on the protocol's and on recorded detectors.
 
 Under large noise the priors hold the weights and few local
 minima are left. So the rounds begin with 50 mm, on a tenth of a second's best-seen frame each and the base poses
