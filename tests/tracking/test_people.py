@@ -177,7 +177,7 @@ def test_a_person_who_walks_on_is_found_farther_on_and_less_certain(walk_model: 
     tracker = Tracker(walk_model, with_settings(Config(), {'solver.components': 8, 'tracker.predict_for': 1.0}))
     last = see_walk(tracker, make_scene(walk_model, [-0.6, 0.0, 4.0], [0.9, 0.0, 0.0]))
     soon, late = (tracker.update((SEEN_FRAMES - 1 + gap) * STEP_NS, [], PLAIN_CAMERA)[0] for gap in (3, GAP))
-    assert 0.6 < (late.root - last.root)[0] / (0.9 * 0.4) < 1.3, 'slower, as it walks otherwise than it moves'
+    assert 0.5 < (late.root - last.root)[0] / (0.9 * 0.4) < 1.3, 'slower, as it walks otherwise than it moves'
     root = late.core.mean(axis=0)
     assert late.translation == pytest.approx(PLAIN_CAMERA.project(root))
     assert late.scale == pytest.approx(PLAIN_CAMERA.focal / root[2])
