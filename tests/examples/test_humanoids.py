@@ -3,8 +3,6 @@
 
 """The examples for humanoids: a robot of capsules with the joints of a Unitree G1, and SONIC's messages."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -3,8 +3,6 @@
 
 """Face, feet and hands from rays and lifted poses; orientations of the segments of a body."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

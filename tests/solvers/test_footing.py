@@ -3,8 +3,6 @@
 
 """Roots with inertia and feet that stand, against a dense least squares, whole and live."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

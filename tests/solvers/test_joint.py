@@ -3,8 +3,6 @@
 
 """The joint solver against NumPy, finite differences and the alternation; a batch that equals its parts."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import replace

@@ -3,8 +3,6 @@
 
 """Observed windows: joints, sides, rays and px as a solver gets them, selected frames, lifting, initial values."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 
 """The periodic solver against finite differences and dense matrices, on walks and on extreme input."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -3,8 +3,6 @@
 
 """The vertical of a camera: what poses show of it, what is given, and cameras that are turned."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 
 """How solvers end and go on in pieces, Algorithm 1, block matrices, and windows that cannot be solved."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from dataclasses import replace

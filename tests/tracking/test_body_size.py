@@ -3,8 +3,6 @@
 
 """How large a person is: what feet on a floor show, what they do not, and that the image stays the same."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -3,8 +3,6 @@
 
 """The vertical of the camera: found, given, contradicted, forgotten, and of use."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

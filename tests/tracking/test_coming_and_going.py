@@ -3,8 +3,6 @@
 
 """People come, are tentative, are delayed, go and are forgotten; detections that are none make no people."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

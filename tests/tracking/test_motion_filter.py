@@ -3,8 +3,6 @@
 
 """The filter of the newest frame against its formulas, on exact motion, on noise and at uneven times."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -3,8 +3,6 @@
 
 """People that the tracker gives and predicts: velocities, face, feet and hands, and how certain all of it is."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

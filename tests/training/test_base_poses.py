@@ -3,8 +3,6 @@
 
 """Training of base poses: linear models are recovered, other bodies are symmetric, bad trials are refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -3,8 +3,6 @@
 
 """Training examples: synthetic postures, errors of synthetic detectors, and targets that know nothing of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
