@@ -45,10 +45,10 @@ if __name__ == '__main__':
 
     def _take(skeletons):
         person = max((p for p in skeletons.people if not p.tentative), key=lambda p: p.age, default=None)
+        turns = [(q.x, q.y, q.z, q.w) for q in person.joint_orientation] if person else []
         if skeletons.header.frame_id == skeletons.camera_frame_id:
             node.get_logger().warning('people are in the frame of the camera: set node.output_frame', once=True)
-        elif person:
-            turns = [(q.x, q.y, q.z, q.w) for q in person.joint_orientation]
+        elif len(turns) > max(SMPL) and np.isfinite(np.array(turns)[SMPL]).all():
             fields = convert([(p.x, p.y, p.z) for p in person.joints], turns)
             socket.send(pack(fields | {'frame_index': np.array([next(frames)], '<i8')}))
 

@@ -160,7 +160,7 @@ class InputSubscriptions:
 
     def _take(self, source: Source, raw: bytes, sent_ns: int, topic: str) -> None:
         """Pass a message on as it was received, unless it has only transforms that nodes like this one publish."""
-        if source in TRANSFORM_SOURCES and is_of_people_only(
+        if source is Source.TRANSFORMS and is_of_people_only(
             self._versions.read(TRANSFORMS, raw), self._get_limits().frame_prefix
         ):
             return

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mocap_ros.config import Config, NodeConfig
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.level import HEADING_FRAMES, MAX_CERTAIN_STD, Floor, build_world, is_level
+from mocap_ros.geometry.level import MAX_CERTAIN_STD, Floor, build_world, is_level
 from mocap_ros.geometry.rigid_transform import RigidTransform, parse_camera_pose
 from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.camera_placement import CameraPlacement
@@ -22,13 +22,16 @@ from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.transform_tree import TransformTree
 from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.skeleton import CORE_COUNT
-from mocap_ros.solvers.floor import ANKLE_M, HEEL_M
+from mocap_ros.solvers.floor import ANKLE_M, HEEL_M, MAX_STEP_S
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
 CAMERA_MOTION_S = 0.1  # s; over which the motion of the camera is found: as long as velocities are smoothed over
-SETTLING_S = 5.0  # s; time constant with which the world follows what becomes known of vertical and floor
+FIRST_S = 0.5  # s; for which the first person shows heading and floor of the world
+SETTLING_S = 5.0  # s; time constant with which the world follows the vertical and a floor of known height
+SETTLED_S = 60.0  # s; the same of a floor that feet show, once people have stood so long
+LEDGE_M = 0.3  # m; feet higher than that over others, or over the floor so far, may be on something
 
 
 class OutputFrame:
@@ -116,16 +119,20 @@ class OutputFrame:
 
 
 class LiveWorld:
-    """The world of `geometry.level` in the frame of the outputs, once a person has been seen for half a second.
+    """The world of `geometry.level` in the frame of the outputs, once a person has been seen for `FIRST_S`.
 
-    Its heading and its origin stay. The vertical and the floor, which standing feet show where its height is not
-    known, are followed with `SETTLING_S` about the origin, so that nothing jumps.
+    Its heading and its origin stay, and nothing jumps: the vertical, and the floor where its height is known, are
+    followed with `SETTLING_S` about the origin. Where it is not known, the floor is the mean of where people have
+    stood so far, those counting less who seem to stand over it.
     """
 
     def __init__(self) -> None:
         self._first: tuple[str, list[Array]] = '', []  # id, and joints (J, 3) m in the frame of the outputs
+        self._first_s = 0.0  # s, for how long that person has been seen
         self._axes, self._origin = np.eye(3), np.zeros(3)  # rotation from that frame, and m in it
-        self._stamp_ns: int | None = None  # of the newest frame; None before the world is known
+        self._is_known = False
+        self._stamp_ns: int | None = None  # of the newest image
+        self._stood_s = FIRST_S  # s, for how long people have stood on the floor, at most `SETTLED_S`
 
     def advance(
         self,
@@ -139,52 +146,57 @@ class LiveWorld:
 
         People and vertical are in that frame; `camera_height` in m over the floor is None where not known.
         """
-        people = [p for p in people if p.scale_known and not p.predicted]
-        if self._stamp_ns is None and people:
-            self._add_first(people)
+        before_ns = stamp_ns if self._stamp_ns is None else self._stamp_ns
+        step_s = min(max(stamp_ns - before_ns, 0) / NS_PER_S, MAX_STEP_S)
+        self._stamp_ns = stamp_ns
+        people = [p for p in people if p.scale_known and not p.predicted and np.isfinite(p.joints).all()]
+        if not self._is_known and people:
+            self._add_first(people, step_s)
         is_certain = vertical is not None and vertical.std <= MAX_CERTAIN_STD
-        if vertical is not None and is_certain and len(self._first[1]) == HEADING_FRAMES:
-            share = 1.0
-            if self._stamp_ns is None:
+        if vertical is not None and is_certain and self._first_s >= FIRST_S:
+            share = step_s / SETTLING_S
+            if not self._is_known:
                 world = build_world(np.array(self._first[1]), vertical.direction, None)
                 self._axes, self._origin = world[:3, :3], -world[:3, :3].T @ world[:3, 3]
+                self._is_known, share = True, 1.0
+            self._turn(share, vertical.direction)
+            if camera_height is not None:
+                place = np.zeros(3) if camera.pose is None else camera.pose.translation
+                rise = float((place - self._origin) @ self._axes[2]) - camera_height
             else:
-                share -= math.exp(-max(stamp_ns - self._stamp_ns, 0) / NS_PER_S / SETTLING_S)
-            self._follow(share, people, vertical.direction, camera, camera_height)
-            self._stamp_ns = stamp_ns
-        if self._stamp_ns is None:
+                share, rise = self._weigh_feet(step_s, people)
+            self._origin = self._origin + share * rise * self._axes[2]
+        if not self._is_known:
             return None
         return RigidTransform(self._origin.copy(), quaternion_from_rotation(self._axes.T))
 
-    def _add_first(self, people: Sequence[Person3D]) -> None:
+    def _add_first(self, people: Sequence[Person3D], step_s: float) -> None:
         person = next((p for p in people if p.id == self._first[0]), people[0])
         if person.id != self._first[0]:
-            self._first = person.id, []
-        if len(self._first[1]) < HEADING_FRAMES:
+            self._first, self._first_s, step_s = (person.id, []), 0.0, 0.0
+        if self._first_s < FIRST_S:
             self._first[1].append(person.joints)
+            self._first_s += step_s
 
-    def _follow(
-        self,
-        share: float,
-        people: Sequence[Person3D],
-        upward: Array,
-        camera: CameraPlacement,
-        camera_height: float | None,
-    ) -> None:
+    def _turn(self, share: float, upward: Array) -> None:
         up = self._axes[2] + share * (upward - self._axes[2])
         up /= np.linalg.norm(up)
         left = np.cross(up, self._axes[0])
         left /= np.linalg.norm(left)
         self._axes = np.array([np.cross(left, up), left, up])
-        if camera_height is not None:
-            place = np.zeros(3) if camera.pose is None else camera.pose.translation
-            rise, weight = float((place - self._origin) @ up) - camera_height, 1.0
-        else:
-            known = [(2 * float(np.nanmax(p.contact)) - 1, p) for p in people if np.isfinite(p.contact).any()]
-            stand = [(s, self._find_lowest(p)) for s, p in known if s > 0]
-            weight = max((s for s, _ in stand), default=0.0)
-            rise = sum(s * lowest for s, lowest in stand) / (sum(s for s, _ in stand) or 1.0)
-        self._origin = self._origin + share * weight * rise * up
+
+    def _weigh_feet(self, step_s: float, people: Sequence[Person3D]) -> tuple[float, float]:
+        """Return how high in m over the floor the lowest of those who stand are, and before it its share."""
+        known = [(2 * float(np.nanmax(p.contact)) - 1, p) for p in people if np.isfinite(p.contact).any()]
+        stand = [(s, self._find_lowest(p)) for s, p in known if s > 0]
+        if not stand:
+            return 0.0, 0.0
+        lowest = min(height for _, height in stand)
+        weights, heights = np.array([(s, h) for s, h in stand if h < lowest + LEDGE_M]).T
+        rise = float(np.average(heights, weights=weights))
+        counted_s = step_s * float(weights.max()) / (1 + (max(rise, 0.0) / LEDGE_M) ** 2)
+        self._stood_s = min(self._stood_s + counted_s, SETTLED_S)
+        return counted_s / self._stood_s, rise
 
     def _find_lowest(self, person: Person3D) -> float:
         """Return how high in m over the floor the lowest joint is, less what it is of a person who stands."""

@@ -49,7 +49,12 @@ class OutputEncoder:
     """Encoder of the outputs of successive images; markers and names of frames depend on the image before."""
 
     def __init__(self) -> None:
-        self._markers, self._names, self._world = MarkerEncoder(), FrameNames(), LiveWorld()
+        self._markers = MarkerEncoder()
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget all people and their world; the next image deletes their markers."""
+        self._names, self._world = FrameNames(), LiveWorld()
         self._order: dict[str, int] = {}  # positions in the list of the image before, by id
 
     def encode(
@@ -103,7 +108,7 @@ class OutputEncoder:
 
     def encode_clear(self, header: Header) -> tuple[OutputMessage, ...]:
         """Encode the message that deletes all markers, and forget all people."""
-        self._names, self._order, self._world = FrameNames(), {}, LiveWorld()
+        self.restart()
         return (OutputMessage('markers', MARKERS, header.stamp_ns, self._markers.encode_clear(header)),)
 
 

@@ -310,11 +310,14 @@ class Pipeline:
             if restart:
                 tracker.reset()
             people = tracker.update(stamp_ns, frame.people, intrinsics, floor[0])
+            if tracker.has_restarted:
+                self._outputs.restart()
             shown = Header(tracker.output_stamp_ns, frame.header.frame_id)
             header, placement, reason = self._output_frame.place_camera(shown, config.node)
             times = self._prediction_times
             predicted = [*map(PredictedFrame, times, tracker.predict(times))] if times else ()
-            known_m = config.tracker.camera_height or None if floor[0] is None else floor[0].camera_height
+            height_m = config.tracker.camera_height if tracker.is_floor_seen else 0.0
+            known_m = height_m or None if floor[0] is None else floor[0].camera_height
             outputs = self._outputs.encode(
                 header, people, config.node, placement, tracker.vertical, predicted, known_m
             )

@@ -21,7 +21,6 @@ from mocap_ros.bags.recorder import Recorder, choose_partial_path
 from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.bags.topics import (
     PEOPLE_SOURCES,
-    TRANSFORM_SOURCES,
     Source,
     find_people_topics,
     find_people_type,
@@ -184,8 +183,8 @@ class _Replay:
 
     def _is_input(self, message: BagMessage) -> bool:
         """Return whether a message on the topic of an input is one, and no output of the recorded run on /tf."""
-        is_transform = self._inputs[message.topic] in TRANSFORM_SOURCES
-        return not (is_transform and is_of_people_only(message.raw, self._frame_prefix))
+        is_tf = self._inputs[message.topic] is Source.TRANSFORMS
+        return not (is_tf and is_of_people_only(message.raw, self._frame_prefix))
 
     def _write_start(self, now_ns: int) -> None:
         for topic, msgtype in LATCHED_OUTPUTS.items():

@@ -101,6 +101,7 @@ class Tracker:
         tracks: people who are tracked, in the order in which they came.
         output_stamp_ns: ns, stamp of the frame whose people `update` last returned; with `tracker.lag`, an older
             one.
+        has_restarted: whether the last accepted frame is the first after a start, reset or restart.
         backward_jump_s: s by which the last accepted stamp went back, so that tracking restarted; else 0.
         swapped_frames: number of frames so far in which a person's left and right were swapped back.
         unusable_people: number of detections so far that were no person of their own: they had too few joints, or
@@ -146,7 +147,7 @@ class Tracker:
         self._vertical = read_given_vertical(settings)
         read_body_heights(settings.body_heights)  # raises what is wrong with them
         self.output_stamp_ns = 0
-        self.backward_jump_s = 0.0
+        self.backward_jump_s, self.has_restarted = 0.0, False
         self.swapped_frames = self.unusable_people = 0
         self._forget_everybody()
 
@@ -155,6 +156,11 @@ class Tracker:
         """What is known of the camera's vertical; None if nothing is."""
         known = self._vertical
         return None if known is None else CameraVertical(known.direction, known.std, known.is_given)
+
+    @property
+    def is_floor_seen(self) -> bool:
+        """Whether anybody's feet fit a floor of known height, so that it shows their size."""
+        return any(t.floor_contact is not None for t in self.tracks)
 
     @property
     def are_ids_ignored(self) -> bool:
@@ -211,6 +217,7 @@ class Tracker:
         if backward_jump_s > 0:
             self._forget_everybody()
         self.backward_jump_s, self._at_work = backward_jump_s, ()
+        self.has_restarted = self._who.newest_ns is None
         try:
             self._change_camera(intrinsics)
             self._use_floor(stamp_ns, floor)

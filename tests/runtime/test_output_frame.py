@@ -5,6 +5,7 @@
 
 import math
 import re
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,14 +19,19 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.topics import Source
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import ConfigError
+from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS, decode_skeletons
 from mocap_ros.messages.transforms import TRANSFORMS
+from mocap_ros.people import CameraVertical
+from mocap_ros.runtime.output_frame import LiveWorld
 from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers.floor import ANKLE_M
 from tests.support.camera_infos import SECOND_NS, camera_info, make_transforms
+from tests.support.people import make_person_3d
 from tests.support.pipeline_inputs import (
     FAST_CONFIG,
     STEP_NS,
@@ -364,3 +370,54 @@ def test_a_frame_whose_name_says_that_z_is_up_gives_the_vertical_without_a_floor
         if is_known:
             v = skeletons.vertical
             np.testing.assert_allclose([v.x, v.y, v.z], [0, 0, 1], atol=1e-9)
+
+
+def test_a_world_begins_anew_where_tracking_does(long_stream: list[bytes]) -> None:
+    pipeline = Pipeline(with_values(FAST_CONFIG, {'node.publish_tf': True}))
+    pipeline.set_camera_info(camera_info())
+
+    def find_transforms(raw: bytes) -> bytes:
+        return next(bytes(o.data) for o in process(pipeline, raw) if o.topic == '/tf')
+
+    first, second = ([*map(find_transforms, long_stream)] for _ in range(2))  # a bag in a loop
+    assert first == second
+    assert b'mocap_world' in first[-1]
+    pipeline.reconfigure(with_values(pipeline.config, {'tracker.body_height': 1.8}))
+    assert b'mocap_world' not in find_transforms(with_stamp(long_stream[0], START_NS))
+
+
+UPRIGHT = np.zeros((len(CMU15.joints), 3)) + [5.0, 0.0, 1.0]  # m, in map
+UPRIGHT[CMU15.index('lhip'), 1], UPRIGHT[CMU15.index('rhip'), 1] = 0.1, -0.1
+UPRIGHT[ANKLES, 2] = ANKLE_M
+
+
+@pytest.mark.parametrize(
+    ('seconds', 'gap_s', 'heights', 'expected', 'tolerance'),
+    [
+        (1, 40, (-1.5,), 0.0, 0.1),  # one frame after a gap
+        (15, 0, (0.8,), 0.0, 0.3),  # who climbs
+        (15, 0, (0.0, 0.8), 0.0, 0.01),  # beside another who stands on a table
+        (15, 0, (0.0, math.nan), 0.0, 0.01),
+        (60, 0, (-0.8,), -0.7, 0.1),  # who stood on a table at first
+    ],
+)
+def test_the_world_rests_on_the_floor(
+    seconds: int, gap_s: int, heights: tuple[float, ...], expected: float, tolerance: float
+) -> None:
+    world, camera = LiveWorld(), CameraPlacement('camera')
+    upward = np.array([0.0, 0.0, 1.0])
+
+    def find_floor(frames: int, begin_s: float, heights: tuple[float, ...]) -> float:
+        people: list[Any] = [
+            replace(make_person_3d(str(i)), joints=UPRIGHT + [0, 0, h], contact=np.ones(2), scale_known=True)
+            for i, h in enumerate(heights)
+        ]
+        for frame in range(frames):
+            stamp_ns = START_NS + round((begin_s + frame / 30) * SECOND_NS)
+            found = world.advance(stamp_ns, people, CameraVertical(upward, 0.05), camera, None)
+        assert found is not None
+        return float(found.translation[2])
+
+    assert find_floor(150, 0.0, (0.0,)) == pytest.approx(0.0, abs=0.01)
+    frames = 1 if gap_s else 30 * seconds
+    assert find_floor(frames, 5.0 + gap_s, heights) == pytest.approx(expected, abs=tolerance)
