@@ -208,7 +208,7 @@ cdef void steady_turn(const double* rotation, double* turn, double* spin, double
     if length > MIN_ANGLE:
         rate = min(2 * atan2(length, dot(ahead, seen) + ahead[3] * seen[3]), MAX_LAG_RAD) / length
         lag[0], lag[1], lag[2] = rate * lag[0], rate * lag[1], rate * lag[2]
-    rate = STIFFNESS * sqrt(sqrt(squared[0] + MIN_SPIN * MIN_SPIN)) * step_s
+    rate = STIFFNESS * sqrt(sqrt(1 + squared[0] / (MIN_SPIN * MIN_SPIN))) * step_s
     fall = exp(-DAMPING * rate)
     rate = 1 + fall * fall - 2 * fall * cos(min(sqrt(1 - DAMPING * DAMPING) * rate, M_PI / 2))
     for i in range(3):

@@ -37,6 +37,7 @@ cdef double MIN_INFORMATION = 1e-9  # 1/m^2; keeps what nothing determines solva
 cdef double MAX_DEPTH_CHANGE = 0.3  # of the depth; a root that changes by more is another solution, or another person
 cdef double MAX_SPEED_M_S = 10  # m/s; of a sprinter
 cdef double FAR_M = 5  # m; beyond it the root's error along the line of sight grows with the distance
+cdef double MIN_LENGTH_M = 1e-6  # m; guards divisions by lengths
 cdef double MIN_TILT_M = 0.01  # m; legs along the line of sight do not tilt
 cdef double MAX_REACH = 0.9999  # of the length of a leg; a straight knee has no direction in which it bends
 
@@ -225,14 +226,14 @@ cdef void move_leg(const double* moved, double* hip, double* knee, double* ankle
         reach += to[i] * to[i]
     thigh, shank, reach = sqrt(thigh), sqrt(shank), sqrt(reach)
     for i in range(3):
-        to[i] /= reach
+        to[i] /= fmax(reach, MIN_LENGTH_M)
     reach = fmin(fmax(reach, 1.0001 * fabs(thigh - shank)), MAX_REACH * (thigh + shank))
-    along = (thigh * thigh - shank * shank + reach * reach) / (2 * reach)
+    along = (thigh * thigh - shank * shank + reach * reach) / fmax(2 * reach, MIN_LENGTH_M)
     part = dot(side, to)
     for i in range(3):
         side[i] -= part * to[i]
         aside += side[i] * side[i]
-    aside = sqrt(fmax(thigh * thigh - along * along, 0.0)) / fmax(sqrt(aside), 1e-6)
+    aside = sqrt(fmax(thigh * thigh - along * along, 0.0)) / fmax(sqrt(aside), MIN_LENGTH_M)
     for i in range(3):
         knee[i] = hip[i] + along * to[i] + aside * side[i]
         ankle[i] = hip[i] + reach * to[i]
@@ -251,6 +252,7 @@ cdef void find_points(
             leg[i] = core[legs[f, ANKLE], i] - core[legs[f, HIP], i]
             length += leg[i] * leg[i]
             along += leg[i] * core[legs[f, HIP], i]
+        length = fmax(length, MIN_LENGTH_M * MIN_LENGTH_M)
         for i in range(3):
             tilts[3 * f + i] = core[legs[f, HIP], i] - along / length * leg[i]
         length = fmax(sqrt(dot(tilts + 3 * f, tilts + 3 * f)), MIN_TILT_M)
@@ -361,7 +363,7 @@ def begin():
 def advance(double[::1] memory, Vector numbers, double step_s, Rows core, Rows feet, Vector log_odds, const long long[:, ::1] legs):
     """Return the core (J, 3) m of the next frame with the displacements that the frames so far give.
 
-    Where the root is too far away for a person to have moved there, all begins anew.
+    Where the root is too far away for a person to have moved there, or what was found is not finite, all begins anew.
 
     Args:
         memory: of the frames before, overwritten.
@@ -381,7 +383,7 @@ def advance(double[::1] memory, Vector numbers, double step_s, Rows core, Rows f
     cdef double[POINTS * 3] points
     cdef double[FEET * 3] tilts
     cdef double[POINTS] contact
-    cdef double squared = 0
+    cdef double squared = 0, known = 0
     cdef int i
     result = np.array(core)
     cdef double[:, ::1] out = result
@@ -389,7 +391,9 @@ def advance(double[::1] memory, Vector numbers, double step_s, Rows core, Rows f
     find_points(out, feet, legs, root, points, tilts)
     for i in range(3):
         squared += (root[i] - own.root[i]) * (root[i] - own.root[i])
-    if sqrt(squared) > MAX_DEPTH_CHANGE * fabs(root[2]) + MAX_SPEED_M_S * step_s:
+    for i in range(TWO):
+        known += own.found[i]
+    if not (isfinite(known) and sqrt(squared) <= MAX_DEPTH_CHANGE * fabs(root[2]) + MAX_SPEED_M_S * step_s):
         memset(own, 0, sizeof(Memory))
     for i in range(POINTS):
         contact[i] = 1 / (1 + exp(-log_odds[i]))

@@ -44,7 +44,9 @@ _HIPS = {'lhip': 0.5, 'rhip': 0.5}  # weights of the point midway between the hi
 
 
 _MIDWAY = {'neck': tuple(_SHOULDERS), 'pelvis': tuple(_HIPS)}  # joints that some programs put between two others
-MIDWAY_SHARE = 1e-3  # 1; of the size of the body in the image; so near to the middle no neck and no pelvis is seen
+# So near to the middle no neck and no pelvis is seen: a share of the size of the body in the image, and what whole
+# pixels are off. True ones are 14 % of the trunk away.
+MIDWAY_SHARE, MIDWAY_PX = 0.006, 1.1
 
 
 def _extrapolate_from_shoulders(end: dict[str, float], fraction: float) -> dict[str, float]:
@@ -178,21 +180,26 @@ def build_joint_map(source: tuple[str, ...], target: Skeleton = CMU15) -> JointM
 
 
 def find_evidence(
-    rays: Array, weight: Array, source: tuple[str, ...], target: Skeleton = CMU15
+    rays: Array, weight: Array, source: tuple[str, ...], focal: float, target: Skeleton = CMU15
 ) -> NDArray[np.bool_]:
     """Return which joints (F, Jt), of rays (F, Jt, 2) and scores (F, Jt), say more than others of the body do.
+
+    `focal` is in px.
 
     Neck and pelvis midway between shoulders and hips do not, whoever put them there, and in the model they are
     elsewhere, by up to a fifth of the trunk; a head by points of the face does. Where fewer than
     `MIN_TARGET_JOINTS` joints were seen, all count.
     """
     is_evidence = np.repeat(build_joint_map(source, target).is_evidence[None], len(weight), axis=0)
-    tolerance = MIDWAY_SHARE * np.ptp(rays, axis=1).max(axis=1)
+    seen = np.where(weight[..., None] > 0, rays, np.nan)
+    with_body = np.where((weight > 0).any(axis=1, keepdims=True)[..., None], seen, 0.0)
+    size = (np.nanmax(with_body, axis=1) - np.nanmin(with_body, axis=1)).max(axis=1)
+    tolerance = np.maximum(MIDWAY_SHARE * size, MIDWAY_PX / focal)
     for joint, pair in _MIDWAY.items():
         if joint in target.joints:
-            middle = rays[:, [target.index(j) for j in pair]].mean(axis=1)
+            middle = seen[:, [target.index(j) for j in pair]].mean(axis=1)
             off = np.abs(rays[:, target.index(joint)] - middle).max(axis=1)
-            is_evidence[:, target.index(joint)] &= off > tolerance
+            is_evidence[:, target.index(joint)] &= ~(off <= tolerance)  # NaN where one of the pair is not seen
     return np.asarray(is_evidence | ((is_evidence & (weight > 0)).sum(axis=1) < MIN_TARGET_JOINTS)[:, None])
 
 

@@ -92,7 +92,7 @@ class Detection:
             own = [i for i, p in enumerate(people) if p.joints == joints]
             points, score = np.array([people[i].points for i in own]), np.array([people[i].score for i in own])
             rays, weight, others = convert_body_to_rays(points, score, joints, intrinsics, min_score)
-            sizes, is_evidence = measure_sizes(rays, weight), find_evidence(rays, weight, joints)
+            sizes, is_evidence = measure_sizes(rays, weight), find_evidence(rays, weight, joints, intrinsics.focal)
             usable = ((weight > 0).sum(axis=1) >= min_joints) & show_people(sizes)
             for n in np.flatnonzero(usable).tolist():
                 given_id = '' if people[own[n]].id == UNTRACKED_ID else people[own[n]].id

@@ -65,7 +65,8 @@ def expect_stature(lengths: Array, skeleton: Skeleton, lifted: LiftedPoses | Non
     if lifted is not None:
         along = depth[:, None] * lifted.std[..., 2]
         parents, children = skeleton.bone_ends
-        hidden = np.nan_to_num(np.maximum(along[:, parents], along[:, children]))  # NaN where not lifted
+        hidden = np.maximum(along[:, parents], along[:, children])
+        hidden = np.where(np.isfinite(hidden), hidden, 0.0)  # NaN where not lifted
         lengths = np.sqrt(lengths**2 + HIDDEN_SHARE * hidden**2)
     return float(np.add.reduce(lengths) @ skeleton.stature_per_bone) / len(lengths)
 

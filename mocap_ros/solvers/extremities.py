@@ -34,7 +34,7 @@ Live, orientations Q of all segments are steadied by a filter without lag at con
 Z the orientation of this frame, and e of at most d, rho and beta as in `tracking.motion_filter`,
 
     e = log(Z Q'^T),    Q' = exp(h w) Q,    Q <- exp((1 - rho^2) e) Q',    w <- w + beta / h e
-    omega = Omega (s^2 + s_0^2)^(1/4)
+    omega = Omega (1 + s^2 / s_0^2)^(1/4),    s_0 = 1 rad/s
 
 s is the RMS angular velocity over the last frames. A segment whose angular velocity changes by a, in rad/s^2, is
 behind by about a / omega^2. Points are not filtered.

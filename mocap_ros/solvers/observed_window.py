@@ -225,7 +225,8 @@ def observe_sequence(
             rays, weight, extremities = exchange_body_sides(rays, weight, extremities, swapped)
     focal = solver_focal(intrinsics, config.perspective)
     seen = times, rays, weight, intrinsics, focal, extremities
-    return ObservedWindow.facing_person(*seen, find_evidence(rays, weight, joint_names, skeleton))
+    is_evidence = find_evidence(rays, weight, joint_names, intrinsics.focal, skeleton)
+    return ObservedWindow.facing_person(*seen, is_evidence)
 
 
 def _exclude_frames_in_one_place(

@@ -65,6 +65,7 @@ MIN_DROP_SHARE = 0.1  # of the camera's height; a foot that seems higher than th
 FORGOTTEN_COMMA = re.compile(r'=\s*[\d.]+[\s;]')  # in what should be an id: a height is in it
 # 1; H, so that as many distances of training persons of known height are within as should be, by posture alike
 HIDDEN_FACTOR = 2.3
+MIN_HIDDEN_SHARE = 1e-6  # 1; less is rounding: without a lifter nothing says what is hidden
 ROOT_FACTOR = 1.2  # 1; detectors put both hips off the same way; chosen by the errors of training persons' roots
 ANKLES = CMU15.index('lankle'), CMU15.index('rankle')
 
@@ -158,12 +159,13 @@ def assume_size(
 ) -> BodySize:
     """Return what is known of a person's size before anything is seen: s_0 of the module, and the ratio of x_0.
 
-    `hidden_share` is that of `TrackSolution`, 0 without a lifter.
+    `hidden_share` is that of `TrackSolution`; below `MIN_HIDDEN_SHARE` it counts as not known.
     """
     height, std = read_body_heights(config.body_heights).get(person_id), KNOWN_HEIGHT_STD_M
     if height is None:
         height, std = config.body_height, config.body_height_std
-    share = math.hypot(std / height, HIDDEN_FACTOR * hidden_share or POSE_SHARE)
+    pose = HIDDEN_FACTOR * hidden_share if hidden_share > MIN_HIDDEN_SHARE else POSE_SHARE
+    share = math.hypot(std / height, pose)
     return BodySize(height / config.body_height, share, 0.0 if is_focal_known else FOCAL_SHARE)
 
 

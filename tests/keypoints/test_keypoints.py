@@ -62,7 +62,8 @@ def test_joints_between_others_are_no_evidence_but_where_little_is_seen(layout: 
     rays, weight = np.random.default_rng(0).normal(size=(3, len(CMU15.joints), 2)), np.ones((3, len(CMU15.joints)))
     rays[2, CMU15.index('neck')] = rays[2, [CMU15.index('lshoulder'), CMU15.index('rshoulder')]].mean(axis=0)
     weight[1, [CMU15.index(j) for j in CMU15.joints if j[0] in 'lr' and not j.endswith('shoulder')]] = 0
-    enough, few, midway = find_evidence(rays, weight, keypoint_layout(layout).joints)
+    rays[2, CMU15.index('neck')] += [1 / 600, -1 / 600]  # in whole pixels
+    enough, few, midway = find_evidence(rays, weight, keypoint_layout(layout).joints, 600.0)
     assert {j for j, e in zip(CMU15.joints, enough, strict=True) if not e} == derived
     assert {j for j, e in zip(CMU15.joints, midway, strict=True) if not e} == derived | {'neck'}
     assert few.all()

@@ -294,9 +294,10 @@ def window(model: BasePoses, frames: int = 30, seed: int = 0, noise: float = 2.0
 def test_reaches_the_alternations_minimum_or_a_lower_one(walk_model: BasePoses) -> None:
     config = dataclasses.replace(PLAIN, tolerance=1e-9, max_iterations=3000)
     w = window(walk_model)
+    w = replace(w, times=1.01 * w.times)  # above 30 Hz the joint solver weighs differences more
     slow = alternation.reconstruct(w, walk_model, config)
     (fast,) = joint.solve([w], walk_model, config)
-    assert fast.history[0] == pytest.approx(slow.history[0], rel=1e-5)
+    assert fast.history[0] == pytest.approx(slow.history[0], rel=1e-9)
     assert fast.cost <= slow.cost * (1 + 1e-3), 'the same or a neighbouring minimum'
     assert np.argmax(np.array(fast.history) <= fast.cost * (1 + 1e-4)) <= 15
 

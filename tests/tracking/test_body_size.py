@@ -100,6 +100,7 @@ def test_the_longer_and_the_nearer_the_more_certain() -> None:
     assert shares[-1] > 0.02, 'the tilt of the camera stays unknown'
     assert min(find_share(300, distance=10.0), find_share(300, camera_height=0.5)) > shares[2]
     assert assume_size(Config().tracker, '', True, 0.01).share < ASSUMED.share, 'little of the body is hidden'
+    assert assume_size(Config().tracker, '', True, 6e-16) == ASSUMED, 'rounding hides nothing'
 
 
 @pytest.mark.parametrize(
