@@ -192,7 +192,7 @@ def find_evidence(
     """
     is_evidence = np.repeat(build_joint_map(source, target).is_evidence[None], len(weight), axis=0)
     seen = np.where(weight[..., None] > 0, rays, np.nan)
-    with_body = np.where((weight > 0).any(axis=1, keepdims=True)[..., None], seen, 0.0)
+    with_body = np.where(np.asarray((weight > 0).any(axis=1))[:, None, None], seen, 0.0)
     size = (np.nanmax(with_body, axis=1) - np.nanmin(with_body, axis=1)).max(axis=1)
     tolerance = np.maximum(MIDWAY_SHARE * size, MIDWAY_PX / focal)
     for joint, pair in _MIDWAY.items():
