@@ -191,9 +191,10 @@ def find_evidence(
     `MIN_TARGET_JOINTS` joints were seen, all count.
     """
     is_evidence = np.repeat(build_joint_map(source, target).is_evidence[None], len(weight), axis=0)
-    seen = np.where(weight[..., None] > 0, rays, np.nan)
-    with_body = np.where(np.asarray((weight > 0).any(axis=1))[:, None, None], seen, 0.0)
-    size = (np.nanmax(with_body, axis=1) - np.nanmin(with_body, axis=1)).max(axis=1)
+    is_seen = weight[..., None] > 0
+    seen = np.where(is_seen, rays, np.nan)
+    largest, least = np.where(is_seen, rays, -np.inf).max(axis=1), np.where(is_seen, rays, np.inf).min(axis=1)
+    size = (largest - least).max(axis=1)
     tolerance = np.maximum(MIDWAY_SHARE * size, MIDWAY_PX / focal)
     for joint, pair in _MIDWAY.items():
         if joint in target.joints:
