@@ -105,7 +105,7 @@ class SequenceResult:
     contact: Array | None = None  # (F, 4) probabilities of `solvers.contacts`; None likewise
     floor: Floor | None = None  # the floor on which the person stands; None if nothing shows it
     size: float = 1.0  # of the body, as a share of `tracker.body_height`
-    height_fault: str = ''  # in words why `tracker.camera_height`, if it is given, is not used or may be wrong
+    height_note: str = ''  # in words why `tracker.camera_height`, if it is given, is not used or may be wrong
     before_floor: SequenceResult | None = None  # the same before the floor gave size and place, if it did
     shared_world: Array | None = None  # the `world_from_camera` of another person on the same floor
 
@@ -282,13 +282,19 @@ def share_floor(
     `tracker.camera_height` shows their true sizes. Where it is not known, the sizes of several become those with
     which all stand on the floor.
     """
-    solved = [r.before_floor or r for r in results]
+    if not results:
+        return ()
+    solved = [
+        replace(r.before_floor or r, floor=None, size=1.0, height_note='', shared_world=None) for r in results
+    ]
     known = [(r, average_vertical(r.vertical, r.vertical_std)) for r in solved]
     known = [(r, upward) for r, upward in known if np.isfinite(upward).all()]
-    trust = np.array([float(np.nanmean(r.vertical_std)) ** -2 for r, _ in known])
+    trust = np.array([max(float(np.nanmean(r.vertical_std)), MIN_TILT_STD) ** -2 for r, _ in known])
     total = np.sum([t * upward for t, (_, upward) in zip(trust, known, strict=True)], axis=0)
-    vertical = total / np.linalg.norm(total) if known else np.full(3, np.nan)
-    std = float(trust.sum()) ** -0.5 if known else math.nan
+    length = float(np.linalg.norm(total))
+    agree = length > trust.sum() / 2  # opposite verticals show none
+    vertical = total / length if agree else np.full(3, np.nan)
+    std = float(trust.sum()) ** -0.5 if agree else math.nan
     tilt_std = min(FOUND_TILT_FACTOR * std, MAX_CERTAIN_STD) if std <= MAX_CERTAIN_STD else math.nan
     if read_given_vertical(config) is not None:
         std = tilt_std = CALIBRATED_TILT_STD
@@ -298,10 +304,10 @@ def share_floor(
         fault = find_height_fault(is_focal_known=is_focal_known, tilt_std=std)
         if not fault:
             people = _stand_on(solved, times, Floor(vertical, config.camera_height, tilt_std), config)
-            fault = next((r.height_fault for r in people if r.floor is None), '')
+            fault = next((r.height_note for r in people if r.floor is None), '')
     if not config.camera_height or (fault and not any(r.floor for r in people)):
         people = [
-            replace(r, height_fault=r.height_fault or fault)
+            replace(r, height_note=r.height_note or fault)
             for r in _stand_on(solved, times, Floor(vertical, None, tilt_std), config)
         ]
     first = next((r for r in people if r.floor is not None), people[0])
@@ -319,10 +325,13 @@ def _stand_on(
     if fit is None:
         return [replace(r, floor=before if before.camera_height else None) for r in results]
     people = []
-    is_scale_shown = before.camera_height is not None or np.isfinite(fit.sizes).sum() > 1
+    sizes = fit.sizes[~np.isnan(fit.sizes)]
+    is_scale_shown = before.camera_height is not None or len(sizes) > 1
+    if before.camera_height is None and (np.abs(sizes - 1) > 3 * share).any():
+        return list(results)  # they rather stand at different heights
     for p, (result, size) in enumerate(zip(results, fit.sizes.tolist(), strict=True)):
         if not SIZE_RANGE[0] < (1.0 if math.isnan(size) else size) < SIZE_RANGE[1]:
-            people.append(replace(result, height_fault=WRONG_HEIGHT if before.camera_height else ''))
+            people.append(replace(result, height_note=WRONG_HEIGHT if before.camera_height else ''))
             continue
         person = replace(result, floor=fit.floor)
         if is_scale_shown:
@@ -333,7 +342,7 @@ def _stand_on(
         if is_scale_shown and not math.isnan(size):
             person = replace(person, joints=fit.place(p, result.joints), size=size)
             if before.camera_height and size < CHILD_SIZE:
-                person = replace(person, height_fault=CHILD.format(size))
+                person = replace(person, height_note=CHILD.format(size))
         people.append(person)
     return people
 
@@ -355,7 +364,7 @@ def _blank_frames(result: SequenceResult, is_blank: NDArray[np.bool_]) -> Sequen
 
 def describe_height_faults(results: Sequence[SequenceResult]) -> list[str]:
     """Return in words what is wrong with `tracker.camera_height` for some people."""
-    return [fault for fault in dict.fromkeys(r.height_fault for r in results) if fault]
+    return [fault for fault in dict.fromkeys(r.height_note for r in results) if fault]
 
 
 def find_frames_in_sight(seen: NDArray[np.bool_], times: Array) -> NDArray[np.bool_]:
@@ -480,6 +489,7 @@ class Shares(NamedTuple):
 
 
 SHARES = Shares(0.07, 0.4, 0.68)  # measured with 3,120 frames; almost all sequences are solved three times
+MIN_TILT_STD = 1e-3  # rad; a smaller deviation of a vertical is not believed
 FOUND_TILT_FACTOR = 1.5  # 1; by which a vertical counts less that people show, who share its errors
 CHILD_SIZE = 0.75  # 1; 3.5 standard deviations of the size of adults
 CHILD = 'makes a person {:.2f} times as tall as tracker.body_height: a child, or one of both is wrong'

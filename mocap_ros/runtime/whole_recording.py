@@ -60,11 +60,13 @@ def reconstruct_people(
         try:
             result = reconstruct(sequence, report_part(report, index, len(sequences)))
         except (InputError, np.linalg.LinAlgError) as error:
-            if index == len(sequences) - 1 and not found:
+            if len(sequences) == 1:
                 raise InputError(str(error)) from None
             left_out.append(f'person {person_id!r} is left out: {error}')
             continue
         found.append(Reconstructed(index, sequence, person_id, result))
+    if not found:
+        raise InputError('\n'.join(left_out) or 'the recording shows no person')
     results = share_floor(
         [person.result for person in found], [person.sequence.timestamps for person in found], config.tracker
     )

@@ -101,6 +101,12 @@ def test_several_people_stand_on_one_floor_in_one_world() -> None:
         found.append(replace(SequenceResult(joints, *rest), contact=CONTACT, floor=fit.floor))
     lain = Rotation.from_rotvec([0.1, 0.0, 0.0]).apply(found[0].vertical)
     found.append(replace(found[0], contact=CONTACT * np.nan, floor=None, vertical=lain, vertical_std=2 * TIMES))
+    above = replace(found[1], joints=found[1].joints + 0.8 * UPWARD, floor=None, height_note='old')
+    for people_found in ([found[0], above], [above, found[0]]):  # one stands on a platform
+        apart = share_floor(people_found, [TIMES] * 2, TrackerConfig())
+        assert [(r.size, r.floor, r.height_note) for r in apart] == [(1.0, None, '')] * 2
+    opposite = replace(found[1], vertical=-found[0].vertical)
+    assert all(r.floor is None for r in share_floor([found[0], opposite], [TIMES] * 2, TrackerConfig()))
     first, second, unknown = share_floor(found, [TIMES] * 3, TrackerConfig())
     assert (unknown.vertical == first.vertical).all()
     assert (unknown.size, unknown.floor) == (1.0, first.floor)

@@ -298,4 +298,4 @@ def _build_result(
     in_camera[~in_sight] = np.nan
     vertical = choose_vertical(observed, in_camera, config)
     fault = 'is not used: the method keyframes has no feet on a floor' if config.camera_height else ''
-    return SequenceResult(in_camera, seen, CMU15, category, solution, camera, *vertical, height_fault=fault)
+    return SequenceResult(in_camera, seen, CMU15, category, solution, camera, *vertical, height_note=fault)
