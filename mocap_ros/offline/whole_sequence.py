@@ -341,8 +341,8 @@ def _stand_on(
             person = replace(person, vertical=vertical, vertical_std=std, before_floor=result)
         if is_scale_shown and not math.isnan(size):
             person = replace(person, joints=fit.place(p, result.joints), size=size)
-            if before.camera_height and size < CHILD_SIZE:
-                person = replace(person, height_note=CHILD.format(size))
+            if before.camera_height and not USUAL_SIZES[0] < size < USUAL_SIZES[1]:
+                person = replace(person, height_note=UNUSUAL.format(size))
         people.append(person)
     return people
 
@@ -491,8 +491,8 @@ class Shares(NamedTuple):
 SHARES = Shares(0.07, 0.4, 0.68)  # measured with 3,120 frames; almost all sequences are solved three times
 MIN_TILT_STD = 1e-3  # rad; a smaller deviation of a vertical is not believed
 FOUND_TILT_FACTOR = 1.5  # 1; by which a vertical counts less that people show, who share its errors
-CHILD_SIZE = 0.75  # 1; 3.5 standard deviations of the size of adults
-CHILD = 'makes a person {:.2f} times as tall as tracker.body_height: a child, or one of both is wrong'
+USUAL_SIZES = 0.75, 1.2  # 1; three standard deviations of the size of adults
+UNUSUAL = 'makes a person {:.2f} times as tall as tracker.body_height: one of both is wrong, or it is a child'
 # why `tracker.camera_height` is not used where feet show another one
 WRONG_HEIGHT = (
     f'is not used: by it people are not {SIZE_RANGE[0]:g} to {SIZE_RANGE[1]:g} times as tall as '
