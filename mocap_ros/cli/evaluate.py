@@ -35,7 +35,7 @@ from mocap_ros.runtime.input_kind import InputKind, require_kind
 from mocap_ros.runtime.load_keypoints import load_sequence_file
 from mocap_ros.runtime.load_results import load_result
 from mocap_ros.runtime.summary import summarise
-from mocap_ros.runtime.whole_recording import reconstruct_whole
+from mocap_ros.runtime.whole_recording import reconstruct_people, reconstruct_whole
 
 # Columns of the table: key of the record, title, unit and number format.
 COLUMNS = (
@@ -99,7 +99,10 @@ def run(args: argparse.Namespace) -> int:
                 sequence = load_sequence_file(path) if args.truth else truths.setdefault(path, _load_truth(path))
                 start_s = time.perf_counter()
                 with name_file_in_errors(path):
-                    found = reconstruct_whole(sequence, models, config, part)
+                    people, _ = reconstruct_people(
+                        [sequence], lambda s, share: reconstruct_whole(s, models, config, share), config, part
+                    )
+                found = people[0].result
                 timing = {'seconds': time.perf_counter() - start_s}
                 summary = summarise([sequence], [found], config)
                 if summary.reason:

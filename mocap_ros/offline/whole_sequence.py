@@ -106,7 +106,6 @@ class SequenceResult:
     floor: Floor | None = None  # the floor on which the person stands; None if nothing shows it
     size: float = 1.0  # of the body, as a share of `tracker.body_height`
     height_note: str = ''  # in words why `tracker.camera_height`, if it is given, is not used or may be wrong
-    before_floor: SequenceResult | None = None  # the same before the floor gave size and place, if it did
     shared_world: Array | None = None  # the `world_from_camera` of another person on the same floor
 
     @property
@@ -164,6 +163,23 @@ def reconstruct_sequence(
 ) -> SequenceResult:
     """Reconstruct a sequence of one person's keypoints.
 
+    The arguments are those of `reconstruct_without_floor`, and so are the errors.
+    """
+    result = reconstruct_without_floor(keypoints, joint_names, times, intrinsics, model, config, report)
+    return share_floor([result], [times], config.tracker)[0]
+
+
+def reconstruct_without_floor(
+    keypoints: Array,
+    joint_names: tuple[str, ...],
+    times: Array,
+    intrinsics: Intrinsics,
+    model: BasePoses | Mapping[str, BasePoses],
+    config: Config,
+    report: Report = lambda _: None,
+) -> SequenceResult:
+    """Reconstruct a sequence of one person's keypoints, for whom `share_floor` has still to find the floor.
+
     `keypoints` (F, J, 3) x and y in px, and confidence score, NaN or score 0 where not seen; `joint_names` (J,)
     any names that `keypoints.joint_map` knows; `times` (F,) s, increasing; `model` base poses, or several by name.
     Of several, the most probable are chosen (`solvers.classification`), with a learned prior, those of all motions
@@ -185,7 +201,7 @@ def reconstruct_sequence(
     result, lifted = _reconstruct(observed, models, config, report)
     in_sight = find_frames_in_sight(result.seen, times)
     complete = _blank_frames(_complete(result, lifted, config.tracker), ~in_sight)
-    return share_floor([_find_contacts(complete, lifted)], [times], config.tracker)[0]
+    return _find_contacts(complete, lifted)
 
 
 def reconstruct_window(
@@ -279,15 +295,13 @@ def share_floor(
 ) -> tuple[SequenceResult, ...]:
     """Return people of one recording on one floor, under one vertical, and in one world, that of the first.
 
+    The results are those of `reconstruct_without_floor`, with times (F,) s of each.
     `tracker.camera_height` shows their true sizes. Where it is not known, the sizes of several become those with
     which all stand on the floor.
     """
     if not results:
         return ()
-    solved = [
-        replace(r.before_floor or r, floor=None, size=1.0, height_note='', shared_world=None) for r in results
-    ]
-    known = [(r, average_vertical(r.vertical, r.vertical_std)) for r in solved]
+    known = [(r, average_vertical(r.vertical, r.vertical_std)) for r in results]
     known = [(r, upward) for r, upward in known if np.isfinite(upward).all()]
     trust = np.array([max(float(np.nanmean(r.vertical_std)), MIN_TILT_STD) ** -2 for r, _ in known])
     total = np.sum([t * upward for t, (_, upward) in zip(trust, known, strict=True)], axis=0)
@@ -298,17 +312,17 @@ def share_floor(
     tilt_std = min(FOUND_TILT_FACTOR * std, MAX_CERTAIN_STD) if std <= MAX_CERTAIN_STD else math.nan
     if read_given_vertical(config) is not None:
         std = tilt_std = CALIBRATED_TILT_STD
-    people, fault = solved, ''
+    people, fault = list(results), ''
     if config.camera_height > 0:
-        is_focal_known = all(r.virtual_camera.intrinsics.is_focal_known for r in solved)
+        is_focal_known = all(r.virtual_camera.intrinsics.is_focal_known for r in results)
         fault = find_height_fault(is_focal_known=is_focal_known, tilt_std=std)
         if not fault:
-            people = _stand_on(solved, times, Floor(vertical, config.camera_height, tilt_std), config)
+            people = _stand_on(results, times, Floor(vertical, config.camera_height, tilt_std), config)
             fault = next((r.height_note for r in people if r.floor is None), '')
     if not config.camera_height or (fault and not any(r.floor for r in people)):
         people = [
             replace(r, height_note=r.height_note or fault)
-            for r in _stand_on(solved, times, Floor(vertical, None, tilt_std), config)
+            for r in _stand_on(results, times, Floor(vertical, None, tilt_std), config)
         ]
     first = next((r for r in people if r.floor is not None), people[0])
     return tuple(replace(r, shared_world=first.world_from_camera if len(people) > 1 else None) for r in people)
@@ -338,7 +352,7 @@ def _stand_on(
             frames = len(result.joints)
             vertical = np.tile(fit.floor.upward, (frames, 1))
             std = np.full(frames, fit.floor.tilt_std)
-            person = replace(person, vertical=vertical, vertical_std=std, before_floor=result)
+            person = replace(person, vertical=vertical, vertical_std=std)
         if is_scale_shown and not math.isnan(size):
             person = replace(person, joints=fit.place(p, result.joints), size=size)
             if before.camera_height and not USUAL_SIZES[0] < size < USUAL_SIZES[1]:

@@ -17,7 +17,7 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.whole_sequence import (
     Report,
     SequenceResult,
-    reconstruct_sequence,
+    reconstruct_without_floor,
     report_part,
     share_floor,
 )
@@ -35,9 +35,9 @@ class Reconstructed(NamedTuple):
 def reconstruct_whole(
     sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config, report: Report
 ) -> SequenceResult:
-    """Reconstruct one person from all frames."""
+    """Reconstruct one person from all frames; `reconstruct_people` finds the floor."""
     observations = extract_observations(sequence, config.tracker.nominal_focal_length)
-    return reconstruct_sequence(*observations, models, config, report)
+    return reconstruct_without_floor(*observations, models, config, report)
 
 
 def reconstruct_people(

@@ -87,8 +87,6 @@ def test_several_people_stand_on_one_floor_in_one_world() -> None:
     people = [stand() * 0.95, (stand() + np.cross(UPWARD, [0.0, 0.0, 1.0])) * 1.05]
     found = []
     for joints in people:
-        fit = fit_floor([Stander(joints, CONTACT, TIMES)], Floor(UPWARD, None, math.radians(3)), 0.08)
-        assert fit is not None
         rest: Any = (
             np.ones((FRAMES, 26), bool),
             BODY26,
@@ -98,10 +96,10 @@ def test_several_people_stand_on_one_floor_in_one_world() -> None:
             np.tile(UPWARD, (FRAMES, 1)),
             np.full(FRAMES, math.radians(3.0)),
         )
-        found.append(replace(SequenceResult(joints, *rest), contact=CONTACT, floor=fit.floor))
+        found.append(replace(SequenceResult(joints, *rest), contact=CONTACT))
     lain = Rotation.from_rotvec([0.1, 0.0, 0.0]).apply(found[0].vertical)
-    found.append(replace(found[0], contact=CONTACT * np.nan, floor=None, vertical=lain, vertical_std=2 * TIMES))
-    above = replace(found[1], joints=found[1].joints + 0.8 * UPWARD, floor=None, height_note='old')
+    found.append(replace(found[0], contact=CONTACT * np.nan, vertical=lain, vertical_std=2 * TIMES))
+    above = replace(found[1], joints=found[1].joints + 0.8 * UPWARD)
     for people_found in ([found[0], above], [above, found[0]]):  # one stands on a platform
         apart = share_floor(people_found, [TIMES] * 2, TrackerConfig())
         assert [(r.size, r.floor, r.height_note) for r in apart] == [(1.0, None, '')] * 2
