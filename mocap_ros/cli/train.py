@@ -73,8 +73,7 @@ OPTIONS: Options = {
     'that finds one goes on from there, also with more --steps (default: none is kept)',
     '--start-from LIFTER.npz': 'with --lifter, one whose weights the training begins with, at a lower learning '
     'rate and with its batch norms as they are, and of which the result keeps a part; give another --seed than it '
-    'had, so that the examples are new '
-    '(default: random weights)',
+    'had, so that the examples are new (default: random weights)',
     '--seed N': option(
         'with --lifter, random seed of the initial weights and the examples (default: 0)',
         type=partial(parse_count, low=0, high=MAX_SEED),

@@ -173,6 +173,16 @@ cdef void differentiate_features(Frame* f, double* out) noexcept nogil:
     out[12 * CAMERA + 3] = 1
 
 
+cdef inline int count_frames_of_step(double step) noexcept nogil:
+    """Return how many frames, `step` s apart, are a step between the points of a third difference."""
+    return max(<int> (ROUGHNESS_STEP_S / max(step, 1e-4) + 0.5), 1)
+
+
+cdef inline double take_third_difference(const double[:, :, :] points, int t, int j, int i, int s) noexcept nogil:
+    """Return the third difference of a coordinate over the frames t - 3 s, ..., t."""
+    return points[t, j, i] - 3 * points[t - s, j, i] + 3 * points[t - 2 * s, j, i] - points[t - 3 * s, j, i]
+
+
 def measure_noise_growth(
     const double[:, :, :] points, const double[:, :] score, const double[:] times, double unit
 ):
@@ -190,7 +200,7 @@ cdef double compute_noise_growth(
     if end - start < 6:
         return NOISE_OVER_ROUGHNESS
     step = (times[end - 1] - times[start]) / (end - start - 1)
-    s = max(<int> (ROUGHNESS_STEP_S / max(step, 1e-4) + 0.5), 1)
+    s = count_frames_of_step(step)
     for t in range(start + 5 * s, end):
         if times[t] - times[t - 5 * s] > 7.5 * s * step:
             continue
@@ -204,10 +214,7 @@ cdef double compute_noise_growth(
             for k in range(2):
                 square[k] = 0
                 for i in range(2):
-                    change[k][i] = unit * (
-                        points[t - 2 * k * s, j, i] - 3 * points[t - (2 * k + 1) * s, j, i]
-                        + 3 * points[t - (2 * k + 2) * s, j, i] - points[t - (2 * k + 3) * s, j, i]
-                    )
+                    change[k][i] = unit * take_third_difference(points, t - 2 * k * s, j, i, s)
                     square[k] += change[k][i] * change[k][i]
             for i in range(2):
                 product += change[0][i] * change[1][i]
@@ -739,7 +746,7 @@ cdef class JointProblem:
         if count < 4 or self.lifted.shape[0] == 0:
             return 0
         step = (self.times[start + count - 1] - self.times[start]) / (count - 1)
-        stride = max(<int> (ROUGHNESS_STEP_S / max(step, 1e-4) + 0.5), 1)
+        stride = count_frames_of_step(step)
         if stride * step > MAX_ROUGHNESS_STEP_S:
             return 0
         for t in range(start + 3 * stride, start + count):
@@ -752,8 +759,7 @@ cdef class JointProblem:
                     continue
                 total = 0
                 for i in range(2):
-                    x = (self.image[t, j, i] - 3 * self.image[t - stride, j, i]
-                         + 3 * self.image[t - 2 * stride, j, i] - self.image[t - 3 * stride, j, i])
+                    x = take_third_difference(self.image, t, j, i, stride)
                     total += x * x / 20
                 points += 1
                 squares += weight * compute_loss(total, ROUGHNESS_LOSS_M)

@@ -465,8 +465,7 @@ def estimate_joint_std(
 
     `posterior` (P, J) m; `weight` (P, J or more) scores, 0 for inferred joints; `lifter_std` (P, J or more, 3) m,
     NaN where not lifted; `noise` (P,) m; `seen_factor`, `inferred_factor`, `floor` h of seen and inferred joints,
-    and the floor in m; `lifter_seen_factor`, `lifter_inferred_factor`, `noise_factor` f / a^0.5, g
-    and n.
+    and the floor in m; `lifter_seen_factor`, `lifter_inferred_factor`, `noise_factor` f / a^0.5, g and n.
     """
     cdef Py_ssize_t p, j
     cdef double length

@@ -77,11 +77,10 @@ def refine(kept: Refinement, tracks: Sequence[Track], parts: Sequence[tuple[int,
         noise = np.array([max(track.solved.noise, config.noise_floor) for track in tracks])
     kept.problem = problem = continue_from(batch, state, noise, model, config, kept=kept.problem)
     problem.minimise(config.max_iterations, config.tolerance, WARM_DAMPING)
-    before = [track.solved for track in tracks]
-    people = [fixed for _, fixed in parts], [track.observed for track in tracks], before
+    before, seen = [track.solved for track in tracks], [track.observed for track in tracks]
+    people = [fixed for _, fixed in parts], seen, before
     newest_states = problem.read('theta'), problem.read('rotation'), *problem.describe(newest.units)
     finished = newest.finish(*people, *newest_states, model.skeleton.stature_per_bone, HIDDEN_SHARE)
-    seen = [track.observed for track in tracks]
     unit = [o.virtual_camera.intrinsics.focal / px for o, px in zip(seen, newest.units.tolist(), strict=True)]
     growth = [joint.measure_noise_growth(o.rays, o.evidence, o.times, m) for o, m in zip(seen, unit, strict=True)]
     noises = np.maximum(problem.measure_misfit(), problem.measure_least_noise(np.array(growth))).tolist()
