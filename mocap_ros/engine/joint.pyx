@@ -186,7 +186,10 @@ cdef inline double take_third_difference(const double[:, :, :] points, int t, in
 def measure_noise_growth(
     const double[:, :, :] points, const double[:, :] score, const double[:] times, double unit
 ):
-    """Return how many times larger than what is new in each frame the errors of points (F, J, 2) in 1/unit m are."""
+    """Return g of `solvers.joint.noise_annealing`: the errors of points over what is new of them in each frame.
+
+    Points are (F, J, 2) and, times `unit`, in m; scores (F, J); times (F,) s.
+    """
     return compute_noise_growth(points, score, times, 0, times.shape[0], unit)
 
 

@@ -182,13 +182,18 @@ def build_joint_map(source: tuple[str, ...], target: Skeleton = CMU15) -> JointM
 def find_evidence(
     rays: Array, weight: Array, source: tuple[str, ...], focal: float, target: Skeleton = CMU15
 ) -> NDArray[np.bool_]:
-    """Return which joints (F, Jt), of rays (F, Jt, 2) and scores (F, Jt), say more than others of the body do.
+    """Return which joints (F, Jt) were seen themselves, not derived from other joints of the body.
 
-    `focal` is in px.
-
-    Neck and pelvis midway between shoulders and hips do not, whoever put them there, and in the model they are
-    elsewhere, by up to a fifth of the trunk; a head by points of the face does. Where fewer than
+    Neck and pelvis midway between shoulders and hips are derived, by whatever program: in the model they are
+    elsewhere, by up to a fifth of the trunk. A head by points of the face was seen. Where fewer than
     `MIN_TARGET_JOINTS` joints were seen, all count.
+
+    Args:
+        rays: (F, Jt, 2) x / z and y / z.
+        weight: (F, Jt) scores, 0 where not seen.
+        source: names of the detector's joints.
+        focal: px.
+        target: skeleton of the joints.
     """
     is_evidence = np.repeat(build_joint_map(source, target).is_evidence[None], len(weight), axis=0)
     is_seen = weight[..., None] > 0
