@@ -186,7 +186,7 @@ class LiveWorld:
         self._axes = np.array([np.cross(left, up), left, up])
 
     def _weigh_feet(self, step_s: float, people: Sequence[Person3D]) -> tuple[float, float]:
-        """Return the share with which the floor follows the feet in this frame, and how high in m over it they are."""
+        """Return the share with which the floor follows the feet in this frame, and their height over it in m."""
         known = [(2 * float(np.nanmax(p.contact)) - 1, p) for p in people if np.isfinite(p.contact).any()]
         stand = [(s, self._find_lowest(p)) for s, p in known if s > 0]
         if not stand:

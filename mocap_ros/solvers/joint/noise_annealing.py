@@ -24,8 +24,8 @@ is new in every frame and 1/6 of a random walk; live it is that of all frames of
 constants of rho were measured on the protocol's and on recorded detectors.
 
 Under large noise the priors hold the weights and few local minima are left. So the rounds begin with 50 mm, on the
-best-seen frame of each tenth of a second and the base poses that vary by a good part of the noise, and end with all
-frames and all base poses.
+best-seen frame of each tenth of a second and the base poses that vary by a good part of the noise, and end with
+all frames and all base poses.
 """
 
 from __future__ import annotations
