@@ -10,9 +10,14 @@ ROBOT.xml, an MJCF whose zero pose has hanging upper arms and elbows at 90 degre
 import signal
 import sys
 
-import mink
-import mujoco
 import numpy as np
+
+try:
+    import daqp  # noqa: F401, the solver of mink.solve_ik
+    import mink
+    import mujoco
+except ImportError as error:
+    sys.exit(f'humanoid.py: {error}: pip install mink daqp')
 
 ARMS = ['lshoulder', 'lelbow', 'lwrist', 'rshoulder', 'relbow', 'rwrist']  # skeleton_definition's first joints
 JOINTS = ['head', 'neck', *ARMS, 'pelvis', 'lhip', 'lknee', 'lankle', 'rhip', 'rknee', 'rankle']

@@ -8,6 +8,7 @@ Joints of SMPL are in the axes of the pelvis, rotations from SMPL's T. z of `nod
 
 import json
 import signal
+import sys
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -39,8 +40,11 @@ def pack(fields):
 
 
 if __name__ == '__main__':
+    try:
+        import zmq
+    except ImportError as error:
+        sys.exit(f'sonic.py: {error}: pip install pyzmq')
     import rclpy
-    import zmq
     from mocap_ros_msgs.msg import Skeleton3DArray
 
     def _take(skeletons):

@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from typing import Protocol
 
 from mocap_ros.bags.topics import BODY_SUFFIX
 from mocap_ros.runtime.input_checks import find_kind
 
 MAX_KINDS = 30  # kinds of lines; guards log and memory against senders of ever new kinds of errors
+MAX_REASONS = 5  # reasons of a kind that are logged at once; whoever mends one number after another sees each
 MAX_LOGGED_TRACEBACKS = 30  # tracebacks; guards the log against internal errors with ever new texts
 MAX_LINE_LENGTH = 400  # characters; guards the log against long texts in messages; the node's own reasons fit
 
@@ -32,24 +33,28 @@ class Logger(Protocol):
 class ThrottledLog:
     """Log of what is wrong with messages, in which each kind appears only the 1st, 10th, 100th, ... time.
 
-    Two reasons on an input are of one kind if they differ only in numbers and quoted names. The kinds after the
-    first `MAX_KINDS` kinds of an input count as one kind. An input is a topic, or with ROS4HRI the topics of all
-    bodies: their ids never end.
+    Two reasons on an input are of one kind if they differ only in numbers and quoted names. The first few of a
+    kind appear at once as well. The kinds after the first `MAX_KINDS` kinds of an input count as one kind.
+    An input is a topic, or with ROS4HRI the topics of all bodies: their ids never end.
     """
 
     def __init__(self, logger: Logger) -> None:
         self._logger = logger
-        self._counts_by_input: dict[str, Counter[str]] = {}  # of each kind
+        self._counts_by_input: defaultdict[str, Counter[str]] = defaultdict(Counter)  # of each kind
+        self._reasons: defaultdict[tuple[str, str], set[str]] = defaultdict(set)  # the first, by input and kind
 
     def report(self, topic: str, number: int, reason: str, *, is_error: bool = True) -> None:
         """Log what is wrong with a message, the `number`th of its topic, unless its kind is being held back."""
         name = BODY_SUFFIX if topic.endswith(BODY_SUFFIX) else topic
-        counts = self._counts_by_input.setdefault(name, Counter())
+        counts = self._counts_by_input[name]
         kind = find_kind(reason)
         if kind not in counts and len(counts) >= MAX_KINDS:
             kind = ''
         counts[kind] += 1
-        if str(counts[kind]).strip('0') != '1':  # no power of ten
+        first = self._reasons[name, kind]
+        if reason not in first and len(first) < MAX_REASONS:
+            first.add(reason)
+        elif str(counts[kind]).strip('0') != '1':  # no power of ten
             return
         line = make_printable(f'{topic}: message {number}: {reason}')
         if not kind:

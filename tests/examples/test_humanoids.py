@@ -4,6 +4,8 @@
 """The examples for humanoids: a robot of capsules with the joints of a Unitree G1, and SONIC's messages."""
 
 import json
+import runpy
+import sys
 from typing import Any
 
 import numpy as np
@@ -121,3 +123,11 @@ def test_a_result_becomes_rows_at_30_per_s_in_whose_gaps_the_robot_stays() -> No
     assert rows[75, 0] > rows[72, 0] > rows[12, 0] > rows[6, 0] > rows[0, 0]
     assert np.linalg.norm(rows[:, 3:7], axis=1) == pytest.approx(1.0)
     assert len(example.convert(robot, {k: v[:1] if len(v) == 5 else v for k, v in result.items()})) == 1
+
+
+@pytest.mark.parametrize(('name', 'needed'), [('humanoid', 'mink'), ('sonic', 'zmq')])
+def test_an_example_names_what_is_not_installed(monkeypatch: pytest.MonkeyPatch, name: str, needed: str) -> None:
+    for module in ('daqp', needed):
+        monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(SystemExit, match=r'^\w+\.py: .*: pip install \w+'):
+        runpy.run_path(str(ROOT / 'examples' / f'{name}.py'), run_name='__main__')

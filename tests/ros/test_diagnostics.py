@@ -14,7 +14,7 @@ from mocap_ros.config import with_values
 from mocap_ros.messages.cdr import decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.ros.diagnostics import DIAGNOSTICS, DiagnosticsReporter, Level, RunStatistics
-from mocap_ros.ros.throttled_log import MAX_KINDS, ThrottledLog
+from mocap_ros.ros.throttled_log import MAX_KINDS, MAX_REASONS, ThrottledLog
 from mocap_ros.runtime.pipeline import Pipeline
 from tests.support.camera_infos import make_transforms
 from tests.support.pipeline_inputs import FAST_CONFIG, LineLog, encode_demo_frames, process, with_stamp
@@ -188,16 +188,17 @@ def test_people_in_the_frame_of_the_camera_instead_of_the_output_frame_are_a_war
 @pytest.mark.parametrize(
     ('topic', 'reason', 'count'),
     [
-        ('/keypoints', "people[0].skeleton: unknown keypoint layout 'x{0}'; known: a", 4),
+        ('/keypoints', 'people[0].x[3]: {1}', MAX_REASONS + 3),  # 1st to 5th, 10th, 100th, 1000th
+        ('/keypoints', "people[0].skeleton: unknown keypoint layout 'x{0}'; known: a", MAX_REASONS + 3),
         ('/humans/bodies/b{1}/skeleton2d', 'the same of every body', 4),
-        ('/keypoints', 'a kind of its own: {0}', MAX_KINDS + 3),
+        ('/keypoints', 'a kind of its own: {0}', MAX_KINDS + MAX_REASONS + 2),
     ],
 )
 def test_the_log_is_not_flooded(topic: str, reason: str, count: int) -> None:
     log = LineLog()
     throttled = ThrottledLog(log)
     for i in range(1000):
-        throttled.report(topic.format(chr(500 + i), i), i, reason.format(chr(500 + i)))
+        throttled.report(topic.format(chr(500 + i), i), i, reason.format(chr(500 + i), i))
     assert len(log.lines) == count
     throttled.report('/camera_info', 1, 'another topic')
     assert log.lines[-1] == 'error /camera_info: message 1: another topic'
