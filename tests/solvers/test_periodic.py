@@ -32,7 +32,7 @@ from mocap_ros.solvers.periodic.repetition import (
     measure_repetition,
 )
 from mocap_ros.solvers.window import Window
-from tests.support.synthetic_walk import BODY_TO_OPTICAL, Walk, compute_mpjpe, make_walk
+from tests.support.synthetic_walk import BODY_TO_OPTICAL, Walk, make_walk, mpjpe_mm
 
 COMPONENTS, HARMONICS, FRAMES = 4, 2, 8
 CONFIG = SolverConfig(
@@ -232,19 +232,18 @@ def make_periodic_walk(model: BasePoses, frames: int = 70, seed: int = 0) -> Wal
     theta[:, :4] = model.std[:4] * (np.sin(angle + phase[0]) + 0.4 * np.sin(2 * angle + phase[1]))
     rotation = np.tile(BODY_TO_OPTICAL @ rotation_from_vector(np.array([0, 0, 0.9])), (frames, 1, 1))
     cameras = WeakPerspectiveCameras(np.full(frames, 200.0), rotation)
-    points = cameras.project(model.poses(theta)) + [320.0, 240.0]
-    return theta, cameras, points, times
+    return Walk(theta, cameras, cameras.project(model.poses(theta)) + [320.0, 240.0], times)
 
 
 @pytest.mark.parametrize(('missing', 'measured_mm'), [(0.0, 24.6), (0.2, 27.1)])
 def test_finds_cadence_and_motion(walk_model: BasePoses, missing: float, measured_mm: float) -> None:
-    theta, cameras, points, times = make_periodic_walk(walk_model)
-    weight = (np.random.default_rng(2).random(points.shape[:2]) >= missing).astype(float)
+    walk = make_periodic_walk(walk_model)
+    weight = (np.random.default_rng(2).random(walk.points.shape[:2]) >= missing).astype(float)
     if missing:
         weight[:, [3, 4]] = 0
-    result = periodic.solve(Window(points, weight, times), walk_model, SolverConfig(components=10))
+    result = periodic.solve(replace(walk.window, weight=weight), walk_model, SolverConfig(components=10))
     assert result.cadence == pytest.approx(CADENCE, rel=0.01)
-    assert compute_mpjpe(result, walk_model, theta, cameras) < 1.1 * measured_mm
+    assert mpjpe_mm(result.joints, walk.poses(walk_model)) < 1.1 * measured_mm
     assert (np.diff(result.history) <= 0).all()
 
 

@@ -26,7 +26,7 @@ from mocap_ros.solvers.window import (
     Window,
     choose_initial_values,
 )
-from tests.support.synthetic_walk import compute_mpjpe, make_noisy_window, make_walk
+from tests.support.synthetic_walk import make_walk, mpjpe_mm
 
 CONFIG = SolverConfig(components=8, adapt_noise=False)
 
@@ -34,9 +34,8 @@ CONFIG = SolverConfig(components=8, adapt_noise=False)
 @pytest.fixture
 def window(walk_model: BasePoses) -> Window:
     """Noisy points of a walk, with fixed initial values and unit, so that all solutions have one objective."""
-    _, _, points, times = make_walk(walk_model)
-    points = points + 2 * np.random.default_rng(0).normal(size=points.shape)
-    window = Window(points, np.ones(points.shape[:2]), times)
+    window = make_walk(walk_model).window
+    window = replace(window, points=window.points + 2 * np.random.default_rng(0).normal(size=window.points.shape))
     start, unit = choose_initial_values(window, walk_model.truncate(CONFIG.components), 1.0)
     return replace(window, start=start, unit=unit)
 
@@ -72,15 +71,15 @@ def test_numbers_that_overflow_are_no_success(walk_model: BasePoses, window: Win
 
 
 def test_recovers_a_synthetic_walk(walk_model: BasePoses) -> None:
-    theta, cameras, points, times = make_walk(walk_model)
+    walk = make_walk(walk_model)
     config = SolverConfig(
         prior_weight=1e-7, bone_weight=0.05, flip_weight=1e-5, components=4,
         max_iterations=400, tolerance=1e-7,
     )  # fmt: skip
-    result = reconstruct(Window(points, np.ones(points.shape[:2]), times), walk_model, config)
-    assert compute_mpjpe(result, walk_model, theta, cameras) < 1.1 * 1.67  # mm; measured: 1.667
+    result = reconstruct(walk.window, walk_model, config)
+    assert mpjpe_mm(result.joints, walk.poses(walk_model)) < 1.1 * 1.67  # mm; measured: 1.667
     assert result.residual.max() < 1.1 * 0.25  # px; measured: 0.249
-    assert result.translation == pytest.approx(np.tile([320, 240], (len(times), 1)), abs=1e-3)  # px
+    assert result.translation == pytest.approx(np.tile([320, 240], (40, 1)), abs=1e-3)  # px
 
 
 @settings(max_examples=15)
@@ -96,8 +95,11 @@ def test_objective_never_rises(
     walk_model: BasePoses, seed: int, bone: float, prior: float, flip: float, missing: float
 ) -> None:
     config = SolverConfig(bone_weight=bone, prior_weight=prior, flip_weight=flip, components=8, max_iterations=6)
+    exact, rng = make_walk(walk_model, frames=12, seed=seed).window, np.random.default_rng(seed)
+    points = exact.points + 5 * rng.normal(size=exact.points.shape)
+    weight = rng.uniform(0.1, 1, points.shape[:2]) * (rng.random(points.shape[:2]) >= missing)
     for solve in (reconstruct, solve_jointly):
-        result = solve(make_noisy_window(walk_model, seed, missing), walk_model, config)
+        result = solve(Window(points, weight, exact.times), walk_model, config)
         assert (np.diff(result.history) <= 1e-9 * np.abs(result.history[0])).all()
         assert np.isfinite(result.joints).all()
 

@@ -3,22 +3,38 @@
 
 """A synthetic walk with known weights and cameras, and the error of its reconstruction."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from mocap_ros.geometry.rotations import rotation_from_vector
+from mocap_ros.evaluation.metrics import scale_to_reference
+from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.window import Array, Reconstruction, Window
-
-# Weights (F, K) m, cameras, points (F, J, 2) px and times (F,) s of a motion.
-Walk = tuple[Array, WeakPerspectiveCameras, Array, Array]
+from mocap_ros.solvers.window import Array, Window
 
 # Rotation from the body frame (x forward, z up) to the optical frame of a camera that looks along x.
 BODY_TO_OPTICAL = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0.0]])
 
 
+class Walk(NamedTuple):
+    """Weights (F, K) m, cameras, points (F, J, 2) px and times (F,) s of a motion."""
+
+    theta: Array
+    cameras: WeakPerspectiveCameras
+    points: Array
+    times: Array
+
+    @property
+    def window(self) -> Window:
+        return Window(self.points, np.ones(self.points.shape[:2]), self.times)
+
+    def poses(self, model: BasePoses) -> Array:
+        """Return the joints (F, J, 3) m about the body's origin, along the axes of the camera."""
+        return model.poses(self.theta) @ np.swapaxes(self.cameras.rotation, -1, -2)
+
+
 def make_walk(model: BasePoses, frames: int = 40, k: int = 4, seed: int = 0) -> Walk:
-    """Return weights (F, K) m, cameras, points (F, J, 2) px and times (F,) s of a motion."""
     rng = np.random.default_rng(seed)
     times = np.arange(frames) / 30
     phase = rng.uniform(0, 6, k)
@@ -27,24 +43,15 @@ def make_walk(model: BasePoses, frames: int = 40, k: int = 4, seed: int = 0) -> 
     heading = 0.8 + 0.3 * times
     rotation = BODY_TO_OPTICAL @ rotation_from_vector(heading[:, None] * [0, 0, 1])
     cameras = WeakPerspectiveCameras(200 + 10 * times, rotation)
-    points = cameras.project(model.poses(theta)) + [320, 240]
-    return theta, cameras, points, times
+    return Walk(theta, cameras, cameras.project(model.poses(theta)) + [320, 240], times)
 
 
-def compute_mpjpe(
-    result: Reconstruction, model: BasePoses, theta: Array, cameras: WeakPerspectiveCameras
-) -> float:
-    """Return the mean joint error (mm) after one scale for the sequence."""
-    truth = model.poses(theta) @ np.swapaxes(cameras.rotation, -1, -2)
-    p = result.joints
-    p = p * ((p * truth).sum() / (p * p).sum())
-    return float(np.linalg.norm(p - truth, axis=-1).mean() * 1e3)
+def mpjpe_mm(found: Array, truth: Array) -> float:
+    """Return the mean error of joints (F, J, 3) about their centroids, after one scale for the sequence."""
+    found, truth = centre_poses(found), centre_poses(truth)
+    return float(np.linalg.norm(scale_to_reference(found, truth) - truth, axis=-1).mean() * 1e3)
 
 
-def make_noisy_window(model: BasePoses, seed: int, missing: float) -> Window:
-    """Twelve frames of a walk with 5 px of noise, random scores, and a share of the points missing."""
-    _, _, points, times = make_walk(model, frames=12, seed=seed)
-    rng = np.random.default_rng(seed)
-    points = points + 5 * rng.normal(size=points.shape)
-    weight = rng.uniform(0.1, 1, points.shape[:2]) * (rng.random(points.shape[:2]) >= missing)
-    return Window(points, weight, times)
+def with_scores(points: Array, score: float = 1.0) -> Array:
+    """Return keypoints (F, J, 3) of points (F, J, 2) px that all have one score."""
+    return np.concatenate([points, np.full((*points.shape[:2], 1), score)], axis=-1)

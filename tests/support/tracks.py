@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tracks of a synthetic walk, frame by frame and solved by the tracker."""
+"""Detections, trackers and tracks of a synthetic walk, frame by frame."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -14,6 +14,7 @@ from mocap_ros.keypoints.left_right import BodySides, SwapFilter
 from mocap_ros.keypoints.matching import Detection
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.track import Track
@@ -22,12 +23,16 @@ from mocap_ros.tracking.tracker import Tracker
 CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
 STEP_NS = 33_333_333  # ns, 30 frames/s
 MIRROR = np.array(CMU15.mirror)
+UPPER = ~np.isin(CMU15.joints, ['pelvis', 'lhip', 'lknee', 'lankle', 'rhip', 'rknee', 'rankle'])
 
 
-def make_detection(points: Array, name: str = '', camera: Intrinsics = CAMERA) -> Detection:
-    """Return the detection of a person all of whose joints were seen at points (J, 2) px."""
-    person = Person2D(name, CMU15.joints, points, np.ones(len(points)))
-    (detection,) = Detection.from_people([person], camera, min_score=0.1, min_joints=6)
+def see(points: Array, name: str = '', score: Any = 1.0) -> Person2D:
+    """Return a person at points (J, 2) px with scores (J,), or one score for all joints."""
+    return Person2D(name, CMU15.joints, points, np.full(len(points), score, float))
+
+
+def make_detection(points: Array, name: str = '', score: Any = 1.0) -> Detection:
+    (detection,) = Detection.from_people([see(points, name, score)], CAMERA, min_score=0.1, min_joints=6)
     assert detection is not None
     return detection
 
@@ -48,11 +53,14 @@ def change(track: Track, **values: Any) -> Track:
     return changed
 
 
+def feed(tracker: Tracker, points: Array, start_ns: int = 0, camera: Intrinsics = CAMERA) -> list[Person3D]:
+    """Track one person at points (F, J, 2) px; return the person of each frame."""
+    return [tracker.update(start_ns + f * STEP_NS, [see(p)], camera)[0] for f, p in enumerate(points)]
+
+
 def track_walk(models: Mapping[str, BasePoses], config: Config, points: Array) -> Tracker:
     """Return a tracker that has seen one person at points (F, J, 2) px and whose deferred work is done."""
     tracker = Tracker(models, config)
-    for frame, image in enumerate(points):
-        person = Person2D('', CMU15.joints, image, np.ones(len(image)))
-        tracker.update(frame * STEP_NS, [person], CAMERA)
+    feed(tracker, points)
     tracker.run_deferred_work()
     return tracker

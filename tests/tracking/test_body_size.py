@@ -5,7 +5,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,32 +12,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocap_ros.config import Config, with_settings
+from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import ConfigError
-from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import Floor, is_level
 from mocap_ros.geometry.rigid_transform import parse_camera_pose
-from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Person3D
-from mocap_ros.skeleton import CMU15
-from mocap_ros.tracking.body_size import (
-    ANKLE_SHARE,
-    ANKLES,
-    BodySize,
-    FloorContact,
-    assume_size,
-)
+from mocap_ros.tracking.body_size import ANKLE_SHARE, ANKLES, BodySize, FloorContact, assume_size
 from mocap_ros.tracking.tracker import Tracker
-from tests.support.paths import ROOT
 from tests.support.people import make_person_3d
 from tests.support.swinging_body import STANDING
 from tests.support.synthetic_walk import make_walk
+from tests.support.tracks import STEP_NS, see
 
 HEIGHT_M = 1.7
 ASSUMED = assume_size(Config().tracker)
-STEP_NS = 33_333_333
 CAMERA_HEIGHT_M = 1.5
 LEVEL = Floor(np.array([0.0, -1.0, 0.0]), CAMERA_HEIGHT_M)
 CAMERA = Intrinsics(600.0, (320.0, 240.0), is_focal_known=True)
@@ -121,17 +111,15 @@ def test_what_is_no_foot_on_the_floor_shows_nothing(person: Person3D) -> None:
 
 @pytest.mark.parametrize('height', [1.5, 1.9])
 def test_the_tracker_finds_people_of_their_own_size(walk_model: BasePoses, height: float) -> None:
-    theta, cameras, _, times = make_walk(walk_model, 60)
-    size = height / walk_model.stature
-    poses = walk_model.poses(theta) @ np.swapaxes(cameras.rotation[:1], -1, -2) * size
-    upward = cameras.rotation[0] @ [0.0, 0.0, 1.0]
-    joints = poses + [0.0, 0.0, 4.0]
+    walk = make_walk(walk_model, 60)
+    poses = walk_model.poses(walk.theta) @ np.swapaxes(walk.cameras.rotation[:1], -1, -2)
+    upward = walk.cameras.rotation[0] @ [0.0, 0.0, 1.0]
+    joints = height / walk_model.stature * poses + [0.0, 0.0, 4.0]
     lowest = (joints[:, list(ANKLES)] @ upward).min()
     floor = Floor(upward, float(ANKLE_SHARE * height - lowest))
-    settings: dict[str, Any] = {'solver.components': 8}
-    given = {'tracker.camera_height': floor.camera_height, 'tracker.vertical': ' '.join(map(str, upward))}
-    with_parameters = Tracker(walk_model, with_settings(Config(), {**settings, **given}))
-    without = Tracker(walk_model, with_settings(Config(), settings))
+    parameters = {'tracker.camera_height': floor.camera_height, 'tracker.vertical': ' '.join(map(str, upward))}
+    without = Tracker(walk_model, with_settings(Config(), {'solver.components': 8}))
+    with_parameters = Tracker(walk_model, with_settings(Config(), {'solver.components': 8, **parameters}))
     distances = {}
     for name, tracker, known in (
         ('parameters', with_parameters, None),
@@ -139,13 +127,12 @@ def test_the_tracker_finds_people_of_their_own_size(walk_model: BasePoses, heigh
         ('nothing', without, None),
     ):
         tracker.reset()
-        for frame, stamp in enumerate(times):
-            seen = Person2D('', CMU15.joints, CAMERA.project(joints[frame]), np.ones(15))
-            (person,) = tracker.update(round(stamp * 1e9) + 1, [seen], CAMERA, known)
+        for frame, image in enumerate(CAMERA.project(joints)):
+            (person,) = tracker.update(frame * STEP_NS, [see(image)], CAMERA, known)
         distances[name] = abs(np.log(person.root[2] / (joints[-1, 9, 2] + joints[-1, 12, 2]) * 2))
         ((ahead,),) = tracker.predict((0.001,))
         np.testing.assert_allclose(ahead.joints, person.core, atol=0.02)
-        (gap,) = tracker.update(round(times[-1] * 1e9) + 1_000_000, [], CAMERA, known)
+        (gap,) = tracker.update(59 * STEP_NS + 1_000_000, [], CAMERA, known)
         np.testing.assert_allclose(gap.joints, person.joints, atol=0.02)
     assert max(distances['floor'], distances['parameters']) < 0.6 * distances['nothing']
     assert tracker.vertical is None or math.degrees(tracker.vertical.std) > 1, 'that of the floor is forgotten'
@@ -164,13 +151,12 @@ def test_the_floor_in_the_frame_of_the_outputs() -> None:
 
 
 def test_a_known_height_counts_from_when_the_detector_names_the_person() -> None:
-    sequence = load_sequence(ROOT / 'mocap_ros' / 'demo' / 'demo.npz')
+    sequence = make_recording().sequence()
     people: list[list[Person3D]] = [[], []]
     for text, found in (('bob=2.0', people[0]), ('ann=1.36', people[1])):
         tracker = Tracker(load_base_pose_models('all'), with_settings(Config(), {'tracker.body_heights': text}))
         for frame, name in enumerate(('', '', 'ann', '', 'ann_again')):
-            points = np.nan_to_num(sequence.keypoints[frame])
-            seen = [Person2D(name, sequence.joint_names, points[:, :2], points[:, 2])]
+            seen = [sequence.person(frame, name)]
             found.extend(tracker.update(frame * STEP_NS, seen, sequence.intrinsics(1.0)))
             ((ahead,),) = tracker.predict((0.0,)) if frame > 1 else ((found[-1],),)
             np.testing.assert_allclose(ahead.root, found[-1].root, atol=1e-6)

@@ -13,21 +13,18 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocap_ros.config import Config, with_values
+from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import ConfigError
-from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequence
 from mocap_ros.people import Person3D
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.tracking.vertical_check import LEAST_S, VerticalCheck
-from mocap_ros.units import NS_PER_S
-from tests.support.paths import ROOT
 from tests.support.people import make_person_3d
 from tests.support.upright_body import UPRIGHT
 
-SEQUENCE = load_sequence(ROOT / 'mocap_ros' / 'demo' / 'demo.npz')
+SEQUENCE = make_recording().sequence()
 CAMERA = SEQUENCE.intrinsics(1.0)
 MODELS = load_base_pose_models('all')
 FRAMES = 60
@@ -38,12 +35,9 @@ def make_tracker(**values: object) -> Tracker:
 
 
 def feed(tracker: Tracker, first: int, last: int, camera: Intrinsics = CAMERA) -> list[np.ndarray]:
-    out = []
-    for frame in range(first, last):
-        keypoints = np.nan_to_num(SEQUENCE.keypoints[frame])
-        person = Person2D('ann', SEQUENCE.joint_names, keypoints[:, :2], keypoints[:, 2])
-        out.append(tracker.update(round(frame * NS_PER_S / 30) + 1, [person], camera)[-1].joints)
-    return out
+    """Return the joints of one person in some frames of the demo."""
+    given = [(SEQUENCE.stamps_ns[frame], [SEQUENCE.person(frame, 'ann')], camera) for frame in range(first, last)]
+    return [tracker.update(*frame)[-1].joints for frame in given]
 
 
 def reconstruct(vertical: str, frames: int = FRAMES) -> SequenceResult:
@@ -58,42 +52,36 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def test_it_is_found_from_certain_people_and_is_that_of_the_whole_sequence() -> None:
-    tracker = make_tracker()
-    feed(tracker, 0, 2)
-    tentative = tracker.vertical
+    tracker, found = make_tracker(), []
+    for first, last in ((0, 2), (2, 4), (4, FRAMES)):
+        feed(tracker, first, last)
+        found.append(tracker.vertical)
+    tentative, early, late = found
     assert tentative is None, 'a tentative person may be none'
-    feed(tracker, 2, 4)
-    early = tracker.vertical
-    feed(tracker, 4, FRAMES)
-    late, whole = tracker.vertical, reconstruct('auto')
     assert early is not None
     assert late is not None
     assert late.std < early.std
+    whole = reconstruct('auto')
     assert np.linalg.norm(late.direction) == pytest.approx(1)
     assert late.direction[1] < -0.9, 'y is down in the camera, which is nearly level'
     assert angle_deg(late.direction, whole.vertical[-1]) < 3
     assert late.std == pytest.approx(whole.vertical_std[-1], rel=0.2)
 
 
-def std_of(tracker: Tracker) -> float:
-    assert tracker.vertical is not None
-    return tracker.vertical.std
-
-
 def test_another_camera_or_a_restart_forgets_what_was_found_and_a_little_drift_does_not() -> None:
     steady, drifting = make_tracker(), make_tracker()
+    x, y = CAMERA.center
     for frame in range(FRAMES):
-        center = (CAMERA.center[0] + 0.1, CAMERA.center[1])
-        near = replace(CAMERA, focal=CAMERA.focal * (1 + 5e-4 * (-1) ** frame), center=center) if frame else CAMERA
-        expected = feed(steady, frame, frame + 1)
-        assert np.array_equal(feed(drifting, frame, frame + 1, near), expected)
-    known = std_of(steady)
-    assert std_of(drifting) == known
-    beside = CAMERA.center[0] + 0.002 * CAMERA.focal, CAMERA.center[1]
-    refocused, moved = replace(CAMERA, focal=1.002 * CAMERA.focal), replace(CAMERA, center=beside)
-    for tracker, other in ((steady, refocused), (drifting, moved)):
-        feed(tracker, FRAMES, FRAMES + 1, other)
-        assert std_of(tracker) > known
+        focal = CAMERA.focal * (1 + 5e-4 * (-1) ** frame)
+        near = replace(CAMERA, focal=focal, center=(x + 0.1, y)) if frame else CAMERA
+        np.testing.assert_array_equal(feed(drifting, frame, frame + 1, near), feed(steady, frame, frame + 1))
+    assert steady.vertical is not None
+    assert drifting.vertical is not None
+    known = steady.vertical.std
+    assert drifting.vertical.std == known
+    feed(steady, FRAMES, FRAMES + 1, replace(CAMERA, focal=1.002 * CAMERA.focal))
+    feed(drifting, FRAMES, FRAMES + 1, replace(CAMERA, center=(x + 0.002 * CAMERA.focal, y)))
+    assert min(steady.vertical.std, drifting.vertical.std) > known
     drifting.reset()
     assert drifting.vertical is None
 

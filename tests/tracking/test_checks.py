@@ -9,27 +9,29 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from mocap_ros.config import Config, with_settings, with_values
+from mocap_ros.config import Config, with_settings
 from mocap_ros.geometry.rotations import rotation_from_vector
-from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_poses
-from mocap_ros.people import Motion, MotionKind, Person3D
-from mocap_ros.skeleton import CMU15
-from mocap_ros.solvers.window import Array
+from mocap_ros.people import Motion, MotionKind
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, WINDOW_COST, DeferredWork, Work
 from mocap_ros.tracking.hypotheses import HypothesisChecker, Slices, classify_as_other
 from mocap_ros.tracking.schedule import NEW_TRACK_S, CheckSchedule, Classification
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
 from mocap_ros.tracking.tracker import Tracker
-from tests.support.synthetic_walk import Walk, make_walk
-from tests.support.tracks import CAMERA, STEP_NS, change, track_walk
+from tests.support.synthetic_walk import Walk, make_walk, mpjpe_mm
+from tests.support.tracks import CAMERA, STEP_NS, change, see, track_walk
 
+S = 10**9  # ns
 FRAMES = 45
-CONFIG = with_settings(Config(), {'solver.prior': 'pca', 'tracker.components': 20})
+NOW = (FRAMES - 1) * STEP_NS
+LATE = NOW + 9 * S
+CONFIG = with_settings(
+    Config(),
+    {'solver.prior': 'pca', 'tracker.components': 20, 'classifier.section': 1.2, 'classifier.walk_residual': 0.2},
+)
 
 
 @pytest.fixture(scope='module')
@@ -40,7 +42,7 @@ def walk(walk_model: BasePoses) -> Walk:
 @pytest.fixture(scope='module')
 def tracker(walk_model: BasePoses, walk: Walk) -> Tracker:
     """A tracker that has found the right model and the right solution of a walk."""
-    return track_walk({'jump': load_base_poses('jump'), 'walk': walk_model}, CONFIG, walk[2][:FRAMES])
+    return track_walk({'jump': load_base_poses('jump'), 'walk': walk_model}, CONFIG, walk.points[:FRAMES])
 
 
 @pytest.fixture(scope='module')
@@ -59,14 +61,6 @@ def turn_round(solution: TrackSolution) -> TrackSolution:
     """Return the wrong solution in which the person faces the other way, in the pose that the image then shows."""
     half_turn = rotation_from_vector(np.array([0.0, 0.0, np.pi]))
     return replace(solution, rotation=solution.rotation @ half_turn, theta=np.zeros_like(solution.theta))
-
-
-def measure_error(joints: Array, walk_model: BasePoses, walk: Walk, frames: NDArray[np.intp]) -> float:
-    """Return the mean error in mm of joints (n, J, 3) about the body's origin, after one scale."""
-    theta, cameras, _, _ = walk
-    truth = walk_model.poses(theta[frames]) @ np.swapaxes(cameras.rotation[frames], -1, -2)
-    scaled = joints * (joints * truth).sum() / (joints * joints).sum()
-    return float(np.linalg.norm(scaled - truth, axis=-1).mean() * 1e3)
 
 
 def finish(slices: Slices[Any]) -> Any:
@@ -102,22 +96,17 @@ def test_a_margin_keeps_the_choice_of_the_model(
 
 def test_the_tracker_finds_back_to_the_right_solution(walk_model: BasePoses, walk: Walk) -> None:
     """A wrong solution is given to a person; checks replace it within a second."""
-    injected = track_walk({'jump': load_base_poses('jump'), 'walk': walk_model}, CONFIG, walk[2][:FRAMES])
+    injected = track_walk({'jump': load_base_poses('jump'), 'walk': walk_model}, CONFIG, walk.points[:FRAMES])
     (track,) = injected.tracks
     track.solution = turn_round(track.solved)
-    restarts, errors = [], []
+    restarts, errors, truth = [], [], walk.poses(walk_model)
     for frame in range(FRAMES, FRAMES + 35):
-        seen = Person2D('', CMU15.joints, walk[2][frame], np.ones(15))
-        (person,) = injected.update(frame * STEP_NS, [seen], CAMERA)
+        (person,) = injected.update(frame * STEP_NS, [see(walk.points[frame])], CAMERA)
         restarts.append(track.schedule.pending_restarts)
-        errors.append(measure_error(centre(person)[None], walk_model, walk, np.array([frame])))
+        errors.append(mpjpe_mm(person.core[None], truth[[frame]]))
     assert max(restarts) > 0, 'the rise of the image noise was noticed'
     assert errors[0] > 100
     assert max(errors[-5:]) < 60
-
-
-def centre(person: Person3D) -> Array:
-    return np.asarray(person.core - person.core.mean(axis=0))
 
 
 def test_first_solutions_have_all_frames_and_the_likeliest_model(track: Track, checker: HypothesisChecker) -> None:
@@ -129,11 +118,10 @@ def test_first_solutions_have_all_frames_and_the_likeliest_model(track: Track, c
 
 
 def test_a_walk_of_a_full_section_is_classified(track: Track, checker: HypothesisChecker) -> None:
-    config = with_settings(CONFIG, {'classifier.section': 1.2, 'classifier.walk_residual': 0.2})
-    classification = finish(replace(checker, config=config).classify_motion(track))
+    classification = finish(checker.classify_motion(track))
     assert classification is not None
     assert (classification.motion.kind, classification.periodic_model_name) == (MotionKind.PERIODIC, 'walk')
-    strict = with_settings(config, {'classifier.amplitude': 0.9})
+    strict = with_settings(CONFIG, {'classifier.amplitude': 0.9})
     other = finish(replace(checker, config=strict).classify_motion(track))
     assert other is not None
     assert (other.motion.kind, other.periodic_model_name) == (MotionKind.NON_PERIODIC, '')
@@ -141,8 +129,7 @@ def test_a_walk_of_a_full_section_is_classified(track: Track, checker: Hypothesi
 
 
 def test_a_short_section_is_enough_for_who_has_walked_before(track: Track, checker: HypothesisChecker) -> None:
-    config = with_settings(CONFIG, {'classifier.walk_residual': 0.2})
-    checker = replace(checker, config=config)
+    checker = replace(checker, config=with_settings(CONFIG, {'classifier.section': 2.0}))
     assert finish(checker.classify_motion(track)) is None, '1.5 s of 2 s'
     other = classify_as_other(track)
     walked = track.copy()
@@ -154,11 +141,6 @@ def test_a_short_section_is_enough_for_who_has_walked_before(track: Track, check
     assert checker.still_repeats(walked, other), 'other motion need not repeat itself'
 
 
-S = 10**9  # ns
-WORK_FRAMES = 61
-NOW = (WORK_FRAMES - 1) * STEP_NS
-LATE = NOW + 9 * S
-WORK_CONFIG = with_values(Config(), {'solver.prior': 'pca', 'tracker.components': 10})
 CHECK_SLICES, CHECK_COST = 20, 12_000
 WALK = Motion(MotionKind.PERIODIC, 'walk', 0.01, 1.0)
 
@@ -184,21 +166,14 @@ class IdleChecker(HypothesisChecker):
         return None
 
 
-@pytest.fixture(scope='module')
-def known(walk_model: BasePoses) -> Track:
-    (track,) = track_walk({'walk': walk_model}, WORK_CONFIG, make_walk(walk_model, WORK_FRAMES)[2]).tracks
-    return track
-
-
 @pytest.fixture
-def idle(known: Track) -> Track:
-    """A track of two seconds of which nothing is due."""
-    return with_schedule(known, 'ann', LATE, LATE)
+def idle(track: Track) -> Track:
+    """A track of which nothing is due."""
+    return with_schedule(track, 'ann', LATE, LATE)
 
 
-@pytest.fixture(scope='module')
-def models(walk_model: BasePoses) -> dict[str, BasePoses]:
-    return {'jump': load_base_poses('jump').truncate(10), 'walk': walk_model.truncate(10)}
+def make_work(checker: HypothesisChecker, *names: str, max_interval_s: float = 0.5, **values: Any) -> DeferredWork:
+    return DeferredWork(checker, names or ('jump', 'walk'), max_interval_s, **values)
 
 
 def with_schedule(
@@ -214,18 +189,11 @@ def begin(work: DeferredWork, *tracks: Track) -> Work:
     return work.begun
 
 
-def finish_work(work: DeferredWork, track: Track) -> None:
-    work.advance([track], track.stamps_ns[-1])
-    while work.begun is not None:
-        work.advance([track], track.stamps_ns[-1])
-
-
 def test_the_work_that_is_latest_in_proportion_to_its_interval_begins(
-    known: Track, models: dict[str, BasePoses]
+    track: Track, checker: HypothesisChecker
 ) -> None:
     def choose(*due: tuple[str, int, int, float]) -> tuple[str, bool]:
-        work = DeferredWork(HypothesisChecker(models, WORK_CONFIG), ('jump', 'walk'), 0.5)
-        begun = begin(work, *(with_schedule(known, *one) for one in due))
+        begun = begin(make_work(checker), *(with_schedule(track, *one) for one in due))
         assert begun.then.schedule.check_count == begun.track.schedule.check_count == int(begun.is_check)
         return begun.track.id, begun.is_check
 
@@ -234,39 +202,35 @@ def test_the_work_that_is_latest_in_proportion_to_its_interval_begins(
     assert choose(new, ('old', NOW - S, LATE, 2.0)) == ('new', True)
     assert choose(new, later) == ('old', True)
     assert choose(new, later, ('moving', LATE, NOW - S, 0.1)) == ('moving', False), 'two of half a second'
-    work, due = (
-        DeferredWork(HypothesisChecker(models, WORK_CONFIG), ('jump', 'walk'), 0.5),
-        with_schedule(known, 'b', 0, 0),
-    )
+    work, due = make_work(checker), with_schedule(track, 'b', 0, 0)
     work.advance([change(due, stamps_ns=(0, NOW - STEP_NS)), change(due, is_tentative=True)], NOW)
     assert work.begun is None, 'of certain people of the newest frame alone'
 
 
-def test_a_frame_is_followed_by_as_many_slices_as_the_budget_allows(known: Track) -> None:
-    checker = IdleChecker({}, WORK_CONFIG)
-    work, track = DeferredWork(checker, ('walk',), 0.5), with_schedule(known, 'ann', 0, LATE)
+def test_a_frame_is_followed_by_as_many_slices_as_the_budget_allows(track: Track) -> None:
+    checker = IdleChecker({}, CONFIG)
+    work, due = make_work(checker, 'walk'), with_schedule(track, 'ann', 0, LATE)
     counts = [0]
     while counts == [0] or work.begun is not None:
-        work.advance([track], NOW)
+        work.advance([due], NOW)
         counts.append(len(checker.costs))
-    first = (FRAME_BUDGET - WINDOW_COST) // CHECK_COST
-    whole = FRAME_BUDGET // CHECK_COST
+    first, whole = (FRAME_BUDGET - WINDOW_COST) // CHECK_COST, FRAME_BUDGET // CHECK_COST
     assert first < whole
     per_frame = np.diff(counts).tolist()
     assert per_frame[:-1] == [first] + [whole] * (len(per_frame) - 2)
     assert sum(per_frame) == CHECK_SLICES
 
 
-def test_no_person_waits_for_ever_and_new_people_come_first(known: Track) -> None:
+def test_no_person_waits_for_ever_and_new_people_come_first(track: Track) -> None:
     """Forty people want more than can be done; one of them is new."""
-    checker = IdleChecker({}, WORK_CONFIG)
-    work = DeferredWork(checker, ('walk',), 5.0)
-    people = [change(with_schedule(known, f'old {i}', NOW, NOW, 5.0), first_ns=-100 * S) for i in range(40)]
+    checker = IdleChecker({}, CONFIG)
+    work = make_work(checker, 'walk', max_interval_s=5.0)
+    people = [change(with_schedule(track, f'old {i}', NOW, NOW, 5.0), first_ns=-100 * S) for i in range(40)]
     new_checks = 0
     for frame in range(1, 1500):
         now = NOW + frame * STEP_NS
         if frame == 900:
-            people.append(change(with_schedule(known, 'new', now + S // 10, now, 0.1), first_ns=now))
+            people.append(change(with_schedule(track, 'new', now + S // 10, now, 0.1), first_ns=now))
         for person in people:
             person.stamps_ns = (*person.stamps_ns[:-1], now)
         work.advance(people, now)
@@ -280,18 +244,19 @@ def test_no_person_waits_for_ever_and_new_people_come_first(known: Track) -> Non
     assert set(checker.classified) == set(checker.checked)
 
 
-def test_work_that_fails_is_not_repeated_for_ever(known: Track, models: dict[str, BasePoses]) -> None:
+def test_work_that_fails_is_not_repeated_for_ever(track: Track, checker: HypothesisChecker) -> None:
     """The next check is that of the next model; here the first model of the two does not exist."""
-    work = DeferredWork(HypothesisChecker(models, WORK_CONFIG), ('missing', 'walk'), 0.5)
-    track = with_schedule(known, 'ann', 0, LATE)
+    work, due = make_work(checker, 'missing', 'walk'), with_schedule(track, 'ann', 0, LATE)
     with pytest.raises(KeyError, match='missing'):
-        work.advance([track], NOW)
-    assert (work.begun, track.schedule.check_count) == (None, 1)
-    assert track.schedule.next_check_ns > NOW
-    track.schedule.next_check_ns = 0
-    finish_work(work, track)
-    assert track.schedule.check_count == 2
-    assert track.schedule.next_check_ns > NOW
+        work.advance([due], NOW)
+    assert (work.begun, due.schedule.check_count) == (None, 1)
+    assert due.schedule.next_check_ns > NOW
+    due.schedule.next_check_ns = 0
+    begin(work, due)
+    while work.begun is not None:
+        work.advance([due], NOW)
+    assert due.schedule.check_count == 2
+    assert due.schedule.next_check_ns > NOW
 
 
 @pytest.mark.parametrize('is_check', [True, False])
@@ -307,9 +272,9 @@ def test_work_that_fails_is_not_repeated_for_ever(known: Track, models: dict[str
     ],
 )
 def test_work_ends_where_its_track_is_not_what_it_was(
-    idle: Track, models: dict[str, BasePoses], is_check: bool, event: str, is_kept: bool, is_due: bool
+    idle: Track, checker: HypothesisChecker, is_check: bool, event: str, is_kept: bool, is_due: bool
 ) -> None:
-    work = DeferredWork(HypothesisChecker(models, WORK_CONFIG), ('jump', 'walk'), 0.5, frame_budget=1)
+    work = make_work(checker, frame_budget=1)
     idle.schedule.be_due(0, is_check=is_check)
     begun, tracks = begin(work, idle), [idle]
     assert begun.is_check is is_check
@@ -347,10 +312,10 @@ def walk_on(track: Track, *, stops: bool) -> None:
 
 @pytest.mark.parametrize('stops', [False, True])
 def test_periodic_motion_ends_when_the_newest_poses_do_not_repeat_the_last_cycle(
-    idle: Track, models: dict[str, BasePoses], stops: bool
+    idle: Track, checker: HypothesisChecker, stops: bool
 ) -> None:
     walk_on(idle, stops=stops)
-    DeferredWork(IdleChecker(models, WORK_CONFIG), ('jump', 'walk'), 0.5).advance([idle], NOW)
+    make_work(IdleChecker(checker.models, CONFIG)).advance([idle], NOW)
     found = idle.schedule.classification
     assert (found.motion.kind is MotionKind.NON_PERIODIC) == stops
     assert found.periodic_model_name == ('' if stops else 'walk')

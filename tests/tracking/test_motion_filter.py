@@ -3,24 +3,21 @@
 
 """The filter of the newest frame against its formulas, on exact motion, on noise and at uneven times."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocap_ros.config import Config, with_settings
-from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.motion_filter import FILTER, UNFILTERED, filter_motion, read_motion
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.synthetic_walk import make_walk
+from tests.support.tracks import CAMERA, STEP_NS, see
 
 JOINTS = 15
-STEP_NS = 33_333_333
-CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
-CONFIG = with_settings(Config(), {'solver.components': 8, 'solver.prior': 'pca'})
 
 
 def filter_states(times: np.ndarray, joints: np.ndarray, image_noise: float = np.inf) -> np.ndarray:
@@ -134,18 +131,14 @@ def test_joints_stay_finite_and_variances_positive(steps: list[float], size: flo
 
 def test_the_tracker_filters_its_output_and_nothing_else(walk_model: BasePoses, rng: np.random.Generator) -> None:
     """The joints jitter less; the solution behind them, and what a longer lag shows, are the same."""
-    points = make_walk(walk_model, frames=60)[2]
-    points += rng.normal(0, 2, points.shape)  # px
-    people = [Person2D('', CMU15.joints, image, np.ones(JOINTS)) for image in points]
+    points = make_walk(walk_model, frames=60).points + rng.normal(0, 2, (60, JOINTS, 2))  # px
     outputs, solutions = {}, {}
-    for lag in (0.0, 0.2):
-        for steady in (False, True):
-            tracker = Tracker(
-                walk_model, with_settings(CONFIG, {'tracker.lag': lag, 'tracker.steady_output': steady})
-            )
-            found = [tracker.update(i * STEP_NS, [person], CAMERA) for i, person in enumerate(people)]
-            outputs[lag, steady] = np.array([frame[0].joints for frame in found if frame])
-            solutions[lag, steady] = tracker.tracks[0].solved.theta
+    for lag, steady in itertools.product((0.0, 0.2), (False, True)):
+        values = {'tracker.lag': lag, 'tracker.steady_output': steady, 'solver.prior': 'pca'}
+        tracker = Tracker(walk_model, with_settings(Config(), {'solver.components': 8, **values}))
+        found = [tracker.update(i * STEP_NS, [see(image)], CAMERA) for i, image in enumerate(points)]
+        outputs[lag, steady] = np.array([frame[0].joints for frame in found if frame])
+        solutions[lag, steady] = tracker.tracks[0].solved.theta
     np.testing.assert_array_equal(solutions[0.0, False], solutions[0.0, True])
     np.testing.assert_array_equal(outputs[0.2, False], outputs[0.2, True])
     jitter = [np.abs(np.diff(outputs[0.0, steady][20:], 2, axis=0)).mean() for steady in (False, True)]

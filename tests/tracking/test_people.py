@@ -3,18 +3,14 @@
 
 """People that the tracker gives and predicts: velocities, face, feet and hands, and how certain all of it is."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mocap_ros.config import Config, with_settings, with_values
-from mocap_ros.demo.scene import FOCAL_LENGTH_PX, IMAGE_SIZE, make_recording
+from mocap_ros.demo.scene import make_recording
 from mocap_ros.geometry.interpolation import central_velocity
-from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Person3D
@@ -25,47 +21,54 @@ from mocap_ros.tracking.prediction import MIN_CLEARANCE_M, predict_people
 from mocap_ros.tracking.track import Track
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.synthetic_walk import make_walk
-from tests.support.tracks import change
+from tests.support.tracks import CAMERA, STEP_NS, change, feed
 
 FRAMES = 75  # 2.5 s of the demo, in which the person walks
 FIRST = 30  # the first second, until the filter knows the jitter, is not judged
-STEP_NS = 33_333_333  # ns; 30 Hz
-CAMERA = Intrinsics(FOCAL_LENGTH_PX, (IMAGE_SIZE[0] / 2, IMAGE_SIZE[1] / 2), is_focal_known=True)
 
 
-def track_demo(values: dict[str, object], frames: Sequence[int]) -> dict[int, Person3D]:
-    """Return the person of each output; frames that are not listed are empty."""
-    config = with_values(Config(), {'tracker.model': 'walk', **values})
-    tracker, sequence = Tracker(load_base_pose_models('walk'), config), make_recording().sequence()
+def track_demo(frames: int = FRAMES, **values: object) -> dict[int, Person3D]:
+    """Return the person of the demo by the frame that is output; in the last one nothing was detected."""
+    config = with_values(Config(), {f'tracker.{name}': value for name, value in values.items()})
+    tracker, sequence = Tracker(load_base_pose_models('auto'), config), make_recording().sequence()
     found = {}
-    for frame in range(max(frames) + 1):
-        people = (sequence.person(frame, 'anna'),) if frame in frames else ()
-        for person in tracker.update(sequence.stamps_ns[frame], people, CAMERA):
+    for frame in range(frames + 1):
+        seen = [sequence.person(frame)] if frame < frames else []
+        for person in tracker.update(sequence.stamps_ns[frame], seen, sequence.intrinsics(1.0)):
             found[sequence.stamps_ns.index(tracker.output_stamp_ns)] = person
+        tracker.run_deferred_work()
     return found
 
 
-def test_velocities_of_the_live_output_are_better_than_its_differences_and_as_good_as_they_say() -> None:
-    people, recording = track_demo({}, range(FRAMES)), make_recording()
-    truth = central_velocity(recording.timestamps, recording.truth)
-    frames = range(FIRST, FRAMES)
+@pytest.fixture(scope='module')
+def demo() -> dict[int, Person3D]:
+    return track_demo()
+
+
+def true_velocity() -> np.ndarray:
+    return central_velocity(make_recording().timestamps, make_recording().truth)
+
+
+def test_velocities_of_the_live_output_are_better_than_its_differences_and_as_good_as_they_say(
+    demo: dict[int, Person3D],
+) -> None:
+    truth = true_velocity()
     errors, differences, std = [], [], []
-    for frame in frames:
-        errors.append(np.linalg.norm(people[frame].velocity[:CORE_COUNT] - truth[frame], axis=1))
-        difference = (people[frame].core - people[frame - 1].core) / (STEP_NS / 1e9)
+    for frame in range(FIRST, FRAMES):
+        person = demo[frame]
+        errors.append(np.linalg.norm(person.velocity[:CORE_COUNT] - truth[frame], axis=1))
+        difference = (person.core - demo[frame - 1].core) / (STEP_NS / 1e9)
         differences.append(np.linalg.norm(difference - truth[frame], axis=1))
-        std.append(people[frame].velocity_std[:CORE_COUNT])
-        assert people[frame].age == pytest.approx(frame * STEP_NS / 1e9, abs=1e-6)
-        assert people[frame].unseen_for == 0
+        std.append(person.velocity_std[:CORE_COUNT])
+        assert person.age == pytest.approx(frame * STEP_NS / 1e9, abs=1e-6)
+        assert person.unseen_for == 0
+        assert (np.linalg.eigvalsh(person.root_velocity_covariance) > 0).all()
     assert np.sqrt(np.mean(np.square(errors))) < 0.9 * np.sqrt(np.mean(np.square(differences)))
     assert 0.5 < np.mean(np.array(errors) < np.array(std)) < 0.97
-    for person in (people[f] for f in frames):
-        assert (np.linalg.eigvalsh(person.root_velocity_covariance) > 0).all()
 
 
 def test_with_a_lag_velocities_are_those_of_the_smooth_solution_without_deviations() -> None:
-    people, recording = track_demo({'tracker.lag': 0.2}, range(FRAMES)), make_recording()
-    truth = central_velocity(recording.timestamps, recording.truth)
+    people, truth = track_demo(lag=0.2), true_velocity()
     errors = [np.linalg.norm(p.velocity[:CORE_COUNT] - truth[f], axis=1) for f, p in people.items() if f >= FIRST]
     assert np.sqrt(np.mean(np.square(errors))) < 0.7 * np.sqrt((truth[FIRST:FRAMES] ** 2).sum(axis=-1).mean())
     assert all(np.isnan(p.velocity_std).all() for p in people.values())
@@ -83,39 +86,26 @@ def test_the_position_of_a_body_is_least_certain_along_the_line_of_sight() -> No
     np.testing.assert_allclose(small, 0.7**2 * covariance, rtol=1e-12)
 
 
-WHOLE_FRAMES = 24
 FACE = [BODY26.index(n) for n in ('nose', 'leye', 'reye', 'lear', 'rear')]
 
 
-def track(frames: int = WHOLE_FRAMES, **values: object) -> list[tuple[Person3D, ...]]:
-    """Return the people of the demo frame by frame, and those predicted for the frame after the last."""
-    config = with_values(Config(), {f'tracker.{name}': value for name, value in values.items()})
-    tracker, sequence = Tracker(load_base_pose_models('auto'), config), make_recording().sequence()
-    found = []
-    for frame in range(frames + 1):
-        seen: list[Person2D] = [sequence.person(frame)] if frame < frames else []
-        found.append(tracker.update(frame * STEP_NS, seen, sequence.intrinsics(1.0)))
-        tracker.run_deferred_work()
-    return found
-
-
-@pytest.fixture(scope='module')
-def whole() -> list[tuple[Person3D, ...]]:
-    return track()
-
-
-def test_without_face_feet_and_hands_people_have_the_same_core(whole: list[tuple[Person3D, ...]]) -> None:
-    for (one,), (other,) in zip(whole, track(skeleton='cmu15'), strict=True):
+def test_without_face_feet_and_hands_people_have_the_same_core() -> None:
+    whole, core = track_demo(24), track_demo(24, skeleton='cmu15')
+    for frame in range(25):
+        one, other = whole[frame], core[frame]
         assert (one.skeleton, other.skeleton) == (BODY26, CMU15)
         for name in ('joints', 'std', 'inferred', 'velocity', 'orientation', 'turn_inferred'):
             np.testing.assert_array_equal(getattr(one, name)[:CORE_COUNT], getattr(other, name))
         np.testing.assert_array_equal(one.core, other.joints)
 
 
-def test_what_the_detector_gives_is_seen_and_the_rest_inferred(whole: list[tuple[Person3D, ...]]) -> None:
-    (last,), (predicted,) = whole[-2:]
+def test_what_the_detector_gives_is_seen_and_the_rest_inferred(demo: dict[int, Person3D]) -> None:
+    last, predicted = demo[FRAMES - 1], demo[FRAMES]
     others = [j for j in range(CORE_COUNT, len(BODY26.joints)) if j not in FACE]
-    assert not last.inferred[FACE].any()  # of coco17
+    given = make_recording().sequence().person(FRAMES - 1)
+    scores = dict(zip(given.joints, given.score, strict=True))  # of coco17
+    np.testing.assert_array_equal(last.inferred[FACE], [scores[BODY26.joints[j]] < 0.1 for j in FACE])
+    assert not last.inferred[FACE].all()
     assert last.inferred[others].all()
     assert predicted.predicted
     assert predicted.inferred.all()
@@ -130,40 +120,19 @@ def test_what_the_detector_gives_is_seen_and_the_rest_inferred(whole: list[tuple
     assert moved.max() < 0.15  # m in one frame
 
 
-Array = NDArray[np.float64]
-
-PLAIN_CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
 SEEN_FRAMES = 20
-ONES = np.ones(15)  # scores
 GAP = 12  # frames without a detection; 0.4 s
 
 
-def make_scene(model: BasePoses, start: list[float], velocity: list[float]) -> Array:
-    """Return the joints (SEEN_FRAMES, 15, 3) m of a walk; start in m in the camera's frame, velocity in m/s."""
-    theta, cameras, _, times = make_walk(model, SEEN_FRAMES)
-    size = Config().tracker.body_height / model.stature
-    poses = model.poses(theta) @ np.swapaxes(cameras.rotation, -1, -2) * size
-    return np.asarray(poses + np.array(start) + times[:, None, None] * np.array(velocity))
-
-
-def track_walk(
-    model: BasePoses, start: list[float], velocity: list[float], values: Mapping[str, object] | None = None
-) -> Tracker:
-    tracker = Tracker(
-        model, with_settings(Config(), {'solver.components': 8, 'tracker.predict_for': 1.0, **(values or {})})
-    )
-    see_walk(tracker, make_scene(model, start, velocity))
+def track_walk(model: BasePoses, start: list[float], velocity: list[float]) -> tuple[Tracker, Person3D]:
+    """Return a tracker of a walk, and its person; start in m in the camera's frame, velocity in m/s."""
+    walk = make_walk(model, SEEN_FRAMES)
+    poses = walk.poses(model) * Config().tracker.body_height / model.stature
+    joints = poses + np.array(start) + walk.times[:, None, None] * np.array(velocity)
+    tracker = Tracker(model, with_settings(Config(), {'solver.components': 8, 'tracker.predict_for': 1.0}))
+    last = feed(tracker, CAMERA.project(joints))[-1]
     tracker.run_deferred_work()
-    return tracker
-
-
-def see_walk(tracker: Tracker, scene: Array) -> Person3D:
-    """Track joints (SEEN_FRAMES, 15, 3) m; return the last person."""
-    for frame, joints in enumerate(scene):
-        found = tracker.update(
-            frame * STEP_NS, [Person2D('', CMU15.joints, PLAIN_CAMERA.project(joints), ONES)], PLAIN_CAMERA
-        )
-    return found[0]
+    return tracker, last
 
 
 def predict(track: Track, stamp_ns: int) -> Person3D:
@@ -172,13 +141,12 @@ def predict(track: Track, stamp_ns: int) -> Person3D:
 
 
 def test_a_person_who_walks_on_is_found_farther_on_and_less_certain(walk_model: BasePoses) -> None:
-    tracker = Tracker(walk_model, with_settings(Config(), {'solver.components': 8, 'tracker.predict_for': 1.0}))
-    last = see_walk(tracker, make_scene(walk_model, [-0.6, 0.0, 4.0], [0.9, 0.0, 0.0]))
-    soon, late = (tracker.update((SEEN_FRAMES - 1 + gap) * STEP_NS, [], PLAIN_CAMERA)[0] for gap in (3, GAP))
+    tracker, last = track_walk(walk_model, [-0.6, 0.0, 4.0], [0.9, 0.0, 0.0])
+    soon, late = (tracker.update((SEEN_FRAMES - 1 + gap) * STEP_NS, [], CAMERA)[0] for gap in (3, GAP))
     assert 0.5 < (late.root - last.root)[0] / (0.9 * 0.4) < 1.3, 'slower, as it walks otherwise than it moves'
     root = late.core.mean(axis=0)
-    assert late.translation == pytest.approx(PLAIN_CAMERA.project(root))
-    assert late.scale == pytest.approx(PLAIN_CAMERA.focal / root[2])
+    assert late.translation == pytest.approx(CAMERA.project(root))
+    assert late.scale == pytest.approx(CAMERA.focal / root[2])
     assert 0.3 < late.root_velocity[0] < 1.5
     assert late.predicted
     assert late.inferred.all()
@@ -190,7 +158,7 @@ def test_a_person_who_walks_on_is_found_farther_on_and_less_certain(walk_model: 
 
 
 def test_a_person_who_reaches_the_camera_stays_there(walk_model: BasePoses) -> None:
-    tracker = track_walk(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, -2.5])
+    tracker, _ = track_walk(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, -2.5])
     (track,) = tracker.tracks
     solution = track.solved
     depth = solution.sample_joints(track.observed.times, SEEN_FRAMES - 1, np.zeros(1))[0, :, 2]
@@ -212,9 +180,9 @@ def test_a_person_who_reaches_the_camera_stays_there(walk_model: BasePoses) -> N
 
 
 def test_ahead_of_the_newest_image_and_through_a_gap_are_one_prediction(walk_model: BasePoses) -> None:
-    tracker = track_walk(walk_model, [-0.6, 0.0, 4.0], [0.9, 0.0, 0.0])
+    tracker, _ = track_walk(walk_model, [-0.6, 0.0, 4.0], [0.9, 0.0, 0.0])
     (half_way,), (end,) = tracker.predict((GAP / 2 / 30, GAP / 30))
-    (at_gap,) = tracker.update((SEEN_FRAMES - 1 + GAP // 2) * STEP_NS, [], PLAIN_CAMERA)
+    (at_gap,) = tracker.update((SEEN_FRAMES - 1 + GAP // 2) * STEP_NS, [], CAMERA)
     np.testing.assert_allclose(half_way.joints, at_gap.core, atol=1e-6)
     np.testing.assert_allclose(half_way.std, at_gap.std[:15], atol=1e-6)
     np.testing.assert_allclose(half_way.root_covariance, at_gap.root_covariance, atol=1e-6)

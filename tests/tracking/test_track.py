@@ -3,25 +3,23 @@
 
 """Tracks: which known person a detection is, frames that come and go, and the solution that follows."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.matching import NEW_ID_GATE, NEW_ID_GATE_GROWTH_PER_S, Detection, match_detections
-from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.models.model_file import load_base_poses
-from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
 from tests.support.synthetic_walk import make_walk
-from tests.support.tracks import CAMERA, MIRROR, STEP_NS, change, make_detection, make_track
+from tests.support.tracks import CAMERA, MIRROR, STEP_NS, UPPER, change, make_detection, make_track, see
 
 FRAMES = 12
 
@@ -31,8 +29,9 @@ def points(walk_model: BasePoses) -> Array:
     return make_walk(walk_model, FRAMES)[2] + [200.0, -50.0]  # px; off the optical axis
 
 
-def make_solution(frames: int) -> TrackSolution:
-    number = np.arange(float(frames))
+@pytest.fixture
+def solution() -> TrackSolution:
+    number = np.arange(float(FRAMES))
     return TrackSolution(
         model_name='walk',
         model=load_base_poses('walk'),
@@ -44,16 +43,16 @@ def make_solution(frames: int) -> TrackSolution:
         stature_ratio=1.0,
         joint_std=np.full(15, 0.02),
         residual=0.01,
-        frame_residuals=np.full(len(number), 2.0),
+        frame_residuals=np.full(FRAMES, 2.0),
     )
 
 
-def test_frames_that_are_too_old_leave_the_window_and_the_solution(points: Array) -> None:
+def test_frames_that_are_too_old_leave_the_window_and_the_solution(points: Array, solution: TrackSolution) -> None:
     lifted = LiftedPoses(np.arange(FRAMES * 45.0).reshape(FRAMES, 15, 3), np.ones((FRAMES, 15, 3)))
     track = make_track(points)
     rays, weight = track.rays, np.linspace(0.2, 1.0, FRAMES * 15).reshape(FRAMES, 15)
     track.weight, track.observed = weight, replace(track.observed, lifted=lifted)
-    track.solution = make_solution(FRAMES)
+    track.solution = solution
     track.add_frame(FRAMES * STEP_NS, make_detection(points[0]), window_s=5.5 * STEP_NS / 1e9)
     assert track.stamps_ns == tuple(i * STEP_NS for i in range(7, 13))
     np.testing.assert_array_equal(track.rays[:-1], rays[7:])
@@ -96,8 +95,8 @@ def test_swapped_sides_are_put_right_and_later_frames_may_change_the_decision(po
 
 
 @pytest.mark.parametrize('lens', [Distortion(), Distortion('plumb_bob', (-0.1, 0.02, 0.001, -0.001, 0.0))])
-def test_a_change_of_the_camera_keeps_the_image(points: Array, lens: Distortion) -> None:
-    track = change(make_track(points), solution=make_solution(FRAMES))
+def test_a_change_of_the_camera_keeps_the_image(points: Array, solution: TrackSolution, lens: Distortion) -> None:
+    track = change(make_track(points), solution=solution)
     other = Intrinsics(650.0, (300.0, 260.0), is_focal_known=True, aspect=1.1, distortion=lens)
     changed = track.copy()
     changed.change_camera(other, focal=650.0)
@@ -139,48 +138,38 @@ def test_a_new_track_is_tentative_until_it_has_been_seen_for_a_while(
     assert not track.is_tentative, 'who was certain stays so, when all frames have left the window'
 
 
-NEXT_NS = STEP_NS
-
-
 @pytest.fixture(scope='module')
 def image(walk_model: BasePoses) -> Array:
-    return make_walk(walk_model, 1)[2][0]
+    return make_walk(walk_model, 1).points[0]
 
 
 def make_known(image: Array, name: str, given_id: str = '') -> Track:
-    track = make_track(image[None])
-    return change(track, id=name, given_id=given_id, is_tentative=False)
+    return change(make_track(image[None]), id=name, given_id=given_id, is_tentative=False)
+
+
+def match(tracks: Sequence[Track], *detections: Detection, stamp_ns: int = STEP_NS) -> list[Track | None]:
+    """Return the track of each detection in the frame after the first; no person is replaced by another."""
+    matches = match_detections(stamp_ns, tracks, detections)
+    assert matches.replaced == []
+    return matches.tracks
 
 
 def test_ids_decide_before_the_position(image: Array) -> None:
     ann, bob = make_known(image, 'ann', 'a'), make_known(image + [150, 0], 'bob', 'b')
     detections = [make_detection(image, 'b'), make_detection(image + [150, 0], 'a'), make_detection(image, 'b')]
-    matches = match_detections(NEXT_NS, (ann, bob), detections)
-    assert (matches.tracks, matches.replaced) == ([bob, ann], [])
+    assert match((ann, bob), *detections) == [bob, ann]
     left, right = make_known(image - [200, 0], 'left'), make_known(image + [200, 0], 'right')
     unnamed = [make_detection(image + [x, 0]) for x in (205.0, 2.0, -190.0)]
-    found = match_detections(NEXT_NS, (left, ann, right), unnamed).tracks
+    found = match((left, ann, right), *unnamed)
     assert found == [right, ann, left], 'a detection without an id may be a person who had one'
-    assert match_detections(NEXT_NS, (), unnamed[:1]).tracks == [None]
+    assert match((), unnamed[0]) == [None]
 
 
 def test_an_id_far_away_was_given_to_another_person(image: Array) -> None:
     ann = make_known(image, 'the first ann', 'a')
-    near = match_detections(NEXT_NS, (ann,), [make_detection(image + [300, 0], 'a')])
-    assert (near.tracks, near.replaced) == ([ann], [])
-    far = match_detections(NEXT_NS, (ann,), [make_detection(image + [3000, 0], 'a')])
+    assert match((ann,), make_detection(image + [300, 0], 'a')) == [ann]
+    far = match_detections(STEP_NS, (ann,), [make_detection(image + [3000, 0], 'a')])
     assert (far.tracks, far.replaced) == ([None], [ann])
-
-
-LOWER_JOINTS = ('pelvis', 'lhip', 'lknee', 'lankle', 'rhip', 'rknee', 'rankle')
-UPPER = ~np.isin(CMU15.joints, LOWER_JOINTS)
-
-
-def see_part(image: Array, joints: NDArray[np.bool_], name: str = '') -> Detection:
-    person = Person2D(name, CMU15.joints, image, np.where(joints, 0.9, 0.0))
-    (detection,) = Detection.from_people([person], CAMERA, min_score=0.1, min_joints=6)
-    assert detection is not None
-    return detection
 
 
 @pytest.mark.parametrize('ids', [('', ''), ('x', ''), ('', 'x'), ('x', 'y'), ('a', 'x'), ('x', 'a'), ('a', 'a')])
@@ -188,12 +177,10 @@ def see_part(image: Array, joints: NDArray[np.bool_], name: str = '') -> Detecti
 def test_two_parts_of_a_person_are_the_person(image: Array, ids: tuple[str, str], known_id: str) -> None:
     ann, bob = make_known(image, 'ann', known_id), make_known(image + [150, 0], 'bob', 'b')
     moved = image + [4, 0]
-    parts = [see_part(moved, UPPER, ids[0]), see_part(moved, ~UPPER, ids[1])]
-    for order in ([0, 1], [1, 0]):
-        detections = [parts[i] for i in order] + [make_detection(image + [150, 0], 'b')]
-        matches = match_detections(NEXT_NS, (bob, ann), detections)
-        assert matches.tracks == [ann, bob]
-        assert matches.replaced == []
+    parts = [make_detection(moved, name, 0.9 * seen) for name, seen in zip(ids, (UPPER, ~UPPER), strict=True)]
+    for both in (parts, parts[::-1]):
+        matches = match_detections(STEP_NS, (bob, ann), [*both, make_detection(image + [150, 0], 'b')])
+        assert (matches.tracks, matches.replaced) == ([ann, bob], [])
         whole = matches.detections[0]
         assert (whole.weight > 0).all()
         assert CAMERA.focal * whole.rays + CAMERA.center == pytest.approx(moved)
@@ -203,63 +190,51 @@ def test_two_parts_of_a_person_are_the_person(image: Array, ids: tuple[str, str]
 def test_a_new_person_beside_another_is_no_part(image: Array) -> None:
     ann = make_known(image, 'ann', 'a')
     new = make_detection(image[:, ::-1] + [40, -30], 'x')  # in another pose, at nearly the same position
-    matches = match_detections(NEXT_NS, (ann,), [make_detection(image, 'a'), new])
-    assert matches.tracks == [ann, None]
+    assert match((ann,), make_detection(image, 'a'), new) == [ann, None]
 
 
 def test_a_new_id_goes_on_with_a_person_who_is_near(image: Array) -> None:
     ann, size = make_known(image, 'a', 'a'), CAMERA.focal * make_detection(image).size
-    age_s = STEP_NS / 1e9
-    gate = NEW_ID_GATE + NEW_ID_GATE_GROWTH_PER_S * age_s
-    for share, is_ann in ((0.98, True), (1.02, False)):
-        new = make_detection(image + [share * gate * size, 0], 'x')
-        assert match_detections(NEXT_NS, (ann,), [new]).tracks == [ann if is_ann else None], share
-    beyond = image + [1.02 * gate * size, 0]
+    gate = size * (NEW_ID_GATE + NEW_ID_GATE_GROWTH_PER_S * STEP_NS / 1e9)
+    within, beyond = (make_detection(image + [share * gate, 0], 'x') for share in (0.98, 1.02))
+    assert (match((ann,), within), match((ann,), beyond)) == ([ann], [None])
     for other in (change(ann, is_tentative=True), make_known(image, 'a'), make_known(image, 'a', 'old')):
-        tracks = match_detections(NEXT_NS, (other,), [make_detection(beyond, 'x')]).tracks
-        assert tracks == [other], 'whose id was not steady may have another one'
+        assert match((other,), beyond) == [other], 'whose id was not steady may have another one'
 
 
 def test_a_person_of_half_the_size_is_not_the_person(image: Array) -> None:
     """A detector that makes a small whole person of half of a person, with the person's id."""
-    ann = make_known(image, 'ann', 'ann')
     small = image.mean(axis=0) + (image - image.mean(axis=0)) / 2
-    matches = match_detections(NEXT_NS, (ann,), [make_detection(small, 'ann')])
-    assert matches.tracks == [None]
-    assert matches.replaced == [], 'nor is it another person'
-    large = make_known(small, 'ann', 'ann')
-    assert match_detections(NEXT_NS, (large,), [make_detection(image, 'ann')]).tracks == [large]
-    assert match_detections(10**9, (ann,), [make_detection(small, 'ann')]).tracks == [ann], 'later it may be'
+    ann, large = make_known(image, 'ann', 'ann'), make_known(small, 'ann', 'ann')
+    assert match((ann,), make_detection(small, 'ann')) == [None]
+    assert match((large,), make_detection(image, 'ann')) == [large]
+    assert match((ann,), make_detection(small, 'ann'), stamp_ns=10**9) == [ann], 'later it may be'
 
 
 def test_a_known_person_gets_a_detection_sooner_than_a_tentative_one(image: Array) -> None:
-    ann = make_known(image, 'ann')
+    ann, near = make_known(image, 'ann'), make_detection(image + [3, 0])
     ghost = change(make_known(image, 'ghost'), is_tentative=True)
-    for tracks in ((ann, ghost), (ghost, ann)):
-        assert match_detections(NEXT_NS, tracks, [make_detection(image + [3, 0])]).tracks == [ann]
-    lost_for_ns = 10 * STEP_NS
-    new = change(ghost, stamps_ns=(lost_for_ns - STEP_NS,))
-    found = match_detections(lost_for_ns, (ann, new), [make_detection(image + [3, 0])]).tracks
+    assert match((ann, ghost), near) == match((ghost, ann), near) == [ann]
+    new = change(ghost, stamps_ns=(9 * STEP_NS,))
+    found = match((ann, new), near, stamp_ns=10 * STEP_NS)
     assert found == [new], 'but who was lost does not take the detection of a new person'
 
 
 def test_a_new_person_does_not_make_people_change_their_names(image: Array) -> None:
     """Bob was lost 0.9 s ago, within his reach of where ann is; ghost may be no person, and is nearer."""
-    now_ns = 28 * STEP_NS
     ann, bob = make_known(image, 'ann'), make_known(image + [90, 0], 'bob')
-    ann = change(ann, stamps_ns=(now_ns - STEP_NS,))
+    ann = change(ann, stamps_ns=(27 * STEP_NS,))
     ghost = change(ann, id='ghost', is_tentative=True)
     nearly, another = make_detection(image + [4, 0]), make_detection(image + [3000, 0])
     for tracks in ((ann, bob), (bob, ann), (ann, ghost)):
         for detections in ([nearly], [nearly, another], [another, nearly]):
-            found = match_detections(now_ns, tracks, detections).tracks
+            found = match(tracks, *detections, stamp_ns=28 * STEP_NS)
             assert found == [ann if d is nearly else None for d in detections]
 
 
 @pytest.mark.parametrize(('seen', 'is_usable'), [(5, False), (6, True)])
 def test_a_detection_needs_enough_joints(image: Array, seen: int, is_usable: bool) -> None:
-    score = np.where(np.arange(15) < seen, 0.5, 0.05)
-    person = Person2D('a', CMU15.joints, image, score)
+    person = see(image, score=np.where(np.arange(15) < seen, 0.5, 0.05))
     (detection,) = Detection.from_people([person], CAMERA, min_score=0.1, min_joints=6)
     assert (detection is not None) is is_usable
     if detection is not None:
