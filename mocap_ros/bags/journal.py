@@ -45,37 +45,24 @@ LOST = 'lost'
 
 
 class Verdict(IntEnum):
-    """What became of an input; the values are the levels of DiagnosticStatus.
+    """What became of an input; the values are the levels of DiagnosticStatus."""
 
-    Attributes:
-        ACCEPTED: The tracker used the input.
-        DROPPED: The input was valid but could not be used.
-        INVALID: The input could not be decoded or failed a check.
-        BACKLOG: The input was dropped because newer messages were waiting; it did not reach the tracker.
-    """
-
-    ACCEPTED = 0
-    DROPPED = 1
-    INVALID = 2
-    BACKLOG = 3
+    ACCEPTED = 0  # the tracker used the input
+    DROPPED = 1  # the input was valid but could not be used
+    INVALID = 2  # the input could not be decoded or failed a check
+    BACKLOG = 3  # the input was dropped because newer messages were waiting; it did not reach the tracker
 
 
 @dataclass(frozen=True)
 class Entry:
-    """An entry of the journal; the table above says what it holds.
-
-    Attributes:
-        number: Number of the input; for other kinds, number of the last input before the event.
-        reason: Why the input was not accepted, or what is to be said of an accepted one; usually empty.
-        topic: Topic of the input; empty for other kinds.
-        parameters: Values of the parameters by name; for `lost`, the number of lost inputs under `lost`.
-    """
+    """An entry of the journal; the table above says what it holds."""
 
     kind: str
-    number: int
+    number: int  # number of the input; for other kinds, number of the last input before the event
     verdict: Verdict = Verdict.ACCEPTED
-    reason: str = ''
-    topic: str = ''
+    reason: str = ''  # why the input was not accepted, or what is to be said of an accepted one; usually empty
+    topic: str = ''  # of the input; empty for other kinds
+    # Values of the parameters by name; for `lost`, the number of lost inputs under `lost`
     parameters: Mapping[str, Value] = field(default_factory=dict)
 
 
@@ -161,23 +148,15 @@ class Journal:
 
 
 class RecordedRun(NamedTuple):
-    """The content of the journal of a recorded run; inputs are numbered from 1 as they are in the bag.
+    """The content of the journal of a recorded run; inputs are numbered from 1 as they are in the bag."""
 
-    Attributes:
-        parameters: Parameters at the start by name; empty where there is no journal.
-        skipped_inputs: Numbers of the inputs that never reached the tracker.
-        events: Resets and changes of parameters, by the number of the input before them.
-        lost_count: Number of inputs that were processed or refused but are not in the bag.
-        input_topics: Topics of the inputs; empty where there is no journal.
-        repeated_inputs: How many messages at a topic and log time in ns were not received, because a further file
-            of a split bag repeats them; they have no number.
-    """
-
-    parameters: dict[str, Value]
-    skipped_inputs: set[int]
-    events: dict[int, list[Entry]]
-    lost_count: int
-    input_topics: AbstractSet[str] = frozenset()
+    parameters: dict[str, Value]  # parameters at the start by name; empty where there is no journal
+    skipped_inputs: set[int]  # numbers of the inputs that never reached the tracker
+    events: dict[int, list[Entry]]  # resets and changes of parameters, by the number of the input before them
+    lost_count: int  # number of inputs that were processed or refused but are not in the bag
+    input_topics: AbstractSet[str] = frozenset()  # topics of the inputs; empty where there is no journal
+    # How many messages at a topic and log time in ns were not received, because a further file of a split bag
+    # repeats them; they have no number
     repeated_inputs: Mapping[tuple[str, int], int] = MappingProxyType({})
 
     def leave_out_repeated(self, inputs: Iterable[BagMessage]) -> Iterator[BagMessage]:

@@ -167,9 +167,7 @@ class McapScan:
 def read_summary(file: BinaryIO) -> bytes:
     """Return the summary section of an MCAP file with the footer; empty where the file states none.
 
-    Raises:
-        EOFError: The file does not end as an MCAP file does.
-        ValueError: The checksum of the summary does not match.
+    EOFError where the file does not end as an MCAP file does, ValueError where the checksum does not match.
     """
     size = file.seek(0, SEEK_END)
     file.seek(-min(FOOTER_BYTES + len(MAGIC), size), SEEK_END)

@@ -50,14 +50,10 @@ ReportProgress = Callable[[int, int], None]
 
 @dataclass
 class RecoveryReport:
-    """The result of a recovery.
+    """The result of a recovery."""
 
-    Attributes:
-        messages: Number of recovered messages by topic.
-        losses: Descriptions of what could not be read, one line each, with the name of the file.
-    """
-
-    messages: Counter[str] = field(default_factory=Counter)
+    messages: Counter[str] = field(default_factory=Counter)  # number of recovered messages by topic
+    # Descriptions of what could not be read, one line each, with the name of the file
     losses: list[str] = field(default_factory=list)
 
 

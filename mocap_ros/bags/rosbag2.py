@@ -42,22 +42,14 @@ class TypeDefinition(NamedTuple):
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic as a bag describes it.
+    """A topic as a bag describes it."""
 
-    Attributes:
-        name: Absolute name.
-        type: Message type, such as `sensor_msgs/msg/CameraInfo`.
-        definition: Text of the message type and of all types that it contains.
-        encoding: Language of the definition, such as `ros2msg`; empty where there is no definition.
-        type_hash: Hash of the message type (RIHS01); empty where it is unknown.
-        qos: QoS profiles that the publishers offer, by rosbag2's names of the policies.
-    """
-
-    name: str
-    type: str
-    definition: str
-    encoding: str = 'ros2msg'
-    type_hash: str = ''
+    name: str  # absolute name
+    type: str  # such as `sensor_msgs/msg/CameraInfo`
+    definition: str  # text of the message type and of all types that it contains
+    encoding: str = 'ros2msg'  # of the definition; empty where there is none
+    type_hash: str = ''  # hash of the message type (RIHS01); empty where it is unknown
+    # QoS profiles that the publishers offer, by rosbag2's names of the policies
     qos: tuple[Mapping[str, Any], ...] = ()
 
     @property

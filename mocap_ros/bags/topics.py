@@ -26,22 +26,14 @@ class Source(Enum):
     """What an input topic carries.
 
     The value is the default name of the topic; the value of `BODY` is the namespace of one topic for each body.
-
-    Attributes:
-        KEYPOINTS: The 2D keypoints of all people in an image.
-        CAMERA_INFO: The calibration of the camera.
-        TRACKED_BODIES: The ids of the tracked bodies (ROS4HRI).
-        BODY: The 2D keypoints of one body (ROS4HRI).
-        TRANSFORMS: Transforms between coordinate frames, each at its time.
-        STATIC_TRANSFORMS: Transforms that hold at all times.
     """
 
-    KEYPOINTS = 'keypoints'
-    CAMERA_INFO = 'camera_info'
-    TRACKED_BODIES = '/humans/bodies/tracked'
-    BODY = '/humans/bodies'
-    TRANSFORMS = '/tf'
-    STATIC_TRANSFORMS = '/tf_static'
+    KEYPOINTS = 'keypoints'  # the 2D keypoints of all people in an image
+    CAMERA_INFO = 'camera_info'  # the calibration of the camera
+    TRACKED_BODIES = '/humans/bodies/tracked'  # the ids of the tracked bodies (ROS4HRI)
+    BODY = '/humans/bodies'  # the 2D keypoints of one body (ROS4HRI)
+    TRANSFORMS = '/tf'  # transforms between coordinate frames, each at its time
+    STATIC_TRANSFORMS = '/tf_static'  # transforms that hold at all times
 
 
 PEOPLE_SOURCES = (Source.KEYPOINTS, Source.TRACKED_BODIES, Source.BODY)  # the sources that describe people
@@ -49,11 +41,7 @@ TRANSFORM_SOURCES = (Source.TRANSFORMS, Source.STATIC_TRANSFORMS)  # the sources
 
 
 def list_input_types(keypoints_type: str, *, reads_transforms: bool = False) -> dict[Source, str]:
-    """Return the message type of every input, given that of the keypoints, the parameter `node.input_type`.
-
-    Raises:
-        ConfigError: Messages of this type are not supported as keypoints.
-    """
+    """Return the message type of every input, given that of the keypoints, the parameter `node.input_type`."""
     others = {Source.CAMERA_INFO: CAMERA_INFO}
     if reads_transforms:
         others |= dict.fromkeys(TRANSFORM_SOURCES, TRANSFORMS)

@@ -53,9 +53,6 @@ def connect(scheduler: str | None, workers: int | None = None, memory: str = 'au
         workers: number of processes of the local cluster; None for one on each core.
         memory: memory of a process of the local cluster, such as `2GB`, above which Dask ends it; `auto` for
             an equal share of the machine's.
-
-    Raises:
-        MocapError: the scheduler does not answer.
     """
     logging.getLogger('distributed').setLevel(SILENT)  # the outcomes say what matters of it
     warnings.filterwarnings('ignore', message='Creating scratch directories')  # a slow disk, once at the start
@@ -87,11 +84,7 @@ def connect(scheduler: str | None, workers: int | None = None, memory: str = 'au
 
 
 def run_jobs(client: Client, jobs: Sequence[Job], report: Callable[[Outcome], None]) -> None:
-    """Do all jobs, those that come first begin first, and report each outcome as it comes.
-
-    Raises:
-        MocapError: the scheduler has gone.
-    """
+    """Do all jobs, those that come first begin first, and report each outcome as it comes."""
     run = uuid.uuid4().hex[:8]  # so that another run on the same scheduler has tasks of its own
     keys = [(f'recording-{run}', number) for number in range(len(jobs))]
     futures = client.map(process, jobs, key=keys, pure=False)

@@ -79,29 +79,21 @@ Rows = list[dict[str, Any]]  # rows of the table, a row for each appearance of a
 
 @dataclass(frozen=True)
 class Settings:
-    """What a run does with every recording.
-
-    Attributes:
-        out: path or URL of the folder of the run.
-        config: parameters; None for those of the recorded runs, or the defaults.
-        changes: values of single parameters by name, which replace those of `config` or of the recorded runs.
-        topic: topic of the keypoints, and `camera_info` that of the CameraInfo; needed for bags with several.
-        video: what JSON files do not state.
-        suffix: of reconstructions, such as `.npz`.
-        version: version of this package, which the workers must have.
-        key: checksum of all that results depend on but the recording.
-    """
+    """What a run does with every recording."""
 
     work: Work
-    out: str
-    config: Config | None = None
+    out: str  # path or URL of the folder of the run
+    config: Config | None = None  # parameters; None for those of the recorded runs, or the defaults
+    # Values of single parameters by name, which replace those of `config` or of the recorded runs
     changes: Mapping[str, Value] = field(default_factory=dict)
+    # Topic of the keypoints, and `camera_info` that of the CameraInfo; needed for bags with several
     topic: str | None = None
     camera_info: str | None = None
+    # What JSON files do not state
     video: Video = Video()  # noqa: RUF009 # is frozen
-    suffix: str = '.npz'
-    version: str = ''
-    key: str = ''
+    suffix: str = '.npz'  # of reconstructions, such as `.npz`
+    version: str = ''  # version of this package, which the workers must have
+    key: str = ''  # checksum of all that results depend on but the recording
 
     @property
     def parameters(self) -> Config:
@@ -113,13 +105,7 @@ class Settings:
         return '/'.join((self.out.rstrip('/'), *parts))
 
     def seal(self) -> Settings:
-        """Return the settings with the version of this package and the checksum.
-
-        Raises:
-            ModelError: the models that the parameters name cannot be loaded.
-            ConfigError: a parameter of `changes` is unknown, or its value is wrong.
-            InputError: the model of the detector cannot be read.
-        """
+        """Return the settings with the version of this package and the checksum."""
         config, detector = self.parameters, self.video.detector
         try:
             detector_key = hashlib.sha256(detector.read_bytes()).hexdigest() if detector else ''
@@ -336,9 +322,6 @@ def provide_locally(recording: Recording, scratch: Path) -> Path:
 
     This is the place of a local recording. A remote one in MCAP is read where it is, by ranges. Any other remote
     one is copied into a temporary folder first.
-
-    Raises:
-        InputError: the disk has no space for the copy.
     """
     if is_local(recording.url):
         return Path(open_file_system(recording.url)[1])
@@ -358,9 +341,6 @@ def publish(finished: Path, url: str) -> None:
 
     On the local file system it is renamed. On others the files are sent one by one, each of them whole, and the
     description of a bag last, without which its other files are no bag.
-
-    Raises:
-        RecordingError: something is at that place that no run writes; it is kept.
     """
     fs, path = open_file_system(url)
     old = list_sizes(url)

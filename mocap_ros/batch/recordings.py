@@ -47,28 +47,16 @@ class Work(str, Enum):
 
 @dataclass(frozen=True)
 class Recording:
-    """A bag or a file of keypoints.
+    """A bag or a file of keypoints."""
 
-    Attributes:
-        url: path, or URL of fsspec, of the file or folder.
-        name: name of the results: the path below the folder that was searched, without a suffix.
-        files: URLs of all its files, sorted.
-        size_bytes: bytes in all of them.
-    """
-
-    url: str
-    name: str
-    files: tuple[str, ...]
-    size_bytes: int
+    url: str  # path, or URL of fsspec, of the file or folder
+    name: str  # name of the results: the path below the folder that was searched, without a suffix
+    files: tuple[str, ...]  # URLs of all its files, sorted
+    size_bytes: int  # bytes in all of them
 
 
 def open_file_system(url: str) -> tuple[Any, str]:
-    """Return the file system of a path or URL, and the path on it.
-
-    Raises:
-        ValueError: the URL is of no known file system.
-        ImportError: a library for the file system is not installed.
-    """
+    """Return the file system of a path or URL, and the path on it."""
     if '://' in url:
         fs, path = fsspec.url_to_fs(url)
         return fs, str(path)
@@ -93,9 +81,6 @@ def find_recordings(
         work: what is to be done; only bags are replayed.
         leave_out: paths or URLs of folders that are not searched, as those of the results.
         report: function that is called with a line about files that are no bags, where only bags are taken.
-
-    Raises:
-        InputError: there is nothing, it cannot be read, or the results of two recordings would have one path.
     """
     left_out = tuple(f'{_write_url(*open_file_system(folder))}/' for folder in leave_out)
     sizes: dict[str, int] = {}
@@ -135,9 +120,6 @@ def compute_content_key(recording: Recording) -> str:
     """Return a checksum of the content of a recording, as hexadecimals.
 
     A file on a file system that keeps a checksum of it is not read. Times of change do not matter.
-
-    Raises:
-        OSError: a file cannot be read.
     """
     digest = hashlib.sha256()
     for url in recording.files:

@@ -29,9 +29,6 @@ def save_report(outcomes: Sequence[Outcome], settings: Settings) -> list[str]:
 
     The table is a Parquet file with a row for each appearance of a person. Its metadata hold the parameters that
     are the same for all recordings: where bags are replayed with their own, only those that replace them.
-
-    Raises:
-        OSError: a file cannot be written.
     """
     parameters = yaml.safe_dump(dict(settings.changes)) if settings.changes else ''
     if settings.config is not None or settings.work is not Work.REPLAY:

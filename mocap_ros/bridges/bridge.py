@@ -52,11 +52,7 @@ CONSUMERS = {
 
 
 def check_consumers(names: Sequence[str]) -> list[str]:
-    """Return the names of consumers, each once.
-
-    Raises:
-        ConfigError: there is none, or one is unknown.
-    """
+    """Return the names of consumers, each once."""
     unknown = [name for name in names if name not in CONSUMERS]
     if unknown or not names:
         fault = f'there is no {unknown[0]!r}' if unknown else 'nothing is named'
@@ -78,11 +74,7 @@ class Bridge:
         self._people, self._predictions = People(Header(0, '')), Predictions(Header(0, ''))
 
     def feed_skeletons(self, raw: bytes) -> list[OutputMessage]:
-        """Return the messages that a Skeleton3DArray causes.
-
-        Raises:
-            InputError: the message cannot be used; the error names the field.
-        """
+        """Return the messages that a Skeleton3DArray causes."""
         return self._convert_people(read_people(raw, self._numbers))
 
     def feed_predictions(self, raw: bytes) -> list[OutputMessage]:

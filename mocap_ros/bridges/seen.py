@@ -32,32 +32,22 @@ FLESH_M = 0.1  # m; how far a body reaches beyond its joints: half a trunk's dep
 
 @dataclass(frozen=True, eq=False)
 class People:
-    """The N people of an image, who all have the same J joints, in the frame of the header.
+    """The N people of an image, who all have the same J joints, in the frame of the header."""
 
-    Attributes:
-        header: time of the image, and the frame of the people.
-        ids: their ids.
-        numbers: number of each person, which is that of the markers of the topic `markers` and of their colours.
-        skeleton: names and order of the joints.
-        joints: (N, J, 3) m.
-        std: (N, J) m, standard deviations of the joints; NaN if unknown.
-        roots: (N, 3) m, between the hips.
-        velocities: (N, 3) m/s, of the roots; 0 where unknown, as consumers take no NaN.
-        covariances: (N, 3, 3) m^2, of the roots.
-        unseen_for: (N,) s, time since a person was last seen.
-        predicted: (N,) True for people who were not detected in the image.
-    """
-
-    header: Header
-    ids: tuple[str, ...] = ()
+    header: Header  # time of the image, and the frame of the people
+    ids: tuple[str, ...] = ()  # their ids
+    # Number of each person, which is that of the markers of the topic `markers` and of their colours
     numbers: tuple[int, ...] = ()
-    skeleton: Skeleton = CMU15
-    joints: Array = field(default_factory=lambda: np.zeros((0, CORE_COUNT, 3)))
+    skeleton: Skeleton = CMU15  # names and order of the joints
+    joints: Array = field(default_factory=lambda: np.zeros((0, CORE_COUNT, 3)))  # (N, J, 3) m
+    # (N, J) m, standard deviations of the joints; NaN if unknown
     std: Array = field(default_factory=lambda: np.zeros((0, CORE_COUNT)))
-    roots: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    roots: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (N, 3) m, between the hips
+    # (N, 3) m/s, of the roots; 0 where unknown, as consumers take no NaN
     velocities: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    covariances: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    unseen_for: Array = field(default_factory=lambda: np.zeros(0))
+    covariances: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))  # (N, 3, 3) m^2, of the roots
+    unseen_for: Array = field(default_factory=lambda: np.zeros(0))  # (N,) s, time since a person was last seen
+    # (N,) True for people who were not detected in the image
     predicted: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
 
     def compute_reliability(self) -> Array:
@@ -100,10 +90,6 @@ def read_people(raw: bytes, numbers: PersonNumbers) -> People:
     Args:
         raw: the message as CDR.
         numbers: numbers of the people so far, to which those of the message are added.
-
-    Raises:
-        InputError: it is no such message, or its people do not have the joints of one known skeleton; the error
-            names the field.
     """
     message = decode_plain(raw, SKELETONS)
     numbers.keep([p.id for p in message.people])

@@ -101,9 +101,6 @@ def reserve_domain() -> Iterator[dict[str, str]]:
     """Keep a ROS domain to one user on this host, and yield the environment variables that choose it.
 
     A domain is taken as long as the TCP port with the number of its first UDP port is bound.
-
-    Raises:
-        MocapError: all domains are taken.
     """
     for domain in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
         with socket.socket() as lock:

@@ -164,10 +164,6 @@ def compare_with_truth(result: StoredResult, reference: KeypointSequence) -> tup
     Returns:
         The errors, with the shares of true errors within the covariances if the result has any, and a warning if
         fewer than half of the frames of the shorter recording are compared.
-
-    Raises:
-        InputError: the two have few times in common and those of the result are not in s, they have none in
-            common, the result has no skeleton then, or nothing is left to compare.
     """
     truth = _get_truth(reference)
     frames, reference_frames = _match_times(result.stamps_ns, reference.stamps_ns)

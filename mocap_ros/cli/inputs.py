@@ -95,9 +95,6 @@ def list_sources(args: argparse.Namespace, config: Config | None = None) -> list
     """Return the files that a command reads, which its output must not overwrite; not all of them need exist.
 
     The parameters of the command, if it has some, may name a model and a lifter.
-
-    Raises:
-        InputError: a folder of motion capture holds none.
     """
     paths: list[Path] = []
     for name in FILE_OPTIONS:
@@ -134,9 +131,6 @@ def load_sequences(
     """Load one person, or all, from the input that the options of `INPUT_OPTIONS` describe.
 
     The chosen person and the assumptions about the input are printed on stderr.
-
-    Raises:
-        InputError: the input cannot be used; the message names where.
     """
     options = read_input_options(args, config)
     if all_people:
@@ -155,11 +149,7 @@ def show_detection_progress(images: Iterable[VideoImage], count: int | None) -> 
 
 
 def load_models(args: argparse.Namespace, config: Config) -> dict[str, BasePoses]:
-    """Load the base poses that `--model` selects, by name; `auto` selects all shipped models.
-
-    Raises:
-        ModelError: there is no model of that name, or its file or the lifter of `solver.prior` cannot be used.
-    """
+    """Load the base poses that `--model` selects, by name; `auto` selects all shipped models."""
     models = load_base_pose_models(args.model or config.tracker.model)
     for model in models.values():  # here, so that the error about a lifter does not name the input
         load_prior_lifter(config.solver.prior, model.skeleton)

@@ -124,12 +124,7 @@ def _choose(choices: Sequence[str], text: str) -> str:
 
 
 def load_config(args: argparse.Namespace) -> Config:
-    """Load the configuration that the options of `CONFIG_OPTIONS` describe: `--set` on top of `--config`.
-
-    Raises:
-        InputError: the parameter file cannot be read.
-        ConfigError: a parameter is unknown, or its value is wrong.
-    """
+    """Load the configuration that the options of `CONFIG_OPTIONS` describe: `--set` on top of `--config`."""
     return with_values(load_config_file(args) or Config(), parse_changes(args))
 
 

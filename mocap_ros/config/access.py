@@ -25,38 +25,21 @@ SCIENTIFIC_NOTATION = re.compile(r'[-+]?\d+(\.\d*)?[eE][-+]?\d{1,3}')
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter as ROS, the parameter file and the command line see it.
+    """A parameter as ROS, the parameter file and the command line see it."""
 
-    Attributes:
-        name: `group.field`.
-        kind: type of its value: bool, int, float or str.
-        default: value unless the user sets it.
-        description: meaning, beginning with the unit, if any.
-        low: smallest valid value.
-        high: largest valid value.
-        choices: valid values of a text; empty if any text is valid.
-        read_only: whether the value is fixed when the node starts.
-        takes_numbers: whether a number may be given for a text.
-        is_common: whether many users set it, so that `mocap-ros config` prints it without `--all`.
-    """
-
-    name: str
-    kind: type
-    default: Value
-    description: str
-    low: float = -inf
-    high: float = inf
-    choices: tuple[str, ...] = ()
-    read_only: bool = False
-    takes_numbers: bool = False
-    is_common: bool = False
+    name: str  # `group.field`
+    kind: type  # type of its value: bool, int, float or str
+    default: Value  # value unless the user sets it
+    description: str  # meaning, beginning with the unit, if any
+    low: float = -inf  # smallest valid value
+    high: float = inf  # largest valid value
+    choices: tuple[str, ...] = ()  # valid values of a text; empty if any text is valid
+    read_only: bool = False  # whether the value is fixed when the node starts
+    takes_numbers: bool = False  # whether a number may be given for a text
+    is_common: bool = False  # whether many users set it, so that `mocap-ros config` prints it without `--all`
 
     def check(self, value: object) -> Value:
-        """Return the value in the parameter's own type.
-
-        Raises:
-            ConfigError: the value has the wrong type or is out of range; the message names the parameter.
-        """
+        """Return the value in the parameter's own type."""
         if self.kind is float and isinstance(value, str) and SCIENTIFIC_NOTATION.fullmatch(value):
             value = float(value)
         expected = ''
@@ -97,11 +80,7 @@ def parameters() -> Iterator[Parameter]:
 
 
 def with_values(config: Config, values: Mapping[str, object]) -> Config:
-    """Return a copy of the configuration in which these parameters, by name (`group.field`), have these values.
-
-    Raises:
-        ConfigError: a name is unknown, or a value has the wrong type or is out of range.
-    """
+    """Return a copy of the configuration in which these parameters, by name (`group.field`), have these values."""
     parameter_of = {parameter.name: parameter for parameter in parameters()}
     for name in values:
         if name not in parameter_of:

@@ -74,9 +74,6 @@ def load_yaml(text: str, source: str) -> Any:
     Args:
         text: the YAML text.
         source: name of the text in error messages, such as the path of the file.
-
-    Raises:
-        ConfigError: the text is not such YAML; the message names `source`.
     """
     try:
         return yaml.load(text, _StrictLoader)  # noqa: S506, the loader is a SafeLoader
@@ -93,10 +90,6 @@ def from_yaml(text: str, source: str) -> Config:
     Args:
         text: the YAML text; parameters that it does not set have their defaults. A group may be empty.
         source: name of the text in error messages, such as the path of the file.
-
-    Raises:
-        ConfigError: `load_yaml` refuses the text, it is not a mapping, or a parameter is wrong; the message names
-            `source`.
     """
     tree = load_yaml(text, source)
     if isinstance(tree, dict) and len(tree) == 1:

@@ -18,12 +18,9 @@ class Detector(Protocol):
     """A detector of people's keypoints in the images of one video, which it gets in the order of time.
 
     A detector may follow people from image to image. It therefore serves one video; another one needs another.
-
-    Attributes:
-        name: name of the detector and its model, for messages to the user.
     """
 
-    name: str
+    name: str  # name of the detector and its model, for messages to the user
 
     def detect(self, image: Image, time_s: float) -> Array:
         """Find the people in the next image.

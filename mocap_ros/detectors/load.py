@@ -22,10 +22,6 @@ def load_detector(model: Path | None, max_people: int = 1) -> Detector:
     Args:
         model: the model's file; None for the model that comes with some versions of MediaPipe.
         max_people: largest number of people to find in an image; models that find one person ignore it.
-
-    Raises:
-        ModelError: there is no such file, it is no model of a known form, or the library that runs it is not
-            installed; the error names the file.
     """
     suffix = '' if model is None else model.suffix.lower()
     if model is not None and not model.is_file():

@@ -84,17 +84,11 @@ def is_seen(keypoints: Array, min_score: float) -> bool:
 
 
 class OnePersonDetector(ABC):
-    """A network that sees one person in a rectangle, which follows the person from image to image.
+    """A network that sees one person in a rectangle, which follows the person from image to image."""
 
-    Attributes:
-        name: name of the detector and its model.
-        keypoint_count: number J of its keypoints.
-        min_score: score of a keypoint that is probably right.
-    """
-
-    name: str
-    keypoint_count: int
-    min_score: float
+    name: str  # name of the detector and its model
+    keypoint_count: int  # number J of its keypoints
+    min_score: float  # score of a keypoint that is probably right
 
     def __init__(self, model: OnnxModel) -> None:
         self._model = model

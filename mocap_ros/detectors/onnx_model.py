@@ -38,9 +38,6 @@ class OnnxModel:
         takes_any_size: whether images may have another size as well.
         is_channels_first: whether the input is (1, 3, H, W) instead of (1, H, W, 3).
         output_shapes: shape of each output for one image.
-
-    Raises:
-        ModelError: onnxruntime is not installed, or the file is no network for images; the error names the file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -77,9 +74,6 @@ class OnnxModel:
 
     def run(self, image: Image | NDArray[np.float32]) -> Outputs:
         """Run the network on an image (H, W, 3) of `input_size`, whose numbers are those that the network expects.
-
-        Raises:
-            ModelError: the network failed.
         """
         batch = image[None].astype(self._number_type)
         if self.is_channels_first:

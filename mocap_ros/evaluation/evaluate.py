@@ -92,9 +92,6 @@ def evaluate(
     `residual` (F,) is in px; NaN is no prediction, or unknown. With scores (F, Jk) of keypoints, only the twelve
     limb joints are compared, in the frames in which most of them are seen. `times` (F,) s show where frames are
     missing; None if none are.
-
-    Raises:
-        InputError: A shape does not fit, or nothing is left to compare; the message names the field.
     """
     check_truth(truth)
     _check_shapes(joints, skeleton, residual, truth, truth_names, keypoint_names, keypoint_scores)

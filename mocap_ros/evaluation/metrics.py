@@ -36,11 +36,7 @@ MIN_COMMON_JOINTS = 4  # joints; with fewer, aligned poses hardly differ
 def match_joints(
     predicted: Sequence[str], truth: Sequence[str], limbs_only: bool = False
 ) -> tuple[list[int], list[int]]:
-    """Return the indices of the common joints in both, in the order of the truth or of `LIMB_JOINTS`.
-
-    Raises:
-        InputError: Fewer than four joints are common.
-    """
+    """Return the indices of the common joints in both, in the order of the truth or of `LIMB_JOINTS`."""
     names = [n for n in (LIMB_JOINTS if limbs_only else truth) if n in predicted and n in truth]
     if len(names) < MIN_COMMON_JOINTS:
         raise InputError(f'only {len(names)} joints in common with the reference: {", ".join(names)}')

@@ -119,18 +119,12 @@ MIRRORED = {Reading(turns=turns, is_mirrored=True): fault for turns, fault in en
 
 
 class Stretch(NamedTuple):
-    """Keypoints of one person in some frames.
+    """Keypoints of one person in some frames."""
 
-    Attributes:
-        keypoints: (F, J, 3) rays and scores.
-        names: (J,) names of the joints.
-        times: (F,) s.
-        vertical: (3,) unit vector upwards in the camera's optical frame, or None where none is given.
-    """
-
-    keypoints: Array
-    names: tuple[str, ...]
-    times: Array
+    keypoints: Array  # (F, J, 3) rays and scores
+    names: tuple[str, ...]  # (J,) names of the joints
+    times: Array  # (F,) s
+    # (3,) unit vector upwards in the camera's optical frame, or None where none is given
     vertical: Array | None = None
 
 

@@ -44,24 +44,15 @@ BLENDER_IMPORT = 'File > Import > Motion Capture (.bvh) with Scale 0.01, Forward
 
 @dataclass(frozen=True, eq=False)
 class BvhMotion:
-    """A hierarchy of joints and its motion.
+    """A hierarchy of joints and its motion."""
 
-    Attributes:
-        names: (N,) names of the joints and end sites, parents first; an end site has its joint's name and
-            `END_SUFFIX`.
-        parents: (N,) index of each node's parent, -1 for the root.
-        offsets: (N, 3) offset from the parent, in the file's unit of length.
-        channels: (N,) names of each node's channels, in the order of their values.
-        frame_time: time between frames in s.
-        motion: (F, C) values of all channels, in the file's unit of length and in degrees.
-    """
-
+    # (N,) names of the joints and end sites, parents first; an end site has its joint's name and `END_SUFFIX`
     names: tuple[str, ...]
-    parents: tuple[int, ...]
-    offsets: Array
-    channels: tuple[tuple[str, ...], ...]
-    frame_time: float
-    motion: Array
+    parents: tuple[int, ...]  # (N,) index of each node's parent, -1 for the root
+    offsets: Array  # (N, 3) offset from the parent, in the file's unit of length
+    channels: tuple[tuple[str, ...], ...]  # (N,) names of each node's channels, in the order of their values
+    frame_time: float  # time between frames in s
+    motion: Array  # (F, C) values of all channels, in the file's unit of length and in degrees
 
     def compute_positions(self) -> Array:
         """Compute the positions (F, N, 3) of all nodes in the file's own frame and unit (forward kinematics)."""

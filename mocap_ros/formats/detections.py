@@ -53,24 +53,18 @@ MAX_LISTED_PEOPLE = 5  # people named in a line of output
 
 @dataclass(frozen=True)
 class Video:
-    """What an input does not state: the properties of a video, its detector, and the focal length of the camera.
+    """What an input does not state: properties of a video, its detector, and the focal length of the camera."""
 
-    Attributes:
-        fps: frame rate in Hz, or None where unknown.
-        image_size: (width, height) in px, or None where it is not given.
-        layout: name of the keypoint layout, one of `skeleton.LAYOUT_NAMES`; empty where it follows from the number
-            of keypoints.
-        detector: file of the model that finds keypoints in a video; None for the one that comes with some versions
-            of MediaPipe.
-        hfov: degrees, horizontal field of view of the camera, or None where it is not given.
-        focal: px, focal length of the camera, or None where it is not given; only one of the two is given.
-    """
-
-    fps: float | None = None
-    image_size: ImageSize | None = None
+    fps: float | None = None  # frame rate in Hz, or None where unknown
+    image_size: ImageSize | None = None  # (width, height) in px, or None where it is not given
+    # Name of the keypoint layout, one of `skeleton.LAYOUT_NAMES`; empty where it follows from the number of
+    # keypoints
     layout: str = ''
+    # File of the model that finds keypoints in a video; None for the one that comes with some versions of
+    # MediaPipe
     detector: Path | None = None
-    hfov: float | None = None
+    hfov: float | None = None  # degrees, horizontal field of view of the camera, or None where it is not given
+    # px, focal length of the camera, or None where it is not given; only one of the two is given
     focal: float | None = None
 
     def find_focal_length(self, image_width: int, name: str = '--focal') -> float | None:
@@ -89,21 +83,14 @@ class Video:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """All people in all frames.
-
-    Attributes:
-        stamps_ns: (F,) ns, strictly increasing.
-        image_size: (width, height) in px, (0, 0) where unknown.
-        intrinsics: intrinsics of the camera, or None where unknown.
-        notes: lines that say what the reader left out.
-    """
+    """All people in all frames."""
 
     people: Sequence[Sequence[Person2D]]
-    stamps_ns: Sequence[int]
-    image_size: ImageSize = UNKNOWN_SIZE
-    intrinsics: Intrinsics | None = None
+    stamps_ns: Sequence[int]  # (F,) ns, strictly increasing
+    image_size: ImageSize = UNKNOWN_SIZE  # (width, height) in px, (0, 0) where unknown
+    intrinsics: Intrinsics | None = None  # intrinsics of the camera, or None where unknown
     frame_id: str = ''
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # lines that say what the reader left out
 
 
 @dataclass(eq=False)

@@ -77,16 +77,12 @@ class _Categories(NamedTuple):
 
 @dataclass
 class _Found:
-    """What a file or folder holds.
-
-    Attributes:
-        entries: entry, (J, 3) keypoints and the names of the joints of each person.
-        without_keypoints: number of detections without keypoints.
-    """
+    """What a file or folder holds."""
 
     people: dict[ImageName, list[Person2D]] = field(default_factory=dict)
+    # Entry, (J, 3) keypoints and the names of the joints of each person
     entries: list[tuple[_Entry, Array, Names]] = field(default_factory=list)
-    without_keypoints: int = 0
+    without_keypoints: int = 0  # number of detections without keypoints
     others: int = 0
 
 

@@ -202,12 +202,7 @@ def save_sequence(path: str | Path, sequence: KeypointSequence) -> None:
 
 
 def load_sequence(path: str | Path) -> KeypointSequence:
-    """Read and validate a sequence file.
-
-    Raises:
-        InputError: the file is not a sequence file, or its content is not valid; the error names the file, the key
-            and the frame.
-    """
+    """Read and validate a sequence file."""
     with naming(path):
         if list_keys(Path(path)) >= RESULT_KEYS:
             raise InputError('is a result of reconstruct; give the sequence file that it was made from')
@@ -343,28 +338,18 @@ INPUT_KEYS = {
 
 @dataclass(frozen=True, eq=False)
 class StoredResult:
-    """One person's reconstruction as a file holds it.
+    """One person's reconstruction as a file holds it."""
 
-    Attributes:
-        times: (F,) s, increasing.
-        joints: (F, J, 3) m in the camera's optical frame; NaN in frames without a skeleton.
-        seen: (F, J) True where the joint was seen in the image, False where it was inferred.
-        residual: (F,) px, RMS reprojection error over the seen joints; NaN where there is none.
-        skeleton: skeleton of the joints.
-        recorded_ns: (F,) times in ns, where they are known more exactly than in s, or empty.
-        std: (F, J) m, standard deviation of each joint in the body, or None where they are not stored.
-        root_covariance: (F, 3, 3) m^2, covariance of the place between the hips, likewise.
-        sequence: the keypoints with the camera, which may be a nominal one, or None where they are not stored.
-    """
-
-    times: Array
-    joints: Array
-    seen: NDArray[np.bool_]
-    residual: Array
-    skeleton: Skeleton
-    recorded_ns: tuple[int, ...] = ()
+    times: Array  # (F,) s, increasing
+    joints: Array  # (F, J, 3) m in the camera's optical frame; NaN in frames without a skeleton
+    seen: NDArray[np.bool_]  # (F, J) True where the joint was seen in the image, False where it was inferred
+    residual: Array  # (F,) px, RMS reprojection error over the seen joints; NaN where there is none
+    skeleton: Skeleton  # of the joints
+    recorded_ns: tuple[int, ...] = ()  # (F,) times in ns, where they are known more exactly than in s, or empty
+    # (F, J) m, standard deviation of each joint in the body, or None where they are not stored
     std: Array | None = None
-    root_covariance: Array | None = None
+    root_covariance: Array | None = None  # (F, 3, 3) m^2, covariance of the place between the hips, likewise
+    # The keypoints with the camera, which may be a nominal one, or None where they are not stored
     sequence: KeypointSequence | None = None
 
     @property

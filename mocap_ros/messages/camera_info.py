@@ -39,20 +39,15 @@ NO_DISTORTION_COEFFICIENTS = (0.0,) * 5  # with which drivers of cameras say tha
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """The parts of a sensor_msgs/CameraInfo that are used.
+    """The parts of a sensor_msgs/CameraInfo that are used."""
 
-    Attributes:
-        size: (width, height) in px of the image that the camera sends, with 0 where unknown.
-        intrinsics: focal length, principal point and distortion. Where the camera is not calibrated, its focal
-            length is not known, and whoever uses it has to choose one.
-        frame_id: name of the camera's optical frame; empty where unknown. It is not compared.
-        note: why a field is not used or may be wrong, or empty.
-    """
-
-    size: ImageSize
+    size: ImageSize  # (width, height) in px of the image that the camera sends, with 0 where unknown
+    # Focal length, principal point and distortion. Where the camera is not calibrated, its focal length is not
+    # known, and whoever uses it has to choose one
     intrinsics: Intrinsics
+    # Name of the camera's optical frame; empty where unknown. It is not compared
     frame_id: str = field(default='', compare=False)
-    note: str = ''
+    note: str = ''  # why a field is not used or may be wrong, or empty
 
 
 def check_image_size(frame: KeypointsFrame, camera: CameraInfo) -> None:

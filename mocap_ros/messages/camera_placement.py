@@ -28,19 +28,14 @@ Array = NDArray[np.float64]
 
 
 class CameraPlacement(NamedTuple):
-    """The camera in the frame of the outputs.
+    """The camera in the frame of the outputs."""
 
-    Attributes:
-        frame_id: name of the camera's optical frame; may be empty.
-        pose: transform from the optical frame to the frame of the outputs; None where they are one.
-        before: the same a little earlier, of a camera that may move; None where it does not or is not known.
-        step_s: h, s by which that was earlier.
-    """
-
-    frame_id: str
+    frame_id: str  # name of the camera's optical frame; may be empty
+    # Transform from the optical frame to the frame of the outputs; None where they are one
     pose: RigidTransform | None = None
+    # The same a little earlier, of a camera that may move; None where it does not or is not known
     before: RigidTransform | None = None
-    step_s: float = 0.0
+    step_s: float = 0.0  # h, s by which that was earlier
 
     def place(self, people: Sequence[Person3D]) -> Sequence[Person3D]:
         """Return the people with joints, orientations, velocities and covariances in the frame of the outputs.

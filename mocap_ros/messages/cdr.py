@@ -34,28 +34,19 @@ BIG_ENDIAN = b'\0\0'  # the first bytes of a message in the other order of bytes
 
 
 class Header(NamedTuple):
-    """The content of a std_msgs/Header.
+    """The content of a std_msgs/Header."""
 
-    Attributes:
-        stamp_ns: ROS time in ns; for what was seen in an image, the time at which the image was taken.
-        frame_id: name of the coordinate frame of the content, mostly the camera's optical frame; may be empty.
-    """
-
-    stamp_ns: int
-    frame_id: str
+    stamp_ns: int  # ROS time in ns; for what was seen in an image, the time at which the image was taken
+    frame_id: str  # name of the coordinate frame of the content, mostly the camera's optical frame; may be empty
 
 
 @dataclass(frozen=True)
 class OutputMessage:
-    """A message to publish and to record.
-
-    Attributes:
-        stamp_ns: `header.stamp` in ns.
-    """
+    """A message to publish and to record."""
 
     topic: str
     type: str
-    stamp_ns: int
+    stamp_ns: int  # `header.stamp` in ns
     data: bytes
 
 

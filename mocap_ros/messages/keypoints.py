@@ -30,18 +30,13 @@ KEYPOINTS = MOCAP_ROS_MSGS + 'Keypoints2DArray'
 
 @dataclass(frozen=True, eq=False)
 class KeypointsFrame:
-    """The people in one image.
-
-    Attributes:
-        image_width: px, 0 where unknown.
-        image_height: px, 0 where unknown.
-        without_keypoints: number of detections of people without keypoints; models that find boxes have no others.
-    """
+    """The people in one image."""
 
     header: Header
-    image_width: int
-    image_height: int
+    image_width: int  # px, 0 where unknown
+    image_height: int  # px, 0 where unknown
     people: tuple[Person2D, ...]
+    # Number of detections of people without keypoints; models that find boxes have no others
     without_keypoints: int = 0
 
 

@@ -67,24 +67,16 @@ UNCERTAIN_STYLE = MarkerStyle(0.0, 0.35)  # of people who are predicted or tenta
 
 
 class Marker(NamedTuple):
-    """A visualization_msgs/Marker; the fields that are not here are zero or empty.
+    """A visualization_msgs/Marker; the fields that are not here are zero or empty."""
 
-    Attributes:
-        namespace: text before the number; both together are the name of the marker.
-        scale: (3,) m.
-        points: (P, 3) m.
-        colors: (P, 4) of each point; None where they have the colour of the whole.
-        pose: (7,) position in m, and the quaternion x, y, z, w.
-    """
-
-    namespace: str
+    namespace: str  # text before the number; both together are the name of the marker
     number: int
     type: int = 0
-    scale: ArrayLike | None = None
+    scale: ArrayLike | None = None  # (3,) m
     color: ArrayLike | None = None
-    points: Array | None = None
-    colors: Colors | None = None
-    pose: ArrayLike = SAME_POSE
+    points: Array | None = None  # (P, 3) m
+    colors: Colors | None = None  # (P, 4) of each point; None where they have the colour of the whole
+    pose: ArrayLike = SAME_POSE  # (7,) position in m, and the quaternion x, y, z, w
     action: int = ADD
 
 

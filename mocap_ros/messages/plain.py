@@ -35,14 +35,11 @@ _PADDING = tuple(bytes(count) for count in range(8))
 
 
 class _Codec(NamedTuple):
-    """How a field of a kind is written and read.
+    """How a field of a kind is written and read."""
 
-    Attributes:
-        write: appends a value, or where it is None the default, to the fields before; little endian.
-        read: reads a value; takes the bytes and its offset, and returns the value and the offset of the next.
-    """
-
+    # Appends a value, or where it is None the default, to the fields before; little endian
     write: Callable[[bytearray, Any], None]
+    # Reads a value; takes the bytes and its offset, and returns the value and the offset of the next
     read: Callable[[bytes, int], tuple[Any, int]]
 
 

@@ -103,35 +103,22 @@ def encode_cameras(header: Header, people: Sequence[Person3D]) -> bytes:
 
 
 class RecordedPerson(NamedTuple):
-    """What is read of a Skeleton3D with J joints: units and shapes are those of the message.
-
-    Attributes:
-        joints: (J, 3) m, in the camera's optical frame.
-        std: (J,) m, standard deviations of the joints; NaN if unknown.
-        inferred: (J,) whether a joint was not seen; version 0.1 did not record it.
-        residual: px, RMS over the seen joints.
-        cadence: Hz; NaN for motions that are not periodic.
-        motion: number of the `MotionKind`.
-        scale: px/m, of the weak-perspective camera.
-        translation: (2,) px, of the weak-perspective camera.
-        root_covariance: (3, 3) m^2, in the camera's optical frame; zeros if unknown.
-        contact: (2,) probabilities that left and right foot stand; NaN if unknown.
-    """
+    """What is read of a Skeleton3D with J joints: units and shapes are those of the message."""
 
     id: str
     skeleton: Skeleton
-    joints: Array
-    std: NDArray[np.float32]
-    inferred: NDArray[np.bool_]
-    residual: float
-    cadence: float
-    motion: int
+    joints: Array  # (J, 3) m, in the camera's optical frame
+    std: NDArray[np.float32]  # (J,) m, standard deviations of the joints; NaN if unknown
+    inferred: NDArray[np.bool_]  # (J,) whether a joint was not seen; version 0.1 did not record it
+    residual: float  # px, RMS over the seen joints
+    cadence: float  # Hz; NaN for motions that are not periodic
+    motion: int  # number of the `MotionKind`
     predicted: bool
     tentative: bool
-    scale: float
-    translation: Array
-    root_covariance: Array
-    contact: Array
+    scale: float  # px/m, of the weak-perspective camera
+    translation: Array  # (2,) px, of the weak-perspective camera
+    root_covariance: Array  # (3, 3) m^2, in the camera's optical frame; zeros if unknown
+    contact: Array  # (2,) probabilities that left and right foot stand; NaN if unknown
 
 
 class RecordedSkeletons(NamedTuple):
@@ -202,11 +189,7 @@ class PredictedFrame(NamedTuple):
 
 
 def read_prediction_times(config: Config) -> tuple[float, ...]:
-    """Return the times in s for which the parameters ask for predictions; none if these are not published.
-
-    Raises:
-        ConfigError: `node.prediction_times` is not some times up to `MAX_TIME_S`, or there is a `tracker.lag`.
-    """
+    """Return the times in s for which the parameters ask for predictions; none if these are not published."""
     if not config.node.publish_predictions:
         return ()
     if config.tracker.lag > 0:

@@ -32,9 +32,7 @@ MAX_DEFINITION_CHARACTERS = 50_000  # of a type and those of its fields, parsed 
 def load_recorded_types(text: str, msgtype: str, *, is_idl: bool) -> Typestore:
     """Return the message types of a definition, from a bag, of a type and of the types of its fields.
 
-    Raises:
-        InputError: the definition is too long: a program is made of it.
-        Exception: the parser raises almost any exception for damaged text.
+    InputError if it is too long, as a program is made of it; the parser raises almost anything for damaged text.
     """
     if len(text) > MAX_DEFINITION_CHARACTERS:
         raise InputError(f'{len(text)} characters, more than {MAX_DEFINITION_CHARACTERS}')

@@ -211,11 +211,6 @@ def reconstruct_window(
 
     `observed` the person's joints, not lifted yet; `models` base poses by name, as in `reconstruct_sequence`;
     `config` parameters of the solver, `body_height` and `vertical` of `tracker` apply.
-
-    Raises:
-        InputError: No frame has four seen joints.
-        ModelError: The lifter that `solver.prior` names cannot be loaded.
-        ConfigError: The vertical that `tracker.vertical` gives is no unit vector.
     """
     return _reconstruct(observed, models, config)[0]
 

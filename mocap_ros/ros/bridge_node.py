@@ -30,11 +30,7 @@ START_PREDICTIONS = 'start mocap_node with -p node.publish_predictions:=true'
 
 
 class BridgeNode(ManagedNode):
-    """Lifecycle node that runs a `Bridge` while it is active.
-
-    Raises:
-        ConfigError: A parameter was given a value of another type.
-    """
+    """Lifecycle node that runs a `Bridge` while it is active."""
 
     def __init__(self) -> None:
         super().__init__(BRIDGE_NAME)

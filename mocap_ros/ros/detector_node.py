@@ -31,10 +31,6 @@ class DetectorNode(Node):
 
     Every image gives one message with the header of the image, also if no person is seen. Images that arrive while
     the detector works are dropped but for the newest.
-
-    Raises:
-        ConfigError: a parameter has a value that it cannot have.
-        ModelError: the model cannot be used.
     """
 
     def __init__(self) -> None:
@@ -83,11 +79,7 @@ class DetectorNode(Node):
         self._publisher.publish(self._versions.write(KEYPOINTS, encode_keypoints(header, size, people)))
 
     def _follow_time(self, stamp_ns: int) -> None:
-        """Note the stamp of the next image; where the time goes back, a new video begins, and a new detector.
-
-        Raises:
-            InputError: the stamp is that of the image before.
-        """
+        """Note the stamp of the next image; where the time goes back, a new video begins, and a new detector."""
         if stamp_ns == self._last_ns:
             raise InputError('header.stamp: that of the image before; it must increase')
         if stamp_ns < self._last_ns:

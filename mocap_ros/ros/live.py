@@ -159,11 +159,7 @@ class LiveRun:
         return recording.failure if recording else self._start_failure
 
     def start_recording(self) -> Path:
-        """Reset the tracker, start a recording and return the folder of the bag.
-
-        Raises:
-            RecordingError: A recording is already running, or the folder cannot be written.
-        """
+        """Reset the tracker, start a recording and return the folder of the bag."""
         with self._pipeline_lock:
             if self._running:
                 raise RecordingError(f'a recording to {self._running.folder} is already running')
@@ -183,9 +179,6 @@ class LiveRun:
         """Finish the recording and return its folder, or None if no recording is running.
 
         If the disk is slow, the recording is finished after the return, and its end is logged.
-
-        Raises:
-            RecordingError: The recording could not be finished; this has been logged.
         """
         with self._pipeline_lock:
             recording, self._recording, self._start_failure = self._running, None, ''

@@ -49,9 +49,6 @@ class Recording:
     Attributes:
         folder: Folder of the bag.
         failure: Why the recording has ended by itself; empty while it runs.
-
-    Raises:
-        RecordingError: The folder cannot be written.
     """
 
     def __init__(
@@ -101,11 +98,7 @@ class Recording:
             self._stalled_s = 0.0
 
     def finish(self) -> None:
-        """Finish the recording, which waits for the disk, and log how it ends.
-
-        Raises:
-            RecordingError: The recording could not be finished; this has been logged.
-        """
+        """Finish the recording, which waits for the disk, and log how it ends."""
         self._put(self._journal.make_lost_records())
         if self.failure:
             raise RecordingError(self.failure)

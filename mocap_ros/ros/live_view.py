@@ -115,11 +115,7 @@ class LiveView(Node):
 
 
 def serve(port: int, namespace: str, announce: Callable[[str], None]) -> None:
-    """Serve the page of the topics in a namespace until interrupted; `announce` gets the line with the address.
-
-    Raises:
-        MocapError: the port is taken, the namespace is not valid, or a message type is not installed.
-    """
+    """Serve the page of the topics in a namespace until interrupted; `announce` gets the line with the address."""
     scene = LiveScene('Live')
     rclpy.init(args=[])
     try:

@@ -27,11 +27,7 @@ MSG_FILE_NAMES = {'boolean': 'bool', 'octet': 'byte', 'float': 'float32', 'doubl
 
 
 def load_interface_class(kind: str) -> Any:
-    """Import the class of a message or service type such as `sensor_msgs/msg/CameraInfo`.
-
-    Raises:
-        ConfigError: The package of the type is not installed or does not contain the type.
-    """
+    """Import the class of a message or service type such as `sensor_msgs/msg/CameraInfo`."""
     if not TYPE_NAME.fullmatch(kind):  # names in bags are anybody's, and the import below runs a module
         raise ConfigError(f'{format_value(kind)} is not the name of a type')
     module, _, name = kind.rpartition('/')
@@ -54,11 +50,7 @@ class MessageVersions:
         self.definitions: dict[str, TypeDefinition] = {}
 
     def add_input(self, kind: str) -> None:
-        """Add a type of messages to receive.
-
-        Raises:
-            ConfigError: The type is not installed, or the definitions of its fields cannot be parsed.
-        """
+        """Add a type of messages to receive."""
         installed = self._load_if_different(kind)
         if installed is not None:
             self._readers[kind] = convert_or_keep(
@@ -66,12 +58,7 @@ class MessageVersions:
             )
 
     def add_output(self, kind: str) -> list[str]:
-        """Add a type of messages to publish; return the fields that they lose, which the installed type lacks.
-
-        Raises:
-            ConfigError: The type is not installed, the definitions of its fields cannot be parsed, or the
-                installed version cannot hold the content of this package's messages.
-        """
+        """Add a type of messages to publish; return the fields that they lose, which the installed type lacks."""
         installed = self._load_if_different(kind)
         if installed is None:
             return []
@@ -108,11 +95,7 @@ class MessageVersions:
 
 
 def load_installed_types(kind: str) -> Typestore:
-    """Return the installed versions of a message type and of all types that it contains.
-
-    Raises:
-        ConfigError: The type is not installed, or the definitions of its fields cannot be parsed.
-    """
+    """Return the installed versions of a message type and of all types that it contains."""
     store = get_typestore(Stores.EMPTY)
     try:
         for name, text in _interface_definitions(kind, set()):

@@ -41,11 +41,7 @@ SILENCE_CHECK_PERIOD_S = 0.5  # s; bounds the delay of the warning that no input
 
 
 class MocapNode(ManagedNode):
-    """Lifecycle node that runs a `LiveRun` while it is active.
-
-    Raises:
-        ConfigError: A parameter was given a value that it cannot have.
-    """
+    """Lifecycle node that runs a `LiveRun` while it is active."""
 
     def __init__(self) -> None:
         super().__init__(MOCAP_NAME)

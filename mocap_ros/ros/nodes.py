@@ -118,9 +118,6 @@ def run_node(arguments: Sequence[str], node_class: Callable[[], Any]) -> None:
     Args:
         arguments: Arguments of the command line, which rclpy parses.
         node_class: Class of the node, with methods `start` and `close`.
-
-    Raises:
-        MocapError: An argument or a parameter is wrong, or the node cannot use a file.
     """
     stop = threading.Event()
 

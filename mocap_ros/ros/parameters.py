@@ -27,9 +27,6 @@ def declare_parameters(node: Node, declared: Sequence[Parameter], listed_by: str
         node: The node.
         declared: The parameters.
         listed_by: Command that lists them.
-
-    Raises:
-        ConfigError: A parameter was given a value that it cannot have; the error names the parameter.
     """
     try:
         values = {

@@ -90,11 +90,7 @@ class Player:
         progress: ProgressWrapper = lambda messages, _: messages,
         announce: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """Publish all messages once, or repeatedly until interrupted; `announce` gets a line when it waits.
-
-        Raises:
-            MocapError: No subscriber appeared in time, or all topics were skipped.
-        """
+        """Publish all messages once, or repeatedly until interrupted; `announce` gets a line when it waits."""
         context = rclpy.Context()
         rclpy.init(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)
         node = rclpy.create_node('mocap_player', context=context)

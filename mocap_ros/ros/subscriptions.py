@@ -77,9 +77,6 @@ class InputSubscriptions:
 
     Attributes:
         types: Message type of each source; without transforms whose type is not installed.
-
-    Raises:
-        ConfigError: The type is not supported or not installed.
     """
 
     def __init__(

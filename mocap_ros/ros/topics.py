@@ -83,11 +83,7 @@ class Publishers(dict[str, Any]):
         self._node, self._versions = node, versions
 
     def add(self, topic: str, msgtype: str, qos: QoSProfile, *, is_active: bool = False) -> None:
-        """Create a publisher; `is_active` says that the node is active already.
-
-        Raises:
-            ConfigError: The type is not installed, or its installed version cannot hold the outputs.
-        """
+        """Create a publisher; `is_active` says that the node is active already."""
         if left_out := self._versions.add_output(msgtype):
             self._node.get_logger().warning(
                 f'{topic}: the installed version of {msgtype} has no field {", ".join(left_out)}; '
@@ -100,11 +96,7 @@ class Publishers(dict[str, Any]):
             self[topic].on_activate(None)
 
     def add_if_installed(self, topic: str, msgtype: str, qos: QoSProfile, consequence: str) -> bool:
-        """Create a publisher, or log that the type is not installed and a consequence; return whether it is.
-
-        Raises:
-            ConfigError: The installed version of the type cannot hold the outputs.
-        """
+        """Create a publisher, or log that the type is not installed and a consequence; return whether it is."""
         try:
             load_interface_class(msgtype)
         except ConfigError as error:

@@ -29,12 +29,7 @@ NO_PERSON_SEEN = 'no person is seen in any image'
 
 
 def detect_people(detector: Detector, image: Image, time_s: float) -> list[Person2D]:
-    """Return the people whom a detector finds in the next image (H, W, 3).
-
-    Raises:
-        InputError: the detector's keypoints are of no known layout, or not valid.
-        ModelError: the detector failed.
-    """
+    """Return the people whom a detector finds in the next image (H, W, 3)."""
     return [create_person(keypoints) for keypoints in detector.detect(image, time_s)]
 
 
@@ -56,11 +51,6 @@ def detect_in_video(
         show_progress: function that shows progress, and that may end a camera's images.
         is_camera: whether `path` is a camera.
         is_interrupted: returns whether to end while a camera gives no image.
-
-    Raises:
-        InputError: the video cannot be decoded, is too long, or shows no person; the error names it.
-        ModelError: the model cannot be used; the error names it.
-        Both end the images of a camera instead, which cannot be shown again, once a person was detected.
     """
     people: list[Sequence[Person2D]] = []
     stamps_ns: list[int] = []
@@ -100,11 +90,7 @@ def detect_in_video(
 
 
 def _check_image(path: Path, item: VideoImage, count: int, size: tuple[int, int]) -> tuple[int, int]:
-    """Return the size in px of an image, the next after `count` images of the given size.
-
-    Raises:
-        InputError: the size of the images changes, or there are more than `MAX_FRAMES`; the error names the video.
-    """
+    """Return the size in px of an image, the next after `count` images of the given size."""
     found = item.image.shape[1], item.image.shape[0]
     if count and found != size:
         raise InputError(

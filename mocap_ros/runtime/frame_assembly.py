@@ -63,10 +63,6 @@ class FrameAssembler:
             node: Type of the keypoint messages, and limits on the content of a message.
             size: px, of images whose messages do not state it; 0 where unknown.
             restart_after: s; a stamp that is earlier than that of the current image by more begins a sequence.
-
-        Raises:
-            InputError: The message cannot be used; the error names the field.
-            FrameDropped: The body came too late, after its image was complete, or its image already has this body.
         """
         if source is Source.KEYPOINTS:
             return [decode_frame(raw, node.input_type, node, size)]

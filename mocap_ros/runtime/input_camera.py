@@ -51,9 +51,6 @@ class InputCamera:
 
     def add_calibration(self, given: Calibration) -> None:
         """Use a CameraInfo for all following images, unless only the one in use is calibrated, for the same size.
-
-        Raises:
-            InputError: It is of another camera than the images, whose own is known.
         """
         name, held, other = self.name, self.calibration, given.info.frame_id
         if held and name and held.info.frame_id == name and other not in ('', name):
@@ -70,9 +67,6 @@ class InputCamera:
 
         A message without a `frame_id` is of the camera in use. The CameraInfo in use is used for another camera as
         well, unless it is of the camera that is replaced.
-
-        Raises:
-            InputError: Two cameras send in turn.
         """
         name, held = header.frame_id, self.calibration
         if not self.name or name in ('', self.name):
@@ -106,11 +100,7 @@ class CalibrationWait:
         self._source: FocalSource | None = None
 
     def is_waiting(self, stamp_ns: int, wait_s: float) -> bool:
-        """Return whether an image is left out, for which there is no CameraInfo yet.
-
-        Raises:
-            FrameDropped: The stamp repeats that of the image before, so that no time passes by the stamps.
-        """
+        """Return whether an image is left out, for which there is no CameraInfo yet."""
         if self._source is not None:
             return False
         if stamp_ns == self._last_ns:

@@ -98,9 +98,6 @@ def require_kind(path: Path, accepted: Collection[InputKind], formats: str) -> I
         path: The input.
         accepted: The kinds that the command reads.
         formats: What the command reads, in words.
-
-    Raises:
-        InputError: The input is of another kind; the error names the path, its kind, and what to do.
     """
     kind = find_input_kind(path)
     if kind in accepted:

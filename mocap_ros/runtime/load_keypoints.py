@@ -82,10 +82,6 @@ def load_input(path: Path, options: InputOptions) -> tuple[KeypointSequence, lis
 
     Returns:
         The sequence, and lines to print about the chosen person, skipped messages and assumptions.
-
-    Raises:
-        InputError: The file has none of these formats or is damaged, or an option does not apply to it; the error
-            names the place.
     """
     kind, options = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS), _add_lens(options)
     _refuse_options(path, kind, options)
@@ -135,12 +131,7 @@ def _add_lens(options: InputOptions) -> InputOptions:
 def _finish(
     path: Path, kind: InputKind, sequences: list[KeypointSequence], video: Video, lines: Iterable[str]
 ) -> tuple[list[KeypointSequence], list[str]]:
-    """Return sequences of one camera with its focal length, and all lines to print, which name the input.
-
-    Raises:
-        InputError: Width and height of the image look exchanged, where no sequence file states them; or the focal
-            length is none in px.
-    """
+    """Return sequences of one camera with its focal length, and all lines to print, which name the input."""
     size, outside = sequences[0].image_size, ''
     with naming(path):
         with naming('--image-size' if size == video.image_size else 'image size'):
@@ -201,9 +192,6 @@ def give_focal_length(sequences: list[KeypointSequence], video: Video) -> tuple[
     """Return the sequences of a camera with the focal length of `video` or, if they have another, with a line.
 
     The principal point is then in the middle of the image, and the lens has no distortion.
-
-    Raises:
-        InputError: the focal length of `video` is none in px.
     """
     width, height = sequences[0].image_size
     focal = video.find_focal_length(width)
@@ -216,11 +204,7 @@ def give_focal_length(sequences: list[KeypointSequence], video: Video) -> tuple[
 
 
 def load_sequence_file(path: str | Path) -> KeypointSequence:
-    """Load a sequence file; refuse anything else with an error that says what it is and what was expected.
-
-    Raises:
-        InputError: The path is something else, or not a valid sequence file; the error names the place.
-    """
+    """Load a sequence file; refuse anything else with an error that says what it is and what was expected."""
     require_kind(Path(path), [InputKind.SEQUENCE], 'a sequence file (.npz)')
     return load_sequence(path)
 
@@ -234,10 +218,6 @@ def load_bag(
     the clock goes back, its longest run counts; the first CameraInfo applies to the whole bag; all images have the
     size that most of them state; only images of the camera (`frame_id`) of the first image count; and images that
     the recorded run skipped count too.
-
-    Raises:
-        InputError: The path is no bag, or the bag has no keypoints that can be used; the error names the first
-            reason.
     """
     with Bag(path) as bag:
         topics = find_people_topics(bag, topic)
@@ -356,9 +336,6 @@ def find_camera(
     Returns:
         The CameraInfo, else the first of which more than the others can be used, or None if there is none; and why
         it is not the first, or what of it is not used, or an empty text.
-
-    Raises:
-        InputError: There is no such topic, or several topics share equally much of the namespace.
     """
     topic = bag.find_camera_info_topic(keypoints_topic, camera_info)
     found: CameraInfo | None = None

@@ -47,11 +47,7 @@ class RecordedPeople:
 
 
 def holds_result(path: Path) -> bool:
-    """Return whether a path is a result file, or a bag in which there are skeletons.
-
-    Raises:
-        InputError: the path is a bag that cannot be read.
-    """
+    """Return whether a path is a result file, or a bag in which there are skeletons."""
     if is_bag(path):
         with Bag(path) as bag:
             return bool(bag.topics_of_type([SKELETONS]))
@@ -77,10 +73,6 @@ def load_result(path: Path, person: str | None = None) -> tuple[StoredResult, st
     Returns:
         The reconstruction, with a frame for each message of a bag, and the id of the person, which is empty for a
         result file.
-
-    Raises:
-        InputError: The file or bag holds no reconstruction or no skeleton, is damaged, or has no person of that
-            id; the error names the place.
     """
     if not is_bag(path):
         if person is not None:

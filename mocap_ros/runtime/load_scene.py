@@ -96,9 +96,6 @@ def load_scene(
     Returns:
         The scene, lines for the user about people and messages that were left out, and what a reconstruction rests
         on; None for a result.
-
-    Raises:
-        InputError: the input is of no known format, is damaged or shows no person; the error names where.
     """
     kind = require_kind(path, VIEWED_KINDS, VIEWED_FORMATS)
     try:
@@ -129,11 +126,7 @@ def _reconstruct_people(
     report: Report,
     lines: list[str],
 ) -> tuple[Scene, Summary]:
-    """Return the scene of some people, and what they rest on; `lines` gets one for each who fails.
-
-    Raises:
-        InputError: no person can be reconstructed.
-    """
+    """Return the scene of some people, and what they rest on; `lines` gets one for each who fails."""
     config = options.config
     stamps = np.unique(np.concatenate([sequence.stamps_ns for sequence in sequences]))
     intrinsics = sequences[0].intrinsics(config.tracker.nominal_focal_length)
@@ -314,11 +307,7 @@ def _load_bag_scene(path: Path, options: SceneOptions, report: Report) -> tuple[
 def _build_bag_scene(
     recorded: RecordedPeople, person_id: str | None, detections: Detections, drops: Sequence[tuple[int, str]]
 ) -> Scene:
-    """Return the scene of recorded people, or of one; `drops` are stamps in ns and reasons.
-
-    Raises:
-        InputError: no person is in any message, or the skeletons' cameras are not valid.
-    """
+    """Return the scene of recorded people, or of one; `drops` are stamps in ns and reasons."""
     by_id, skeleton = recorded.by_id, recorded.skeleton
     if person_id is not None:
         by_id = {person_id: by_id[person_id]} if person_id in by_id else {}

@@ -39,10 +39,6 @@ class OutputFrame:
 
     Attributes:
         transforms: All coordinate frames of /tf and /tf_static.
-
-    Raises:
-        ConfigError: `node.output_frame` begins with a slash; `node.camera_pose` is not a pose, `node.floor_height`
-            no number or above the camera, or either is given without `node.output_frame`.
     """
 
     def __init__(self, node: NodeConfig) -> None:

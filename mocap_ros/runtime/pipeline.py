@@ -119,12 +119,6 @@ class Pipeline:
         people: People in the outputs of the last accepted image, in the camera's optical frame.
         checks: What seems to be wrong with the input, as of that image.
         summary: What the people rest on, and whether the input is sound, since the pipeline was created or reset.
-
-    Raises:
-        ConfigError: The camera or the floor in the output frame are wrong (`OutputFrame`), `node.hfov` and
-            `node.focal` are both given, `node.prediction_times` are no times up to a second, or people are to be
-            predicted with `tracker.lag`.
-        ModelError: The base poses cannot be loaded.
     """
 
     def __init__(
@@ -222,11 +216,7 @@ class Pipeline:
         return ProcessingResult(Verdict.BACKLOG, BACKLOG_REASON)
 
     def set_camera_info(self, raw: bytes) -> None:
-        """Use a sensor_msgs/CameraInfo for all following images.
-
-        Raises:
-            InputError: The message cannot be used, or is of another camera than the images, whose own is known.
-        """
+        """Use a sensor_msgs/CameraInfo for all following images."""
         info = decode_camera_info(raw, rectified=self.config.node.rectified_input)
         self._camera.add_calibration(Calibration(info, raw))
 
@@ -250,12 +240,7 @@ class Pipeline:
         return self._outputs.encode_clear(self.output_header)
 
     def reconfigure(self, config: Config) -> bool:
-        """Use other parameters; return whether the tracker had to be restarted for them.
-
-        Raises:
-            MocapError: The parameters cannot be used together, or a file that they name cannot be loaded; nothing
-                has changed.
-        """
+        """Use other parameters; return whether the tracker had to be restarted for them."""
         tracker = self.check(config)
         self.config = config
         if tracker is None:
@@ -274,12 +259,7 @@ class Pipeline:
         return tracker
 
     def _decode_frames(self, source: Source, raw: bytes, topic: str) -> list[KeypointsFrame]:
-        """Decode a message and return the images that it completes.
-
-        Raises:
-            InputError: The message cannot be used; the error names the field.
-            FrameDropped: The image of the message was already complete.
-        """
+        """Decode a message and return the images that it completes."""
         if source is Source.CAMERA_INFO:
             self.set_camera_info(raw)
             return []

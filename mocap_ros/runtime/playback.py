@@ -74,9 +74,6 @@ class Playback:
     Attributes:
         topics: the topics to publish.
         count: number of messages.
-
-    Raises:
-        InputError: the file is neither a bag nor a sequence file, or it is damaged.
     """
 
     def __init__(

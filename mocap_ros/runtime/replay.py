@@ -99,11 +99,6 @@ def replay(
         out: Folder of the new bag.
         options: Parameters and topics.
         progress: Function that shows progress.
-
-    Raises:
-        InputError: The bag cannot be used.
-        ConfigError: A parameter of the options is unknown, or its value is wrong.
-        RecordingError: The new bag already exists or cannot be written.
     """
     partial = choose_partial_path(out)
     if partial.exists():

@@ -80,13 +80,7 @@ class ReconstructedSequence:
 
 
 def save(path: Path, reconstruction: ReconstructedSequence) -> None:
-    """Write a reconstruction; the suffix of `path`, one of `SUFFIXES`, selects the format.
-
-    Raises:
-        InputError: The frames are too far apart in time, or too close, for a format with a constant frame rate.
-        RecordingError: A bag cannot be written.
-        OSError: A file of another format, or a temporary folder beside the bag, cannot be written.
-    """
+    """Write a reconstruction; the suffix of `path`, one of `SUFFIXES`, selects the format."""
     WRITERS[find_suffix(path)](path, reconstruction)
 
 
@@ -155,11 +149,7 @@ def _write_table(path: Path, columns: Iterable[str], times: Array, rows: Array) 
 
 
 def save_detections(path: Path, detections: Detections) -> None:
-    """Write the keypoints of all people as a bag of `/keypoints`, in a single .mcap file.
-
-    Raises:
-        RecordingError: The bag cannot be written.
-    """
+    """Write the keypoints of all people as a bag of `/keypoints`, in a single .mcap file."""
     with _record_file(path) as recorder:
         for stamp, people in zip(detections.stamps_ns, detections.people, strict=True):
             header = Header(stamp, detections.frame_id or DEFAULT_FRAME_ID)
@@ -169,11 +159,7 @@ def save_detections(path: Path, detections: Detections) -> None:
 
 @contextmanager
 def _record_file(path: Path) -> Iterator[Recorder]:
-    """Write a bag into a single .mcap file, which is there when it is complete.
-
-    Raises:
-        RecordingError: The bag cannot be written.
-    """
+    """Write a bag into a single .mcap file, which is there when it is complete."""
     with TemporaryDirectory(dir=path.parent, prefix='.mocap_ros_') as folder:
         bag = Path(folder) / 'bag'
         try:

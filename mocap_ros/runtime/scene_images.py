@@ -29,10 +29,6 @@ def read_images(path: Path, limits: NodeConfig, topic: str | None, notes: list[s
         limits: limits on the length of a text in a message.
         topic: topic of the keypoints in a bag, to choose among several cameras.
         notes: gets a line about images that cannot be decoded.
-
-    Raises:
-        InputError: the video or the bag cannot be read; the error names it.
-        MocapError: PyAV, which decodes videos, is not installed.
     """
     kind = find_input_kind(path)
     if kind is InputKind.VIDEO:

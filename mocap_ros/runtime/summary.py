@@ -71,36 +71,22 @@ WORDS = {
 
 @dataclass(frozen=True)
 class Summary:
-    """What a reconstruction rests on.
-
-    Attributes:
-        people: number of people.
-        frames: number of images.
-        seen: 1, share of the detector's points that were seen, in images with people; NaN without any.
-        residual_px: px, mean RMS reprojection error; NaN if unknown.
-        residual_share: 1, the same over the height of the body in the image.
-        distance_m: m, distance along the optical axis, the median over joints and frames, or live the mean of the
-            first joint; NaN if unknown.
-        focal_px: px, focal length; NaN if unknown.
-        focal_source: `known` by a calibration, `given` by the user, `from the video`, or `nominal`.
-        vertical: `given`, `found`, `uncertain` or `none`.
-        vertical_std_deg: degrees, standard deviation of the vertical; NaN if there is none.
-        grade: `good`, `doubtful` or `wrong`; `not judged` if too little was seen.
-        reason: why the grade is not good, in words.
-    """
+    """What a reconstruction rests on."""
 
     people: int
     frames: int
-    seen: float
-    residual_px: float
-    residual_share: float
+    seen: float  # 1, share of the detector's points that were seen, in images with people; NaN without any
+    residual_px: float  # px, mean RMS reprojection error; NaN if unknown
+    residual_share: float  # 1, the same over the height of the body in the image
+    # m, distance along the optical axis, the median over joints and frames, or live the mean of the first joint;
+    # NaN if unknown
     distance_m: float
-    focal_px: float
-    focal_source: str
-    vertical: str
-    vertical_std_deg: float
-    grade: str
-    reason: str = ''
+    focal_px: float  # px, focal length; NaN if unknown
+    focal_source: str  # `known` by a calibration, `given` by the user, `from the video`, or `nominal`
+    vertical: str  # `given`, `found`, `uncertain` or `none`
+    vertical_std_deg: float  # degrees, standard deviation of the vertical; NaN if there is none
+    grade: str  # `good`, `doubtful` or `wrong`; `not judged` if too little was seen
+    reason: str = ''  # why the grade is not good, in words
 
     @property
     def is_wrong(self) -> bool:

@@ -49,9 +49,6 @@ def reconstruct_people(
     """Reconstruct the people of a recording, who share the floor; one who fails does not stop the others.
 
     Returns those who were reconstructed, and a line for each of the others.
-
-    Raises:
-        InputError: no person can be reconstructed.
     """
     found: list[Reconstructed] = []
     left_out: list[str] = []

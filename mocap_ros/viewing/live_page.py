@@ -157,9 +157,6 @@ class PageServer(ThreadingHTTPServer):
 
     Attributes:
         address: the address of the page.
-
-    Raises:
-        MocapError: the port is taken.
     """
 
     daemon_threads = True

@@ -238,23 +238,14 @@ def draw_corpus_figure(
 
 
 def check_picture_format(path: Path, *others: str) -> None:
-    """Check that the suffix of a path names a picture format that can be written.
-
-    Raises:
-        InputError: It does not; the message lists `others`, which are further formats, and the picture formats.
-    """
+    """Check that the suffix of a path names a picture format that can be written."""
     formats = [f'.{name}' for name in sorted(FigureCanvasAgg.get_supported_filetypes().keys() - FORMATS_OF_OTHERS)]
     if path.suffix.lower() not in formats:
         raise InputError(f'{path}: unknown file type; expected {", ".join([*others, *formats])}')
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure in the picture format that the suffix of `path` names.
-
-    Raises:
-        InputError: The suffix names no picture format.
-        OSError: The file cannot be written.
-    """
+    """Write a figure in the picture format that the suffix of `path` names."""
     check_picture_format(path)
     with warnings.catch_warnings():
         # a title may hold a file name in any script, and the font may lack its glyphs

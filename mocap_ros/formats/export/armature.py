@@ -52,22 +52,18 @@ FORWARD = (0.0, 0.0, 1.0)
 
 
 class _Bone(NamedTuple):
-    """A bone of the armature.
-
-    Attributes:
-        start: joint of the model at which the bone starts. If its parent starts at the same joint, the bone starts
-            `SHORT_BONE_M` from there, in its direction in the T-pose, and this point rotates with the parent.
-        end: joint of the model at which the bone ends, empty for a bone of the length `SHORT_BONE_M`. Such a bone
-            rotates with its branches if it is in `BRANCHES`, else with its parent.
-        segment: core joint about which the segment of this bone turns; empty for a bone without a segment.
-    """
+    """A bone of the armature."""
 
     name: str
     parent: str
+    # Joint of the model at which the bone starts. If its parent starts at the same joint, the bone starts
+    # `SHORT_BONE_M` from there, in its direction in the T-pose, and this point rotates with the parent
     start: str
+    # Joint of the model at which the bone ends, empty for a bone of the length `SHORT_BONE_M`. Such a bone rotates
+    # with its branches if it is in `BRANCHES`, else with its parent
     end: str = ''
     rest: Direction = UP
-    segment: str = ''
+    segment: str = ''  # core joint about which the segment of this bone turns; empty for a bone without a segment
 
 
 CHEST = 'chest'  # no joint of the model: the middle between pelvis and neck

@@ -36,17 +36,11 @@ MAX_SKELETON_BYTES = 1 << 20  # guards the memory that bones take; the CMU datab
 
 
 class _Bone(NamedTuple):
-    """A bone, or the root.
+    """A bone, or the root."""
 
-    Attributes:
-        offset: (3,) vector from the start to the end of the bone in the rest pose; position of the root.
-        axes: rotation of the axes about which the bone rotates.
-        freedom: names of the degrees of freedom, in the order of their values in the motion.
-    """
-
-    offset: Array
-    axes: Rotation
-    freedom: tuple[str, ...]
+    offset: Array  # (3,) vector from the start to the end of the bone in the rest pose; position of the root
+    axes: Rotation  # rotation of the axes about which the bone rotates
+    freedom: tuple[str, ...]  # names of the degrees of freedom, in the order of their values in the motion
 
 
 def load_amc(motion: Path, skeleton: Path) -> dict[str, Array]:

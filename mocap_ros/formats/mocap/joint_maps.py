@@ -123,12 +123,7 @@ def _list_names(names: Mapping[str, Array]) -> str:
 
 
 def load_marker_map(path: Path) -> MarkerMap:
-    """Read a map from a YAML file: for each joint of the model, a name, or a list of names whose mean it is.
-
-    Raises:
-        InputError: the file is not such a map; the error names the joint.
-        ConfigError: the file is not YAML.
-    """
+    """Read a map from a YAML file: for each joint of the model, a name, or a list of names whose mean it is."""
     content = load_yaml(read_text(path, max_bytes=MAX_MAP_BYTES), str(path))
     if not isinstance(content, dict):
         raise InputError(f'{path}: expected joint: [marker, ...]')

@@ -43,22 +43,14 @@ Manifest = Mapping[str, Mapping[str, str]]
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One motion-capture recording.
+    """One motion-capture recording."""
 
-    Attributes:
-        name: name of the trial, such as `35_02`.
-        subject: name of the person who moved.
-        category: category of motion, such as walk, run or jump; empty if unknown.
-        clean: False where the manifest counts glitches in the recording.
-        poses: (F, J, 3) m, z up, joints in the order of `skeleton.CMU15`.
-        extremities: (F, 11, 3) m, the other joints of `skeleton.BODY26`; None where the file lacks one.
-    """
-
-    name: str
-    subject: str
-    category: str
-    clean: bool
-    poses: Array
+    name: str  # such as `35_02`
+    subject: str  # who moved
+    category: str  # category of motion, such as walk, run or jump; empty if unknown
+    clean: bool  # False where the manifest counts glitches in the recording
+    poses: Array  # (F, J, 3) m, z up, joints in the order of `skeleton.CMU15`
+    # (F, 11, 3) m, the other joints of `skeleton.BODY26`; None where the file lacks one
     extremities: Array | None = None
 
     def take_every(self, step: int) -> Trial:
@@ -74,21 +66,17 @@ class Trial:
 
 @dataclass(frozen=True)
 class TrialOptions:
-    """How trials are read, where the files do not say it.
+    """How trials are read, where the files do not say it."""
 
-    Attributes:
-        manifest: path of a CSV file with the columns trial, subject, category and interior_glitches; by default
-            `MANIFEST_NAME` beside the files, if it exists.
-        markers: names of the joints or markers whose mean is each joint of the model; None for a known rig.
-        unit: unit of length in m; by default the unit that the file names, or that gives a plausible body height;
-            of an .npz archive, mm.
-        every: step between the frames that are taken.
-    """
-
+    # Path of a CSV file with the columns trial, subject, category and interior_glitches; by default
+    # `MANIFEST_NAME` beside the files, if it exists
     manifest: Path | None = None
+    # Names of the joints or markers whose mean is each joint of the model; None for a known rig
     markers: MarkerMap | None = None
+    # Unit of length in m; by default the unit that the file names, or that gives a plausible body height; of an
+    # .npz archive, mm
     unit: float | None = None
-    every: int = 1
+    every: int = 1  # step between the frames that are taken
 
 
 DEFAULT_OPTIONS = TrialOptions()

@@ -80,9 +80,6 @@ def align_motion(motion: Array, points: Array, weight: Array, times: Array, foca
     Rotations have a prior of `ROTATION_STD` around none. Scales are low-passed, and with the translation
     interpolated over frames of fewer than three seen joints. Points (F, J, 2) and `focal`, which may be infinite,
     are in px.
-
-    Raises:
-        InputError: No frame has three seen joints.
     """
     joints = motion - motion.mean(axis=1, keepdims=True)
     frames = np.flatnonzero((weight > 0).sum(axis=1) >= MIN_ALIGNMENT_JOINTS)

@@ -51,9 +51,6 @@ def propose_poses(
 
     Returns the name of the base poses used, and (F, J, 3) of any size in the virtual camera's axes, NaN in other
     frames.
-
-    Raises:
-        InputError: No frame gives a pose.
     """
     if config.keyframes.poses == 'lifter':
         category, poses = next(iter(models)), propose_lifted_poses(observed, config.solver.prior)
@@ -117,9 +114,6 @@ def estimate_limb_lengths(poses: Array, body_height: float) -> Array:
     """Estimate limb lengths (B,) in m from proposed poses: their median proportions, at the stature given.
 
     `poses` (F, J, 3) any size, NaN in frames without a pose; `body_height` m, stature.
-
-    Raises:
-        InputError: All joints are in one place in every frame.
     """
     lengths = CMU15.bone_lengths(poses)
     has_size = np.nan_to_num(lengths).sum(axis=1) > MIN_BODY_SIZE
@@ -172,9 +166,6 @@ def apply_depth_choice(
     `choice` keyframe, and the limbs that point towards the camera; `key_directions` (K, B, 3) limb directions of
     each half's key poses, those of the keyframe are overwritten; `lengths` (B,) m, limb lengths of the whole
     skeleton.
-
-    Raises:
-        InputError: There is no such keyframe, or Taylor's method fails for it; the message names the choice.
     """
     half_index = HALF_NAMES.index(choice.half)
     half_keyframes, half_directions = keyframes[half_index], key_directions[half_index]

@@ -123,12 +123,8 @@ def reconstruct(
     `skeleton.CMU15`; `choices` forward/backward choices for the keyframes whose key poses Taylor's method is to
     make; `progress` called with the name of each stage before it begins.
 
-    Raises:
-        SkeletonError: These names give too few of the model's joints.
-        InputError: No frame has four seen joints, all seen points lie in one place, no frame gives a 3D pose, the
-            times span more than `observed_window.MAX_SPAN_S`, or a choice does not fit the keyframes.
-        ModelError: The lifter that `solver.prior` names cannot be loaded.
-        ConfigError: The vertical that `tracker.vertical` gives is no unit vector.
+    Errors are those of `whole_sequence.reconstruct_without_floor`, and InputError where no frame gives a 3D pose or
+    a choice does not fit the keyframes.
     """
     parameters = config.keyframes
     observed = observe_shots(keypoints, joint_names, times, intrinsics, config.tracker)

@@ -54,10 +54,6 @@ def reconstruct_limbs(
 
     Vectors are from inner to outer joint, in the camera's axes. Without `scale`, px per unit of the lengths, it is
     the least that every limb allows; the outer joints `forward` are nearer to the camera.
-
-    Raises:
-        InputError: A joint, which is named, is not seen or is no outer joint of these limbs, or the scale is too
-            small.
     """
     outer = [CMU15.joints[child] for _, child in bones]
     for name in sorted(forward):
@@ -84,9 +80,6 @@ def reconstruct_limbs(
 
 def parse_depth_choices(tree: object, source: str) -> tuple[DepthChoice, ...]:
     """Parse the choices in a YAML tree of keyframes as `mocap-ros keyframes` writes it; `source` names the file.
-
-    Raises:
-        InputError: The file or an entry is malformed; the message names the entry.
     """
     entries = tree.get('keyframes') if isinstance(tree, Mapping) else None
     if not isinstance(entries, list) or len(entries) > MAX_ENTRIES:
