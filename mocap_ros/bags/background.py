@@ -42,11 +42,8 @@ def start_recorder(
 class BackgroundRecorder:
     """A `Recorder` that receives messages in batches, closes chunks every 0.1 s, and syncs the disk every 0.2 s.
 
-    Args:
-        definitions: Definitions of message types, by name, that differ from this package's.
-
-    Attributes:
-        refused_count: Number of the batches that `put` has refused.
+    `definitions` are those of message types that differ from this package's; `refused_count` is the number of the
+    batches that `put` has refused.
     """
 
     def __init__(
@@ -79,12 +76,9 @@ class BackgroundRecorder:
     def put(
         self, records: Iterable[RecordedMessage | Topic], *, even_if_full: bool = False, share: float = 1.0
     ) -> bool:
-        """Queue records to be written, all or none; return False where the queue is full.
+        """Queue messages, and topics before their first message, all or none; return False if the queue is full.
 
-        Args:
-            records: Messages to write, and topics to add before their first message.
-            even_if_full: Whether to queue the records even if as many wait as may.
-            share: Share of the queue that these records may fill together with others.
+        It is full for these where as many wait as this share of the queue, and never with `even_if_full`.
         """
         self.check()
         batch = tuple(records)

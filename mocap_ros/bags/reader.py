@@ -65,12 +65,9 @@ class Bag:
     version of the type, or is a ROS 1 bag, the messages are converted field by field. Bytes that are no message of
     their type are returned as they are; whoever decodes them reports them.
 
-    Args:
-        path: Folder with a metadata.yaml, or a .mcap, .db3 or .bag file. Bags in MCAP may be on another file
-            system, as an object with the methods of a path (`upath.UPath`).
-
-    Attributes:
-        duration_s: Time in s between the first and the last message.
+    The path is a folder with a metadata.yaml, or a .mcap, .db3 or .bag file. Bags in MCAP may be on another file
+    system, as an object with the methods of a path (`upath.UPath`). `duration_s` is the time between the first and
+    the last message.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -130,11 +127,9 @@ class Bag:
         return list(dict.fromkeys(c.topic for c in self._connections if self._types[c.id] in types and c.msgcount))
 
     def find_camera_info_topic(self, keypoints_topic: str, name: str | None = None) -> str | None:
-        """Return the CameraInfo topic that belongs to a keypoint topic, or None where the bag has none.
+        """Return the CameraInfo topic that shares most of the namespace of the keypoints, or the one of this name.
 
-        Args:
-            keypoints_topic: Keypoint topic; the CameraInfo with the longest common namespace is chosen.
-            name: CameraInfo topic to choose instead.
+        It is None where the bag has no CameraInfo.
         """
         candidates = self.topics_of_type([CAMERA_INFO])
         if name is not None:
@@ -154,11 +149,7 @@ class Bag:
     def messages(
         self, topics: Collection[str], start_ns: int | None = None, stop_ns: int | None = None
     ) -> Iterator[BagMessage]:
-        """Yield the messages of the topics in the order of their log times.
-
-        - `start_ns`: Log time before which messages are left out, in ns; None to begin with the first.
-        - `stop_ns`: Log time from which on messages are left out, in ns; None to end with the last.
-        """
+        """Yield the messages of the topics in the order of log times, from `start_ns` to before `stop_ns`."""
         connections = [c for c in self._connections if c.topic in topics]
         if not connections:
             return

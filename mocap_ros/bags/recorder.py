@@ -107,15 +107,9 @@ def choose_partial_path(out: Path) -> Path:
 class Recorder:
     """Writes one bag; a context manager that closes it.
 
-    Every method raises RecordingError if the disk is full or fails, or if the bag is closed.
-
-    Args:
-        name: Beginning of the file names; by default the name of the folder.
-        definitions: Definitions of message types, by name, that differ from this package's.
-        executor: Runs what waits for the disk; by default, the methods wait themselves.
-
-    Attributes:
-        ros_distro: Distribution of ROS 2 that the bag names; by default the one on which this program runs.
+    Every method raises RecordingError if the disk is full or fails, or if the bag is closed. Names of files begin
+    with `name`, by default that of the folder. `definitions` are those of message types that differ from this
+    package's. An `executor` runs what waits for the disk; by default, the methods wait themselves.
     """
 
     def __init__(

@@ -48,11 +48,8 @@ CLIENT_SETTINGS = {'distributed.comm.timeouts.connect': CONNECT_SECONDS}
 def connect(scheduler: str | None, workers: int | None = None, memory: str = 'auto') -> Iterator[Client]:
     """Provide a client of a scheduler, or of a cluster of this machine that ends with the context.
 
-    Args:
-        scheduler: address of a running scheduler, such as `tcp://host:8786`; None for a cluster of this machine.
-        workers: number of processes of the local cluster; None for one on each core.
-        memory: memory of a process of the local cluster, such as `2GB`, above which Dask ends it; `auto` for
-            an equal share of the machine's.
+    The cluster has so many worker processes, by default one on each core, of which Dask ends those that need more
+    memory than this, such as `2GB`; `auto` is an equal share of the machine's.
     """
     logging.getLogger('distributed').setLevel(SILENT)  # the outcomes say what matters of it
     warnings.filterwarnings('ignore', message='Creating scratch directories')  # a slow disk, once at the start

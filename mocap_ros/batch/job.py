@@ -340,7 +340,7 @@ def publish(finished: Path, url: str) -> None:
     """Move a finished file or folder of the local disk to its place, and replace what is there.
 
     On the local file system it is renamed. On others the files are sent one by one, each of them whole, and the
-    description of a bag last, without which its other files are no bag.
+    description of a bag last, without which its other files are no bag. What no run writes is never replaced.
     """
     fs, path = open_file_system(url)
     old = list_sizes(url)

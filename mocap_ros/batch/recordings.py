@@ -73,14 +73,10 @@ def find_recordings(
 ) -> list[Recording]:
     """Find the recordings in a folder, or those that a pattern or a list names, largest first.
 
-    Links are followed, and a folder that is reached in several ways is searched once.
-
-    Args:
-        source: a recording; a folder, which is searched with all folders in it; a pattern with `*`; or a text file
-            (`.txt`) with one of these in each line. Each of them a path or a URL of fsspec.
-        work: what is to be done; only bags are replayed.
-        leave_out: paths or URLs of folders that are not searched, as those of the results.
-        report: function that is called with a line about files that are no bags, where only bags are taken.
+    The source is a path or a URL of fsspec: a recording; a folder, which is searched with all folders in it; a
+    pattern with `*`; or a text file (`.txt`) with one of these in each line. Links are followed, and a folder that
+    is reached in several ways is searched once; those to leave out, as of the results, are not. Only bags are
+    replayed, and `report` gets a line about other files.
     """
     left_out = tuple(f'{_write_url(*open_file_system(folder))}/' for folder in leave_out)
     sizes: dict[str, int] = {}

@@ -61,11 +61,7 @@ def check_consumers(names: Sequence[str]) -> list[str]:
 
 
 class Bridge:
-    """Converter of successive messages for some consumers.
-
-    Args:
-        names: names of the consumers, keys of `CONSUMERS`.
-    """
+    """Converter of successive messages for some consumers, keys of `CONSUMERS`."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._consumers = [CONSUMERS[name] for name in names]

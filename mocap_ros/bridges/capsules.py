@@ -166,9 +166,7 @@ def convert_capsules(people: People) -> dict[str, Any]:
 def convert_capsule_markers(people: People, before: People) -> bytes:
     """Return a CYLINDER and a SPHERE_LIST with a ball at each end (namespaces `cylinders` and `ends`) of each.
 
-    Args:
-        people: the people, each of whom has the colour of the other markers.
-        before: the people of the message before, whose markers are deleted.
+    They have the colours of the other markers; those of the people of the message before are deleted.
     """
     return show_markers(people.header, _list_markers(people), _list_markers(before))
 

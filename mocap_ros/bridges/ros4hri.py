@@ -142,8 +142,7 @@ def _find_leg_angles(positions: dict[str, Array], side: str) -> Array:
 def compute_joint_states(joints: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return the angles (N, A) in rad of the `MOVED_JOINTS` of bodies, and which bodies (N,) have a direction.
 
-    Args:
-        joints: (N, 15, 3) m, in the order of `skeleton.CMU15`, in any right-handed frame.
+    Joints (N, 15, 3) are in m, in the order of `skeleton.CMU15`, in any right-handed frame.
     """
     origin, _, axes = compute_links(joints)
     is_known = np.asarray(np.isfinite(axes).all(axis=(1, 2)))

@@ -85,12 +85,7 @@ class Predictions(NamedTuple):
 
 
 def read_people(raw: bytes, numbers: PersonNumbers) -> People:
-    """Read a Skeleton3DArray.
-
-    Args:
-        raw: the message as CDR.
-        numbers: numbers of the people so far, to which those of the message are added.
-    """
+    """Read a Skeleton3DArray; the numbers of new people are added to those so far."""
     message = decode_plain(raw, SKELETONS)
     numbers.keep([p.id for p in message.people])
     header = _read_header(message.header)

@@ -152,18 +152,12 @@ def _get_truth(sequence: KeypointSequence) -> GroundTruth:
 
 
 def compare_with_truth(result: StoredResult, reference: KeypointSequence) -> tuple[dict[str, Any], str]:
-    """Compare a result with the truth in the frames whose times both have.
+    """Compare a result with the truth of a sequence in the frames whose times both have.
 
     Joints that are unknown in every frame of the truth are not compared. Of the frames, only those are compared in
-    which the truth of all other joints is known.
-
-    Args:
-        result: the reconstruction.
-        reference: the sequence that holds the truth.
-
-    Returns:
-        The errors, with the shares of true errors within the covariances if the result has any, and a warning if
-        fewer than half of the frames of the shorter recording are compared.
+    which the truth of all other joints is known. Returns the errors, with the shares of true errors within the
+    covariances if the result has any, and a warning if fewer than half of the frames of the shorter recording are
+    compared.
     """
     truth = _get_truth(reference)
     frames, reference_frames = _match_times(result.stamps_ns, reference.stamps_ns)

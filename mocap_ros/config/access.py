@@ -103,13 +103,7 @@ def with_settings(config: Config, changes: Mapping[str, object]) -> Config:
 
 
 def suggest_parameter(unknown_name: str, names: Iterable[str], listed_by: str = '`mocap-ros config --all`') -> str:
-    """Return a clause about which of some parameters an unknown name may have been meant for.
-
-    Args:
-        unknown_name: the name that is none of a parameter.
-        names: names of the parameters.
-        listed_by: command that lists them.
-    """
+    """Return a clause about which of some parameters, which a command lists, an unknown name may be."""
     group = unknown_name.partition('.')[0]
     those_of_group_last = sorted(names, key=lambda name: name.partition('.')[0] == group)  # the last one counts
     name_of_field = {name.rpartition('.')[2]: name for name in those_of_group_last}

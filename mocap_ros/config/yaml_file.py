@@ -71,9 +71,7 @@ class _StrictLoader(yaml.SafeLoader):
 def load_yaml(text: str, source: str) -> Any:
     """Return the content of a YAML text without aliases, in which each key is text and occurs once.
 
-    Args:
-        text: the YAML text.
-        source: name of the text in error messages, such as the path of the file.
+    Errors begin with `source`, such as the path of the file.
     """
     try:
         return yaml.load(text, _StrictLoader)  # noqa: S506, the loader is a SafeLoader
@@ -87,9 +85,7 @@ def load_yaml(text: str, source: str) -> Any:
 def from_yaml(text: str, source: str) -> Config:
     """Return the configuration of a ROS parameter file (of any node name) or of a plain nested mapping.
 
-    Args:
-        text: the YAML text; parameters that it does not set have their defaults. A group may be empty.
-        source: name of the text in error messages, such as the path of the file.
+    Parameters that it does not set have their defaults. Errors begin with `source`.
     """
     tree = load_yaml(text, source)
     if isinstance(tree, dict) and len(tree) == 1:
@@ -114,13 +110,7 @@ def _flatten(tree: Mapping[object, object], prefix: str = '') -> Iterator[tuple[
 
 
 def to_yaml(config: Config, *, shows_all: bool = True) -> str:
-    """Return a commented ROS parameter file that sets parameters of the node to their values in `config`.
-
-    Args:
-        config: the configuration.
-        shows_all: whether all parameters are in the file; otherwise those that many users set and those that
-            differ from their defaults.
-    """
+    """Return a commented ROS parameter file of all parameters, or of those that many set or that are changed."""
     lines = [*HEADER.splitlines(), f'{ANY_NODE}:', '  ros__parameters:']
     value_of, previous_group = values(config), ''
     for parameter in parameters():

@@ -23,16 +23,11 @@ class Detector(Protocol):
     name: str  # name of the detector and its model, for messages to the user
 
     def detect(self, image: Image, time_s: float) -> Array:
-        """Find the people in the next image.
+        """Find the people in the next image (H, W, 3), whose time is later than that of the image before.
 
-        Args:
-            image: (H, W, 3) red, green and blue.
-            time_s: s, time of the image, later than that of the image before.
-
-        Returns:
-            (P, J, 3) x to the right and y down in px, and the score, at least 0, of the J keypoints of P people.
-            Their layout follows from their number, as for the files of detectors
-            (`formats.detections.LAYOUT_BY_KEYPOINT_COUNT`).
+        Returns (P, J, 3) x to the right and y down in px, and the score, at least 0, of the J keypoints of P
+        people. Their layout follows from their number, as for the files of detectors
+        (`formats.detections.LAYOUT_BY_KEYPOINT_COUNT`).
         """
 
     def close(self) -> None:

@@ -17,11 +17,9 @@ MODEL_FORMATS = "MediaPipe's pose landmarker (.task), or YOLO-pose, RTMPose or M
 
 
 def load_detector(model: Path | None, max_people: int = 1) -> Detector:
-    """Load a model.
+    """Load a model, by default the one that comes with some versions of MediaPipe.
 
-    Args:
-        model: the model's file; None for the model that comes with some versions of MediaPipe.
-        max_people: largest number of people to find in an image; models that find one person ignore it.
+    `max_people` is the largest number of people to find in an image; models that find one person ignore it.
     """
     suffix = '' if model is None else model.suffix.lower()
     if model is not None and not model.is_file():

@@ -29,15 +29,8 @@ NUMBER_TYPES = {
 class OnnxModel:
     """A network whose only input is one RGB image.
 
-    Args:
-        path: the ONNX file.
-
-    Attributes:
-        path: the ONNX file.
-        input_size: (width, height) in px of the images that the network takes.
-        takes_any_size: whether images may have another size as well.
-        is_channels_first: whether the input is (1, 3, H, W) instead of (1, H, W, 3).
-        output_shapes: shape of each output for one image.
+    Images have (width, height) `input_size` in px, or with `takes_any_size` also another; the input is (1, 3, H,
+    W) with `is_channels_first`, else (1, H, W, 3). `output_shapes` are those of the outputs for one image.
     """
 
     def __init__(self, path: Path) -> None:
@@ -73,8 +66,7 @@ class OnnxModel:
             raise ModelError(f'{path}: {error}') from None
 
     def run(self, image: Image | NDArray[np.float32]) -> Outputs:
-        """Run the network on an image (H, W, 3) of `input_size`, whose numbers are those that the network expects.
-        """
+        """Run the network on an image (H, W, 3) of `input_size`, of the numbers that the network expects."""
         batch = image[None].astype(self._number_type)
         if self.is_channels_first:
             batch = np.ascontiguousarray(batch.transpose(0, 3, 1, 2))

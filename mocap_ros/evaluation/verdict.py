@@ -161,13 +161,8 @@ def cut_stretches(
 def measure_uncertainty(stretch: Stretch, reading: Reading, lifter: Lifter, score: float) -> float:
     """Return u of a reading (formula of the module); infinite where the lifter has no pose.
 
-    Mirrored points are compared with those as given under the vertical, if one is given.
-
-    Args:
-        stretch: the keypoints.
-        reading: how to read them.
-        lifter: the lifter.
-        score: least score of a point that counts as seen.
+    Mirrored points are compared with those as given under the vertical, if one is given. Points count as seen from
+    this score on.
     """
     if reading != MIRROR_IMAGE or stretch.vertical is None:
         return _measure(stretch, reading, lifter, score)
@@ -219,13 +214,7 @@ def count_upright_turns(upward: Array) -> int:
 
 
 class Walk:
-    """How far people have walked, and how much of it ahead.
-
-    Attributes:
-        walked: m.
-        ahead: m, of that in the direction in which the body faces.
-        person: name of the person who is followed.
-    """
+    """How far in m people have walked, and how much of it ahead, in the direction in which the body faces."""
 
     def __init__(self) -> None:
         self.walked = self.ahead = 0.0
@@ -273,13 +262,11 @@ def judge(
     *,
     is_backwards: bool = False,
 ) -> Judgement:
-    """Judge the input of a reconstruction.
+    """Judge the input of a reconstruction by u of every reading of `list_readings`; empty if too little was seen.
 
-    Args:
-        uncertainty: u of every reading of `list_readings`; empty if too little was seen.
-        residual_share: reprojection error over the body height in the image; NaN if it is unknown.
-        size: whether the points lie where they do in an image of that size.
-        is_backwards: whether people seem to walk backwards.
+    `residual_share` is the reprojection error over the body height in the image, NaN if unknown; `size` says
+    whether the points lie where they do in an image of that size, and `is_backwards` whether people seem to walk
+    backwards.
     """
     if size is Grade.WRONG:
         return Judgement(size, Fault.SIZE)

@@ -104,12 +104,10 @@ class PersonTrack:
 def create_person(
     keypoints: Array, layout_name: str = '', person_id: str = '', joint_names: Sequence[str] = ()
 ) -> Person2D:
-    """Validate the keypoints of a person from a file.
+    """Validate the keypoints (J, 3) of a person from a file: x and y in px, and the score.
 
-    - `keypoints`: (J, 3) x and y in px and the score; keypoints beyond the joints of the layout are left out.
-    - `layout_name`: name of the keypoint layout; empty where it follows from `joint_names` or from the number of
-      keypoints.
-    - `joint_names`: (J,) names of the joints, or empty; they are used if `layout_name` is empty.
+    Those beyond the joints of the layout are left out. Without the name of a layout it follows from the names of
+    the joints (J,), and without these from the number of keypoints.
     """
     if not layout_name and not joint_names and len(keypoints) not in LAYOUT_BY_KEYPOINT_COUNT:
         raise InputError(
@@ -181,10 +179,8 @@ def associate_people(
 ) -> tuple[list[PersonTrack], tuple[str, ...]]:
     """Associate the detections of each person over time, as the live tracker does.
 
-    Detections with fewer than `min_joints` joints are left out, and parts of a person are joined.
-
-    Returns:
-        The tracks in the order of their first frame, and lines on what was left out.
+    Detections with fewer than `min_joints` joints are left out, and parts of a person are joined. Returns the
+    tracks in the order of their first frame, and lines on what was left out.
     """
     who, known, tracks = Identities[FollowedPerson](settings), list[FollowedPerson](), dict[str, PersonTrack]()
     unusable, are_ids_ignored = 0, False
@@ -232,9 +228,8 @@ def select_person(
 ) -> tuple[KeypointSequence, list[str]]:
     """Select the person with a name, or with an id of the detector, by default the one seen in most frames.
 
-    Returns:
-        The keypoints from the first frame with that person to the last, and lines for the user that say who was
-        selected, what was left out and what was assumed.
+    Returns the keypoints from the first frame with that person to the last, and lines for the user that say who
+    was selected, what was left out and what was assumed.
     """
     tracks, ignored = associate_people(detections, settings)
     if not tracks:
@@ -261,10 +256,8 @@ def arrange_people(
 ) -> tuple[list[KeypointSequence], tuple[str, ...]]:
     """Arrange the keypoints of some of the tracks, each from the first frame with that person to the last.
 
-    An image size that is not known is assumed to hold all people.
-
-    Returns:
-        A sequence for each track, and lines on what was left out of the detections and assumed of them.
+    An image size that is not known is assumed to hold all people. Returns a sequence for each track, and lines on
+    what was left out of the detections and assumed of them.
     """
     _refuse_other_unit(detections)
     if not all(detections.image_size):

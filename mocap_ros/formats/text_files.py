@@ -65,12 +65,7 @@ def check_position_count(frames: int, joints: int) -> None:
 
 
 def check_output(path: Path, *sources: Path) -> None:
-    """Check that a file can be written, before the work that produces its content.
-
-    Args:
-        path: path of the file.
-        sources: input files, which must not be overwritten.
-    """
+    """Check that a file can be written, and is none of the sources, before the work that produces its content."""
     if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
         raise MocapError(f'{path}: not written, because it is the input file')
     if path.is_dir():

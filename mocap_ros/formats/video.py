@@ -178,15 +178,10 @@ def _turn_as_players_do(image: NDArray[np.uint8], matrix: Any) -> NDArray[np.uin
 def read_ahead(
     items: Iterator[T], depth: int = READ_AHEAD, is_ended: Callable[[], bool] | None = None
 ) -> Generator[T]:
-    """Yield the items, which another thread takes from their iterator meanwhile.
+    """Yield the items, of which another thread takes so many from their iterator meanwhile; its error comes last.
 
-    An error of the iterator is raised after the items before it.
-
-    Args:
-        items: the iterator.
-        depth: number of items that wait at most.
-        is_ended: whether to wait no longer while no item is there; a thread whose iterator does not return within
-            `JOIN_S` is left behind. By default every item is waited for, and so is the end of the thread.
+    While no item is there, `is_ended` says whether to wait no longer; a thread whose iterator does not return
+    within `JOIN_S` is then left behind. By default every item is waited for, and so is the end of the thread.
     """
     queue: Queue[tuple[bool, Any]] = Queue(depth)
     is_closed = threading.Event()

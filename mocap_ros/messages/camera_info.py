@@ -79,10 +79,9 @@ def encode_camera_info(header: Header, camera: CameraInfo) -> bytes:
 def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
     """Decode the image size and the intrinsics of a sensor_msgs/CameraInfo.
 
-    - `rectified`: whether the keypoints were detected in the rectified image. Then the projection matrix P is
-      used (K where P is not set), and no distortion.
-
-    A matrix or a distortion that cannot be used is left out, and `CameraInfo.note` says so.
+    Where the keypoints were detected in the rectified image, the projection matrix P is used (K where P is not
+    set), and no distortion. A matrix or a distortion that cannot be used is left out, and `CameraInfo.note` says
+    so.
     """
     message = decode(raw, CAMERA_INFO)
     name, matrix = 'k', np.asarray(message.k, np.float64).reshape(3, 3)

@@ -65,7 +65,7 @@ BODY_FORMATS = (ZED18, ZED34, ZED38, ZED38)  # by the field `body_format`: 18, 3
 def decode_frame(raw: bytes, msgtype: str, limits: NodeConfig, size: ImageSize) -> KeypointsFrame:
     """Decode and validate a message of any type that holds all people of an image.
 
-    - `size`: (width, height) of the image in px, (0, 0) where unknown; a Keypoints2DArray gives its own.
+    The size (width, height) in px is (0, 0) where unknown; a Keypoints2DArray gives its own.
     """
     if msgtype == KEYPOINTS:
         return decode_keypoints(raw, limits)

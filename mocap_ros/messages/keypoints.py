@@ -90,12 +90,9 @@ def _read_person(person: Any, image_width: int, limits: NodeConfig) -> Person2D:
 def validate_person(
     person_id: str, joints: tuple[str, ...], points: Array, score: Array, image_width: int, field: str = ''
 ) -> Person2D:
-    """Validate the keypoints of a person from any message type: points (J, 2) in px and scores (J,).
+    """Validate points (J, 2) in px and scores (J,) of any message type; unseen ones become NaN with score 0.
 
-    - `field`: name of the field that holds the keypoints; empty where x, y and score are fields themselves.
-
-    Returns:
-        The person, in which unseen keypoints have NaN points and score 0.
+    `field` names the field that holds the keypoints; empty where x, y and score are fields themselves.
     """
     prefix = f'{field}: ' if field else ''
     fault = find_first_fault(points, score)

@@ -118,10 +118,8 @@ class TransformTree:
     ) -> RigidTransform:
         """Return the transform from one frame to another at a time, or a little before it.
 
-        - `stamp_ns`: ns, the time.
-        - `tolerance_s`: s; how far the time may be outside the transforms that are known, where the nearest holds.
-        - `earlier_s`: s; how long before that each frame is wanted, before the newest transform where that holds:
-          so the two places of a frame tell its motion, however late its transforms are.
+        Outside the known transforms the nearest holds within a tolerance. `earlier_s` before the time, or before
+        the newest transform where that holds, shows the motion of a frame, however late its transforms are.
         """
         source, target = source.lstrip('/'), target.lstrip('/')
         up, down = self._list_ancestors(source), self._list_ancestors(target)

@@ -100,12 +100,9 @@ def encode_transforms(
 ) -> bytes:
     """Encode a TFMessage of all people who are reconstructed in metres, and of their world.
 
-    Args:
-        header: time and frame of the image; its frame_id is the parent of every `body_<id>`.
-        people: all people in the image; people who are reconstructed without a focal length are left out.
-        prefix: text before the name of every link.
-        names: what stands for `<id>` of each person, by id; None for what `FrameNames` makes of the ids.
-        world: from the world to the frame of the header; None where it is not known.
+    The frame of the header is the parent of every `body_<id>`. Names of links begin with a prefix; what stands for
+    `<id>` is by default what `FrameNames` makes of the ids. `world` leads from the world to the frame of the
+    header, None where it is not known.
     """
     placed = [p for p in people if p.scale_known] if header.frame_id else []
     links = zip(placed, *compute_links(np.array([p.core for p in placed]).reshape(-1, CORE_COUNT, 3)), strict=True)
@@ -139,14 +136,10 @@ def write_transforms(transforms: Sequence[StampedTransform]) -> bytes:
 
 
 def compute_links(joints: Array) -> tuple[Array, Array, Array]:
-    """Compute the main links of several people; the head of this module gives the formulas.
+    """Compute the main links of people with joints (N, J, 3) in m, the first those of `skeleton.CMU15`.
 
-    Args:
-        joints: (N, J, 3) m, the first in the order of `skeleton.CMU15`, in any right-handed frame.
-
-    Returns:
-        Origins (N, 3) of `body` in m, origins (N, 3) of `torso` in m, and the axes (N, 3, 3) of `body` as unit
-        vectors forward, left and up in columns. The axes of a person whose trunk or hips have no extent are NaN.
+    Returns the origins (N, 3) of `body` and of `torso` in m, and the axes (N, 3, 3) of `body` as unit vectors
+    forward, left and up in columns; they are NaN of a person whose trunk or hips have no extent.
     """
     (left, right), (left_shoulder, right_shoulder) = HIPS, _SHOULDERS
     roots = (joints[:, left] + joints[:, right]) / 2

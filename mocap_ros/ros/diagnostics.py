@@ -79,10 +79,7 @@ class DiagnosticsReporter:
     def encode_status(self, recorder: str, now_ns: int, recorder_fault: str = '') -> bytes:
         """Encode the current status as a DiagnosticArray; its level depends on what happened since the last call.
 
-        Args:
-            recorder: State of the recorder in words.
-            now_ns: ROS time in ns.
-            recorder_fault: What is wrong with the recorder, in words; empty if nothing is.
+        What the recorder does, and what is wrong with it if anything is, are in words.
         """
         pipeline, statistics = self._pipeline, self._statistics
         counts = self._count()

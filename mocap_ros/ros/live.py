@@ -41,19 +41,8 @@ MAX_STOP_SECONDS = 0.3  # s; time to process waiting messages at a stop, so that
 class LiveRun:
     """Worker that feeds a pipeline from a queue, in a thread that lives from `start` to `stop`.
 
-    Args:
-        pipeline: Pipeline with a tracker that has processed nothing yet.
-        input_types: Message type of each source.
-        names: Absolute names of all topics by relative name, and of the journal as `journal`.
-        publish: Function that publishes an output, in the installed version of its type; it is called from the
-            worker thread and from the caller's.
-        logger: Logger for invalid inputs and failing recordings.
-        find_offered_qos: Function that returns the QoS profiles that the publishers of a topic offer.
-        versions: Installed versions of the message types; by default all equal this package's.
-
-    Attributes:
-        queue: Messages that wait.
-        statistics: Input rate and processing times.
+    `names` are the absolute names of all topics by relative name, and of the journal as `journal`. `publish` gets
+    outputs in the installed versions of their types, from the worker thread and the caller's.
     """
 
     def __init__(
@@ -106,11 +95,8 @@ class LiveRun:
     def enqueue(self, source: Source, raw: bytes, sent_ns: int, topic: str = '') -> None:
         """Put a message that has just been received into the queue.
 
-        Args:
-            source: Kind of the message.
-            raw: The message as CDR.
-            sent_ns: Wall-clock time of sending; 0 if unknown.
-            topic: Absolute name of the topic; needed for a source with several topics.
+        The wall-clock time of sending is 0 if unknown; a source with several topics needs the absolute name of
+        this one.
         """
         now_ns = self._now_ns()
         if source in PEOPLE_SOURCES:
@@ -176,7 +162,7 @@ class LiveRun:
             return recording.folder
 
     def finish_recording(self) -> Path | None:
-        """Finish the recording and return its folder, or None if no recording is running.
+        """Finish the recording and return its folder, or None if none is running; a failure is logged and raised.
 
         If the disk is slow, the recording is finished after the return, and its end is logged.
         """

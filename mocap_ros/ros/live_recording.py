@@ -38,17 +38,9 @@ FindOfferedQos = Callable[[str], Sequence[Mapping[str, Any]]]
 class Recording:
     """One recording of a run, which a thread of its own writes. If it fails, this is logged, and the run goes on.
 
-    Args:
-        pipeline: Pipeline of the run, whose parameters say where and how; what it knows already is recorded first.
-        start_ns: Wall-clock time of the first records.
-        names: Absolute name of each topic by its relative name; the key of the journal's topic is `journal`.
-        logger: Logger of the run.
-        find_offered_qos: Function that returns the QoS profiles that the publishers of a topic offer.
-        versions: Installed versions of the message types, in which messages are written and defined.
-
-    Attributes:
-        folder: Folder of the bag.
-        failure: Why the recording has ended by itself; empty while it runs.
+    The parameters of the pipeline say where and how; what it knows already is recorded first. Messages are written
+    and defined in the installed versions of their types. `failure` says why the recording has ended by itself; it
+    is empty while it runs.
     """
 
     def __init__(
@@ -98,7 +90,7 @@ class Recording:
             self._stalled_s = 0.0
 
     def finish(self) -> None:
-        """Finish the recording, which waits for the disk, and log how it ends."""
+        """Finish the recording, which waits for the disk, and log how it ends, also before an error."""
         self._put(self._journal.make_lost_records())
         if self.failure:
             raise RecordingError(self.failure)
@@ -117,8 +109,7 @@ class Recording:
     ) -> bool:
         """Write an input, its journal entry and its outputs.
 
-        Returns:
-            False if the disk is too slow to write them; the journal then notes that the input is missing.
+        Returns False if the disk is too slow to write them; the journal then notes that the input is missing.
         """
         content, is_accepted = self._versions.read(msgtype, message.raw), result.verdict is Verdict.ACCEPTED
         repeat_keys = make_repeat_keys(message.source, content, is_accepted=is_accepted)

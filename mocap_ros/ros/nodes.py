@@ -113,12 +113,7 @@ class ManagedNode(LifecycleNode):
 
 
 def run_node(arguments: Sequence[str], node_class: Callable[[], Any]) -> None:
-    """Run a node until SIGINT or SIGTERM.
-
-    Args:
-        arguments: Arguments of the command line, which rclpy parses.
-        node_class: Class of the node, with methods `start` and `close`.
-    """
+    """Run a node, with methods `start` and `close`, until SIGINT or SIGTERM; rclpy parses the arguments."""
     stop = threading.Event()
 
     def request_stop(*_: object) -> None:

@@ -21,13 +21,7 @@ QOS_OVERRIDE_PREFIX = 'qos_overrides.'  # rclpy declares these parameters when t
 
 
 def declare_parameters(node: Node, declared: Sequence[Parameter], listed_by: str) -> dict[str, Value]:
-    """Declare parameters with ranges and descriptions, warn of unknown ones, and return the values by name.
-
-    Args:
-        node: The node.
-        declared: The parameters.
-        listed_by: Command that lists them.
-    """
+    """Declare parameters with ranges and descriptions, warn of unknown ones, and return the values by name."""
     try:
         values = {
             p.name: p.check(node.declare_parameter(p.name, p.default, _describe_parameter(p)).value)

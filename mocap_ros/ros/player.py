@@ -63,12 +63,8 @@ class Player:
 
     Messages of this package's types are converted to the installed versions where these differ. The player pauses
     for `SETTLE_SECONDS` before the first message: a best-effort subscriber misses those that are sent before it
-    has discovered the publisher.
-
-    Attributes:
-        published_count: Number of messages published so far.
-        skipped_topics: A line for each topic whose name is not valid, or whose message type is not installed or
-            cannot hold the messages.
+    has discovered the publisher. `skipped_topics` has a line for each topic whose name is not valid, or whose
+    message type is not installed or cannot hold the messages.
     """
 
     def __init__(self, playback: Playback, options: PlaybackOptions) -> None:

@@ -69,14 +69,8 @@ class LostMessages:
 class InputSubscriptions:
     """Subscriptions to keypoints, CameraInfo and transforms, and for ROS4HRI to each tracked body.
 
-    Args:
-        node: The node that subscribes.
-        input_type: Message type of the keypoints, as in `node.input_type`.
-        versions: Versions of the message types, to which those of the inputs are added.
-        get_limits: Function that returns the parameters of the node, which limit the content of a message.
-
-    Attributes:
-        types: Message type of each source; without transforms whose type is not installed.
+    The types of the inputs are added to `versions`; `types` has that of each source, without transforms whose type
+    is not installed.
     """
 
     def __init__(

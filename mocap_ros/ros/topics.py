@@ -125,14 +125,7 @@ class Publishers(dict[str, Any]):
 
 
 class SilenceMonitor:
-    """Observer of the time since the last message on a topic.
-
-    Args:
-        node: The node that subscribes.
-        name: Relative name of the topic.
-        msgtype: Type of the messages that the node expects on the topic.
-        advice: What to do where no other topic has such messages.
-    """
+    """Observer of the time since the last message on a topic; its advice is for where no other topic has such."""
 
     def __init__(self, node: Node, name: str, msgtype: str, advice: str = START_DETECTOR) -> None:
         self._node, self.name, self.type, self._advice = node, name, msgtype, advice

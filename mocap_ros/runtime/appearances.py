@@ -58,9 +58,8 @@ class Appearance:
 class AppearanceLog:
     """Collects the appearances of people, frame by frame; tentative people are left out.
 
-    Args:
-        absence_s: s; a person who was away for longer and comes back under the same id appears anew.
-        gap_s: s; between two frames further apart, the person was away, and the time counts as no motion.
+    A person who was away for more than `absence_s` and comes back under the same id appears anew. Between two
+    frames more than `gap_s` apart, the person was away, and the time counts as no motion.
     """
 
     def __init__(self, absence_s: float, gap_s: float) -> None:

@@ -42,15 +42,11 @@ def detect_in_video(
     is_camera: bool = False,
     is_interrupted: Callable[[], bool] = lambda: False,
 ) -> Detections:
-    """Run a detector on all images of a video.
+    """Run a detector on all images of a video, or of a camera that is given as its device.
 
-    Args:
-        path: the video, or the device of a camera.
-        model: file of the detector's model, None for the model that comes with some versions of MediaPipe.
-        max_people: largest number of people to find in an image.
-        show_progress: function that shows progress, and that may end a camera's images.
-        is_camera: whether `path` is a camera.
-        is_interrupted: returns whether to end while a camera gives no image.
+    Without a model it is that of some versions of MediaPipe. `show_progress` may end the images of a camera, and
+    `is_interrupted` says whether to end while it gives none. An error ends them, too, once a person was detected,
+    as they cannot be shown again.
     """
     people: list[Sequence[Person2D]] = []
     stamps_ns: list[int] = []

@@ -56,13 +56,10 @@ class FrameAssembler:
     ) -> Frames:
         """Decode a message of one of `topics.PEOPLE_SOURCES` and return the images that are complete now.
 
-        Args:
-            source: Kind of the message.
-            raw: The message as CDR.
-            topic: Its topic; that of a ROS4HRI body contains the body's id.
-            node: Type of the keypoint messages, and limits on the content of a message.
-            size: px, of images whose messages do not state it; 0 where unknown.
-            restart_after: s; a stamp that is earlier than that of the current image by more begins a sequence.
+        The topic of a ROS4HRI body contains the body's id. The size in px is that of images whose messages do not
+        state it, 0 where unknown. A stamp that is earlier than that of the current image by more than
+        `restart_after` s begins a sequence. FrameDropped where a body came after its image was complete, or its
+        image has it already.
         """
         if source is Source.KEYPOINTS:
             return [decode_frame(raw, node.input_type, node, size)]

@@ -35,9 +35,7 @@ class Calibration(NamedTuple):
 class InputCamera:
     """Decides for each image whether it is of the camera in use, replaces that camera, or is refused.
 
-    Attributes:
-        name: The last `frame_id` of the camera in use that was not empty; empty before the first.
-        calibration: The CameraInfo in use, if any.
+    `name` is the last `frame_id` of the camera in use that was not empty; empty before the first.
     """
 
     def __init__(self) -> None:
@@ -51,6 +49,8 @@ class InputCamera:
 
     def add_calibration(self, given: Calibration) -> None:
         """Use a CameraInfo for all following images, unless only the one in use is calibrated, for the same size.
+
+        InputError if it is of another camera than the images, whose own is known.
         """
         name, held, other = self.name, self.calibration, given.info.frame_id
         if held and name and held.info.frame_id == name and other not in ('', name):
@@ -66,7 +66,7 @@ class InputCamera:
         """Return why tracking must be restarted for an image, usually '', and the CameraInfo to use with it.
 
         A message without a `frame_id` is of the camera in use. The CameraInfo in use is used for another camera as
-        well, unless it is of the camera that is replaced.
+        well, unless it is of the camera that is replaced. InputError where two cameras send in turn.
         """
         name, held = header.frame_id, self.calibration
         if not self.name or name in ('', self.name):
@@ -100,7 +100,10 @@ class CalibrationWait:
         self._source: FocalSource | None = None
 
     def is_waiting(self, stamp_ns: int, wait_s: float) -> bool:
-        """Return whether an image is left out, for which there is no CameraInfo yet."""
+        """Return whether an image is left out, for which there is no CameraInfo yet.
+
+        FrameDropped where its stamp repeats that of the image before, so that no time passes by the stamps.
+        """
         if self._source is not None:
             return False
         if stamp_ns == self._last_ns:

@@ -67,11 +67,7 @@ def _check_camera_height(intrinsics: Intrinsics, tracker: TrackerConfig, *, has_
 
 
 class InputChecks:
-    """Checks of successive images of one camera.
-
-    Attributes:
-        warnings: What seems to be wrong with the input as of the last image, each in words; usually nothing.
-    """
+    """Checks of successive images of one camera; `warnings` says what seems wrong as of the last one."""
 
     def __init__(self) -> None:
         self._last_ns = 0  # stamp of the last image
@@ -100,15 +96,8 @@ class InputChecks:
         """Return what is wrong with the input and was not described before.
 
         Once no person has been seen for so long that the tracker has forgotten all, everything is described anew.
-
-        Args:
-            frame: What the detector saw in the image.
-            intrinsics: The intrinsics of the camera.
-            people: The people whom the tracker has reconstructed up to the image.
-            tracker: The tracker.
-            config: All parameters.
-            floor: The floor, if it is known, and what it cannot be used for, in words.
-            fault: Why the points are not sound (`summary.RunSummary`), in words; empty if they are.
+        The floor, if it is known, comes with what it cannot be used for, and `fault` is why the points are not
+        sound (`summary.RunSummary`), both in words.
         """
         stamp_ns = frame.header.stamp_ns
         if frame.people or stamp_ns < self._newest_seen_ns:

@@ -92,13 +92,7 @@ def _find_folder_kind(folder: Path) -> InputKind:
 
 
 def require_kind(path: Path, accepted: Collection[InputKind], formats: str) -> InputKind:
-    """Return the kind of an input that a command reads, and refuse all other kinds in one sentence.
-
-    Args:
-        path: The input.
-        accepted: The kinds that the command reads.
-        formats: What the command reads, in words.
-    """
+    """Return the kind of an input; refuse kinds that a command does not read in a sentence with its formats."""
     kind = find_input_kind(path)
     if kind in accepted:
         return kind

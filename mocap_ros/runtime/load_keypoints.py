@@ -80,8 +80,7 @@ class InputOptions(NamedTuple):
 def load_input(path: Path, options: InputOptions) -> tuple[KeypointSequence, list[str]]:
     """Load one person from a sequence file, a bag, OpenPose files, a JSON file of COCO keypoints or a video.
 
-    Returns:
-        The sequence, and lines to print about the chosen person, skipped messages and assumptions.
+    Returns the sequence, and lines to print about the chosen person, skipped messages and assumptions.
     """
     kind, options = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS), _add_lens(options)
     _refuse_options(path, kind, options)
@@ -97,11 +96,9 @@ def load_input(path: Path, options: InputOptions) -> tuple[KeypointSequence, lis
 
 
 def load_people(path: Path, options: InputOptions) -> tuple[list[KeypointSequence], list[str]]:
-    """Load all people from a file that may hold several; the errors are those of `load_input`.
+    """Load all people from a file that may hold several, and return lines to print.
 
-    Returns:
-        The sequence of each person who is seen in `MIN_FRAMES` or more, in the order in which they are seen first,
-        and lines to print.
+    They are those who are seen in `MIN_FRAMES` or more, in the order in which they are seen first.
     """
     kind, options = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS), _add_lens(options)
     _refuse_options(path, kind, options)
@@ -333,9 +330,8 @@ def find_camera(
 ) -> tuple[CameraInfo | None, str]:
     """Find the first valid CameraInfo that belongs to a topic of keypoints, or that `camera_info` names.
 
-    Returns:
-        The CameraInfo, else the first of which more than the others can be used, or None if there is none; and why
-        it is not the first, or what of it is not used, or an empty text.
+    Returns the CameraInfo, else the first of which more than the others can be used, or None if there is none; and
+    why it is not the first, or what of it is not used, or an empty text.
     """
     topic = bag.find_camera_info_topic(keypoints_topic, camera_info)
     found: CameraInfo | None = None

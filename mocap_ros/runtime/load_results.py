@@ -20,13 +20,7 @@ from mocap_ros.units import NS_PER_S
 
 
 class RecordedPeople:
-    """The people in the messages of skeletons of a bag.
-
-    Attributes:
-        skeleton: joints of all people.
-        stamps_ns: stamps of the messages.
-        by_id: people by their stamps in ns, by id.
-    """
+    """The people in the messages of skeletons of a bag, who all have the same joints."""
 
     def __init__(self) -> None:
         self.skeleton: Skeleton = CMU15
@@ -64,15 +58,9 @@ def find_skeletons_topic(bag: Bag) -> str:
 
 
 def load_result(path: Path, person: str | None = None) -> tuple[StoredResult, str]:
-    """Load a reconstruction from a result file or a bag.
+    """Load a reconstruction from a result file or a bag, of the person with this id or with most skeletons.
 
-    Args:
-        path: The file or bag.
-        person: Id of the person in a bag; by default the person with most skeletons.
-
-    Returns:
-        The reconstruction, with a frame for each message of a bag, and the id of the person, which is empty for a
-        result file.
+    It has a frame for each message of a bag. The id of the person is returned as well, empty for a result file.
     """
     if not is_bag(path):
         if person is not None:

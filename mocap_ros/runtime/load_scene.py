@@ -86,16 +86,10 @@ class SceneOptions(NamedTuple):
 def load_scene(
     path: Path, options: SceneOptions, report: Report = lambda _: None
 ) -> tuple[Scene, list[str], Summary | None]:
-    """Load what is drawn of an input or a result.
+    """Load what is drawn of an input or a result; `report` gets the share of the work after the input is read.
 
-    Args:
-        path: the file or folder.
-        options: how to read and to reconstruct it.
-        report: function that gets the share, 0 to 1, of the work that is done after the input is read.
-
-    Returns:
-        The scene, lines for the user about people and messages that were left out, and what a reconstruction rests
-        on; None for a result.
+    Returns the scene, lines for the user about people and messages that were left out, and what a reconstruction
+    rests on; None for a result.
     """
     kind = require_kind(path, VIEWED_KINDS, VIEWED_FORMATS)
     try:
@@ -245,17 +239,12 @@ def _load_result_scene(path: Path, person: str | None) -> Scene:
 
 
 def recover_intrinsics(roots: Array, scale: Array, translation: Array) -> tuple[Intrinsics, tuple[int, int]]:
-    """Return the camera whose weak-perspective cameras these are, without lens distortion.
+    """Return the camera whose weak-perspective cameras these are, without distortion, and an image size in px.
 
-    f = median s z,  c = median (t - f (x, y) / z)
+        f = median s z,  c = median (t - f (x, y) / z)
 
-    Args:
-        roots: (N, 3) m, means (x, y, z) of the joints.
-        scale: (N,) px/m, s.
-        translation: (N, 2) px, t.
-
-    Returns:
-        The intrinsics, and the image size in px if the principal point is in its middle.
+    of roots (N, 3) m, means (x, y, z) of the joints, scales s (N,) px/m and translations t (N, 2) px. The
+    principal point is in the middle of that image.
     """
     is_known = np.isfinite(np.column_stack([roots, scale, translation])).all(axis=1)
     if not is_known.any():

@@ -35,11 +35,7 @@ LEDGE_M = 0.3  # m; feet higher than that over others, or over the floor so far,
 
 
 class OutputFrame:
-    """The camera and the floor in the frame of the outputs.
-
-    Attributes:
-        transforms: All coordinate frames of /tf and /tf_static.
-    """
+    """The camera and the floor in the frame of the outputs, by the parameters or by /tf and /tf_static."""
 
     def __init__(self, node: NodeConfig) -> None:
         self.transforms = TransformTree()
@@ -63,9 +59,7 @@ class OutputFrame:
     def place_camera(self, header: Header, node: NodeConfig) -> tuple[Header, CameraPlacement, str]:
         """Return the header of the outputs, the camera in its frame, and why that is not `node.output_frame`.
 
-        Args:
-            header: Time of the outputs, and the camera's optical frame.
-            node: Parameters of the outputs.
+        The given header has the time of the outputs and the camera's optical frame.
         """
         if not node.output_frame:
             return header, CameraPlacement(header.frame_id), ''

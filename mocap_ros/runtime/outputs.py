@@ -69,14 +69,9 @@ class OutputEncoder:
     ) -> tuple[OutputMessage, ...]:
         """Encode the people in an image; the result has one message for each of `OUTPUTS`, then those switched on.
 
-        Args:
-            header: Time of the image, and the frame of the outputs.
-            people: All people in the image, in the camera's optical frame, in any order.
-            node: Parameters of the outputs; None for the defaults.
-            camera: The camera in the frame of the header; None where the header names the optical frame.
-            vertical: What is known of the camera's vertical, in its optical frame; None if nothing is.
-            predicted: The people at times after the image, in the camera's optical frame.
-            camera_height: m, of the camera over the floor; None where it is not known.
+        People in any order, vertical and predictions are in the camera's optical frame; `camera` places it in the
+        frame of the header, which is the same without one. `camera_height` is in m over the floor; None where not
+        known.
         """
         node = node or NodeConfig()
         camera = camera or CameraPlacement(header.frame_id)

@@ -104,15 +104,9 @@ class Counters:
 class Pipeline:
     """Decoder, tracker and encoders of one camera's stream of people.
 
-    Args:
-        config: Parameters of tracker, solver and node.
-        models: Base poses by name; by default those that the parameters name.
-        make_tracker: Function that creates the tracker from models and parameters; tests and benchmarks pass their
-            own.
+    Tests and benchmarks pass base poses and a tracker of their own.
 
     Attributes:
-        config: The parameters in use.
-        models: The base poses in use, by name.
         counters: Numbers of inputs by verdict, since the pipeline was created.
         header: Header of the last accepted image.
         output_header: Header of the outputs of that image, in whose frame the people are published.
@@ -177,10 +171,7 @@ class Pipeline:
     def feed(self, source: Source, raw: bytes, topic: str = '') -> ProcessingResult:
         """Process an input message; the result reports invalid inputs and internal errors, and nothing is raised.
 
-        Args:
-            source: Kind of the message.
-            raw: The message as CDR.
-            topic: Name of the message's topic; needed only for ROS4HRI bodies, whose topics contain their ids.
+        The topic is needed only for ROS4HRI bodies, whose topics contain their ids.
         """
         try:
             frames = self._decode_frames(source, raw, topic)
@@ -198,11 +189,7 @@ class Pipeline:
         return result
 
     def run_deferred_work(self) -> str:
-        """Do the work that can wait until the outputs of `feed` are published; call this after publishing them.
-
-        Returns:
-            The traceback of an internal error; usually empty.
-        """
+        """Do the work that can wait until the outputs of `feed` are published; return an error's traceback."""
         try:
             self._tracker.run_deferred_work()
             self.summary.advance_judgement(self.config)
@@ -216,7 +203,7 @@ class Pipeline:
         return ProcessingResult(Verdict.BACKLOG, BACKLOG_REASON)
 
     def set_camera_info(self, raw: bytes) -> None:
-        """Use a sensor_msgs/CameraInfo for all following images."""
+        """Use a sensor_msgs/CameraInfo for all following images, as `InputCamera.add_calibration` does."""
         info = decode_camera_info(raw, rectified=self.config.node.rectified_input)
         self._camera.add_calibration(Calibration(info, raw))
 
@@ -240,7 +227,7 @@ class Pipeline:
         return self._outputs.encode_clear(self.output_header)
 
     def reconfigure(self, config: Config) -> bool:
-        """Use other parameters; return whether the tracker had to be restarted for them."""
+        """Use other parameters; return whether the tracker had to be restarted. An error leaves all as it was."""
         tracker = self.check(config)
         self.config = config
         if tracker is None:

@@ -62,18 +62,8 @@ class Playback:
     """The messages of a bag or a sequence file that are to be published; it can be iterated repeatedly.
 
     By default these are the keypoints and the CameraInfo that belongs to them, published on `camera_info`. A
-    sequence file has one if it states its camera.
-
-    Args:
-        path: bag, or sequence file (.npz).
-        topic: topic of the keypoints; needed only for a bag with several.
-        to: topic on which to publish the keypoints; the topics of ROS4HRI keep their recorded names.
-        everything: whether to publish every topic of a bag instead, each on its recorded name.
-        camera_info: topic of the CameraInfo; by default the one that shares most of the keypoints' namespace.
-
-    Attributes:
-        topics: the topics to publish.
-        count: number of messages.
+    sequence file has one if it states its camera. The keypoints are published on the topic `to`; the topics of
+    ROS4HRI keep their recorded names, as do all topics of a bag with `everything`.
     """
 
     def __init__(

@@ -93,12 +93,6 @@ def replay(
     journal of a recorded run, the replay repeats its resets and parameter changes after the same inputs, but for
     the parameters that the options give, and it does not process the inputs that the run skipped. The same bag and
     parameters always give the same outputs. The new bag is called `<out>.partial` until it is complete.
-
-    Args:
-        bag: Bag of ROS 2 or ROS 1.
-        out: Folder of the new bag.
-        options: Parameters and topics.
-        progress: Function that shows progress.
     """
     partial = choose_partial_path(out)
     if partial.exists():

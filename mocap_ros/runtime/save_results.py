@@ -80,7 +80,10 @@ class ReconstructedSequence:
 
 
 def save(path: Path, reconstruction: ReconstructedSequence) -> None:
-    """Write a reconstruction; the suffix of `path`, one of `SUFFIXES`, selects the format."""
+    """Write a reconstruction; the suffix of `path`, one of `SUFFIXES`, selects the format.
+
+    InputError where the frames are too far apart in time, or too close, for a format with a constant frame rate.
+    """
     WRITERS[find_suffix(path)](path, reconstruction)
 
 
@@ -326,9 +329,8 @@ def list_keyframe_entries(
 ) -> list[dict[str, Any]]:
     """Return the entry of every keyframe in the YAML file, upper body first, sorted by time.
 
-    Returns:
-        Mappings with the keys `half` (upper or lower), `time` (s from the beginning), `represents` (number of
-        frames) and `spans` (pairs of times in s).
+    The keys are `half` (upper or lower), `time` (s from the beginning), `represents` (number of frames) and
+    `spans` (pairs of times in s).
     """
     times = observed.times - observed.times[0]
     return [
@@ -351,11 +353,7 @@ def format_yaml(
 ) -> str:
     """Return the text of the YAML file of keyframes, which `reconstruct --choices` reads.
 
-    Args:
-        observed: The keypoints in which the keyframes were found.
-        keyframes: Keyframes of the upper and the lower half of the body.
-        name: Name of the recording, for the comment.
-        start_ns: Stamp of the first frame in ns, from which on the times of the keyframes count.
+    The name of the recording is for the comment; times count from `start_ns`, the stamp of the first frame.
     """
     tree = {'start_ns': start_ns, 'keyframes': list_keyframe_entries(observed, keyframes)}
     content = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)

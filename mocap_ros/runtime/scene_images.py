@@ -22,13 +22,9 @@ from mocap_ros.viewing.overlay import StampedImage
 
 
 def read_images(path: Path, limits: NodeConfig, topic: str | None, notes: list[str]) -> Iterator[StampedImage]:
-    """Yield the images of a video or a bag; none of any other input.
+    """Yield the images of a video or a bag; none of any other input. `notes` gets a line about those left out.
 
-    Args:
-        path: the input.
-        limits: limits on the length of a text in a message.
-        topic: topic of the keypoints in a bag, to choose among several cameras.
-        notes: gets a line about images that cannot be decoded.
+    Of several cameras in a bag it is that of this topic of keypoints.
     """
     kind = find_input_kind(path)
     if kind is InputKind.VIDEO:

@@ -76,14 +76,8 @@ class LiveScene:
     ) -> None:
         """Put the next frame in place of the last one.
 
-        Args:
-            stamp_ns: stamp of the image.
-            ids: (P,) of the people.
-            people: the people of this frame as the frames of one person.
-            keypoints: layout and points (Jk, 2) in px of each detection.
-            image_size: (width, height) in px.
-            vertical: (3,) upwards in the optical frame; NaN where it is not known with certainty.
-            skeleton: skeleton of the people.
+        The people (P,) of this frame are the frames of one person. Each detection has its layout and points (Jk,
+        2) in px. The vertical (3,) is upwards in the optical frame; NaN where it is not known with certainty.
         """
         self._skeleton = skeleton if ids else self._skeleton
         if self._number % LEVEL_STEP == 0 or not self._people:
@@ -153,11 +147,7 @@ def make_person(person_id: str, joint_count: int, intrinsics: Intrinsics, frames
 
 
 class PageServer(ThreadingHTTPServer):
-    """Server of a live scene on 127.0.0.1, in threads of its own; a context manager that ends it.
-
-    Attributes:
-        address: the address of the page.
-    """
+    """Server of a live scene at `address` on this machine, in threads of its own, which the context ends."""
 
     daemon_threads = True
 

@@ -207,11 +207,8 @@ def draw_corpus_figure(
 ) -> Figure:
     """Draw a run over many recordings.
 
-    Args:
-        seconds: s of all people in each kind of motion, by its name.
-        cadences: Hz, of each appearance in periodic motion.
-        residuals: px, of each appearance.
-        work: CPU seconds of each recording.
+    These are s of all people by their kind of motion, Hz of each appearance in periodic motion, px of each
+    appearance, and CPU seconds of each recording.
     """
     figure = Figure(figsize=(9, 5.5), layout='constrained')
     FigureCanvasAgg(figure)
@@ -238,7 +235,7 @@ def draw_corpus_figure(
 
 
 def check_picture_format(path: Path, *others: str) -> None:
-    """Check that the suffix of a path names a picture format that can be written."""
+    """Check that the suffix of a path names a picture format; the error lists others as well."""
     formats = [f'.{name}' for name in sorted(FigureCanvasAgg.get_supported_filetypes().keys() - FORMATS_OF_OTHERS)]
     if path.suffix.lower() not in formats:
         raise InputError(f'{path}: unknown file type; expected {", ".join([*others, *formats])}')

@@ -120,13 +120,10 @@ BRANCHES = {
 
 
 def build_armature(joints: Array, fps: float, orientation: Array | None = None) -> BvhMotion:
-    """Build the armature of a motion.
+    """Return the armature of a motion, with offsets and positions in cm.
 
-    - `joints`: (F, J, 3) m, y up, in the order of `skeleton.CMU15` or `skeleton.BODY26`.
-    - `orientation`: (F, J, 4) quaternions x, y, z, w of the segments, in the frame of the joints; None if unknown.
-
-    Returns:
-        The armature and its motion, with offsets and positions in cm.
+    Joints (F, J, 3) are in m, y up, in the order of `skeleton.CMU15` or `skeleton.BODY26`; orientations (F, J, 4)
+    are quaternions x, y, z, w of the segments in the same frame, None if unknown.
     """
     from scipy.spatial.transform import Rotation
 

@@ -76,9 +76,8 @@ COORDINATES = (
 def compute_joint_angles(joints: Array, fps: float) -> Array:
     """Return the coordinates (F, C) of a motion, in the order of `COORDINATES`.
 
-    They are angles in degrees, without jumps by a full turn, and positions in m.
-
-    - `joints`: (F, 15, 3) m, y up, in the order of `skeleton.CMU15`, all finite.
+    They are angles in degrees, without jumps by a full turn, and positions in m. Joints (F, 15, 3) are in m, y up,
+    in the order of `skeleton.CMU15`, all finite.
     """
     from scipy.spatial.transform import Rotation
 
@@ -158,10 +157,8 @@ def _wrap(angle: Array) -> Array:
 def _measure_limb(upper: Array, lower: Array, sign: float, bend: float, fps: float) -> tuple[Array, ...]:
     """Return flexion, adduction, rotation and bend (F,) in rad of a limb.
 
-    - `upper`: (F, 3) directions of the upper bone, downwards, in the axes of the parent.
-    - `lower`: (F, 3) directions of the lower bone, likewise.
-    - `sign`: 1 for the right and -1 for the left side.
-    - `bend`: 1 if the lower bone is bent forwards (elbow), -1 if backwards (knee).
+    The directions (F, 3) of its bones point downwards, in the axes of the parent; `sign` is 1 for the right and -1
+    for the left side, `bend` 1 if the lower bone is bent forwards (elbow), -1 if backwards (knee).
     """
     from scipy.spatial.transform import Rotation
 

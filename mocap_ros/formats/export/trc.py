@@ -20,10 +20,7 @@ HEADINGS = 'DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOr
 
 
 def save_trc(path: Path, names: Sequence[str], joints: Array, fps: float) -> None:
-    """Write joints as the markers of a TRC file.
-
-    - `joints`: (F, J, 3) m, y up; NaN where unknown, which leaves the fields of the marker empty.
-    """
+    """Write joints (F, J, 3) in m, y up, as the markers of a TRC file; NaN leaves the fields of a marker empty."""
     frames = len(joints)
     numbers = range(1, len(names) + 1)
     lines = [

@@ -44,15 +44,10 @@ class _Bone(NamedTuple):
 
 
 def load_amc(motion: Path, skeleton: Path) -> dict[str, Array]:
-    """Read a motion and compute the positions of the ends of all bones.
+    """Read a motion (.amc) of a skeleton (.asf) and compute the positions of the ends of all bones.
 
-    Args:
-        motion: path of the .amc file.
-        skeleton: path of the .asf file.
-
-    Returns:
-        The positions (F, 3) of the end of each bone and of `root`, by name, in the skeleton's frame (y up) and in
-        the skeleton's unit of length.
+    Returns the positions (F, 3) of the end of each bone and of `root`, by name, in the skeleton's frame (y up) and
+    in its unit of length.
     """
     from scipy.spatial.transform import Rotation
 

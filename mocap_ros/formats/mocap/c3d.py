@@ -32,10 +32,9 @@ READER = Path(__file__).with_name('c3d_process.py')  # the program that reads a 
 def load_c3d(path: Path) -> tuple[dict[str, Array], float | None]:
     """Read the positions of all markers, in a process of its own, which a damaged file may crash.
 
-    Returns:
-        The positions (F, 3) of each marker in the file's frame and unit, NaN where it was not seen, by its label
-        without the subject's name (`anna:`), unless several subjects have such a marker. And the unit in m, or
-        None where the file does not name it.
+    Returns the positions (F, 3) of each marker in the file's frame and unit, NaN where it was not seen, by its
+    label without the subject's name (`anna:`), unless several subjects have such a marker; and the unit in m, None
+    where the file does not name it.
     """
     try:
         is_installed = find_spec('ezc3d') is not None

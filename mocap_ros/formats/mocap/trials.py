@@ -189,9 +189,7 @@ def _find_skeleton(motion: Path) -> Path:
 def find_vertical_axis(joints: Array, usual: int) -> int:
     """Find the vertical axis of joints (F, 15, 3) from the mean direction from the ankles to the neck.
 
-    Returns:
-        The axis that points up (0, 1 or 2), or `~axis` if that axis points down; `usual` if none is clearly
-        vertical.
+    Returns the axis that points up (0, 1 or 2), or `~axis` if it points down; `usual` if none is clearly vertical.
     """
     position = {name: joints[:, i] for i, name in enumerate(CMU15.joints)}
     up = (position['neck'] - (position['lankle'] + position['rankle']) / 2).mean(axis=0)

@@ -116,15 +116,11 @@ def reconstruct(
 ) -> KeyframeResult:
     """Reconstruct a long sequence of one person's keypoints by keyframes.
 
-    `keypoints` (F, J, 3) x and y in px, and confidence score, NaN or score 0 where not seen; `joint_names` (J,)
-    any names that `keypoints.joint_map` knows; `times` (F,) s, increasing; `models` base poses by name, for the
-    solver that proposes poses; `config` parameters, those of `keyframes`, and those that apply to
-    `whole_sequence.reconstruct_sequence`, but not `tracker.skeleton`: the result has the joints of
-    `skeleton.CMU15`; `choices` forward/backward choices for the keyframes whose key poses Taylor's method is to
-    make; `progress` called with the name of each stage before it begins.
-
-    Errors are those of `whole_sequence.reconstruct_without_floor`, and InputError where no frame gives a 3D pose or
-    a choice does not fit the keyframes.
+    Arguments and errors are those of `whole_sequence.reconstruct_without_floor`, but the result always has the
+    joints of `skeleton.CMU15`; the models are for the solver that proposes poses. `choices` are forward/backward
+    choices for the keyframes whose key poses Taylor's method is to make. `progress` is called with the name of
+    each stage before it begins. InputError also where no frame gives a 3D pose or a choice does not fit the
+    keyframes.
     """
     parameters = config.keyframes
     observed = observe_shots(keypoints, joint_names, times, intrinsics, config.tracker)

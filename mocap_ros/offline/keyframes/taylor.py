@@ -79,8 +79,7 @@ def reconstruct_limbs(
 
 
 def parse_depth_choices(tree: object, source: str) -> tuple[DepthChoice, ...]:
-    """Parse the choices in a YAML tree of keyframes as `mocap-ros keyframes` writes it; `source` names the file.
-    """
+    """Parse the choices in a YAML tree of keyframes as `mocap-ros keyframes` writes it; `source` is the file."""
     entries = tree.get('keyframes') if isinstance(tree, Mapping) else None
     if not isinstance(entries, list) or len(entries) > MAX_ENTRIES:
         raise InputError(f'{source}: expected a list named keyframes')
