@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # axes of the factors in a cross product
+MIN_ANGLE = 1e-30  # rad; guards the division by an angle of zero
 MIN_SINE = 1e-12  # 1; guards the division by the sine of the rotation angle near the identity
 
 
@@ -26,9 +27,9 @@ def nearest_rotation(affine: Array) -> Array:
 
 def rotation_from_vector(vector: Array) -> Array:
     """R = I + sin(a) / a K + (1 - cos(a)) / a^2 K^2 (Rodrigues) of vectors v (..., 3), K p = v x p, a = |v|."""
-    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
-    k = cross_matrix(vector)
-    return np.eye(3) + np.sinc(angle / np.pi) * k + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (k @ k)
+    angle = np.maximum(np.sqrt((vector * vector).sum(axis=-1)), MIN_ANGLE)[..., None, None]
+    k, half = cross_matrix(vector), angle / 2
+    return np.eye(3) + np.sin(angle) / angle * k + 0.5 * (np.sin(half) / half) ** 2 * (k @ k)
 
 
 def quaternion_from_rotation(rotation: Array) -> tuple[float, float, float, float]:

@@ -22,7 +22,6 @@ from mocap_ros.solvers.periodic.normal_equations import (
     MIN_CAMERA_INFORMATION,
     MIN_INFORMATION,
     PeriodicEquations,
-    insert_heading,
 )
 from mocap_ros.solvers.periodic.objective import PeriodicObjective, Point, measure_matrices, move_cameras
 from mocap_ros.solvers.periodic.repetition import (
@@ -111,14 +110,12 @@ def keep(objective: PeriodicObjective, *terms: str) -> PeriodicObjective:
     return replace(
         objective,
         prior=objective.prior * ('prior' in terms),
-        movement=tuple(
-            replace(m, factors=m.factors * (f'movement {i}' in terms)) for i, m in enumerate(objective.movement)
-        ),
+        movement=objective.movement * ('movement' in terms),
         level_weight=objective.level_weight * ('level' in terms),
     )
 
 
-@pytest.mark.parametrize('term', ['image', 'prior', 'movement 0', 'movement 1', 'level'])
+@pytest.mark.parametrize('term', ['image', 'prior', 'movement', 'level'])
 def test_gradient_is_half_that_of_the_cost(walk_model: BasePoses, rng: np.random.Generator, term: str) -> None:
     objective, point = make_point(walk_model, rng, is_seen=term == 'image')
     objective = keep(objective, term)
@@ -133,9 +130,9 @@ def test_matrix_of_the_cameras_is_that_of_the_squares(unseen: tuple[PeriodicObje
     objective, point = unseen
 
     def compute_residuals(p: Point) -> np.ndarray:
-        matrices = measure_matrices(p.cameras)
+        moved = objective.movement @ measure_matrices(p.cameras)
         tilt = np.sqrt(objective.level_weight) * p.cameras.rotation[:, ::2, 2]
-        return np.concatenate([*(m.residuals(matrices).ravel() for m in objective.movement), tilt.ravel()])
+        return np.concatenate([moved.ravel(), tilt.ravel()])
 
     jacobian = differentiate(objective, point, compute_residuals)[SERIES_UNKNOWNS:]
     expected = jacobian @ jacobian.T
@@ -176,47 +173,37 @@ def test_counts_and_determinants_are_those_of_the_dense_matrices(
     assert equations.camera_log_determinant_ratio() == pytest.approx(both[0] - both[1], rel=1e-6)
 
 
-def test_heading_is_inserted_by_the_chain_rule(seen: tuple[PeriodicObjective, Point]) -> None:
+def test_equations_of_the_body_follow_from_those_of_the_joint_solver_by_the_chain_rule(
+    seen: tuple[PeriodicObjective, Point],
+) -> None:
     objective, point = seen
-    objective.normal_equations(point)
-    body = objective.problem
-    vertical = point.cameras.rotation[:, :, 2]
-    matrix, gradient, bones = insert_heading(body, vertical)
-    k = COMPONENTS
-    transform = np.zeros((FRAMES, k + 4, k + 5))  # d (theta, v, log s) / d (theta, psi, w, log s)
-    transform[:, range(k), range(k)] = 1
-    transform[:, range(k, k + 4), range(k + 1, k + 5)] = 1
-    transform[:, k : k + 3, k] = vertical
+    equations = keep(objective).normal_equations(point)
+    body, k, cameras = objective.problem, COMPONENTS, slice(COMPONENTS, COMPONENTS + 4)
+    # d (theta, psi) / d x, and d (theta, v, log s) / d (x, w, log s) of every frame
+    series = np.empty((FRAMES, k + 1, SERIES_UNKNOWNS))
+    for i, step in enumerate(STEP * np.eye(SERIES_UNKNOWNS)):
+        up, down = (point.series.with_step(s).evaluate(objective.body.batch.times) for s in (step, -step))
+        series[:, :, i] = (up - down) / (2 * STEP)
+    to_body = np.tile(np.eye(k + 4, k + 1), (FRAMES, 1, 1))
+    to_body[:, k : k + 3, k], to_body[:, k + 3, k] = point.cameras.rotation[:, :, 2], 0
+    chain = np.concatenate([to_body @ series, np.tile(np.eye(k + 4)[:, cameras], (FRAMES, 1, 1))], axis=2)
     lower = np.tril(body.diagonal)
-    symmetric = lower + np.swapaxes(np.tril(lower, -1), 1, 2)
-    expected = np.einsum('tia,tij,tjb->tab', transform, symmetric, transform)
-    assert matrix == pytest.approx(expected, rel=1e-12, abs=1e-15)
-    assert gradient == pytest.approx(np.einsum('tia,ti->ta', transform, body.gradient), rel=1e-12)
-    expected = np.einsum('tia,tib->tab', transform, body.bone_vectors)[:, : k + 1]
-    assert bones == pytest.approx(expected, rel=1e-12, abs=1e-15)
+    blocks = lower + np.swapaxes(np.tril(lower, -1), 1, 2)
+    matrices = np.swapaxes(chain, 1, 2) @ blocks @ chain
+    gradients = np.einsum('tia,ti->ta', chain, body.gradient)
+    bones = np.einsum('tia,tib->ab', chain, body.bone_vectors)[:SERIES_UNKNOWNS]
+    x, z = slice(0, SERIES_UNKNOWNS), slice(SERIES_UNKNOWNS, None)
+    expected = matrices[:, x, x].sum(axis=0) - bones @ bones.T / FRAMES
+    assert equations.series_matrix == pytest.approx(expected, abs=1e-8 * np.abs(expected).max())
+    assert equations.series_gradient == pytest.approx(gradients[:, x].sum(axis=0), abs=1e-8)
+    assert equations.mixed_matrix == pytest.approx(matrices[:, z, x], abs=1e-8 * np.abs(matrices).max())
+    assert equations.camera_image == pytest.approx(matrices[:, z, z], rel=1e-12)
+    assert equations.camera_gradient == pytest.approx(gradients[:, z], rel=1e-12)
 
 
 def test_a_camera_on_a_stand_moves_less(seen: tuple[PeriodicObjective, Point]) -> None:
-    moving, still = seen[0].movement[0], seen[0].with_still_camera(CONFIG).movement[0]
-    np.testing.assert_allclose(still.factors**2, 300 * moving.factors**2)
-
-
-def test_products_of_the_series_are_those_of_its_jacobian(
-    seen: tuple[PeriodicObjective, Point], rng: np.random.Generator
-) -> None:
-    objective, point = seen
-    jacobian = point.series.jacobian(objective.body.batch.times)
-    dense = np.empty((FRAMES, COMPONENTS + 1, SERIES_UNKNOWNS))
-    for i, step in enumerate(STEP * np.eye(SERIES_UNKNOWNS)):
-        up, down = (point.series.with_step(s).evaluate(objective.body.batch.times) for s in (step, -step))
-        dense[:, :, i] = (up - down) / (2 * STEP)
-    x = rng.normal(size=(FRAMES, 3, COMPONENTS + 1))
-    assert jacobian.products(x) == pytest.approx(x @ dense, abs=1e-8)
-    assert jacobian.sum_products(x) == pytest.approx((x @ dense).sum(axis=0), abs=1e-8)
-    symmetric = rng.normal(size=(FRAMES, COMPONENTS + 1, COMPONENTS + 1))
-    symmetric = symmetric + np.swapaxes(symmetric, 1, 2)
-    expected = np.einsum('tia,tij,tjb->ab', dense, symmetric, dense)
-    assert jacobian.sum_congruences(symmetric) == pytest.approx(expected, abs=1e-7)
+    moving, still = (o.movement[: FRAMES - 1] for o in (seen[0], seen[0].with_still_camera(CONFIG)))
+    np.testing.assert_allclose(still**2, 300 * moving**2)
 
 
 CADENCE = 0.9  # Hz

@@ -25,7 +25,6 @@ between 1 and R.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -58,13 +57,18 @@ class FiniteDifference:
         """D."""
         return self.factors.shape[1] - 1
 
+    @property
+    def rows(self) -> Array:
+        """The factors as a matrix (N - D, N), whose product with features are the differences."""
+        count = max(len(self.factors) - self.order, 0)
+        rows, first = np.zeros((count, len(self.factors))), np.arange(count)
+        for e in range(self.order + 1):
+            rows[first, first + e] = self.factors[:count, e]
+        return rows
+
     def residuals(self, features: Array) -> Array:
         """Return the numbers (N - D, F) whose squares are the term, of features (N, F)."""
-        count = max(len(features) - self.order, 0)
-        total = self.factors[:count, :1] * features[:count]
-        for e in range(1, self.order + 1):
-            total += self.factors[:count, e : e + 1] * features[e : e + count]
-        return np.asarray(np.sqrt(self.weight) * total)
+        return np.asarray(np.sqrt(self.weight) * (self.rows @ features))
 
 
 def measure_features(state: State) -> Array:
@@ -114,30 +118,3 @@ def measure_activity(values: Array, coarse: Batch, batch: Batch) -> Array:
         end = np.searchsorted(coarse.times[some], batch.times[every] + ACTIVITY_SPAN_S, side='right')
         out[every] = (sums[end] - sums[first]) / np.maximum(end - first, 1)
     return out
-
-
-def add_differences(
-    terms: Sequence[FiniteDifference],
-    features: Array,
-    jacobian: Array,
-    blocks: Array,
-    coupling: Array,
-    gradient: Array,
-) -> None:
-    """Add the Gauss-Newton matrix and half the gradient of differences whose weights w are 1, in place.
-
-    Coupling (N, 2, n, n) has the rows of frame t + d + 1 and the columns of frame t; the Jacobian is (N, F, n).
-    """
-    bands, force = np.zeros((3, len(features))), np.zeros_like(features)
-    for term in terms:
-        residuals = term.residuals(features)
-        count, c = len(residuals), term.factors[: len(residuals)]
-        for e in range(term.order + 1):
-            force[e : e + count] += c[:, e : e + 1] * residuals
-            for d in range(term.order + 1 - e):
-                bands[d, e : e + count] += c[:, e] * c[:, e + d]
-    transposed = np.swapaxes(jacobian, 1, 2)
-    for d, target in enumerate((blocks, coupling[:, 0], coupling[:, 1])):
-        count = max(len(features) - d, 0)
-        target[:count] += bands[d, :count, None, None] * (transposed[d:] @ jacobian[:count])
-    gradient += (transposed @ force[..., None])[..., 0]

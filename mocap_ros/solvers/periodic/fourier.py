@@ -48,13 +48,13 @@ class FourierSeries:
         """Hz, full cycles (two steps of a walk) per second."""
         return self.omega / (2 * np.pi)
 
-    def jacobian(self, times: Array) -> SeriesJacobian:
-        """Return the derivatives of the functions at these times (N,) s by the unknowns of the series."""
+    def differentiate(self, times: Array) -> tuple[Array, Array]:
+        """Return the derivatives of the functions at times (N,) s: terms (N, P), slopes (N, K + 1)."""
         t = (times - self.origin)[:, None]
         h = np.arange(1, len(self.coefficients) // 2 + 1)
         angle = self.omega * t * h
         slopes = np.stack([-h * t * np.sin(angle), h * t * np.cos(angle)], axis=-1).reshape(len(times), -1)
-        return SeriesJacobian(make_terms(angle), slopes @ self.coefficients[1:])
+        return make_terms(angle), slopes @ self.coefficients[1:]
 
     def evaluate(self, times: Array) -> Array:
         """Return the weights (m) and, in the last column, the heading (rad), (N, K + 1), at the times (N,) s."""
@@ -75,66 +75,30 @@ class FourierSeries:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class SeriesJacobian:
-    """Jacobian J_t = d u_t / d x of the functions' values by the G = P (K + 1) + 1 unknowns, for all frames."""
-
-    terms: Array  # (N, P) derivatives by c_pl, the same for all functions
-    slopes: Array  # (N, K + 1) derivatives by omega
-
-    def products(self, values: Array) -> Array:
-        """Return X_t J_t of every frame, (N, R, G), for X (N, R, K + 1)."""
-        frames, rows, k = values.shape
-        out = np.empty((frames, rows, self.terms.shape[1] * k + 1))
-        out[..., :-1] = (self.terms[:, None, :, None] * values[:, :, None]).reshape(frames, rows, -1)
-        out[..., -1] = (values @ self.slopes[..., None])[..., 0]
-        return out
-
-    def sum_products(self, values: Array) -> Array:
-        """Return sum_t X_t J_t, (R, G), for X (N, R, K + 1)."""
-        frames, rows, k = values.shape
-        by_terms = (self.terms.T @ values.reshape(frames, -1)).reshape(-1, rows, k)
-        by_omega = np.tensordot(values, self.slopes, ([0, 2], [0, 1]))
-        return np.concatenate([np.swapaxes(by_terms, 0, 1).reshape(rows, -1), by_omega[:, None]], axis=1)
-
-    def sum_congruences(self, matrices: Array) -> Array:
-        """Return sum_t J_t^T X_t J_t, (G, G), for symmetric X (N, K + 1, K + 1)."""
-        frames, k, _ = matrices.shape
-        p = self.terms.shape[1]
-        products = (self.terms[:, :, None] * self.terms[:, None]).reshape(frames, -1)
-        blocks = (products.T @ matrices.reshape(frames, -1)).reshape(p, p, k, k)
-        by_omega = (matrices @ self.slopes[..., None])[..., 0]
-        out = np.empty((p * k + 1, p * k + 1))
-        out[:-1, :-1] = np.swapaxes(blocks, 1, 2).reshape(p * k, p * k)
-        out[-1, :-1] = out[:-1, -1] = (self.terms.T @ by_omega).ravel()
-        out[-1, -1] = (by_omega * self.slopes).sum()
-        return out
-
-
-def fit_initial_series(
-    theta: Array, times: Array, config: SolverConfig, excluded_omega: float | None = None
-) -> FourierSeries:
-    """Fit a series to the weights of a non-periodic reconstruction, with the most likely cadence of a scan.
+def fit_initial_series(theta: Array, times: Array, config: SolverConfig) -> tuple[FourierSeries, FourierSeries]:
+    """Fit series to the weights of a non-periodic reconstruction, with the two most likely cadences of a scan.
 
     For every cadence, with the diagonal ridge D = RIDGE N diag(1 / share_p), the coefficients minimise
 
         |theta_l - T c_l|^2 + c_l^T D c_l = |theta_l|^2 - c_l^T T^T theta_l    at  c_l = (T^T T + D)^-1 T^T theta_l
 
-    so the best has the largest c^T T^T theta, summed over base poses. The heading begins as zero. Frequencies like
-    `excluded_omega` rad/s are left out, unless none would remain.
+    so the best has the largest c^T T^T theta, summed over base poses. The heading begins as zero. The second
+    cadence is the best of those unlike the first; it is the first if there are none.
     """
-    scanned = list_scanned_frequencies(times)
-    if excluded_omega is not None:
-        remaining = scanned[np.abs(np.log(scanned / excluded_omega)) > MIN_LOG_CADENCE_RATIO]
-        if remaining.size:
-            scanned = remaining
-    origin = float(times.mean())
+    scanned, origin = list_scanned_frequencies(times), float(times.mean())
     h = np.arange(1, config.harmonics + 1)
     terms = make_terms(scanned[:, None, None] * (times - origin)[:, None] * h)  # (C, N, P)
     fits, explained = fit_with_ridge(terms, theta, variance_shares(config.harmonics))
-    best = explained.sum(axis=1).argmax()
+    total = explained.sum(axis=1)
+    first = total.argmax()
+    is_other = np.abs(np.log(scanned / scanned[first])) > MIN_LOG_CADENCE_RATIO
+    second = np.where(is_other, total, -np.inf).argmax() if is_other.any() else first
     heading = np.zeros((terms.shape[-1], 1))
-    return FourierSeries(np.concatenate([fits[best], heading], axis=1), float(scanned[best]), origin)
+    one, other = (
+        FourierSeries(np.concatenate([fits[i], heading], axis=1), float(scanned[i]), origin)
+        for i in (first, second)
+    )
+    return one, other
 
 
 def list_scanned_frequencies(times: Array) -> Array:

@@ -36,10 +36,9 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
-from mocap_ros.engine import block_banded
-from mocap_ros.engine import joint as engine
+from mocap_ros.engine import block_banded, joint
+from mocap_ros.engine import periodic as engine
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
-from mocap_ros.solvers.periodic.fourier import SeriesJacobian
 
 Array = NDArray[np.float64]
 
@@ -74,21 +73,19 @@ class PeriodicEquations:
     camera_gradient: Array  # (N, 4) the vector c
 
     @staticmethod
-    def begin(body: engine.JointProblem, vertical: Array, jacobian: SeriesJacobian) -> PeriodicEquations:
+    def begin(body: joint.JointProblem, vertical: Array, terms: Array, slopes: Array) -> PeriodicEquations:
         """Return the equations of the body alone, with its vertical (N, 3) in the camera frame, a_t."""
-        matrix, gradient, bone_vectors = insert_heading(body, vertical)
-        frames, functions = len(vertical), len(jacobian.slopes[0])
-        bones = jacobian.sum_products(np.swapaxes(bone_vectors, 1, 2)) / np.sqrt(frames)
-        series_matrix = jacobian.sum_congruences(matrix[:, :functions, :functions]) - bones.T @ bones
+        derivatives = body.diagonal, body.gradient, body.bone_vectors
+        matrix, gradient, mixed, image, camera_gradient = engine.assemble(*derivatives, vertical, terms, slopes)
         return PeriodicEquations(
-            series_matrix=series_matrix,
-            series_prior=np.zeros(len(series_matrix)),
-            series_gradient=jacobian.sum_products(gradient[:, None, :functions])[0],
-            mixed_matrix=jacobian.products(matrix[:, functions:, :functions]),
-            camera_image=matrix[:, functions:, functions:],
-            camera_prior=np.zeros((frames, CAMERA_UNKNOWNS, CAMERA_UNKNOWNS)),
-            camera_coupling=np.zeros((frames, COUPLED_FRAMES, CAMERA_UNKNOWNS, CAMERA_UNKNOWNS)),
-            camera_gradient=gradient[:, functions:].copy(),
+            series_matrix=matrix,
+            series_prior=np.zeros(len(matrix)),
+            series_gradient=gradient,
+            mixed_matrix=mixed,
+            camera_image=image,
+            camera_prior=np.zeros_like(image),
+            camera_coupling=np.zeros((len(image), COUPLED_FRAMES, CAMERA_UNKNOWNS, CAMERA_UNKNOWNS)),
+            camera_gradient=camera_gradient,
         )
 
     def count_effective_parameters(self) -> float:
@@ -99,15 +96,11 @@ class PeriodicEquations:
         Series and cameras are counted with the other fixed; the last term counts the translations.
         """
         n, frames = len(self.series_matrix), len(self.camera_image)
-        series = n - self._trace_of_prior_share()
+        added = self.series_prior + MIN_INFORMATION
+        series = n - engine.compute_trace_of_solved(self.series_matrix, added, self.series_prior)
         camera_blocks = self.camera_image + self.camera_prior + MIN_INFORMATION * np.eye(CAMERA_UNKNOWNS)
         cameras = np.einsum('nii->', np.linalg.solve(camera_blocks, self.camera_image))
         return float(series + cameras + 2 * frames)
-
-    def _trace_of_prior_share(self) -> float:
-        """Return tr(A^-1 D)."""
-        matrix = self.series_matrix + np.diag(self.series_prior + MIN_INFORMATION)
-        return float(np.linalg.inv(matrix).diagonal() @ self.series_prior)
 
     def camera_log_determinant_ratio(self) -> float:
         """Return log det C - log det E, minus twice the log of the cameras' posterior over prior volume."""
@@ -118,14 +111,11 @@ class PeriodicEquations:
     def _log_determinant(self, diagonal: Array) -> float:
         """Return the log determinant of a camera matrix with these diagonal blocks; infinity if not definite."""
         definite = diagonal + MIN_CAMERA_INFORMATION * np.eye(CAMERA_UNKNOWNS)
+        none = np.zeros((len(diagonal), COUPLED_FRAMES, CAMERA_UNKNOWNS))
         try:
-            return self._factorise_cameras(definite).log_determinant()
+            return block_banded.BlockCholesky(definite, none, self.camera_coupling).log_determinant()
         except LinAlgError:
             return np.inf
-
-    def _factorise_cameras(self, blocks: Array) -> block_banded.BlockCholesky:
-        none = np.zeros((len(blocks), COUPLED_FRAMES, CAMERA_UNKNOWNS))
-        return block_banded.BlockCholesky(blocks, none, self.camera_coupling)
 
     def solve_step(self, damping: float) -> Step | None:
         """Return the step with diagonals of A and C raised by `damping`; None if not positive definite."""
@@ -133,42 +123,7 @@ class PeriodicEquations:
         on_diagonal = np.einsum('nii->ni', camera_blocks)
         on_diagonal *= 1 + damping
         on_diagonal += MIN_INFORMATION
-        try:
-            factor = self._factorise_cameras(camera_blocks)
-        except LinAlgError:
-            return None
-        frames, n, size = self.mixed_matrix.shape
-        right = np.empty((frames, n, size + 1))
-        right[:, :, :-1], right[:, :, -1] = self.mixed_matrix, self.camera_gradient
-        solved = factor.solve_lower(right).reshape(frames * n, size + 1)  # L^-1 (B^T, c)
-        v_matrix, v_vector = solved[:, :-1], solved[:, -1]
-        schur = self.series_matrix - v_matrix.T @ v_matrix
-        diagonal = self.series_prior + np.einsum('ii->i', self.series_matrix)
-        np.einsum('ii->i', schur)[:] += self.series_prior + damping * diagonal + MIN_INFORMATION
-        try:
-            np.linalg.cholesky(schur)  # S is positive definite
-            step = np.linalg.solve(schur, v_matrix.T @ v_vector - self.series_gradient)
-        except LinAlgError:
-            return None
-        camera_right = -(v_vector + v_matrix @ step).reshape(frames, n)
-        return Step(step, factor.solve_lower_transposed(camera_right))
-
-
-def insert_heading(body: engine.JointProblem, vertical: Array) -> tuple[Array, Array, Array]:
-    """Return H' (N, K + 5, K + 5), h' (N, K + 5) and g (N, K + 1, B), with the heading as unknown K + 1."""
-    frames, n = body.gradient.shape
-    k = n - CAMERA_UNKNOWNS
-    turn, kept = slice(k, k + 3), ((slice(0, k), slice(0, k)), (slice(k, n), slice(k + 1, n + 1)))
-    blocks = np.where(np.tri(n, dtype=bool), body.diagonal, np.swapaxes(body.diagonal, 1, 2))
-    column = (blocks[:, :, turn] @ vertical[:, :, None])[..., 0]
-    matrix, gradient = np.empty((frames, n + 1, n + 1)), np.empty((frames, n + 1))
-    for old, new in kept:
-        gradient[:, new] = body.gradient[:, old]
-        matrix[:, k, new] = matrix[:, new, k] = column[:, old]
-        for old_column, new_column in kept:
-            matrix[:, new, new_column] = blocks[:, old, old_column]
-    matrix[:, k, k] = (vertical * column[:, turn]).sum(axis=1)
-    gradient[:, k] = (vertical * body.gradient[:, turn]).sum(axis=1)
-    bones = np.zeros((frames, k + 1, body.bone_vectors.shape[2]))
-    bones[:, :k] = body.bone_vectors[:, :k]
-    return matrix, gradient, bones
+        added = (1 + damping) * self.series_prior + damping * self.series_matrix.diagonal() + MIN_INFORMATION
+        cameras = self.mixed_matrix, camera_blocks, self.camera_coupling, self.camera_gradient
+        step = engine.solve_step(self.series_matrix, added, self.series_gradient, *cameras)
+        return None if step is None else Step(*step)

@@ -19,20 +19,18 @@ changes of the camera (eq. 12) and has neither prior nor tilt.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint as engine
-from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, fill_camera_jacobian, fill_rotation_jacobian
+from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, fill_camera_jacobian
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.joint.batch import Batch, State
 from mocap_ros.solvers.joint.differences import (
     FiniteDifference,
-    add_differences,
     invert_time_steps,
     weigh_velocity_change,
 )
@@ -64,46 +62,43 @@ class Point:
     cost: float  # m^2, value of the objective
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class PeriodicObjective:
     """The objective E of one window of N frames."""
 
     body: JointObjective  # reprojection and bone lengths, as in the joint solver
+    problem: engine.JointProblem  # the same, compiled
     prior: Array  # (P, K + 1) lambda / var_pl, the factor on the square of each coefficient
-    # velocity and acceleration of the camera, whose features are the elements (N, 6) of M
-    movement: tuple[FiniteDifference, ...]
+    movement: Array  # (R, N) rows whose products with the elements (N, 6) of M are its movement
     level_weight: float  # nu / N, m^2
 
     @staticmethod
     def build(window: Window, unit: float, model: BasePoses, config: SolverConfig) -> PeriodicObjective:
         """Return the objective of a window; `unit` px/m converts image errors to metres."""
         batch = Batch.build([window], np.array([unit]), model)
-        body = JointObjective.build(batch, model, config)
+        body = replace(JointObjective.build(batch, model, config), prior=np.zeros(len(model.std)), differences=())
         variance = variance_shares(config.harmonics)[:, None] * np.append(model.std, HEADING_STD) ** 2
         variance[0] = 1 / (1 / variance[0] + 1 / CONSTANT_STD**2)
         variance[0, -1] = CONSTANT_HEADING_STD**2
         level_weight = config.prior_weight / LEVEL_STD**2 / len(window.times) if model.aligned_by_heading else 0.0
         return PeriodicObjective(
-            replace(body, prior=np.zeros(len(model.std)), differences=()),
+            body,
+            body.compile(),
             config.prior_weight * config.periodic_prior_factor / variance,
             weigh_movement(batch, config.camera_velocity_weight, config.camera_acceleration_weight),
             level_weight,
         )
 
-    def with_noise(self, noise: float) -> PeriodicObjective:
-        """Return the objective for this image noise (standard deviation, m), to which `MODEL_ERROR` is added."""
-        return replace(self, body=self.body.with_noise(np.array([np.hypot(noise, MODEL_ERROR)])))
+    def set_noise(self, noise: float) -> None:
+        """Set the image noise (standard deviation, m), to which `MODEL_ERROR` is added."""
+        self.body = self.body.with_noise(np.array([np.hypot(noise, MODEL_ERROR)]))
+        self.problem.weigh(self.body)
 
     def with_still_camera(self, config: SolverConfig) -> PeriodicObjective:
         """Return the objective for a camera that hardly moves."""
         velocity = STILL_CAMERA_FACTOR * config.camera_velocity_weight
         movement = weigh_movement(self.body.batch, velocity, config.camera_acceleration_weight)
         return replace(self, movement=movement)
-
-    @cached_property
-    def problem(self) -> engine.JointProblem:
-        """The terms of the body."""
-        return self.body.compile()
 
     def measure(self, series: FourierSeries, cameras: State, settle_steps: int = 1) -> Point:
         """Return the point of a series and cameras.
@@ -114,10 +109,9 @@ class PeriodicObjective:
         rotation = cameras.rotation @ rotations_about_vertical(values[:, -1])
         body = State(values[:, :-1], rotation, cameras.log_scale, cameras.translation)
         self.problem.start(*body, settle_steps)
-        cost = float(self.problem.cost[0]) + float((self.prior * series.coefficients**2).sum())
-        matrices = measure_matrices(cameras)
-        cost += sum(float((term.residuals(matrices) ** 2).sum()) for term in self.movement)
-        cost += self.level_weight * float((cameras.rotation[:, ::2, 2] ** 2).sum())
+        moved, tilt = self.movement @ measure_matrices(cameras), cameras.rotation[:, ::2, 2].ravel()
+        prior = self.prior.ravel() @ series.coefficients.ravel() ** 2
+        cost = float(self.problem.cost[0] + prior + np.vdot(moved, moved) + self.level_weight * (tilt @ tilt))
         translation = self.problem.read('translation')
         cameras, body = cameras._replace(translation=translation), body._replace(translation=translation)
         return Point(series, cameras, body, cost)
@@ -128,18 +122,26 @@ class PeriodicObjective:
         self.problem.start(*point.body)
         self.problem.begin(0.0)
         vertical = cameras.rotation[:, :, 2]
-        equations = PeriodicEquations.begin(self.problem, vertical, point.series.jacobian(self.body.batch.times))
+        equations = PeriodicEquations.begin(
+            self.problem, vertical, *point.series.differentiate(self.body.batch.times)
+        )
         size = self.prior.size
         equations.series_prior[:size] += self.prior.ravel()
         equations.series_gradient[:size] += (self.prior * point.series.coefficients).ravel()
         blocks, gradient = equations.camera_prior, equations.camera_gradient
-        matrices, jacobian = measure_matrices(cameras), differentiate_matrices(cameras)
-        add_differences(self.movement, matrices, jacobian, blocks, equations.camera_coupling, gradient)
-        tilt = np.zeros((len(vertical), 3, 3))  # by the rotation vector; the scale has no influence
-        fill_rotation_jacobian(tilt, vertical)
-        transposed = self.level_weight * np.swapaxes(tilt[:, ::2], -1, -2)
-        blocks[:, :3, :3] += transposed @ tilt[:, ::2]
-        gradient[:, :3] += (transposed @ vertical[:, ::2, None])[..., 0]
+        jacobian, moved = differentiate_matrices(cameras), self.movement @ measure_matrices(cameras)
+        squares = self.movement.T @ self.movement
+        transposed = np.swapaxes(jacobian, 1, 2)
+        gradient += (transposed @ (self.movement.T @ moved)[..., None])[..., 0]
+        for d, target in enumerate((blocks, *np.swapaxes(equations.camera_coupling, 0, 1))):
+            count = max(len(blocks) - d, 0)
+            target[:count] += squares.diagonal(d)[:, None, None] * (transposed[d:] @ jacobian[:count])
+        x, y, z = vertical.T
+        across, along = np.stack([0 * x, z, -y], axis=1), np.stack([y, -x, 0 * x], axis=1)  # d x / d w, d z / d w
+        blocks[:, :3, :3] += self.level_weight * (
+            across[:, :, None] * across[:, None] + along[:, :, None] * along[:, None]
+        )
+        gradient[:, :3] += self.level_weight * (x[:, None] * across + z[:, None] * along)
         return equations
 
     def advance(self, point: Point, step: Step) -> Point:
@@ -162,14 +164,13 @@ class PeriodicObjective:
         return float(np.sqrt(loss / free))
 
 
-def weigh_movement(
-    batch: Batch, velocity_weight: float, acceleration_weight: float
-) -> tuple[FiniteDifference, ...]:
-    """Return the terms of velocity and acceleration with the weights gamma (m^2 s) and kappa (m^2 s^3)."""
+def weigh_movement(batch: Batch, velocity_weight: float, acceleration_weight: float) -> Array:
+    """Return the rows of velocity and acceleration with the weights gamma (m^2 s) and kappa (m^2 s^3)."""
     root = np.sqrt(velocity_weight * invert_time_steps(batch))
     change = np.sqrt(acceleration_weight) * weigh_velocity_change(batch)
     every = np.ones(6)
-    return FiniteDifference(np.stack([-root, root], axis=1), every), FiniteDifference(change, every)
+    terms = FiniteDifference(np.stack([-root, root], axis=1), every), FiniteDifference(change, every)
+    return np.concatenate([term.rows for term in terms])
 
 
 def measure_matrices(cameras: State) -> Array:

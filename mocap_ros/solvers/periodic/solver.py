@@ -148,26 +148,26 @@ def _fit_window(
     noise = float(np.fmax(window.noise or noise, config.noise_floor))
     objective = PeriodicObjective.build(window, unit, model, config)
     if config.adapt_noise:
-        objective = objective.with_noise(noise)
+        objective.set_noise(noise)
     yield
-    searches, first_omega = [], None
-    for _ in range(1 if noise < MIN_NOISE_FOR_HYPOTHESES else 2):
-        series = fit_initial_series(start.theta, window.times, config, excluded_omega=first_omega)
+    searches, hypotheses = [], fit_initial_series(start.theta, window.times, config)
+    for series in hypotheses[: 1 if noise < MIN_NOISE_FOR_HYPOTHESES else 2]:
         yield
-        first_omega = series.omega
         point = measure_initial_point(objective, series, start, unit)
         searches.append(Search(objective, point, config.max_iterations))
         yield
     search = yield from select_most_likely(searches)
     if noise >= MIN_NOISE_FOR_HYPOTHESES:
-        still = Search(objective.with_still_camera(config), search.point, search.remaining_trials)
+        on_stand = objective.with_still_camera(config)
+        point = on_stand.measure(search.point.series, search.point.cameras, settle_steps=0)
+        still = Search(on_stand, point, search.remaining_trials)
         search = yield from select_most_likely([search, still])
     if config.adapt_noise and window.noise is None:
         for _ in range(NOISE_ROUNDS):
             yield from search.run(max(NOISE_ROUND_TOLERANCE, config.tolerance))
             yield
             noise = max(search.estimate_noise(), config.noise_floor)
-            search.set_objective(search.objective.with_noise(noise))
+            search.set_noise(noise)
             yield
     yield from search.run(config.tolerance)
     yield
@@ -195,24 +195,23 @@ class Search:
         objective: the objective E of the current run.
         point: current series and cameras.
         equations: normal equations at the current point or at an earlier one; None before the first run.
-        history: m^2, values of E since the current objective was set, after each step that was tried.
+        history: m^2, values of E since the current noise was set, after each step that was tried.
         damping: relative damping of the next step.
         remaining_trials: number of steps that may still be tried, accepted or not.
         status: why the latest run stopped.
     """
 
     def __init__(self, objective: PeriodicObjective, point: Point, max_trials: int) -> None:
-        self.point = point
+        self.objective, self.point, self.history = objective, point, [point.cost]
         self.equations: PeriodicEquations | None = None
         self.damping = WARM_DAMPING
         self.remaining_trials = max_trials
         self.status = SolverStatus.MAX_ITERATIONS
-        self.set_objective(objective)
 
-    def set_objective(self, objective: PeriodicObjective) -> None:
-        """Continue from the current point under another objective."""
-        self.objective = objective
-        self.point = objective.measure(self.point.series, self.point.cameras, settle_steps=0)
+    def set_noise(self, noise: float) -> None:
+        """Continue from the current point under another image noise (m)."""
+        self.objective.set_noise(noise)
+        self.point = self.objective.measure(self.point.series, self.point.cameras, settle_steps=0)
         self.history = [self.point.cost]
 
     @property
