@@ -33,17 +33,14 @@ from mocap_ros.offline.keyframes.half_poses import (
 )
 from mocap_ros.offline.keyframes.image_points import find_outliers
 from mocap_ros.offline.keyframes.keyframe_method import observe_shots, reconstruct
-from mocap_ros.offline.keyframes.keyframe_set import (
-    estimate_frame_interval,
-    find_interpolatable,
-    select_keyframes,
-)
+from mocap_ros.offline.keyframes.keyframe_set import estimate_frame_interval, find_interpolatable, select_keyframes
 from mocap_ros.offline.keyframes.motion import FitResult, fit_motion
 from mocap_ros.offline.keyframes.shots import find_shots, split_into_sections
 from mocap_ros.offline.keyframes.taylor import parse_depth_choices, reconstruct_limbs
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import SolverStatus
 from tests.support.swinging_body import BONE_LENGTHS, STANDING, make_swinging_body
+from tests.support.synthetic_walk import mpjpe_mm, with_scores
 
 
 def make_half_poses(points: np.ndarray, seen: np.ndarray | None = None) -> HalfPoses:
@@ -225,11 +222,11 @@ MIRROR = list(CMU15.mirror)
 FRAMES = 90
 
 
-def make_rays(frames: int = FRAMES) -> tuple[Array, Array, Array]:
+def make_rays() -> tuple[Array, Array, Array]:
     """Return rays (F, 15, 2), weights (F, 15) and times (F,) s of a person who moves without a cut."""
-    poses, times = make_swinging_body(frames)
+    poses, times = make_swinging_body(FRAMES)
     joints = poses + [0.2, 0.0, 4.0]
-    return joints[..., :2] / joints[..., 2:], np.ones((frames, 15)), times
+    return joints[..., :2] / joints[..., 2:], np.ones((FRAMES, 15)), times
 
 
 def list_starts(shots: list[slice]) -> list[int]:
@@ -249,9 +246,9 @@ def test_a_jump_of_the_body_is_a_cut_and_swapped_sides_are_none(unit: float) -> 
 
 
 def test_swapped_sides_are_put_right_in_each_shot() -> None:
-    rays, weight, times = make_rays()
+    rays, _, times = make_rays()
     rays[50:] += 0.2
-    keypoints = np.concatenate([CAMERA.focal * rays + CAMERA.center, weight[..., None]], axis=-1)
+    keypoints = with_scores(CAMERA.focal * rays + CAMERA.center)
     swapped = keypoints.copy()
     for frames in (slice(20, 24), slice(60, 63)):
         swapped[frames] = keypoints[frames][:, MIRROR]
@@ -274,12 +271,6 @@ CONFIG = with_settings(Config(), {'keyframes.poses': 'lifter'})
 MODELS = load_base_pose_models('all')
 
 
-def compute_mpjpe(found: np.ndarray, truth: np.ndarray) -> float:
-    a, b = (p - p.mean(axis=1, keepdims=True) for p in (found, truth))
-    a = a * (a * b).sum() / (a * a).sum()
-    return float(np.linalg.norm(a - b, axis=-1).mean() * 1e3)
-
-
 def make_walk(frames: int = 240) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Keypoints (F, 15, 3), times (F,) and truth (F, 15, 3) m in the camera's frame."""
     poses, times = make_swinging_body(frames)
@@ -287,13 +278,13 @@ def make_walk(frames: int = 240) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     poses = poses @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
     position = np.stack([0.5 * np.sin(0.6 * times), 0 * times, 4 + 0.5 * np.cos(0.6 * times)], axis=-1)
     truth = poses + position[:, None]
-    return np.concatenate([CAMERA.project(truth), np.ones((frames, 15, 1))], axis=-1), times, truth
+    return with_scores(CAMERA.project(truth)), times, truth
 
 
 def test_a_projected_motion_is_reconstructed_with_and_without_outliers() -> None:
     keypoints, times, truth = make_walk()
     clean = reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, CONFIG)
-    assert compute_mpjpe(clean.result.joints, truth) < 1.1 * 58.5  # mm, measured
+    assert mpjpe_mm(clean.result.joints, truth) < 1.1 * 58.5  # mm, measured
     distance = np.linalg.norm(clean.result.joints.mean(axis=1) - truth.mean(axis=1), axis=-1)
     assert distance.mean() < 1.1 * 0.0852  # m, measured
     reprojection_error = np.linalg.norm(CAMERA.project(clean.result.joints) - keypoints[..., :2], axis=-1)
@@ -310,7 +301,7 @@ def test_a_projected_motion_is_reconstructed_with_and_without_outliers() -> None
     found = reconstruct(corrupted, CMU15.joints, times, CAMERA, MODELS, CONFIG)
     assert (found.outliers == wrong).all()
     assert not found.result.seen[found.outliers].any()
-    assert compute_mpjpe(found.result.joints, truth) < 1.1 * 60.3  # mm, measured
+    assert mpjpe_mm(found.result.joints, truth) < 1.1 * 60.3  # mm, measured
 
 
 @pytest.mark.filterwarnings('error')
@@ -320,7 +311,7 @@ def test_degenerate_keypoints(case: str) -> None:
     if case == 'still':
         keypoints[:] = keypoints[0]
     elif case == 'no legs':
-        keypoints[:, 9:] = [np.nan, np.nan, 0]
+        keypoints[:, 9:] = np.nan
     elif case == 'two frames seen':
         keypoints[1:59] = np.nan
     elif case == 'a last frame much later':
@@ -335,13 +326,8 @@ def test_degenerate_keypoints(case: str) -> None:
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp('keyframes')
     whole = make_recording().sequence()
-    first = replace(
-        whole,
-        keypoints=whole.keypoints[:150],
-        timestamps=whole.timestamps[:150],
-        recorded_ns=whole.recorded_ns[:150],
-        truth=None,
-    )
+    cut = {name: getattr(whole, name)[:150] for name in ('keypoints', 'timestamps', 'recorded_ns')}
+    first = replace(whole, truth=None, **cut)
     save_sequence(folder / 'demo.npz', first)
     out = folder / 'demo.mcap'
     assert main(['reconstruct', str(folder / 'demo.npz'), '-o', str(out), '--method', 'keyframes']) == 0

@@ -3,11 +3,12 @@
 
 """Whole sequences: the most probable base poses, cameras, the learned prior, and points that are not explained."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from mocap_ros.config import Config, with_settings
-from mocap_ros.evaluation.metrics import scale_to_reference
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
 from mocap_ros.models.base_poses import BasePoses
@@ -24,7 +25,7 @@ from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, estimate_stature
 from mocap_ros.solvers.observed_window import observe_sequence
 from mocap_ros.solvers.window import Reconstruction, SolverStatus
 from tests.support.swinging_body import make_swinging_body
-from tests.support.synthetic_walk import make_walk
+from tests.support.synthetic_walk import make_walk, mpjpe_mm, with_scores
 
 CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
 CONFIG = with_settings(Config(), {'solver.components': 12, 'solver.prior': 'pca'})
@@ -32,19 +33,16 @@ CONFIG = with_settings(Config(), {'solver.components': 12, 'solver.prior': 'pca'
 
 def test_the_most_probable_of_several_models_is_used() -> None:
     models = {name: load_base_poses(name) for name in ('walk', 'jump', 'all')}
-    _, _, points, times = make_walk(models['walk'])
-    keypoints = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=-1)
-    several = reconstruct_sequence(keypoints, CMU15.joints, times, CAMERA, models, CONFIG)
+    walk = make_walk(models['walk'])
+    given = with_scores(walk.points), CMU15.joints, walk.times, CAMERA
+    several = reconstruct_sequence(*given, models, CONFIG)
     assert several.category == 'walk'
-    alone = reconstruct_sequence(keypoints, CMU15.joints, times, CAMERA, models['walk'], CONFIG)
+    alone = reconstruct_sequence(*given, models['walk'], CONFIG)
     assert (alone.joints == several.joints).all()
     assert alone.core[..., 2].mean() > 1
     assert estimate_stature(alone.joints, CMU15) == pytest.approx(CONFIG.tracker.body_height, rel=1e-3)
     alternating = with_settings(CONFIG, {'solver.method': 'alternation'})
-    one, other = (
-        reconstruct_sequence(keypoints, CMU15.joints, times, CAMERA, m, alternating).joints
-        for m in (models, models['walk'])
-    )
+    one, other = (reconstruct_sequence(*given, m, alternating).joints for m in (models, models['walk']))
     assert (one == other).all()
     assert not np.allclose(one, several.joints, atol=1e-6)
 
@@ -53,13 +51,8 @@ def test_the_most_probable_of_several_models_is_used() -> None:
 def test_the_result_knows_its_cameras(walk_model: BasePoses, method: str) -> None:
     poses, times = make_swinging_body(45)
     truth = poses + [1.5, 0.2, 4.0]
-    keypoints = np.concatenate([CAMERA.project(truth), np.ones((45, 15, 1))], axis=-1)
-    args = keypoints, CMU15.joints, times, CAMERA
-    models = {'walk': walk_model}
-    if method == 'keyframes':
-        result = reconstruct(*args, models, CONFIG).result
-    else:
-        result = reconstruct_sequence(*args, models, CONFIG)
+    given: Any = with_scores(CAMERA.project(truth)), CMU15.joints, times, CAMERA, {'walk': walk_model}, CONFIG
+    result = reconstruct(*given).result if method == 'keyframes' else reconstruct_sequence(*given)
     cameras, translation = result.cameras_in_real_image()
     roots = result.core.mean(axis=1)
     assert translation == pytest.approx(CAMERA.project(roots), abs=1e-9)
@@ -75,7 +68,7 @@ def test_where_no_person_is_no_joint_was_seen(walk_model: BasePoses) -> None:
     anchors = [CMU15.index(side + joint) for joint in ('ankle', 'wrist') for side in 'lr']
     toes_heels_hands = points[:, [*anchors[:2], *anchors]] + 3.0  # px
     body = np.concatenate([points, toes_heels_hands, np.repeat(points[:, :1], 5, axis=1)], axis=1)
-    keypoints = np.concatenate([body, np.ones((*body.shape[:2], 1))], axis=-1)
+    keypoints = with_scores(body)
     keypoints[:3, :CORE_COUNT, 2] = 0  # face, feet and hands alone
     keypoints[20] = 100, 100, 1  # all at one position
     result = reconstruct_sequence(keypoints, BODY26.joints, times, CAMERA, walk_model, CONFIG)
@@ -91,27 +84,20 @@ def test_where_no_person_is_no_joint_was_seen(walk_model: BasePoses) -> None:
 
 def test_the_learned_prior_is_better_than_the_base_poses_alone() -> None:
     walk_model = load_base_poses('walk')
-    theta, cameras, points, times = make_walk(walk_model, frames=45)
-    truth = walk_model.poses(theta) @ np.swapaxes(cameras.rotation, -1, -2)
-    points = points + np.random.default_rng(0).normal(size=points.shape)
-    keypoints = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=-1)
+    walk = make_walk(walk_model, frames=45)
+    truth, points = walk.poses(walk_model), walk.points + np.random.default_rng(0).normal(size=walk.points.shape)
     unknown = Intrinsics(20_000.0, (320.0, 240.0), is_focal_known=False)  # the scene is orthographic
-    models = load_base_pose_models('auto')
-
-    def error_mm(joints: np.ndarray) -> float:
-        return float(np.linalg.norm(scale_to_reference(centre_poses(joints), truth) - truth, axis=-1).mean() * 1e3)
-
+    models, given = load_base_pose_models('auto'), (with_scores(points), CMU15.joints, walk.times, unknown)
     both, alone = (
-        reconstruct_sequence(
-            keypoints, CMU15.joints, times, unknown, m, with_settings(Config(), {'solver.prior': p})
-        )
+        reconstruct_sequence(*given, m, with_settings(Config(), {'solver.prior': p}))
         for m, p in ((models, 'learned'), (models['all'], 'pca'))
     )
     assert both.category == 'all'
-    network = load_shipped_lifter().lift_sequence(points, np.ones(points.shape[:2]), times).select_core()
-    assert error_mm(both.core) < 1.1 * 24.3  # mm, measured; the base poses alone: 26.8, the network alone: 19.2
-    assert error_mm(both.core) < error_mm(alone.core)
-    assert error_mm(both.core) < 1.35 * error_mm(network.joints)
+    network = load_shipped_lifter().lift_sequence(points, np.ones(points.shape[:2]), walk.times).select_core()
+    error = mpjpe_mm(both.core, truth)
+    assert error < 1.1 * 24.3  # mm, measured; the base poses alone: 26.8, the network alone: 19.2
+    assert error < mpjpe_mm(alone.core, truth)
+    assert error < 1.35 * mpjpe_mm(network.joints, truth)
 
 
 def test_points_are_drawn_to_where_the_solution_has_them(rng: np.random.Generator) -> None:
@@ -120,9 +106,8 @@ def test_points_are_drawn_to_where_the_solution_has_them(rng: np.random.Generato
     exact = CAMERA.project(joints)
     noisy = exact + rng.normal(0, 3, exact.shape)
     noisy[4, 11] += 200.0  # a point that is somewhere else
-    score = np.ones(exact.shape[:2])
-    score[7, 3] = 0.0
-    keypoints = np.concatenate([noisy, score[..., None]], axis=-1)
+    keypoints = with_scores(noisy)
+    keypoints[7, 3, 2] = 0.0
     observed = observe_sequence(keypoints, CMU15.joints, times, CAMERA, Config().tracker)
     camera, roots = observed.virtual_camera, joints.mean(axis=1)
     cameras = camera.weak_perspective_cameras(np.tile(np.eye(3), (30, 1, 1)), roots)

@@ -11,32 +11,21 @@ import pytest
 
 from mocap_ros.config import ClassifierConfig, Config, SolverConfig
 from mocap_ros.demo.motions import load_motions
-from mocap_ros.evaluation.metrics import scale_to_reference
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
-from mocap_ros.keypoints.person import Person2D
+from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline import whole_sequence
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import CMU15
-from mocap_ros.solvers.classification import (
-    PeriodicFit,
-    fit_periodic_stepwise,
-    is_periodic,
-    measure_jitter,
-)
-from mocap_ros.solvers.leading_prior import (
-    MAX_NOISE,
-    MAX_NOISE_RATIO,
-    NEGLIGIBLE_NOISE,
-    explains_as_well,
-)
+from mocap_ros.solvers.classification import PeriodicFit, fit_periodic_stepwise, is_periodic, measure_jitter
+from mocap_ros.solvers.leading_prior import MAX_NOISE, MAX_NOISE_RATIO, NEGLIGIBLE_NOISE, explains_as_well
 from mocap_ros.solvers.periodic.solver import EstimatedPoses
 from mocap_ros.solvers.stepwise import run_to_end
 from mocap_ros.solvers.window import Array, Window
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.training.fit_base_poses import fit_base_poses
-from tests.support.synthetic_walk import BODY_TO_OPTICAL, make_walk
+from tests.support.synthetic_walk import BODY_TO_OPTICAL, make_walk, mpjpe_mm, with_scores
+from tests.support.tracks import STEP_NS, feed
 
 QUICK = SolverConfig(components=20, max_iterations=30)
 
@@ -50,9 +39,9 @@ def fit_periodic(
 @pytest.fixture(scope='module')
 def fits(walk_model: BasePoses) -> dict[str, PeriodicFit]:
     """A walk, as the periodic model of either category finds it."""
-    _, _, points, times = make_walk(walk_model)
-    window = Window(points, np.ones(points.shape[:2]), times)
-    return {name: fit_periodic(window, walk_model, category=name) for name in ('walk', 'run')}
+    return {
+        name: fit_periodic(make_walk(walk_model).window, walk_model, category=name) for name in ('walk', 'run')
+    }
 
 
 @pytest.mark.parametrize('category', ['walk', 'run'])
@@ -89,12 +78,10 @@ def test_switch_has_hysteresis(fits: dict[str, PeriodicFit], hysteresis: float) 
 
 
 def test_a_walk_is_periodic_whatever_the_detector_adds_to_all_frames_alike(walk_model: BasePoses) -> None:
-    theta, cameras, points, times = make_walk(walk_model, 60)
-    rng = np.random.default_rng(3)
-    offset = 12 * rng.normal(size=(1, *points.shape[1:]))  # px, 5 cm at the body, constant in each joint
-    poses = walk_model.poses(theta) @ np.swapaxes(cameras.rotation, -1, -2)
-    estimated = EstimatedPoses(poses, cameras.scale, 0.01)
-    window = Window(points + offset, np.ones(points.shape[:2]), times)
+    walk = make_walk(walk_model, 60)
+    offset = 12 * np.random.default_rng(3).normal(size=(1, 15, 2))  # px, 5 cm at the body, constant in each joint
+    estimated = EstimatedPoses(walk.poses(walk_model), walk.cameras.scale, 0.01)
+    window = replace(walk.window, points=walk.points + offset)
     by_residual = fit_periodic(window, walk_model)
     by_movement = fit_periodic(window, walk_model, estimated)
     assert not is_periodic(by_residual, ClassifierConfig(hysteresis=1.0), was_periodic=False)
@@ -103,14 +90,12 @@ def test_a_walk_is_periodic_whatever_the_detector_adds_to_all_frames_alike(walk_
 
 
 def test_what_a_periodic_motion_does_not_explain_counts(walk_model: BasePoses) -> None:
-    theta, cameras, points, times = make_walk(walk_model, 60)
-    estimates = []
+    walk, estimates = make_walk(walk_model, 60), []
     for added in (0.0, 1.0):  # m, of a movement that is no cycle of the walk
-        moved = theta.copy()
-        moved[:, 1] += added * np.sin(times**2 * 4)
-        poses = walk_model.poses(moved) @ np.swapaxes(cameras.rotation, -1, -2)
-        window = Window(cameras.project(walk_model.poses(moved)), np.ones(points.shape[:2]), times)
-        fit = fit_periodic(window, walk_model, EstimatedPoses(poses, cameras.scale, 0.01))
+        moved = walk._replace(theta=walk.theta.copy())
+        moved.theta[:, 1] += added * np.sin(walk.times**2 * 4)
+        window = replace(walk.window, points=walk.cameras.project(walk_model.poses(moved.theta)))
+        fit = fit_periodic(window, walk_model, EstimatedPoses(moved.poses(walk_model), walk.cameras.scale, 0.01))
         estimates.append(fit.excess_residual)
     assert estimates[0] < 0.005
     assert estimates[1] > 2 * ClassifierConfig().walk_residual
@@ -119,8 +104,7 @@ def test_what_a_periodic_motion_does_not_explain_counts(walk_model: BasePoses) -
 def test_what_jitters_does_not_speak_against_a_periodic_motion(
     walk_model: BasePoses, rng: np.random.Generator
 ) -> None:
-    _, _, points, times = make_walk(walk_model)
-    window = Window(points, np.ones(points.shape[:2]), times)
+    window = make_walk(walk_model).window
     exact = fit_periodic(window, walk_model).reconstruction
     jittering = exact.joints + rng.normal(0, 0.02, exact.joints.shape)
     poses = [EstimatedPoses(jittering, exact.cameras.scale, 0.01, jitter) for jitter in (0.0, 0.01)]
@@ -145,7 +129,6 @@ def test_jitter_is_what_remains_of_noise_without_the_motion(rng: np.random.Gener
 FRAMES = 30
 TIMES = np.arange(FRAMES) / 30
 UNKNOWN = Intrinsics(20_000.0, (320.0, 240.0), is_focal_known=False)  # the scenes are orthographic
-STEP_NS = 33_333_333  # ns, 30 frames/s
 
 
 def make_motion(name: str, times: Array = TIMES) -> tuple[Array, BasePoses, Array]:
@@ -156,14 +139,12 @@ def make_motion(name: str, times: Array = TIMES) -> tuple[Array, BasePoses, Arra
     )
     poses = model.poses(motions[name].sample(times)[:, :-2])
     truth = poses @ (BODY_TO_OPTICAL @ rotation_from_vector(np.array([0.0, 0.0, 0.8]))).T
-    keypoints = np.concatenate([200 * truth[..., :2] + [320, 240], np.ones((*poses.shape[:2], 1))], axis=-1)
-    return centre_poses(truth), base_poses, keypoints
+    return truth, base_poses, 200 * truth[..., :2] + [320, 240]
 
 
-def reconstruct(keypoints: Array, base_poses: BasePoses, prior: str = 'learned') -> Array:
+def reconstruct(points: Array, base_poses: BasePoses, prior: str = 'learned') -> Array:
     config = Config(solver=SolverConfig(prior=prior))
-    found = reconstruct_sequence(keypoints, CMU15.joints, TIMES, UNKNOWN, base_poses, config)
-    return centre_poses(found.core)
+    return reconstruct_sequence(with_scores(points), CMU15.joints, TIMES, UNKNOWN, base_poses, config).core
 
 
 @pytest.mark.parametrize('lifter_noise', [0.0, 0.001, 0.01, 0.02, 2 * MAX_NOISE])
@@ -176,17 +157,13 @@ def test_a_little_more_noise_is_allowed_but_not_any(lifter_noise: float) -> None
 
 
 def test_base_poses_of_the_very_person_lead(monkeypatch: pytest.MonkeyPatch) -> None:
-    truth, base_poses, keypoints = make_motion('run')
-
-    def error_mm(joints: Array) -> float:
-        return float(np.linalg.norm(scale_to_reference(joints, truth) - truth, axis=-1).mean() * 1e3)
-
-    own, alone = (error_mm(reconstruct(keypoints, base_poses, prior)) for prior in ('learned', 'pca'))
-    of_all = reconstruct(keypoints, replace(base_poses, name='all'))
+    truth, base_poses, points = make_motion('run')
+    own, alone = (reconstruct(points, base_poses, prior) for prior in ('learned', 'pca'))
+    of_all = reconstruct(points, replace(base_poses, name='all'))
     monkeypatch.setattr(whole_sequence, 'explains_as_well', lambda *_: False)
-    lifter_leads = reconstruct(keypoints, base_poses)
-    assert own < 1.1 * alone
-    assert own < 0.6 * error_mm(lifter_leads)
+    lifter_leads = reconstruct(points, base_poses)
+    assert mpjpe_mm(own, truth) < 1.1 * mpjpe_mm(alone, truth)
+    assert mpjpe_mm(own, truth) < 0.6 * mpjpe_mm(lifter_leads, truth)
     np.testing.assert_array_equal(of_all, lifter_leads, 'base poses of that name are those of all motions')
 
 
@@ -197,13 +174,11 @@ def test_live_the_lead_is_taken_and_given_back() -> None:
     _, _, walk = make_motion('walk', times)
     trackers = [Tracker(m, Config()) for m in (base_poses, replace(base_poses, name='all'))]
     leads: list[list[bool]] = [[], []]
-    for frame, keypoints in enumerate([*run, *walk]):
+    for frame, points in enumerate([*run, *walk]):
         for tracker, lead in zip(trackers, leads, strict=True):
-            person = Person2D('', CMU15.joints, keypoints[:, :2], keypoints[:, 2])
-            tracker.update(frame * STEP_NS, [person], UNKNOWN)
+            feed(tracker, points[None], frame * STEP_NS, UNKNOWN)
             tracker.run_deferred_work()
-            (track,) = tracker.tracks
-            lead.append(track.solved.base_poses_lead)
+            lead.append(tracker.tracks[0].solved.base_poses_lead)
     own, of_all = leads
     assert not own[0], 'a first solution needs the lifter, for a frame does not tell front from back'
     assert all(own[45 : 2 * FRAMES])

@@ -250,9 +250,8 @@ def test_an_arm_that_is_straight_for_a_moment_keeps_its_turn() -> None:
     angles = np.radians(np.r_[np.full(20, 80.0), np.zeros(5), np.full(15, 80.0)])
     for pose, angle in zip(poses, angles, strict=True):
         bend = Rotation.from_rotvec([0, -angle, 0])
-        pose[at('lwrist')] = pose[at('lelbow')] + spin.apply(
-            bend.apply(UPRIGHT[at('lwrist')] - UPRIGHT[at('lelbow')])
-        )
+        forearm = UPRIGHT[at('lwrist')] - UPRIGHT[at('lelbow')]
+        pose[at('lwrist')] = pose[at('lelbow')] + (spin * bend).apply(forearm)
     arm = Rotation.from_matrix(find_segments(poses)[:, at('lshoulder')])
     steps = np.degrees((arm[1:] * arm[:-1].inv()).magnitude())
     assert steps.max() < 8.0  # without memory it would turn by 60 degrees at once

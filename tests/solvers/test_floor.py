@@ -14,7 +14,7 @@ from mocap_ros.config import TrackerConfig
 from mocap_ros.geometry.level import Floor, build_world
 from mocap_ros.offline.whole_sequence import SequenceResult, share_floor
 from mocap_ros.skeleton import BODY26
-from mocap_ros.solvers.floor import HEEL_M, SIZE_RANGE, TOE_M, Stander, fit_floor
+from mocap_ros.solvers.floor import HEEL_M, SIZE_RANGE, TOE_M, FloorFit, Stander, fit_floor
 
 Array = NDArray[np.float64]
 
@@ -22,6 +22,7 @@ FRAMES, CAMERA_HEIGHT_M = 240, 1.6
 TIMES = np.arange(FRAMES) / 30
 UPWARD = Rotation.from_euler('xz', [-12.0, 3.0], degrees=True).apply([0.0, -1.0, 0.0])
 CONTACT = np.ones((FRAMES, 4))
+SEEN_TWICE = np.where(np.arange(FRAMES) < 2, 1.0, np.nan)[:, None, None]
 # m, over the floor: x right, y ahead, z up
 UPRIGHT = {
     'head': (0.0, 0.0, 1.6), 'neck': (0.0, 0.0, 1.4), 'pelvis': (0.0, 0.0, 1.0),
@@ -44,31 +45,33 @@ def stand(camera_height: float = CAMERA_HEIGHT_M) -> Array:
     return level[..., [0, 2, 1]] @ Rotation.align_vectors([UPWARD], [[0.0, -1.0, 0.0]])[0].as_matrix().T
 
 
+def fit_to(joints: Array, floor: Floor) -> FloorFit:
+    fit = fit_floor([Stander(joints, CONTACT, TIMES)], floor, 0.08)
+    assert fit is not None
+    return fit
+
+
 def test_a_known_height_gives_size_distance_and_vertical() -> None:
     true = stand()
     wrong_depth = 1 + 0.02 * np.sin(TIMES / 0.7)[:, None, None]
     joints = true / 1.12 * wrong_depth
     lean = Rotation.from_rotvec([0.02, 0.0, 0.0]).apply(UPWARD)
-    fit = fit_floor([Stander(joints, CONTACT, TIMES)], Floor(lean, CAMERA_HEIGHT_M, math.radians(2)), 0.08)
-    assert fit is not None
+    fit = fit_to(joints, Floor(lean, CAMERA_HEIGHT_M, math.radians(2)))
     assert fit.sizes[0] == pytest.approx(1.12, abs=0.03)
     assert math.acos(fit.floor.upward @ UPWARD) < 0.006 < 0.02
-    exact = fit_floor([Stander(joints, CONTACT, TIMES)], Floor(UPWARD, CAMERA_HEIGHT_M), 0.08)
-    assert exact is not None
+    exact = fit_to(joints, Floor(UPWARD, CAMERA_HEIGHT_M))
     assert exact.sizes[0] == pytest.approx(1.12, abs=0.01)
     placed = exact.place(0, joints)
     assert np.abs(placed - true).max() < 0.1
     assert np.abs(placed - true).mean() < 0.6 * np.abs(joints * 1.12 - true).mean()
 
     for height, low, high in ((3.2, SIZE_RANGE[1], math.inf), (0.4, 0.0, SIZE_RANGE[0])):
-        wrong = fit_floor([Stander(joints, CONTACT, TIMES)], Floor(UPWARD, height), 0.08)
-        assert wrong is not None
+        wrong = fit_to(joints, Floor(UPWARD, height))
         assert low < wrong.sizes[0] <= high
 
 
 def test_a_floor_is_found_by_feet_and_leaves_the_size() -> None:
-    fit = fit_floor([Stander(stand(), CONTACT, TIMES)], Floor(UPWARD, None, math.radians(4)), 0.08)
-    assert fit is not None
+    fit = fit_to(stand(), Floor(UPWARD, None, math.radians(4)))
     assert fit.sizes[0] == 1.0
     assert fit.floor.camera_height == pytest.approx(CAMERA_HEIGHT_M, abs=0.01)
     assert 0.08 * CAMERA_HEIGHT_M < fit.floor.height_std < 0.3
@@ -87,15 +90,8 @@ def test_several_people_stand_on_one_floor_in_one_world() -> None:
     people = [stand() * 0.95, (stand() + np.cross(UPWARD, [0.0, 0.0, 1.0])) * 1.05]
     found = []
     for joints in people:
-        rest: Any = (
-            np.ones((FRAMES, 26), bool),
-            BODY26,
-            '',
-            None,
-            None,
-            np.tile(UPWARD, (FRAMES, 1)),
-            np.full(FRAMES, math.radians(3.0)),
-        )
+        vertical, std = np.tile(UPWARD, (FRAMES, 1)), np.full(FRAMES, math.radians(3.0))
+        rest: Any = np.ones((FRAMES, 26), bool), BODY26, '', None, None, vertical, std
         found.append(replace(SequenceResult(joints, *rest), contact=CONTACT))
     lain = Rotation.from_rotvec([0.1, 0.0, 0.0]).apply(found[0].vertical)
     found.append(replace(found[0], contact=CONTACT * np.nan, vertical=lain, vertical_std=2 * TIMES))
@@ -126,11 +122,8 @@ def sit(joints: Array) -> Array:
     bent = joints.copy()
     for side in 'lr':
         hip, knee = BODY26.index(side + 'hip'), BODY26.index(side + 'knee')
-        bent[:, knee] = bent[:, hip] + np.linalg.norm(joints[:, knee] - joints[:, hip], axis=1)[:, None] * [
-            0,
-            0,
-            -1,
-        ]
+        bent[:, knee] = bent[:, hip]
+        bent[:, knee, 2] -= np.linalg.norm(joints[:, knee] - joints[:, hip], axis=1)
     return bent
 
 
@@ -140,9 +133,7 @@ def sit(joints: Array) -> Array:
         pytest.param(stand(), CONTACT * 0.5, 3.0, id='no foot stands'),
         pytest.param(stand(), CONTACT * np.nan, 3.0, id='feet not seen'),
         pytest.param(stand() * np.nan, CONTACT, 3.0, id='not seen'),
-        pytest.param(
-            np.where(np.arange(FRAMES)[:, None, None] < 2, stand(), np.nan), CONTACT, 3.0, id='two frames'
-        ),
+        pytest.param(stand() * SEEN_TWICE, CONTACT, 3.0, id='two frames'),
         pytest.param(stand(), CONTACT, 25.0, id='vertical not known'),
         pytest.param(stand(), CONTACT, math.nan, id='no vertical'),
         pytest.param(sit(stand()), CONTACT, 3.0, id='seated'),

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Roots with inertia and feet that stand, against a dense least squares, whole and live."""
+"""Feet that stand, and roots with inertia against a dense least squares, whole and live."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -10,33 +10,38 @@ import numpy as np
 import pytest
 
 from mocap_ros.engine import footing as engine
-from mocap_ros.skeleton import CMU15
+from mocap_ros.keypoints.extremities import Extremities
+from mocap_ros.skeleton import BODY26, CMU15
+from mocap_ros.solvers.contacts import HEELS_AND_TOES, find_contacts
+from mocap_ros.solvers.extremities import ANCHORS
 from mocap_ros.solvers.footing import LEGS, OF_ALL, OF_NEWEST, Footing, choose_numbers, plant_sequence
 
 Array = np.ndarray
+Motion = tuple[Array, Array, Array, Array]
 FRAMES = 12
+NUMBERS = choose_numbers(0.01, OF_ALL)
+UPWARD, UNKNOWN = np.array([0.0, -1.0, 0.0]), np.full(3, np.nan)
 
 
 @pytest.fixture
-def motion(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+def motion(rng: np.random.Generator) -> Motion:
     """Times (F,), cores (F, 15, 3), feet (F, 4, 3) and contacts (F, 4) of somebody 7 m away who jitters."""
     times = np.cumsum(rng.uniform(0.02, 0.05, FRAMES))
     core = rng.normal(0, 0.3, (15, 3)) + [0.5, 0.2, 7.0] + 0.01 * rng.normal(size=(FRAMES, 15, 3))
     core += 0.02 * rng.normal(size=(FRAMES, 1, 3))
-    feet = np.tile([[-0.05, 0.05, 0], [0.18, 0.05, 0]] * 2, (FRAMES, 1, 1)) + 0.002 * rng.normal(
-        size=(FRAMES, 4, 3)
-    )
+    for hip, knee, ankle in LEGS:  # knees are where legs can reach farther
+        core[:, ankle] = core[:, hip] + [0.0, 0.7, 0.1]
+        core[:, knee] = core[:, hip] + [0.0, 0.4, -0.2]
+    feet = np.array([[-0.05, 0.05, 0], [0.18, 0.05, 0]] * 2) + 0.002 * rng.normal(size=(FRAMES, 4, 3))
     return times, core, feet, rng.uniform(0, 1, (FRAMES, 4))
 
 
-def solve_densely(
-    numbers: Array, times: Array, core: Array, feet: Array, contact: Array, expected: Array | None
-) -> Array:
+def solve_densely(times: Array, core: Array, feet: Array, contact: Array, expected: Array | None) -> Array:
     """Return the displacements (F, 9) that minimise the formula of `solvers.footing`.
 
     The loss of feet is linearised at displacements (F, 2, 9) that are expected of a frame and the one before.
     """
-    along, across, error_s, leg_s, *accelerations, tilt, leg, slip, pace, roll, fast = numbers
+    along, across, error_s, leg_s, *accelerations, tilt, leg, slip, pace, roll, fast = NUMBERS
     count, steps = len(times), np.diff(times)
     root = core[:, LEGS[:, 0]].mean(axis=1)
     points = core[:, LEGS[[0, 0, 1, 1], 2]] + feet
@@ -97,54 +102,36 @@ def check_displaced(core: Array, planted: Array, displacements: Array) -> None:
         np.testing.assert_allclose(after, before, atol=1e-9)
 
 
-@pytest.fixture
-def numbers() -> Array:
-    return choose_numbers(0.01, OF_ALL)
-
-
-def bend_knees(core: Array) -> None:
-    """Put knees where legs can reach farther."""
-    for hip, knee, ankle in LEGS:
-        core[:, ankle] = core[:, hip] + [0.0, 0.7, 0.1]
-        core[:, knee] = core[:, hip] + [0.0, 0.4, -0.2]
-
-
 @pytest.mark.parametrize('rounds', [1, 3])
-def test_a_sequence_is_that_of_the_dense_least_squares(
-    motion: tuple[Array, Array, Array, Array], numbers: Array, rounds: int
-) -> None:
+def test_a_sequence_is_that_of_the_dense_least_squares(motion: Motion, rounds: int) -> None:
     times, core, feet, contact = motion
-    bend_knees(core)
     found = None
     for _ in range(rounds):
         pairs = None if found is None else np.stack([np.roll(found, 1, axis=0), found], axis=1)
-        found = solve_densely(numbers, times, core, feet, contact, pairs)
+        found = solve_densely(times, core, feet, contact, pairs)
     assert found is not None
     assert np.abs(found).max() > 0.01
-    planted = engine.smooth(numbers, times, core, feet, contact, LEGS, rounds)
+    planted = engine.smooth(NUMBERS, times, core, feet, contact, LEGS, rounds)
     for before, after, own in zip(core, planted, found, strict=True):
         check_displaced(before, after, own)
 
 
-def test_the_newest_frame_is_that_of_all_frames_so_far(
-    motion: tuple[Array, Array, Array, Array], numbers: Array
-) -> None:
+def test_the_newest_frame_is_that_of_all_frames_so_far(motion: Motion) -> None:
     times, core, feet, contact = motion
-    bend_knees(core)
     memory, odds = engine.begin(), np.log(contact / (1 - contact))
     root, estimates, own = core[:, LEGS[:, 0]].mean(axis=1), np.full((FRAMES, 2, 9), np.nan), np.zeros((2, 9))
     for t, step_s in enumerate(np.diff(times, prepend=times[0] - 1)):
-        planted = engine.advance(memory, numbers, step_s, core[t], feet[t], odds[t], LEGS)
+        planted = engine.advance(memory, NUMBERS, step_s, core[t], feet[t], odds[t], LEGS)
         if t > 1:  # feet stand or not as if the root went on
             estimates[t] = own[-1]
             velocity = (root[t - 1] + own[-1, :3] - root[t - 2] - own[-2, :3]) / (times[t - 1] - times[t - 2])
             estimates[t, 1, :3] += root[t - 1] + velocity * step_s - root[t]
         until = slice(t + 1)
-        own = solve_densely(numbers, times[until], core[until], feet[until], contact[until], estimates)
+        own = solve_densely(times[until], core[until], feet[until], contact[until], estimates)
         check_displaced(core[t], planted, own[-1])
 
 
-def test_feet_stand_and_what_is_not_on_the_ground_moves(rng: np.random.Generator, numbers: Array) -> None:
+def test_feet_stand_and_what_is_not_on_the_ground_moves(rng: np.random.Generator) -> None:
     """Somebody stands still while the solution swims by 5 cm in depth; then the same in the air."""
     times, joints = np.arange(90) / 30, np.zeros((15, 3))
     joints[:, 2] = 4.0
@@ -154,20 +141,20 @@ def test_feet_stand_and_what_is_not_on_the_ground_moves(rng: np.random.Generator
     core[..., 2] += 0.05 * np.sin(4 * times)[:, None] + 0.005 * rng.normal(size=(90, 1))
     feet, slides = np.zeros((90, 4, 3)), []
     for probability in (1.0, 0.0):
-        planted = engine.smooth(numbers, times, core, feet, np.full((90, 4), probability), LEGS, 3)
+        planted = engine.smooth(NUMBERS, times, core, feet, np.full((90, 4), probability), LEGS, 3)
         slides.append(np.abs(np.diff(planted[:, LEGS[0, 2], 2])).mean())
     before = np.abs(np.diff(core[:, LEGS[0, 2], 2])).mean()
     assert slides[0] < 0.15 * before < 0.5 * slides[1]
 
 
-def test_unseen_legs_do_not_hold_the_root(motion: tuple[Array, Array, Array, Array], numbers: Array) -> None:
+def test_unseen_legs_do_not_hold_the_root(motion: Motion) -> None:
     times, core, _, _ = motion
     weight = np.ones((FRAMES, 15))
     weight[:, LEGS[:, 1:].ravel()] = 0
     observed: Any = SimpleNamespace(times=times, rays=core[..., :2] / 4, weight=weight, extremities=None)
     offsets, upward = np.zeros((FRAMES, 11, 3)), np.tile([0.0, -1.0, 0.0], (FRAMES, 1))
     feet = np.zeros((FRAMES, 4, 3))
-    free = engine.smooth(numbers, times, core, feet, np.zeros((FRAMES, 4)), LEGS, 3)
+    free = engine.smooth(NUMBERS, times, core, feet, np.zeros((FRAMES, 4)), LEGS, 3)
     np.testing.assert_array_equal(plant_sequence(observed, core, offsets, upward, 0.01), free)
     live, before = engine.begin(), None
     newest = choose_numbers(0.01, OF_NEWEST)
@@ -178,11 +165,97 @@ def test_unseen_legs_do_not_hold_the_root(motion: tuple[Array, Array, Array, Arr
         np.testing.assert_array_equal(before.core, free)
 
 
-def test_another_solution_far_away_begins_anew(motion: tuple[Array, Array, Array, Array], numbers: Array) -> None:
+def test_another_solution_far_away_begins_anew(motion: Motion) -> None:
     _, core, feet, _ = motion
     memory, odds = engine.begin(), np.zeros(4)
     for joints in core:
-        engine.advance(memory, numbers, 1 / 30, joints, feet[0], odds, LEGS)
+        engine.advance(memory, NUMBERS, 1 / 30, joints, feet[0], odds, LEGS)
     far = core[0] + [0.0, 0.0, 6.0]
-    planted = engine.advance(memory, numbers, 1 / 30, far, feet[0], odds, LEGS)
+    planted = engine.advance(memory, NUMBERS, 1 / 30, far, feet[0], odds, LEGS)
     np.testing.assert_allclose(planted[LEGS[:, 0]], far[LEGS[:, 0]], atol=1e-6)
+
+
+def walk(rate_hz: float = 30.0) -> tuple[Array, ...]:
+    """Joints (F, 26, 3) m, 4 m away, rays, weights, times, and when (F,) the left foot swings and stands.
+
+    The right foot stands, the left one stands for 1 s and swings for 0.5 s.
+    """
+    times = np.arange(round(4.5 * rate_hz)) / rate_hz
+    joints = np.zeros((len(times), 26, 3)) + [0.0, 0.0, 4.0]
+    time = times % 1.5
+    phase = (time - 1.0).clip(0) * 2
+    swung = np.floor(times / 1.5) + phase
+    for joint, x in (('lankle', 0.0), ('lheel', -0.05), ('ltoe', 0.2)):
+        lift = -0.15 * np.sin(np.pi * phase)
+        joints[:, BODY26.index(joint)] = np.stack([x + 0.6 * swung, 1.0 + lift, 0 * times + 4], axis=1)
+    for joint, x in (('rankle', 0.3), ('rheel', 0.25), ('rtoe', 0.5)):
+        joints[:, BODY26.index(joint)] = [x, 1.0, 4.0]
+    rays, swings, stands = (
+        joints[..., :2] / joints[..., 2:],
+        (phase > 0.2) & (phase < 0.8),
+        (time > 0.2) & (time < 0.8),
+    )
+    return joints, rays, np.ones(joints.shape[:2]), times, swings, stands
+
+
+@pytest.mark.parametrize(
+    ('rate_hz', 'count', 'upward'),
+    [(10.0, 26, UPWARD), (30.0, 26, UPWARD), (120.0, 15, UPWARD), (30.0, 15, UPWARD), (30.0, 26, UNKNOWN)],
+)
+def test_a_foot_that_swings_does_not_stand(rate_hz: float, count: int, upward: Array) -> None:
+    joints, rays, weight, times, swings, stands = walk(rate_hz)
+    contact = find_contacts(rays[:, :count], weight[:, :count], joints[:, :count], upward, times)
+    assert contact.shape == (len(times), 4)
+    assert contact[:, 2:].min() > 0.7
+    assert contact[swings, :2].max() < 0.3
+    assert contact[stands, :2].min() > 0.7
+
+
+def test_points_of_detectors_and_points_that_are_not_seen() -> None:
+    joints, rays, weight, times, swings, stands = walk()
+    rays = rays + np.random.default_rng(0).normal(0, 0.01, rays.shape) / 4  # 1 cm at the body
+    weight[40:50, HEELS_AND_TOES[2]] = 0  # the heel of the foot that stands is hidden
+    contact = find_contacts(rays, weight, joints, UPWARD, times)
+    assert contact[40:50, 2].min() > 0.7
+    assert contact[swings, :2].mean() < 0.3
+    assert contact[stands, :2].mean() > 0.7
+
+
+def test_nothing_is_known_of_a_person_who_is_not_seen() -> None:
+    joints, rays, weight, times, _, _ = walk()
+    weight[10:, HEELS_AND_TOES[2:]] = 0  # behind a table from then on
+    contact = find_contacts(rays, weight, joints, UPWARD, times)
+    assert np.isfinite(contact[:, :2]).all()
+    assert np.isfinite(contact[:30, 2:]).all()
+    assert np.isnan(contact[110:, 2:]).all()
+    assert np.isnan(find_contacts(0 * rays, 0 * weight, joints * np.nan, UNKNOWN, times)).all()
+    assert np.isnan(find_contacts(rays[:1], weight[:1] + 1, joints[:1], UPWARD, times[:1])).all(), 'one frame'
+
+
+@pytest.mark.parametrize('rate_hz', [10.0, 15.0, 20.0, 30.0])
+def test_what_is_known_live_is_what_the_newest_frame_shows(rate_hz: float) -> None:
+    joints, rays, weight, times, swings, stands = walk(rate_hz)
+    footing, offsets = None, joints[:, 15:] - joints[:, ANCHORS]
+    found, expected = np.empty((2, len(times), 2))
+    for frame, time_s in enumerate(times):
+        until = slice(frame + 1)
+        cut = rays[until], weight[until], times[until]
+        others = Extremities(cut[0][:, 15:].copy(), cut[1][:, 15:].copy())
+        observed: Any = SimpleNamespace(
+            times=cut[2], rays=cut[0][:, :15].copy(), weight=cut[1][:, :15].copy(), extremities=others
+        )
+        core = joints[frame, :15].copy()
+        footing = Footing.advance(footing, time_s, core, offsets[frame], observed, frame, UPWARD, 0.01)
+        found[frame] = footing.contact
+        newest = find_contacts(*cut[:2], joints[until], UPWARD, cut[2])[-1]
+        expected[frame] = np.fmax(newest[::2], newest[1::2])
+    assert np.isnan(found[:2]).all()
+    assert np.nanmean(np.abs(found - expected)) < 0.06
+    assert found[10:, 1].min() > 0.9
+    assert found[swings, 0].mean() < 0.3 < 0.7 < found[stands, 0].mean()
+    observed.weight, observed.extremities = 0 * observed.weight, None  # behind a table from then on
+    is_forgotten = np.zeros(150, bool)
+    for ago in range(150):
+        footing = Footing.advance(footing, times[-1] + ago, core, offsets[-1], observed, frame, UPWARD, 0.01)
+        is_forgotten[ago] = np.isnan(footing.contact[1])
+    assert np.argmax(is_forgotten) / rate_hz == pytest.approx(2.92, abs=0.05)

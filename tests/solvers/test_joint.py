@@ -3,7 +3,6 @@
 
 """The joint solver against NumPy, finite differences and the alternation; a batch that equals its parts."""
 
-import dataclasses
 import math
 from dataclasses import replace
 from typing import Any
@@ -29,18 +28,8 @@ from mocap_ros.solvers.joint.differences import (
 )
 from mocap_ros.solvers.joint.lifted_start import fit_lifted_poses
 from mocap_ros.solvers.joint.objective import JointObjective, read_state
-from mocap_ros.solvers.joint.reference import (
-    advance,
-    compute_cost,
-    compute_costs,
-    compute_residuals,
-)
-from mocap_ros.solvers.window import (
-    Reconstruction,
-    Window,
-    initialise_from_mean_pose,
-    reverse_depth,
-)
+from mocap_ros.solvers.joint.reference import advance, compute_cost, compute_costs, compute_residuals
+from mocap_ros.solvers.window import Reconstruction, Window, initialise_from_mean_pose, reverse_depth
 from tests.support.synthetic_walk import make_walk
 
 COMPONENTS, FRAMES = 6, (7, 5)
@@ -221,10 +210,8 @@ def test_activity_is_the_mean_square_acceleration_nearby(walk_model: BasePoses, 
     fine = make_batch(walk_model, [np.arange(120) / 30, np.arange(120) / 30])
     found = measure_activity(values, coarse, fine)
     np.testing.assert_allclose(found[:120], 0.0, atol=1e-12)
-    later, earlier = (
-        fine.times[120:] > 2 + ACTIVITY_SPAN_S + 0.11,
-        fine.times[120:] < 2 - ACTIVITY_SPAN_S - 0.11,
-    )
+    later = fine.times[120:] > 2 + ACTIVITY_SPAN_S + 0.11
+    earlier = fine.times[120:] < 2 - ACTIVITY_SPAN_S - 0.11
     inner = later & (fine.times[120:] < 4 - ACTIVITY_SPAN_S - 0.11)
     np.testing.assert_allclose(found[120:][inner], 4.0)
     np.testing.assert_allclose(found[120:][earlier], 0.0, atol=1e-12)
@@ -282,18 +269,17 @@ PLAIN = SolverConfig(
 )
 
 
-def window(model: BasePoses, frames: int = 30, seed: int = 0, noise: float = 2.0) -> Window:
+def make_window(model: BasePoses, frames: int = 30, seed: int = 0, noise: float = 2.0) -> Window:
     """A noisy window with missing points and irregular times."""
-    _, _, points, times = make_walk(model, frames=frames, seed=seed)
-    rng = np.random.default_rng(seed)
-    weight = rng.uniform(0.3, 1, points.shape[:2]) * (rng.random(points.shape[:2]) > 0.1)
-    times = times + rng.uniform(0, 0.01, frames)
-    return Window(points + noise * rng.normal(size=points.shape), weight, times)
+    exact, rng = make_walk(model, frames=frames, seed=seed).window, np.random.default_rng(seed)
+    weight = rng.uniform(0.3, 1, (frames, 15)) * (rng.random((frames, 15)) > 0.1)
+    times = exact.times + rng.uniform(0, 0.01, frames)
+    return Window(exact.points + noise * rng.normal(size=exact.points.shape), weight, times)
 
 
 def test_reaches_the_alternations_minimum_or_a_lower_one(walk_model: BasePoses) -> None:
-    config = dataclasses.replace(PLAIN, tolerance=1e-9, max_iterations=3000)
-    w = window(walk_model)
+    config = replace(PLAIN, tolerance=1e-9, max_iterations=3000)
+    w = make_window(walk_model)
     w = replace(w, times=1.01 * w.times)  # above 30 Hz the joint solver weighs differences more
     slow = alternation.reconstruct(w, walk_model, config)
     (fast,) = joint.solve([w], walk_model, config)
@@ -317,7 +303,7 @@ def test_lifted_poses_give_their_weights_and_cameras(
 
 def test_a_batch_gives_what_each_sequence_gives_alone(walk_model: BasePoses) -> None:
     config = SolverConfig(smooth_weight=1e-5, robust_scale=0.05, components=10, tolerance=1e-10)
-    windows = [window(walk_model, frames, seed) for frames, seed in ((20, 1), (9, 2), (14, 3))]
+    windows = [make_window(walk_model, frames, seed) for frames, seed in ((20, 1), (9, 2), (14, 3))]
     together = joint.solve(windows, walk_model, config)
     for one, w in zip(together, windows, strict=True):
         (alone,) = joint.solve([w], walk_model, config)
@@ -326,11 +312,11 @@ def test_a_batch_gives_what_each_sequence_gives_alone(walk_model: BasePoses) -> 
 
 
 def test_the_necker_reversal_mends_a_camera_that_is_reversed(walk_model: BasePoses) -> None:
-    clean = window(walk_model, noise=0.5)
+    clean = make_window(walk_model, noise=0.5)
     start = initialise_from_mean_pose(clean, walk_model.truncate(10), 1.0)
     (right,) = joint.solve([clean], walk_model, SolverConfig(components=10))
     unit = float(np.median(start.cameras.scale))
-    misled = dataclasses.replace(clean, start=reverse_depth(start), unit=unit)
+    misled = replace(clean, start=reverse_depth(start), unit=unit)
     (one,) = joint.solve_hypotheses([misled], walk_model, SolverConfig(components=10, heading_hypotheses=1))
     (best,) = joint.solve_hypotheses([misled], walk_model, SolverConfig(components=10, heading_hypotheses=2))
 
@@ -342,9 +328,8 @@ def test_the_necker_reversal_mends_a_camera_that_is_reversed(walk_model: BasePos
 
 
 def test_noise_is_found(walk_model: BasePoses) -> None:
-    _, _, points, times = make_walk(walk_model, frames=60)
-    rng = np.random.default_rng(5)
+    exact, rng = make_walk(walk_model, frames=60).window, np.random.default_rng(5)
     for px in (1.0, 4.0):
-        noisy = Window(points + px * rng.normal(size=points.shape), np.ones(points.shape[:2]), times)
+        noisy = replace(exact, points=exact.points + px * rng.normal(size=exact.points.shape))
         (result,) = joint.solve([noisy], walk_model, SolverConfig())
         assert result.noise == pytest.approx(px / 205, rel=0.2)

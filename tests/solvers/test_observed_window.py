@@ -4,6 +4,7 @@
 """Observed windows: joints, sides, rays and px as a solver gets them, selected frames, lifting, initial values."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from mocap_ros.models.model_file import load_shipped_lifter
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import RAY_FOCAL, ObservedWindow, observe_sequence
 from tests.support.swinging_body import make_swinging_body
+from tests.support.synthetic_walk import with_scores
 
 Array = NDArray[np.float64]
 
@@ -41,7 +43,7 @@ def make_person() -> tuple[Array, Array, Array]:
     """Return keypoints (F, 15, 3) in px, times (F,) s and joints (F, 15, 3) m in the camera's frame."""
     poses, times = make_swinging_body(FRAMES)
     joints = poses + PLACE_M + np.linspace(0, 0.5, FRAMES)[:, None, None] * [1, 0, 1]
-    return np.concatenate([CAMERA.project(joints), np.full((FRAMES, 15, 1), 0.9)], axis=-1), times, joints
+    return with_scores(CAMERA.project(joints), 0.9), times, joints
 
 
 def observe(single_camera: bool = False) -> ObservedWindow:
@@ -69,23 +71,20 @@ def test_rays_are_those_of_the_joints_with_the_right_sides() -> None:
     assert as_given.rays[22] == pytest.approx(observed.rays[22][MIRROR])
 
 
-def make_unusable(kind: str) -> tuple[Array, Array]:
-    keypoints, times, _ = make_person()
-    if kind == 'too few':
-        keypoints[:, 3:, 2] = 0
-    elif kind == 'one point':
-        keypoints[:] = [100, 100, 1]
-    else:
-        times[1:] += 1.76e9
-    return keypoints, times
-
-
 @pytest.mark.parametrize(
-    ('kind', 'message'),
-    [('too few', 'four seen joints'), ('one point', 'one place'), ('stamp not set', 'the times span 17600000')],
+    ('places', 'value', 'message'),
+    [
+        (np.s_[:, 3:, 2], 0.0, 'four seen joints'),
+        (np.s_[:, :, :2], 100.0, 'one place'),
+        (None, 1.76e9, 'the times span 17600000'),  # s, of a stamp that was not set
+    ],
 )
-def test_sequences_that_show_no_motion_are_refused(kind: str, message: str) -> None:
-    keypoints, times = make_unusable(kind)
+def test_sequences_that_show_no_motion_are_refused(places: Any, value: float, message: str) -> None:
+    keypoints, times, _ = make_person()
+    if places is None:
+        times[1:] += value
+    else:
+        keypoints[places] = value
     with pytest.raises(InputError, match=message):
         observe_sequence(keypoints, CMU15.joints, times, CAMERA, CONFIG)
 

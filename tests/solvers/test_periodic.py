@@ -173,6 +173,14 @@ def test_counts_and_determinants_are_those_of_the_dense_matrices(
     assert equations.camera_log_determinant_ratio() == pytest.approx(both[0] - both[1], rel=1e-6)
 
 
+def test_equations_that_are_not_positive_definite_have_no_step(seen: tuple[PeriodicObjective, Point]) -> None:
+    objective, point = seen
+    equations = objective.normal_equations(point)
+    equations.camera_image[-1] *= -1
+    assert equations.solve_step(0.0) is None
+    assert equations.camera_log_determinant_ratio() == np.inf
+
+
 def test_equations_of_the_body_follow_from_those_of_the_joint_solver_by_the_chain_rule(
     seen: tuple[PeriodicObjective, Point],
 ) -> None:

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How solvers end and go on in pieces, Algorithm 1, block matrices, and windows that cannot be solved."""
+"""How solvers end and go on in pieces, Algorithm 1, and windows that cannot be solved."""
 
 import warnings
 from collections.abc import Callable
@@ -11,21 +11,14 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from scipy.linalg import LinAlgError
 
 from mocap_ros.config import SolverConfig
-from mocap_ros.engine.block_banded import BlockCholesky
 from mocap_ros.errors import InputError
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint, periodic
 from mocap_ros.solvers.alternation import reconstruct
 from mocap_ros.solvers.stepwise import Stepwise, ignore_overflow, run_to_end
-from mocap_ros.solvers.window import (
-    Reconstruction,
-    SolverStatus,
-    Window,
-    choose_initial_values,
-)
+from mocap_ros.solvers.window import Reconstruction, SolverStatus, Window, choose_initial_values
 from tests.support.synthetic_walk import make_walk, mpjpe_mm
 
 CONFIG = SolverConfig(components=8, adapt_noise=False)
@@ -135,49 +128,3 @@ def test_results_errors_and_overflows_are_those_of_the_work() -> None:
         next(ignore_overflow(overflow_twice()))
         with pytest.raises(RuntimeWarning, match='overflow'):  # between the pieces
             np.array([1e308]) * 10
-
-
-FRAMES, UNKNOWNS, CORNER = 7, 5, 2
-
-
-def make_system(rng: np.random.Generator, distances: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Blocks, coupling and the dense matrix; frames 3 and 4 are not coupled."""
-    a = rng.normal(size=(FRAMES, UNKNOWNS, UNKNOWNS))
-    blocks = a @ np.swapaxes(a, 1, 2) + 20 * np.eye(UNKNOWNS)
-    diagonal = rng.normal(size=(FRAMES, distances, UNKNOWNS))
-    corners = rng.normal(size=(FRAMES, distances, CORNER, CORNER))
-    dense = np.zeros((FRAMES, UNKNOWNS, FRAMES, UNKNOWNS))
-    for t in range(FRAMES):
-        dense[t, :, t] = blocks[t]
-        for d in range(distances):
-            if t <= 3 < t + d + 1:
-                diagonal[t, d] = corners[t, d] = 0
-            if t + d + 1 < FRAMES:
-                block = np.diag(diagonal[t, d])
-                block[-CORNER:, -CORNER:] += corners[t, d]
-                dense[t + d + 1, :, t], dense[t, :, t + d + 1] = block, block.T
-    return blocks, diagonal, corners, dense.reshape(FRAMES * UNKNOWNS, -1)
-
-
-@pytest.mark.parametrize('distances', [1, 2, 3])
-@pytest.mark.parametrize('held', [(), (0, 3, 4)])
-def test_solution_equals_the_dense_one(rng: np.random.Generator, distances: int, held: tuple[int, ...]) -> None:
-    blocks, diagonal, corners, dense = make_system(rng, distances)
-    is_free = ~np.isin(np.arange(FRAMES), held)
-    factor = BlockCholesky(np.tril(blocks), diagonal, corners, is_free)
-    free = np.repeat(is_free, UNKNOWNS)
-    lower = np.zeros_like(dense)
-    lower[np.ix_(free, free)] = np.linalg.cholesky(dense[np.ix_(free, free)])
-    right = rng.normal(size=(FRAMES, UNKNOWNS, 4))
-    found = factor.solve_lower(right.copy()).reshape(-1, 4)
-    assert lower @ found == pytest.approx(np.where(free[:, None], right.reshape(-1, 4), 0.0), abs=1e-12)
-    found = factor.solve_lower_transposed(right[..., 0])
-    assert lower.T @ found.ravel() == pytest.approx(np.where(free, right[..., 0].ravel(), 0.0), abs=1e-12)
-    assert factor.log_determinant() == pytest.approx(np.linalg.slogdet(dense[np.ix_(free, free)])[1], rel=1e-12)
-
-
-def test_a_matrix_that_is_not_positive_definite_has_no_factor(rng: np.random.Generator) -> None:
-    blocks, diagonal, corners, _ = make_system(rng, 1)
-    for system in ((-blocks, diagonal, corners), (blocks, 100 * diagonal, corners)):
-        with pytest.raises(LinAlgError):
-            BlockCholesky(*system)
