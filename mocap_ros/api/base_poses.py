@@ -136,7 +136,6 @@ class BasePoses(base_poses.BasePoses):
 
     @classmethod
     def _extend(cls, model: base_poses.BasePoses) -> BasePoses:
-        """Return the same base poses as an object of this class."""
         return cls(**{field.name: getattr(model, field.name) for field in fields(base_poses.BasePoses)})
 
     def __repr__(self) -> str:

@@ -164,7 +164,6 @@ class Tracker:
         return frames
 
     def _read_people(self, people: ArrayLike, ids: Sequence[str] | None) -> list[Person2D]:
-        """Return the validated people of a frame."""
         given = read_array('people', people)
         shape = (len(given) if given.ndim else None, len(self._joint_names), 3)
         keypoints = read_numbers('people', given, shape) if given.size else np.empty((0, *shape[1:]))

@@ -116,7 +116,6 @@ class BackgroundRecorder:
         self.check()
 
     def _run(self) -> None:
-        """Run the writing thread until the recorder is closed or fails."""
         try:
             self._write_until_closed()
             self._recorder.close()

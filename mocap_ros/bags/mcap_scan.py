@@ -201,7 +201,6 @@ def _read_record(file: BinaryIO, start: int) -> bytes:
 
 
 def _parse_record(data: bytes) -> McapRecord | None:
-    """Return a complete record; None for one of an application."""
     if data[0] >= FIRST_PRIVATE_OPCODE:
         return None
     return next(StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records)

@@ -202,7 +202,6 @@ class Bag:
         return convert_ros1
 
     def _make_read_error(self, error: Exception) -> InputError:
-        """Return the error that reports why the bag cannot be read."""
         if isinstance(error, OSError) and error.strerror:
             return InputError(f'{self.path}: {error.strerror}')
         reason = describe_error(error)
@@ -265,7 +264,6 @@ def _find_known_type(connection: Connection) -> str:
 
 
 def _count_shared_namespaces(topic: str, reference: str) -> int:
-    """Return how many leading parts of the namespaces of two topics are equal."""
     parts = zip(PurePosixPath(topic).parent.parts, PurePosixPath(reference).parent.parts, strict=False)
     return len(list(takewhile(lambda pair: pair[0] == pair[1], parts)))
 

@@ -104,8 +104,6 @@ def list_recoverable_files(path: Path) -> list[Path]:
 
 
 class _FileCopy:
-    """Copies everything that can be read of one file into the new bag."""
-
     def __init__(self, name: Path, recorder: Recorder, report: RecoveryReport) -> None:
         self._name = name
         self._recorder = recorder
@@ -238,7 +236,6 @@ class _FileCopy:
 
 
 def _describe_connection(connection: Connection) -> Topic:
-    """Return the topic of a database."""
     definition, encoding = connection.msgdef.data, ENCODINGS.get(connection.msgdef.format, '')
     qos = _convert_qos(getattr(connection.ext, 'offered_qos_profiles', []))
     return Topic(connection.topic, connection.msgtype, definition, encoding, connection.digest, qos)

@@ -40,20 +40,17 @@ PEOPLE_SOURCES = (Source.KEYPOINTS, Source.TRACKED_BODIES, Source.BODY)  # the s
 TRANSFORM_SOURCES = (Source.TRANSFORMS, Source.STATIC_TRANSFORMS)  # the sources that say where the camera is
 
 
-def list_input_types(keypoints_type: str, *, reads_transforms: bool = False) -> dict[Source, str]:
-    """Return the message type of every input, given that of the keypoints, the parameter `node.input_type`."""
-    others = {Source.CAMERA_INFO: CAMERA_INFO}
-    if reads_transforms:
-        others |= dict.fromkeys(TRANSFORM_SOURCES, TRANSFORMS)
-    current_type = find_current_type(keypoints_type)
+def list_input_types(keypoints_type: str) -> dict[Source, str]:
+    """Return the types of keypoints and CameraInfo, given the former as in the parameter `node.input_type`."""
+    camera, current_type = {Source.CAMERA_INFO: CAMERA_INFO}, find_current_type(keypoints_type)
     if current_type == HRI_SKELETON:
-        return {Source.TRACKED_BODIES: HRI_IDS, Source.BODY: HRI_SKELETON, **others}
+        return {Source.TRACKED_BODIES: HRI_IDS, Source.BODY: HRI_SKELETON, **camera}
     if current_type not in KEYPOINT_TYPES:
         supported = *KEYPOINT_TYPES, HRI_SKELETON
         by_name = {name.rpartition('/')[2]: name for name in supported}
         nearest = suggest(keypoints_type.rpartition('/')[2], by_name)
         raise ConfigError(f'node.input_type: no {keypoints_type!r}; {nearest}')
-    return {Source.KEYPOINTS: keypoints_type, **others}
+    return {Source.KEYPOINTS: keypoints_type, **camera}
 
 
 def reads_transforms(node: NodeConfig) -> bool:

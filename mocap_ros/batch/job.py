@@ -210,7 +210,6 @@ def _process(job: Job) -> Outcome:
 
 
 def _replay(path: Path, job: Job, scratch: Path) -> tuple[dict[str, Path], Rows]:
-    """Replay a bag."""
     settings = job.settings
     require_kind(path, [InputKind.BAG], BAG_FORMATS)
     out = scratch / PurePosixPath(job.recording.name).name
@@ -238,7 +237,6 @@ def _replay(path: Path, job: Job, scratch: Path) -> tuple[dict[str, Path], Rows]
 
 
 def _reconstruct(path: Path, job: Job, scratch: Path) -> tuple[dict[str, Path], Rows]:
-    """Reconstruct a person over the whole recording."""
     sequence, columns = _load_sequence(path, job)
     poses = reconstruct(sequence, parameters=job.settings.parameters)
     out = scratch / f'result{job.settings.suffix}'
@@ -255,7 +253,6 @@ def describe_unsound(summary: Summary) -> str:
 
 
 def _find_keyframes(path: Path, job: Job, scratch: Path) -> tuple[dict[str, Path], Rows]:
-    """Find the keyframes of a recording and draw them."""
     config, name = job.settings.parameters, PurePosixPath(job.recording.name).name
     sequence, columns = _load_sequence(path, job)
     observations = extract_observations(sequence, config.tracker.nominal_focal_length)
@@ -297,7 +294,6 @@ def _load_sequence(path: Path, job: Job) -> tuple[KeypointSequence, dict[str, An
 
 
 def _describe(appearance: Appearance) -> dict[str, Any]:
-    """Return the columns of the table that describe an appearance."""
     return {
         'person': appearance.person,
         'from_ns': appearance.from_ns,
@@ -309,7 +305,6 @@ def _describe(appearance: Appearance) -> dict[str, Any]:
 
 
 def _drop_nan(value: float) -> float | None:
-    """Return a number, or None instead of NaN, which JSON does not know."""
     return value if math.isfinite(value) else None
 
 

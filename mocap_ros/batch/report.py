@@ -75,7 +75,6 @@ def summarise(outcomes: Sequence[Outcome], wall_seconds: float) -> list[str]:
 
 
 def _list_appearances(outcomes: Sequence[Outcome]) -> Rows:
-    """Return the rows of the table that describe an appearance."""
     return [row for outcome in outcomes for row in outcome.rows if row['from_ns'] is not None]
 
 

@@ -233,7 +233,6 @@ def print_coverage(records: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _format_json(records: list[dict[str, Any]]) -> str:
-    """Return the records as JSON, in which numbers that are not finite become null."""
     finite = [
         {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in record.items()}
         for record in records

@@ -24,7 +24,7 @@ from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX, KeypointSequence
 from mocap_ros.formats.video import VideoImage
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models, load_prior_lifter
-from mocap_ros.runtime.load_keypoints import InputOptions, load_input, load_people
+from mocap_ros.runtime.load_keypoints import InputOptions, load_people
 from mocap_ros.skeleton import LAYOUT_NAMES
 
 # Options of all commands that name files to read; a name that is no file does no harm.
@@ -132,12 +132,7 @@ def load_sequences(
 
     The chosen person and the assumptions about the input are printed on stderr.
     """
-    options = read_input_options(args, config)
-    if all_people:
-        sequences, lines = load_people(args.input, options)
-    else:
-        sequence, lines = load_input(args.input, options)
-        sequences = [sequence]
+    sequences, lines = load_people(args.input, read_input_options(args, config), only_one=not all_people)
     for line in lines:
         print_note(line)
     return sequences

@@ -151,7 +151,6 @@ def add_ending(path: Path, ending: str) -> Path:
 def _choose_method(
     args: argparse.Namespace, models: Mapping[str, BasePoses], config: Config
 ) -> Callable[[KeypointSequence, Report], SequenceResult]:
-    """Return the function that reconstructs one person."""
     choices: tuple[DepthChoice, ...] = ()
     if args.choices is not None:
         text = read_text(args.choices, max_bytes=MAX_CHOICES_BYTES)

@@ -74,7 +74,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _choose_outputs(bags: list[Path], output: Path) -> dict[Path, Path]:
-    """Return the folder of the new bag for every bag."""
     if len(bags) == 1:
         return {bags[0]: output}
     names = [name_bag(bag) for bag in bags]

@@ -46,7 +46,6 @@ def learn_motions(path: Path) -> None:
 
 
 def _path_of(name: str) -> Path:
-    """Return the path of a shipped file of the demo."""
     return Path(str(files('mocap_ros') / 'demo' / name))
 
 

@@ -1,14 +1,17 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The interface of all 2D keypoint detectors."""
+"""The interface of all 2D keypoint detectors, and the choice of the one that a model file is for."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from mocap_ros.errors import ModelError
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]  # (H, W, 3) red, green, blue
@@ -32,3 +35,42 @@ class Detector(Protocol):
 
     def close(self) -> None:
         """Release the model."""
+
+
+MEDIAPIPE_SUFFIX = '.task'  # of the model bundles of MediaPipe's Tasks API
+ONNX_SUFFIX = '.onnx'
+# in the words of messages
+MODEL_FORMATS = "MediaPipe's pose landmarker (.task), or YOLO-pose, RTMPose or MoveNet (.onnx)"
+
+
+def load_detector(model: Path | None, max_people: int = 1) -> Detector:
+    """Load a model, by default the one that comes with some versions of MediaPipe.
+
+    `max_people` is the largest number of people to find in an image; models that find one person ignore it.
+    """
+    suffix = '' if model is None else model.suffix.lower()
+    if model is not None and not model.is_file():
+        raise ModelError(f'{model}: no such file; expected {MODEL_FORMATS}')
+    if model is None or suffix == MEDIAPIPE_SUFFIX:
+        from mocap_ros.detectors.mediapipe import BundledMediaPipe, MediaPipe
+
+        return BundledMediaPipe() if model is None else MediaPipe(model, max_people)
+    if suffix != ONNX_SUFFIX:
+        raise ModelError(f'{model}: unknown file type; expected {MODEL_FORMATS}')
+
+    from mocap_ros.detectors import movenet, rtmpose, yolo_pose
+    from mocap_ros.detectors.onnx_model import OnnxModel
+
+    network = OnnxModel(model)
+    shapes = network.output_shapes
+    if rtmpose.is_rtmpose(network.input_size, shapes):
+        return rtmpose.RtmPose(network)
+    if movenet.is_single_pose(shapes):
+        return movenet.SinglePoseMoveNet(network)
+    if movenet.is_multi_pose(shapes):
+        return movenet.MultiPoseMoveNet(network, max_people)
+    if yolo_pose.is_yolo_pose(shapes):
+        return yolo_pose.YoloPose(network, max_people)
+    found = ' and '.join(str(shape) for shape in shapes)
+    forms = ', or '.join(module.OUTPUT_FORM for module in (yolo_pose, rtmpose, movenet))
+    raise ModelError(f'{model}: gives arrays of the form {found}; expected {forms}')

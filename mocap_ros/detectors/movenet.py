@@ -103,7 +103,6 @@ class MultiPoseMoveNet:
 
 
 def _round_up(side: float) -> int:
-    """Return the side of an input in px that holds this side."""
     return max(int(np.ceil(side / SIZE_STEP - 1e-6)), 1) * SIZE_STEP
 
 

@@ -107,7 +107,6 @@ class OnePersonDetector(ABC):
         self._region = None
 
     def _look_at(self, image: Image, region: Box) -> Array | None:
-        """Return the keypoints (J, 3) of the person in a region, None if no person is seen there."""
         keypoints = self._estimate(image, region)
         return keypoints if is_seen(keypoints, self.min_score) else None
 

@@ -77,5 +77,4 @@ class OnnxModel:
 
 
 def _shorten(error: Exception) -> str:
-    """Return the first sentence of an error of onnxruntime without its codes."""
     return str(error).rpartition(' : ')[2].split('\n')[0].strip().rstrip('.') or type(error).__name__

@@ -58,7 +58,6 @@ class RtmPose(OnePersonDetector):
         self._aspect = model.input_size[0] / model.input_size[1]
 
     def _search(self, image: Image) -> Array | None:
-        """Find a person anywhere in the image, and look again at the place."""
         for region in self._iterate_regions(image):
             keypoints = self._look_at(image, region)
             if keypoints is not None:

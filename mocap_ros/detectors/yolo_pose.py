@@ -71,7 +71,6 @@ def _read_candidates(output: Array) -> tuple[Array, Array, Array]:
 
 
 def _choose_people(boxes: Array, scores: Array, max_people: int) -> list[int]:
-    """Return the indices of the best candidates whose boxes overlap little, the best first."""
     chosen: list[int] = []
     area = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
     for index in np.argsort(-scores, kind='stable').tolist():

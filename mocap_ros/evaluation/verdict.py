@@ -201,7 +201,6 @@ def _measure(
 
 
 def _turn(points: Array, quarters: int) -> Array:
-    """Return points (..., 2) turned clockwise by quarters of a turn."""
     for _ in range(quarters):
         points = points[..., ::-1] * [-1.0, 1.0]
     return points

@@ -105,7 +105,6 @@ def load_bvh(path: Path) -> BvhMotion:
 
 
 def _read_hierarchy(lines: Iterator[tuple[int, str]]) -> list[_Node]:
-    """Read the numbered lines up to the line MOTION."""
     nodes: list[_Node] = []
     open_nodes: list[int] = []  # whose closing brace has not been read, outermost first
     for number, line in lines:
@@ -180,7 +179,6 @@ def save_bvh(path: Path, bvh: BvhMotion) -> None:
 
 
 def _append_node(bvh: BvhMotion, node: int, indent: str, lines: list[str]) -> None:
-    """Append the lines of a node and of all nodes below it."""
     name, channels = bvh.names[node], bvh.channels[node]
     is_end_site = name.endswith(END_SUFFIX)
     keyword = 'ROOT' if bvh.parents[node] < 0 else 'JOINT'

@@ -268,7 +268,6 @@ def arrange_people(
 
 
 def _stack_keypoints(detections: Detections) -> Array:
-    """Return all keypoints (N, 3) of all people."""
     people = [np.column_stack([p.points, p.score]) for in_frame in detections.people for p in in_frame]
     return np.concatenate([np.zeros((0, 3)), *people])
 

@@ -68,8 +68,6 @@ class _Entry(NamedTuple):
 
 
 class _Categories(NamedTuple):
-    """What a file says of joints and categories."""
-
     names: dict[Any, Names]
     general: Names = ()
     others: frozenset[Any] = frozenset()
@@ -77,8 +75,6 @@ class _Categories(NamedTuple):
 
 @dataclass
 class _Found:
-    """What a file or folder holds."""
-
     people: dict[ImageName, list[Person2D]] = field(default_factory=dict)
     # Entry, (J, 3) keypoints and the names of the joints of each person
     entries: list[tuple[_Entry, Array, Names]] = field(default_factory=list)
@@ -160,7 +156,6 @@ def _describe_absence(found: _Found, *, has_points: bool) -> str:
 
 
 def _is_frame(content: Any) -> bool:
-    """Return whether the content of a file is the people of one frame."""
     if isinstance(content, dict):
         return any(key in content for key in ('people', 'bodies', 'instances'))
     return isinstance(content, list) and all(
@@ -359,7 +354,6 @@ def _are_visibilities(arrays: list[Array]) -> bool:
 
 
 def _read_categories(content: Any) -> _Categories:
-    """Return what a file says of joints and categories."""
     if not isinstance(content, dict):
         return _Categories({})
     entries = content.get('categories')
@@ -374,7 +368,6 @@ def _read_categories(content: Any) -> _Categories:
 
 
 def _read_own_names(content: Any) -> Names:
-    """Return the names of the joints that a mapping holds; empty if it has none."""
     if not isinstance(content, dict):
         return ()
     return next(filter(None, (_read_names(content.get(key)) for key in NAME_KEYS)), ())
@@ -393,7 +386,6 @@ def _read_names(names: Any) -> Names:
 
 
 def _read_id(content: Mapping[str, Any]) -> str:
-    """Return the id that a tracker gave to a person, or an empty text."""
     value = next((content[key] for key in ID_KEYS if key in content), None)
     if 'person_id' in content and value is content['person_id']:  # of OpenPose, which writes [-1] without tracking
         is_id = isinstance(value, list) and len(value) == 1 and isinstance(value[0], int) and value[0] >= 0

@@ -105,7 +105,6 @@ def _check_one_source(stems: Sequence[str], names: Sequence[ImageName]) -> None:
 
 
 def _read_times(stems: Sequence[str]) -> list[int]:
-    """Return the time of each image in ns; nothing if the names are no times."""
     for pattern, read in (
         (_EPOCH, _read_seconds),
         (_DATE, _read_dates),

@@ -37,11 +37,6 @@ def list_keys(path: Path) -> frozenset[str]:
     return frozenset()
 
 
-def read_arrays(path: Path, keys: Collection[str], kind: str) -> dict[str, NDArray[np.generic]]:
-    """Read arrays of an .npz file; keys that it does not have are left out. See `iterate_arrays`."""
-    return dict(iterate_arrays(path, keys, kind))
-
-
 def iterate_arrays(
     path: Path, keys: Collection[str], kind: str, max_bytes: int = MAX_FILE_BYTES
 ) -> Iterator[tuple[str, NDArray[np.generic]]]:

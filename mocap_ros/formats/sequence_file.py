@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError, naming
-from mocap_ros.formats.npz_arrays import ArrayReader, list_keys, read_arrays
+from mocap_ros.formats.npz_arrays import ArrayReader, iterate_arrays, list_keys
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.joint_map import build_joint_map
@@ -206,7 +206,7 @@ def load_sequence(path: str | Path) -> KeypointSequence:
     with naming(path):
         if list_keys(Path(path)) >= RESULT_KEYS:
             raise InputError('is a result of reconstruct; give the sequence file that it was made from')
-        return validate_sequence(read_arrays(Path(path), SEQUENCE_KEYS, 'a sequence file'))
+        return validate_sequence(dict(iterate_arrays(Path(path), SEQUENCE_KEYS, 'a sequence file')))
 
 
 def validate_sequence(array_by_key: Mapping[str, NDArray[np.generic]]) -> KeypointSequence:
@@ -366,7 +366,7 @@ def is_result_file(path: Path) -> bool:
 def load_result_file(path: Path) -> StoredResult:
     """Read and validate a result file."""
     with naming(path):
-        array_by_key = read_arrays(path, {*READ_KEYS, *INPUT_KEYS}, 'a result of reconstruct')
+        array_by_key = dict(iterate_arrays(path, {*READ_KEYS, *INPUT_KEYS}, 'a result of reconstruct'))
         arrays = ArrayReader(array_by_key)
         times = arrays.read_numbers('timestamps', (None,))
         if not len(times) or not (np.isfinite(times).all() and (np.diff(times) > 0).all()):

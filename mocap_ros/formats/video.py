@@ -108,7 +108,6 @@ class VideoReader:
             self._container.close()
 
     def _count_images(self) -> int | None:
-        """Return the number of images that the file states, or that its duration and rate give."""
         stream = self._stream
         if stream.frames:
             return int(stream.frames)
@@ -141,7 +140,6 @@ class VideoReader:
             self.ending = f'cut off after {last_s - start_s:.1f} s of the {stated_s:.1f} s that the file states'
 
     def _decode(self) -> Iterator[Any]:
-        """Yield the frames, and count the damaged ones."""
         packets = self._container.demux(self._stream)
         while True:
             try:
@@ -240,7 +238,6 @@ def _read_focal_length(*metadata: Mapping[str, str]) -> float | None:
 
 
 def _describe(error: Exception) -> str:
-    """Return what an error of FFmpeg says, without its number and the path."""
     return str(getattr(error, 'strerror', None) or error).rstrip('.')
 
 

@@ -48,6 +48,7 @@ class CameraInfo:
     # Name of the camera's optical frame; empty where unknown. It is not compared
     frame_id: str = field(default='', compare=False)
     note: str = ''  # why a field is not used or may be wrong, or empty
+    raw: bytes = field(default=b'', compare=False, repr=False)  # the message as CDR
 
 
 def check_image_size(frame: KeypointsFrame, camera: CameraInfo) -> None:
@@ -116,7 +117,7 @@ def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
             ) from None
         note = f'{fault}: its image size of {size[0]} x {size[1]} px is used, with a nominal focal length'
         intrinsics = Intrinsics.from_image_size(*size, focal_in_sides=1.0)
-    return CameraInfo(size, intrinsics, message.header.frame_id, note)
+    return CameraInfo(size, intrinsics, message.header.frame_id, note, raw)
 
 
 def check_coefficients(distortion: Distortion, name: str) -> None:

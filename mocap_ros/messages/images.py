@@ -139,13 +139,11 @@ def decode_image(raw: bytes, msgtype: str, limits: NodeConfig) -> tuple[Header, 
 
 
 def _check_size(width: int, height: int) -> None:
-    """Refuse an image without pixels or with too many."""
     if not 0 < width * height <= MAX_IMAGE_PIXELS:
         raise InputError(f'width, height: {width} x {height} px')
 
 
 def _decompress(data: bytes) -> Pixels:
-    """Return the pixels of a JPEG or PNG."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter('error', Pillow.DecompressionBombWarning)

@@ -124,7 +124,6 @@ def _read_zed(zed_object: Any, image_width: int, _: NodeConfig) -> Person2D | No
 
 
 def _read_openpose(pose: Any, image_width: int, _: NodeConfig) -> Person2D | None:
-    """Read an openpose_ros2_msgs/PoseKeyPoints, which has no id."""
     keypoints = pose.pose_key_points
     if len(keypoints) not in OPENPOSE_JOINTS:
         expected = ', '.join(map(str, OPENPOSE_JOINTS))

@@ -74,7 +74,6 @@ def check_ids(field: str, people: Sequence[Person2D]) -> None:
 
 
 def _read_person(person: Any, image_width: int, limits: NodeConfig) -> Person2D:
-    """Read a Keypoints2D."""
     lengths = len(person.x), len(person.y), len(person.score)
     if len(set(lengths)) > 1:
         raise InputError(f'x, y, score: unequal lengths {", ".join(map(str, lengths))}')
@@ -124,7 +123,6 @@ def _read_joint_names(person: Any, count: int, limits: NodeConfig) -> tuple[str,
 
 @lru_cache(maxsize=len(LAYOUT_NAMES))
 def _find_layout_joints(layout_name: str) -> tuple[str, ...]:
-    """Return the joint names of a layout; SkeletonError if it is unknown or lacks joints of the model."""
     joints = keypoint_layout(layout_name).joints
     build_joint_map(joints)
     return joints

@@ -35,8 +35,6 @@ _PADDING = tuple(bytes(count) for count in range(8))
 
 
 class _Codec(NamedTuple):
-    """How a field of a kind is written and read."""
-
     # Appends a value, or where it is None the default, to the fields before; little endian
     write: Callable[[bytearray, Any], None]
     # Reads a value; takes the bytes and its offset, and returns the value and the offset of the next
@@ -122,7 +120,6 @@ def _make_message_codec(msgtype: str, order: Order) -> _Codec:
 
 
 def _make_number_codec(dtype: np.dtype[Any], count: int, order: Order) -> _Codec:
-    """Return the codec of numbers of a type, of which one has a faster way."""
     size, code = dtype.itemsize, _STRUCT_CODES.get(dtype.char, dtype.char)
     pack, unpack = struct.Struct('<' + code).pack, struct.Struct(order + code).unpack_from
     stored = dtype.newbyteorder(order)

@@ -61,7 +61,6 @@ def encode_skeletons(
 
 
 def _list_fields(person: Person3D) -> dict[str, Any]:
-    """Return the fields of a Skeleton3D."""
     motion = person.motion
     return {
         'id': person.id,

@@ -56,7 +56,6 @@ class _Link:
     samples: list[tuple[int, RigidTransform]] = field(default_factory=list)
 
     def _find_index(self, stamp_ns: int) -> int:
-        """Return the index of the first transform at this time or later."""
         return bisect_left(self.samples, (stamp_ns,))
 
     def add(self, stamp_ns: int, transform: RigidTransform, limit: int) -> None:
@@ -150,7 +149,6 @@ class TransformTree:
         return any(link.parent == name for link in self._links.values())
 
     def _list_ancestors(self, name: str) -> list[str]:
-        """Return a frame, its parent, and so on up to its root."""
         names = [name]
         while names[-1] in self._links and len(names) < MAX_DEPTH:
             names.append(self._links[names[-1]].parent)
@@ -199,7 +197,6 @@ def is_of_people_only(raw: bytes, prefix: str) -> bool:
 
 
 def _decode(raw: bytes) -> Sequence[Any]:
-    """Return the transforms of a TFMessage; InputError if it is none, or has too many."""
     transforms: Sequence[Any] = decode_input(raw, TRANSFORMS).transforms
     if len(transforms) > MESSAGE_TRANSFORMS:
         raise InputError(f'transforms: {len(transforms)}, more than {MESSAGE_TRANSFORMS}')

@@ -98,7 +98,6 @@ def compare_versions(source: Typestore, target: Typestore, msgtype: str) -> tupl
 
 
 def _get_nested_type(field_type: FieldType) -> str:
-    """Return the message type of a field or of its elements; an empty string where they are of a basic type."""
     kind, content = field_type
     if kind in (Nodetype.SEQUENCE, Nodetype.ARRAY):
         return _get_nested_type(content[0])

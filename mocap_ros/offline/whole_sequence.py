@@ -271,7 +271,6 @@ def _complete(result: SequenceResult, observed: ObservedWindow, config: TrackerC
 
 
 def _find_contacts(result: SequenceResult, observed: ObservedWindow) -> SequenceResult:
-    """Return a result with the feet that stand."""
     points = join_body(observed.rays, observed.weight, observed.extremities)
     contact = find_contacts(*points, result.joints, result.vertical, observed.times)
     contact[np.isnan(result.joints).all(axis=(1, 2))] = np.nan
@@ -357,7 +356,6 @@ def _stand_on(
 
 
 def _blank_frames(result: SequenceResult, is_blank: NDArray[np.bool_]) -> SequenceResult:
-    """Return a result without joints and orientations in the frames of a mask (F,): NaN, not seen, inferred."""
     of_joints = is_blank[:, None]
     blanked = replace(
         result, joints=np.where(of_joints[..., None], np.nan, result.joints), seen=result.seen & ~of_joints

@@ -16,8 +16,7 @@ from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS
 from mocap_ros.ros.help import BRIDGE_NAME, BRIDGE_PARAMETERS
 from mocap_ros.ros.message_types import MessageVersions
-from mocap_ros.ros.nodes import ManagedNode
-from mocap_ros.ros.parameters import declare_parameters
+from mocap_ros.ros.nodes import ManagedNode, declare_parameters
 from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS
 from mocap_ros.ros.throttled_log import ThrottledLog
 from mocap_ros.ros.topics import Publishers, SilenceMonitor, subscribe

@@ -11,14 +11,13 @@ from typing import Any
 from rclpy.node import Node
 
 from mocap_ros.config import NodeConfig
-from mocap_ros.detectors.detector import Detector
-from mocap_ros.detectors.load import load_detector
+from mocap_ros.detectors.detector import Detector, load_detector
 from mocap_ros.errors import InputError, ModelError
 from mocap_ros.messages.images import decode_image
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.ros.help import DETECTOR_NAME, DETECTOR_PARAMETERS, IMAGE_TOPIC, KEYPOINTS_TOPIC
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
-from mocap_ros.ros.parameters import declare_parameters
+from mocap_ros.ros.nodes import declare_parameters
 from mocap_ros.ros.qos import IMAGE_QOS, OUTPUT_QOS
 from mocap_ros.ros.throttled_log import ThrottledLog
 from mocap_ros.ros.topics import subscribe, warn_of_subscribers

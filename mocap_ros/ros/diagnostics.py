@@ -139,7 +139,6 @@ class DiagnosticsReporter:
 
 
 def _describe_refusals(new: Counter[str], reason: str) -> tuple[Level, str] | None:
-    """Return the level and the description of the messages of the last second that were not accepted."""
     counts = {
         'internal errors': new['internal error'],
         'invalid': new['invalid'],

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from mocap_ros.bags.topics import Source
 from mocap_ros.bridges.bridge import CONSUMERS
 from mocap_ros.config import Parameter
-from mocap_ros.detectors.load import MODEL_FORMATS
+from mocap_ros.detectors.detector import MODEL_FORMATS
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.messages.images import IMAGE, IMAGE_TYPES

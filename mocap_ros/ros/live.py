@@ -140,7 +140,6 @@ class LiveRun:
 
     @property
     def _failure(self) -> str:
-        """Why no recording runs although `recorder.enabled` is set."""
         recording = self._recording
         return recording.failure if recording else self._start_failure
 
@@ -274,7 +273,6 @@ class LiveRun:
                 self._recording.write_output(output, self._now_ns())
 
     def _try_to_publish(self, outputs: Iterable[OutputMessage]) -> None:
-        """Publish outputs, and log those that the middleware refuses."""
         for output in outputs:
             try:
                 self._publish(output)

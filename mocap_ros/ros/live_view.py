@@ -26,7 +26,7 @@ from mocap_ros.ros.topics import subscribe
 from mocap_ros.runtime.load_scene import PERSON_FIELDS, average_core, recover_intrinsics
 from mocap_ros.skeleton import BODY26, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
-from mocap_ros.viewing.live_page import LiveScene, PageServer, make_person
+from mocap_ros.viewing.live_page import LiveScene, PageServer, make_nobody
 from mocap_ros.viewing.scene import ScenePerson
 
 # Only the newest messages count: a page that is late must not fall behind.
@@ -91,7 +91,7 @@ class LiveView(Node):
             self._size = self._camera.size
         if frame is not None:
             self._size = resolve_image_size(stated=(frame.image_width, frame.image_height), configured=self._size)
-        people = make_person('', len(skeleton.joints), intrinsics)
+        people = make_nobody(len(skeleton.joints), intrinsics)
         if array.people:
             people = ScenePerson(
                 id='',

@@ -21,8 +21,7 @@ from mocap_ros.ros.diagnostics import DIAGNOSTICS, DiagnosticsReporter
 from mocap_ros.ros.help import MOCAP_NAME, SERVICES
 from mocap_ros.ros.live import LiveRun
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
-from mocap_ros.ros.nodes import ManagedNode
-from mocap_ros.ros.parameters import declare_parameters
+from mocap_ros.ros.nodes import ManagedNode, declare_parameters
 from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS, TF_QOS, profile_to_rosbag2
 from mocap_ros.ros.subscriptions import InputSubscriptions
 from mocap_ros.ros.topics import Publishers
@@ -167,7 +166,6 @@ class MocapNode(ManagedNode):
             self._pipeline.reconfigure(self._config)
 
     def _select_own(self, changed: list[RosParameter[Any]]) -> dict[str, object]:
-        """Return the values, by name, of those parameters that belong to `Config`."""
         names = values(self._config)
         return {p.name: p.value for p in changed if p.name in names}
 
@@ -200,7 +198,7 @@ class MocapNode(ManagedNode):
 
     def _check_silence(self) -> None:
         if self._inputs is not None:
-            self._inputs.check_silence(self._config.node.silence_warning)
+            self._inputs.silence.check(self._config.node.silence_warning)
 
     def _publish_diagnostics(self) -> None:
         run, reporter = self._run, self._reporter

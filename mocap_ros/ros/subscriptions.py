@@ -69,8 +69,8 @@ class LostMessages:
 class InputSubscriptions:
     """Subscriptions to keypoints, CameraInfo and transforms, and for ROS4HRI to each tracked body.
 
-    The types of the inputs are added to `versions`; `types` has that of each source, without transforms whose type
-    is not installed.
+    `silence` observes when no people arrive. The types of the inputs are added to `versions`; `types` has that of
+    each source, without transforms whose type is not installed.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class InputSubscriptions:
         self._body_topics: set[str] = set()
         self._run: LiveRun | None = None
         people_source = next(iter(self.types))
-        self._silence = SilenceMonitor(node, people_source.value, self.types[people_source])
+        self.silence = SilenceMonitor(node, people_source.value, self.types[people_source])
 
     @property
     def topics(self) -> list[str]:
@@ -103,7 +103,7 @@ class InputSubscriptions:
     def subscribe(self, run: LiveRun) -> None:
         """Subscribe to all inputs; the thread of the executor passes their messages to a run."""
         self._run = run
-        self._silence.restart()
+        self.silence.restart()
         for source in self.types:
             if source is not Source.BODY:
                 self._subscriptions[source.value] = self._subscribe_to(source, source.value)
@@ -113,10 +113,6 @@ class InputSubscriptions:
         for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
         self._subscriptions, self._body_topics, self._run = {}, set(), None
-
-    def check_silence(self, limit: float) -> None:
-        """Log a warning if no people have arrived for `limit` seconds."""
-        self._silence.check(limit)
 
     def _subscribe_to(self, source: Source, name: str) -> Any:
         topic = self._node.resolve_topic_name(name)
@@ -158,7 +154,7 @@ class InputSubscriptions:
         if self._run:
             self._run.enqueue(source, raw, sent_ns, topic)
         if source in PEOPLE_SOURCES:
-            self._silence.restart(has_input=True)
+            self.silence.restart(has_input=True)
 
     def _follow_bodies(self, raw: bytes) -> None:
         try:

@@ -11,8 +11,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
-from mocap_ros.detectors.detector import Detector, Image
-from mocap_ros.detectors.load import load_detector
+from mocap_ros.detectors.detector import Detector, Image, load_detector
 from mocap_ros.errors import InputError, ModelError
 from mocap_ros.formats.detections import MAX_FRAMES, Detections, associate_people, create_person
 from mocap_ros.formats.video import VideoImage, VideoReader, read_ahead
@@ -86,7 +85,6 @@ def detect_in_video(
 
 
 def _check_image(path: Path, item: VideoImage, count: int, size: tuple[int, int]) -> tuple[int, int]:
-    """Return the size in px of an image, the next after `count` images of the given size."""
     found = item.image.shape[1], item.image.shape[0]
     if count and found != size:
         raise InputError(

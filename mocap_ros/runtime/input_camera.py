@@ -9,7 +9,7 @@ A camera is known by the `frame_id` of its images. Another camera replaces the o
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from mocap_ros.errors import FrameDropped, InputError
 from mocap_ros.messages.camera_info import CameraInfo
@@ -25,13 +25,6 @@ NOMINAL: FocalSource = 'nominal'
 SILENCE_S = 1.0  # s; without images of one camera, before those of another are taken as a move of the input
 
 
-class Calibration(NamedTuple):
-    """A CameraInfo, decoded and as CDR."""
-
-    info: CameraInfo
-    raw: bytes
-
-
 class InputCamera:
     """Decides for each image whether it is of the camera in use, replaces that camera, or is refused.
 
@@ -39,7 +32,7 @@ class InputCamera:
     """
 
     def __init__(self) -> None:
-        self.calibration: Calibration | None = None
+        self.calibration: CameraInfo | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -47,22 +40,22 @@ class InputCamera:
         self.name = ''
         self._rival: tuple[str, int] | None = None  # another camera, and its first stamp since the last image used
 
-    def add_calibration(self, given: Calibration) -> None:
+    def add_calibration(self, given: CameraInfo) -> None:
         """Use a CameraInfo for all following images, unless only the one in use is calibrated, for the same size.
 
         InputError if it is of another camera than the images, whose own is known.
         """
-        name, held, other = self.name, self.calibration, given.info.frame_id
-        if held and name and held.info.frame_id == name and other not in ('', name):
+        name, held, other = self.name, self.calibration, given.frame_id
+        if held and name and held.frame_id == name and other not in ('', name):
             raise InputError(
                 f'header.frame_id: {other!r}, but the people of {name!r} are being tracked, whose CameraInfo is '
                 'known; run a node for each camera'
             )
-        is_calibrated, was_calibrated = (c.info.intrinsics.is_focal_known if c else False for c in (given, held))
-        if is_calibrated or not was_calibrated or (held and held.info.size != given.info.size):
+        is_calibrated, was_calibrated = (c.intrinsics.is_focal_known if c else False for c in (given, held))
+        if is_calibrated or not was_calibrated or (held and held.size != given.size):
             self.calibration = given
 
-    def check(self, header: Header) -> tuple[str, Calibration | None]:
+    def check(self, header: Header) -> tuple[str, CameraInfo | None]:
         """Return why tracking must be restarted for an image, usually '', and the CameraInfo to use with it.
 
         A message without a `frame_id` is of the camera in use. The CameraInfo in use is used for another camera as
@@ -79,9 +72,9 @@ class InputCamera:
                 'run a node for each camera'
             )
         reason = f'the camera {self.name!r} is called {name!r} now or is another one, so tracking was restarted'
-        return reason, None if held and held.info.frame_id == self.name else held
+        return reason, None if held and held.frame_id == self.name else held
 
-    def accept(self, header: Header, calibration: Calibration | None) -> None:
+    def accept(self, header: Header, calibration: CameraInfo | None) -> None:
         """Note that an image is used, with the CameraInfo that `check` has returned."""
         self.name, self._rival = header.frame_id or self.name, None
         self.calibration = calibration

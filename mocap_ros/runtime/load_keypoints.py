@@ -82,43 +82,46 @@ def load_input(path: Path, options: InputOptions) -> tuple[KeypointSequence, lis
 
     Returns the sequence, and lines to print about the chosen person, skipped messages and assumptions.
     """
-    kind, options = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS), _add_lens(options)
-    _refuse_options(path, kind, options)
-    if kind is InputKind.SEQUENCE:
-        sequence = load_sequence(path)
-        lines = [*sequence.notes]
-    else:
-        detections = _load_detections(path, kind, options)
-        with naming(path):
-            sequence, lines = select_person(detections, options.person, options.tracker)
-    (sequence,), lines = _finish(path, kind, [sequence], options.video, lines)
+    (sequence,), lines = load_people(path, options, only_one=True)
     return sequence, lines
 
 
-def load_people(path: Path, options: InputOptions) -> tuple[list[KeypointSequence], list[str]]:
-    """Load all people from a file that may hold several, and return lines to print.
+def load_people(
+    path: Path, options: InputOptions, *, only_one: bool = False
+) -> tuple[list[KeypointSequence], list[str]]:
+    """Load all people from a file that may hold several, or one as `load_input`, and return lines to print.
 
     They are those who are seen in `MIN_FRAMES` or more, in the order in which they are seen first.
     """
     kind, options = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS), _add_lens(options)
     _refuse_options(path, kind, options)
     if kind is InputKind.SEQUENCE:
-        raise InputError(f'{path}: a sequence file holds one person; --all-people does not apply')
+        if not only_one:
+            raise InputError(f'{path}: a sequence file holds one person; --all-people does not apply')
+        sequence = load_sequence(path)
+        return _finish(path, kind, [sequence], options.video, sequence.notes)
     detections = _load_detections(path, kind, options)
-    tracks, ignored = associate_people(detections, options.tracker)
-    long_tracks = [track for track in tracks if len(track.detection_by_frame) >= MIN_FRAMES]
-    if not long_tracks:
-        raise InputError(f'{path}: no person is seen in {MIN_FRAMES} frames or more')
     with naming(path):
-        sequences, notes = arrange_people(detections, long_tracks)
-    lines = *ignored, *notes
-    if left_out := len(tracks) - len(long_tracks):
-        lines = (*lines, f'{left_out} people are left out, who are seen in less than {MIN_FRAMES} frames')
+        if only_one:
+            sequence, lines = select_person(detections, options.person, options.tracker)
+            sequences = [sequence]
+        else:
+            sequences, lines = _select_all(detections, options.tracker)
     return _finish(path, kind, sequences, options.video, lines)
 
 
+def _select_all(detections: Detections, settings: TrackerConfig) -> tuple[list[KeypointSequence], list[str]]:
+    tracks, ignored = associate_people(detections, settings)
+    long_tracks = [track for track in tracks if len(track.detection_by_frame) >= MIN_FRAMES]
+    if not long_tracks:
+        raise InputError(f'no person is seen in {MIN_FRAMES} frames or more')
+    sequences, notes = arrange_people(detections, long_tracks)
+    left_out = len(tracks) - len(long_tracks)
+    few = [f'{left_out} people are left out, who are seen in less than {MIN_FRAMES} frames'] if left_out else []
+    return sequences, [*ignored, *notes, *few]
+
+
 def _add_lens(options: InputOptions) -> InputOptions:
-    """Return the options with the focal length of the parameters where the video has none."""
     video, node = options.video, options.node
     if video.hfov or video.focal:
         return options
@@ -146,7 +149,6 @@ def _finish(
 
 
 def _describe_gap(sequence: KeypointSequence) -> str:
-    """Describe the longest gap in which nothing is seen of a person; empty if all are short."""
     times = sequence.timestamps[(sequence.keypoints[..., 2] > 0).any(axis=1)]
     gap, start = find_longest_gap(times)
     if gap <= MAX_GAP_S:
@@ -248,67 +250,36 @@ def _assemble_frames(
 ) -> tuple[dict[int, KeypointsFrame], list[str], int, str]:
     """Return the images of a bag by stamp in ns, why each other message is left out, and a note on the clock.
 
-    The number is that of the images of all runs of the clock, of which the longest is returned.
+    A stamp that goes back by more than `RESTART_S` begins a run of the clock. The longest is returned, and the
+    number of images of all.
     """
-    assembler, reasons, name, runs = FrameAssembler(), [], '', _ClockRuns()
+    assembler, reasons, name, jump, newest_ns = FrameAssembler(), [], '', '', 0
+    runs: list[dict[int, KeypointsFrame]] = [{}]
     for number, message in enumerate(bag.messages(topics), 1):
-        source = topics[message.topic]
+        place, source = f'{message.topic}: message {number}', topics[message.topic]
         try:
             for frame in assembler.assemble(source, message.raw, message.topic, node, size, inf):
-                frame_id = frame.header.frame_id
+                frame_id, stamp_ns = frame.header.frame_id, frame.header.stamp_ns
                 name = name or frame_id
                 if frame_id not in ('', name):
                     raise InputError(f'header.frame_id: {frame_id!r}, but the images before are of {name!r}')
                 if camera is not None:
                     check_image_size(frame, camera)
-                runs.add(frame, f'{message.topic}: message {number}')
+                back_s = (newest_ns - stamp_ns) / NS_PER_S
+                if back_s > RESTART_S and not is_stamp_missing(stamp_ns, newest_ns):
+                    jump = jump or f'{place}: the stamp goes back by {back_s:.1f} s'
+                    runs.append({})
+                    newest_ns = 0
+                newest_ns = max(newest_ns, stamp_ns)
+                if runs[-1].setdefault(stamp_ns, frame) is not frame:
+                    raise FrameDropped('its stamp is that of an earlier message' if stamp_ns else MISSING_STAMP)
         except (InputError, FrameDropped) as error:
-            reasons.append(f'{message.topic}: message {number}: {error}')
+            reasons.append(f'{place}: {error}')
     for frame in assembler.flush():
-        runs.newest.setdefault(frame.header.stamp_ns, frame)
-    return runs.choose(), reasons, runs.count, runs.describe()
-
-
-class _ClockRuns:
-    """Images by stamp in ns, in runs of a clock: a stamp that goes back by more than `RESTART_S` begins one."""
-
-    def __init__(self) -> None:
-        self._runs: list[dict[int, KeypointsFrame]] = [{}]
-        self._newest_ns = 0
-        self._first_jump = ''
-
-    @property
-    def count(self) -> int:
-        """The number of images of all runs."""
-        return sum(map(len, self._runs))
-
-    @property
-    def newest(self) -> dict[int, KeypointsFrame]:
-        """The images of the newest run."""
-        return self._runs[-1]
-
-    def add(self, frame: KeypointsFrame, place: str) -> None:
-        """Add an image; FrameDropped if its stamp repeats."""
-        stamp_ns = frame.header.stamp_ns
-        back_s = (self._newest_ns - stamp_ns) / NS_PER_S
-        if back_s > RESTART_S and not is_stamp_missing(stamp_ns, self._newest_ns):
-            self._first_jump = self._first_jump or f'{place}: the stamp goes back by {back_s:.1f} s'
-            self._runs.append({})
-            self._newest_ns = 0
-        self._newest_ns = max(self._newest_ns, stamp_ns)
-        if self.newest.setdefault(stamp_ns, frame) is not frame:
-            raise FrameDropped('its stamp is that of an earlier message' if stamp_ns else MISSING_STAMP)
-
-    def choose(self) -> dict[int, KeypointsFrame]:
-        """Return the images of the longest run."""
-        return max(self._runs, key=len)
-
-    def describe(self) -> str:
-        """Return what is unusual about the clock, or an empty text."""
-        if self._first_jump:
-            count, runs = len(self.choose()), len(self._runs)
-            return f'{self._first_jump}; of {runs} runs of the clock the longest, of {count} images, is used'
-        return ''
+        runs[-1].setdefault(frame.header.stamp_ns, frame)
+    longest = max(runs, key=len)
+    used = f'of {len(runs)} runs of the clock the longest, of {len(longest)} images, is used'
+    return longest, reasons, sum(map(len, runs)), f'{jump}; {used}' if jump else ''
 
 
 def _leave_out_others(frames: dict[int, KeypointsFrame]) -> list[str]:

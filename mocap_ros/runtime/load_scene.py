@@ -4,12 +4,13 @@
 """Load what the viewers draw from any input or result: bags, sequence files, JSON and results of `reconstruct`.
 
 Skeletons in a bag or a result are drawn as they are. Any other input is reconstructed, each of its people as a
-whole sequence.
+whole sequence. The images behind the keypoints are those of a video, or of a bag.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -20,25 +21,29 @@ from numpy.typing import NDArray
 
 from mocap_ros.bags.journal import JOURNAL, Verdict, decode_entry
 from mocap_ros.bags.reader import Bag
-from mocap_ros.config import Config
+from mocap_ros.bags.topics import find_people_topics
+from mocap_ros.config import Config, NodeConfig
 from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.formats.detections import Detections
-from mocap_ros.formats.npz_arrays import ArrayReader, read_arrays
+from mocap_ros.formats.npz_arrays import ArrayReader, iterate_arrays
 from mocap_ros.formats.sequence_file import KeypointSequence, load_result_file
+from mocap_ros.formats.video import VideoReader
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import average_vertical
 from mocap_ros.keypoints.image_size import resolve_image_size
+from mocap_ros.messages.images import IMAGE_TYPES, decode_image
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.whole_sequence import Report, describe_height_faults
 from mocap_ros.people import MotionKind
 from mocap_ros.runtime.frame_assembly import is_stamp_missing
-from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
-from mocap_ros.runtime.load_keypoints import InputOptions, load_bag, load_input, load_people
+from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, find_input_kind, require_kind
+from mocap_ros.runtime.load_keypoints import InputOptions, load_bag, load_people
 from mocap_ros.runtime.load_results import RecordedPeople, find_skeletons_topic, holds_result
 from mocap_ros.runtime.summary import Summary, summarise
 from mocap_ros.runtime.whole_recording import reconstruct_people, reconstruct_whole
 from mocap_ros.skeleton import CMU15, Skeleton, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
+from mocap_ros.viewing.overlay import StampedImage
 from mocap_ros.viewing.scene import Mark, Scene, SceneKeypoints, ScenePerson
 
 Array = NDArray[np.float64]
@@ -98,14 +103,11 @@ def load_scene(
         if kind is InputKind.BAG and holds_result(path):
             return *_load_bag_scene(path, options, report), None
         reading = options.input._replace(node=options.config.node)
-        if reading.person or options.only_one or kind is InputKind.SEQUENCE:
-            sequence, lines = load_input(path, reading)
-            sequences = [sequence]
-        else:
-            sequences, lines = load_people(path, reading)
-            sequences = sorted(sequences, key=lambda s: -int((s.keypoints[..., 2] > 0).any(axis=1).sum()))
-            if len(sequences) > MAX_PEOPLE:
-                lines.append(f'{path}: {len(sequences) - MAX_PEOPLE} more people are not shown, who are seen less')
+        only_one = bool(reading.person) or options.only_one or kind is InputKind.SEQUENCE
+        sequences, lines = load_people(path, reading, only_one=only_one)
+        sequences = sorted(sequences, key=lambda s: -int((s.keypoints[..., 2] > 0).any(axis=1).sum()))
+        if len(sequences) > MAX_PEOPLE:
+            lines.append(f'{path}: {len(sequences) - MAX_PEOPLE} more people are not shown, who are seen less')
         scene, summary = _reconstruct_people(path, sequences[:MAX_PEOPLE], options, report, lines)
         return scene, lines, summary
     except InputError as error:
@@ -175,7 +177,6 @@ def select_true_joints(joints: Array, names: Sequence[str], skeleton: Skeleton =
 
 
 def _make_keypoints(sequence: KeypointSequence, frames: NDArray[np.intp]) -> SceneKeypoints:
-    """Return the keypoints of a sequence in the frames in which some are seen."""
     seen, layout = sequence.keypoints[..., 2] > 0, skeleton_from_joints(sequence.joint_names)
     points = np.where(seen[..., None], sequence.keypoints[..., :2], np.nan).astype(np.float32)
     rows = seen.any(axis=1)
@@ -211,7 +212,10 @@ def _load_result_scene(path: Path, person: str | None) -> Scene:
     result = load_result_file(path)
     if not np.isfinite(result.joints).all(axis=(1, 2)).any():
         raise InputError('no frame has a skeleton')
-    arrays, count = ArrayReader(read_arrays(path, CAMERA_KEYS, 'a result of reconstruct')), len(result.times)
+    arrays, count = (
+        ArrayReader(dict(iterate_arrays(path, CAMERA_KEYS, 'a result of reconstruct'))),
+        len(result.times),
+    )
     scale, translation = arrays.read_numbers('scale', (count,)), arrays.read_numbers('translation', (count, 2))
     vertical = arrays.read_numbers('vertical', (count, 3)), arrays.read_numbers('vertical_std', (count,))
     is_focal_known = arrays.read_flags('scale_known', ())
@@ -346,3 +350,39 @@ def _sort(rows: Iterable[tuple[int, Row]], stamps: NDArray[np.int64]) -> tuple[N
     """Return the frames and the rows whose stamps are among the stamps of the frames, in their order."""
     kept = sorted((row for row in rows if row[0] >= stamps[0]), key=lambda row: row[0])
     return np.searchsorted(stamps, [stamp for stamp, _ in kept]), [row for _, row in kept]
+
+
+def read_images(path: Path, limits: NodeConfig, topic: str | None, notes: list[str]) -> Iterator[StampedImage]:
+    """Yield the images of a video or a bag; none of any other input. `notes` gets a line about those left out.
+
+    Of several cameras in a bag it is that of this topic of keypoints.
+    """
+    kind = find_input_kind(path)
+    if kind is InputKind.VIDEO:
+        with VideoReader(path) as reader:
+            for image, time_s in reader:
+                yield StampedImage(round(time_s * NS_PER_S), image)
+    elif kind is InputKind.BAG:
+        with Bag(path) as bag:
+            yield from _read_bag_images(bag, limits, topic, notes)
+
+
+def _read_bag_images(bag: Bag, limits: NodeConfig, topic: str | None, notes: list[str]) -> Iterator[StampedImage]:
+    """Yield the images of the topic whose name begins most like that of the keypoints, of several cameras."""
+    keypoints = topic or '/'
+    with suppress(InputError):
+        keypoints = next(iter(find_people_topics(bag, topic)))
+    candidates = [name for name in bag.topics_of_type(IMAGE_TYPES) if 'depth' not in name]
+    if not candidates:
+        return
+    chosen = max(candidates, key=lambda name: len(os.path.commonpath([name, keypoints])))
+    faults: list[str] = []
+    for message in bag.messages([chosen]):
+        try:
+            header, image = decode_image(message.raw, bag.topics[chosen], limits)
+        except InputError as error:
+            faults.append(str(error))
+            continue
+        yield StampedImage(header.stamp_ns, image)
+    if faults:
+        notes.append(f'{bag.path}: {chosen}: {len(faults)} images left out; {faults[0]}')

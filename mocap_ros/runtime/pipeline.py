@@ -22,7 +22,7 @@ from mocap_ros.errors import ConfigError, FrameDropped, InputError
 from mocap_ros.formats.detections import Video
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.image_size import resolve_image_size
-from mocap_ros.messages.camera_info import check_image_size, decode_camera_info
+from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
 from mocap_ros.messages.cdr import Header, OutputMessage
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.messages.skeletons import PredictedFrame, read_prediction_times
@@ -35,7 +35,6 @@ from mocap_ros.runtime.input_camera import (
     GIVEN,
     KNOWN,
     NOMINAL,
-    Calibration,
     CalibrationWait,
     FocalSource,
     InputCamera,
@@ -143,13 +142,13 @@ class Pipeline:
     @property
     def camera_info(self) -> bytes | None:
         """The CameraInfo message in use as CDR, or None."""
-        return self._camera.calibration and self._camera.calibration.raw
+        return self._camera.calibration.raw if self._camera.calibration else None
 
     @property
     def focal_source(self) -> FocalSource:
         """Where the focal length of the next image is from."""
         calibration, node = self._camera.calibration, self.config.node
-        if calibration is not None and calibration.info.intrinsics.is_focal_known:
+        if calibration is not None and calibration.intrinsics.is_focal_known:
             return KNOWN
         return GIVEN if node.hfov or node.focal else NOMINAL
 
@@ -204,15 +203,14 @@ class Pipeline:
 
     def set_camera_info(self, raw: bytes) -> None:
         """Use a sensor_msgs/CameraInfo for all following images, as `InputCamera.add_calibration` does."""
-        info = decode_camera_info(raw, rectified=self.config.node.rectified_input)
-        self._camera.add_calibration(Calibration(info, raw))
+        self._camera.add_calibration(decode_camera_info(raw, rectified=self.config.node.rectified_input))
 
     def _take_camera_note(self) -> str:
         """Return what the CameraInfo in use is not used for, or replaces, once until it changes."""
         calibration, before, node = self._camera.calibration, self._camera_note, self.config.node
         is_lens_ignored = self.focal_source == KNOWN and (node.hfov or node.focal)
         ignored = 'the camera is calibrated; node.hfov and node.focal are not used' if is_lens_ignored else ''
-        self._camera_note = '; '.join(filter(None, (calibration.info.note if calibration else '', ignored)))
+        self._camera_note = '; '.join(filter(None, (calibration.note if calibration else '', ignored)))
         return '' if self._camera_note == before else self._camera_note
 
     def reset(self) -> tuple[OutputMessage, ...]:
@@ -246,7 +244,6 @@ class Pipeline:
         return tracker
 
     def _decode_frames(self, source: Source, raw: bytes, topic: str) -> list[KeypointsFrame]:
-        """Decode a message and return the images that it completes."""
         if source is Source.CAMERA_INFO:
             self.set_camera_info(raw)
             return []
@@ -255,7 +252,7 @@ class Pipeline:
             return []
         node, known = self.config.node, self._camera.calibration
         configured = (node.image_width, node.image_height)
-        size = resolve_image_size(camera=known.info.size if known else None, configured=configured)
+        size = resolve_image_size(camera=known.size if known else None, configured=configured)
         return self._assembler.assemble(source, raw, topic, node, size, self.config.tracker.restart_after)
 
     def _process_frame(self, frame: KeypointsFrame) -> ProcessingResult:
@@ -305,12 +302,8 @@ class Pipeline:
             reason = f'the stamp went back by {back_s:.1f} s, so tracking was restarted'
         return ProcessingResult(Verdict.ACCEPTED, '; '.join(filter(None, (restart, reason, *found))), outputs)
 
-    def _find_intrinsics(
-        self, frame: KeypointsFrame, calibration: Calibration | None
-    ) -> tuple[Intrinsics, FocalSource]:
-        """Return the intrinsics of a CameraInfo, or others for the size in messages or parameters."""
+    def _find_intrinsics(self, frame: KeypointsFrame, camera: CameraInfo | None) -> tuple[Intrinsics, FocalSource]:
         node, stated = self.config.node, (frame.image_width, frame.image_height)
-        camera = calibration.info if calibration else None
         if camera is not None:
             check_image_size(frame, camera)
             if camera.intrinsics.is_focal_known:

@@ -108,8 +108,6 @@ def replay(
 
 
 class _Replay:
-    """State of one replay."""
-
     def __init__(self, bag: Bag, options: ReplayOptions) -> None:
         self._bag = bag
         self._changes = options.changes
@@ -182,7 +180,6 @@ class _Replay:
         self._write(build_skeleton_definition(self._pipeline.config.tracker.skeleton), now_ns)
 
     def _repeat_events(self, number: int, now_ns: int) -> None:
-        """Repeat the resets and parameter changes that followed this input in the recorded run."""
         for entry in self._run.events.get(number, ()):
             if entry.kind == RESET:
                 self._recorder.write(*self._journal.make_reset_record(now_ns))

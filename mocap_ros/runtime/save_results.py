@@ -162,7 +162,6 @@ def save_detections(path: Path, detections: Detections) -> None:
 
 @contextmanager
 def _record_file(path: Path) -> Iterator[Recorder]:
-    """Write a bag into a single .mcap file, which is there when it is complete."""
     with TemporaryDirectory(dir=path.parent, prefix='.mocap_ros_') as folder:
         bag = Path(folder) / 'bag'
         try:
@@ -207,7 +206,6 @@ def _save_bag(path: Path, reconstruction: ReconstructedSequence) -> None:
 
 
 def _iterate_people(reconstruction: ReconstructedSequence) -> Iterator[Person3D | None]:
-    """Yield the person of each frame, or None where the result has no skeleton."""
     result, nan = reconstruction.result, float('nan')
     cameras, translation = result.cameras_in_real_image()
     contact = result.foot_contact
@@ -268,8 +266,6 @@ def _save_trc(path: Path, reconstruction: ReconstructedSequence) -> None:
 
 
 class _Resampled(NamedTuple):
-    """A result at a constant frame rate."""
-
     fps: float  # frames per second
     joints: Array  # (F, J, 3) m; before the first and after the last skeleton of the result the nearest pose
     orientation: Array | None  # (F, J, 4) quaternions in the optical frame, not of length 1; None if unknown

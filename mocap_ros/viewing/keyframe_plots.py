@@ -57,7 +57,6 @@ def draw_keyframes_figure(
 
 
 def _choose_drawn_keyframes(half: KeyframeSet) -> NDArray[np.intp]:
-    """Return the numbers of the keyframes to draw, increasing."""
     order = half.chronological_order
     frame_count = np.bincount(half.nearest[half.well_represented], minlength=len(half.frames))[order]
     return np.sort(np.argsort(-frame_count, kind='stable')[:MAX_DRAWN_KEYFRAMES])
@@ -91,7 +90,6 @@ def _draw_skeletons(figure: Any, observed: ObservedWindow, half: KeyframeSet, nu
 
 
 def _draw_occurrence(axes: Any, times: Array, half: KeyframeSet) -> None:
-    """Draw the number of the nearest keyframe of every frame over time (figure 6)."""
     number = np.append(np.argsort(half.chronological_order), -1)[half.nearest]
     elapsed = times - times[0]
     for frames, colour, label in (

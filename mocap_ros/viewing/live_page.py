@@ -59,7 +59,7 @@ class LiveScene:
         """Return the page, which asks for the frames."""
         size = 640, 480  # px; the frames have their own
         intrinsics = Intrinsics.from_image_size(*size, 1.0)
-        empty = make_person('', len(self._skeleton.joints), intrinsics)
+        empty = make_nobody(len(self._skeleton.joints), intrinsics)
         people = (empty,) * len(PERSON_COLOURS)
         scene = Scene(self._title, [0], people, (), size, intrinsics, skeleton=self._skeleton)
         return build_page(scene, is_live=True)
@@ -105,7 +105,6 @@ class LiveScene:
             self._changed.notify_all()
 
     def _find_level(self, people: ScenePerson, vertical: NDArray[np.float64]) -> None:
-        """Find the vertical and the floor, to which a frame contributes."""
         if np.linalg.norm(vertical) > 0:
             self._verticals.append(vertical)
         if len(people.frames):
@@ -126,23 +125,22 @@ class LiveScene:
             return b'' if self._number == number else self._frame
 
 
-def make_person(person_id: str, joint_count: int, intrinsics: Intrinsics, frames: int = 0) -> ScenePerson:
-    """Return a person of whom nothing is known in some frames."""
-    shape = frames, joint_count
-    unknown = np.full(frames, np.nan, np.float32)
+def make_nobody(joint_count: int, intrinsics: Intrinsics) -> ScenePerson:
+    """Return a person without frames."""
+    numbers, flags = np.zeros(0, np.float32), np.zeros(0, bool)
     return ScenePerson(
-        id=person_id,
-        frames=np.arange(frames),
-        joints=np.full((*shape, 3), np.nan, np.float32),
-        std=np.full(shape, np.nan, np.float32),
-        inferred=np.zeros(shape, bool),
+        id='',
+        frames=np.arange(0),
+        joints=np.zeros((0, joint_count, 3), np.float32),
+        std=np.zeros((0, joint_count), np.float32),
+        inferred=np.zeros((0, joint_count), bool),
         intrinsics=intrinsics,
-        residual=unknown,
-        cadence=unknown,
-        motion=np.zeros(frames, np.uint8),
-        predicted=np.zeros(frames, bool),
-        tentative=np.zeros(frames, bool),
-        contact=np.full((frames, 2), np.nan, np.float32),
+        residual=numbers,
+        cadence=numbers,
+        motion=np.zeros(0, np.uint8),
+        predicted=flags,
+        tentative=flags,
+        contact=np.zeros((0, 2), np.float32),
     )
 
 

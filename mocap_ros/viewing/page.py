@@ -60,8 +60,6 @@ GZIP_BITS = 31  # zlib's number for its largest window, in the format of gzip
 
 
 class _Packer:
-    """Compresses arrays as they come, and describes where each one is."""
-
     def __init__(self) -> None:
         self._compressor = zlib.compressobj(COMPRESSION_LEVEL, wbits=GZIP_BITS)
         self._parts: list[bytes] = []
@@ -120,7 +118,6 @@ def build_page(scene: Scene, *, is_live: bool = False) -> str:
 
 
 def _read(name: str) -> str:
-    """Return the text of a file of the page."""
     return (files('mocap_ros') / 'viewing' / 'page_files' / name).read_text(encoding='utf-8')
 
 
@@ -237,7 +234,6 @@ def _describe_keypoints(keypoints: SceneKeypoints, packer: _Packer, pixel_step: 
 
 
 def _find_step(arrays: list[NDArray[np.float32]]) -> float:
-    """Return the smallest step with which all values fit into 16 bits."""
     largest = max((float(np.nanmax(np.abs(a), initial=0.0)) for a in arrays if a.size), default=0.0)
     return largest / MAX_INT16
 

@@ -138,7 +138,6 @@ def _draw_input(axes: Any, data: PlotData, keypoints: Array, frame: int) -> None
 
 
 def _draw_pose(axes: Any, data: PlotData, frame: int, projection: Any, radius: float) -> None:
-    """Draw the 3D pose of one frame, and behind it the truth."""
     joints = data.joints[frame]
     if data.truth is not None:
         truth = data.truth[frame]
@@ -156,7 +155,6 @@ def _draw_pose(axes: Any, data: PlotData, frame: int, projection: Any, radius: f
 
 
 def _draw_error(axes: Any, data: PlotData, error_mm: Array, frames: Sequence[int]) -> None:
-    """Draw the 3D error and the share of inferred joints over time."""
     (line,) = axes.plot(data.times, error_mm, color='black', linewidth=1, label='3D error')
     drawn = [axes.axvline(data.times[f], color=TRUTH_COLOUR, linewidth=1, label='frames above') for f in frames]
     if len(data.times) > 1:
@@ -190,7 +188,6 @@ def _compute_error_mm(data: PlotData) -> Array | None:
 
 
 def _centre(poses: Array) -> Array:
-    """Return poses (..., J, 3) about the mean of their core."""
     return np.asarray(poses - poses[..., :CORE_COUNT, :].mean(axis=-2, keepdims=True))
 
 

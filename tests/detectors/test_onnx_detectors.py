@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mocap_ros.detectors.load import load_detector
+from mocap_ros.detectors.detector import load_detector
 from mocap_ros.errors import ModelError
 from mocap_ros.skeleton import keypoint_layout
 from tests.support import blob_people

@@ -19,7 +19,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.messages.camera_info import CameraInfo, encode_camera_info
 from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.runtime.input_camera import SILENCE_S, Calibration, InputCamera
+from mocap_ros.runtime.input_camera import SILENCE_S, InputCamera
 from mocap_ros.runtime.input_checks import describe_misspelt_joint
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.skeleton import KEYPOINT_LAYOUTS, keypoint_layout
@@ -225,8 +225,8 @@ def test_images_without_a_name_are_of_the_camera_in_use() -> None:
     assert send(camera, 'back', 1.5) == 'refused'
 
 
-def calibrate(name: str, focal: float) -> Calibration:
-    return Calibration(CameraInfo((640, 480), Intrinsics(focal, (320.0, 240.0), is_focal_known=True), name), b'')
+def calibrate(name: str, focal: float) -> CameraInfo:
+    return CameraInfo((640, 480), Intrinsics(focal, (320.0, 240.0), is_focal_known=True), name)
 
 
 def test_each_camera_is_used_with_its_own_camera_info() -> None:
@@ -243,5 +243,5 @@ def test_each_camera_is_used_with_its_own_camera_info() -> None:
         camera.add_calibration(calibration)
         assert camera.calibration is calibration, 'what has no name, or another one, may be of any camera'
     uncalibrated = Intrinsics(480.0, (320.0, 240.0), is_focal_known=False)
-    camera.add_calibration(Calibration(CameraInfo((640, 480), uncalibrated, 'back'), b''))
+    camera.add_calibration(CameraInfo((640, 480), uncalibrated, 'back'))
     assert camera.calibration is back

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.errors import MocapError
 from mocap_ros.skeleton import CMU15
-from mocap_ros.viewing.live_page import LiveScene, PageServer, make_person
+from mocap_ros.viewing.live_page import LiveScene, PageServer, make_nobody
 from mocap_ros.viewing.page import NOT_A_NUMBER, UNKNOWN_STD, build_page
 from mocap_ros.viewing.scene import Scene
 from tests.support.paths import ROOT
@@ -284,7 +284,7 @@ def test_a_slow_browser_gets_the_newest_frame_and_leaves_the_others_out(server: 
 
 
 def test_an_image_without_people_is_a_frame_without_people() -> None:
-    scene, nobody = LiveScene('Live'), make_person('', len(CMU15.joints), INTRINSICS)
+    scene, nobody = LiveScene('Live'), make_nobody(len(CMU15.joints), INTRINSICS)
     scene.publish(START_NS, [], nobody, [], (640, 480), UP, CMU15)
     frame = json.loads(scene.wait(0))
     assert (frame['ids'], set(map(str, frame['people'].values()))) == ([], {'[]'})

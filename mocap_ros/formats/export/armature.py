@@ -52,8 +52,6 @@ FORWARD = (0.0, 0.0, 1.0)
 
 
 class _Bone(NamedTuple):
-    """A bone of the armature."""
-
     name: str
     parent: str
     # Joint of the model at which the bone starts. If its parent starts at the same joint, the bone starts

@@ -129,7 +129,6 @@ def _align(across: Array, up: Array, *, is_up_exact: bool) -> Rotation:
 
 
 def _normalise(vectors: Array) -> Array:
-    """Return the directions of vectors (F, 3); upwards for vectors without a length."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.where(length > 0, vectors / np.maximum(length, TINY), [0.0, 1.0, 0.0])
 
@@ -150,7 +149,6 @@ def _follow_pelvis(pelvis: Rotation) -> Array:
 
 
 def _wrap(angle: Array) -> Array:
-    """Return angles in rad moved by full turns into -pi to pi."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
@@ -186,7 +184,6 @@ def _split_direction(down: Array, fps: float) -> tuple[Array, Array]:
 
 
 def _unwrap_phase(numbers: ComplexArray) -> Array:
-    """Return the phases (F,) in rad of numbers (F,), without jumps by a full turn."""
     return np.unwrap(np.arctan2(numbers.imag, numbers.real))
 
 

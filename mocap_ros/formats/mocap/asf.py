@@ -36,8 +36,6 @@ MAX_SKELETON_BYTES = 1 << 20  # guards the memory that bones take; the CMU datab
 
 
 class _Bone(NamedTuple):
-    """A bone, or the root."""
-
     offset: Array  # (3,) vector from the start to the end of the bone in the rest pose; position of the root
     axes: Rotation  # rotation of the axes about which the bone rotates
     freedom: tuple[str, ...]  # names of the degrees of freedom, in the order of their values in the motion
@@ -131,7 +129,6 @@ def _parse_freedom(words: list[str]) -> tuple[str, ...]:
 
 
 def _order_bones(bones: dict[str, _Bone], parents: dict[str, str]) -> dict[str, str]:
-    """Return the parent of every bone in the hierarchy, with parents first."""
     if max(len(bones), len(parents)) > MAX_BONES:
         raise InputError(f'more than {MAX_BONES} bones')
     ordered = {ROOT: ''}
@@ -185,7 +182,6 @@ def _start_frame(number: int, frames: int, rows: dict[str, list[list[float]]]) -
 
 
 def _build_array(place: str, rows: list[list[float]], frames: int) -> Array:
-    """Return the values (F, degrees of freedom) of a bone; zeros where the file has none."""
     if not rows:
         return np.zeros((frames, len(ROTATIONS) + len(TRANSLATIONS)))
     array = np.array(rows, np.float64)

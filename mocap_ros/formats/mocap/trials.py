@@ -124,7 +124,6 @@ def list_files(path: Path) -> list[Path]:
 def _create_trial(
     name: str, poses: Array, manifest: Manifest, category: str, extremities: Array | None = None
 ) -> Trial:
-    """Create a trial; `category` holds if the trial is not in the manifest."""
     row = manifest.get(name, {'category': category})
     subject = row.get('subject') or name.partition('_')[0]
     is_clean = (row.get('interior_glitches') or '0') == '0'
@@ -208,7 +207,6 @@ def rotate_z_up(joints: Array, vertical: int) -> Array:
 
 
 def _read_manifest(path: Path, *, required: bool) -> Manifest:
-    """Read a manifest; one that does not exist is empty unless it is required."""
     if not required and not path.is_file():
         return {}
     try:

@@ -104,7 +104,6 @@ def align_motion(motion: Array, points: Array, weight: Array, times: Array, foca
 
 
 def _take_alignment_step(aligned: AlignedMotion, image: Array, score: Array, focal: float) -> AlignedMotion:
-    """Return the alignment after one reweighted Gauss-Newton step of each frame."""
     target = aligned.back_project(image, focal)
     error = aligned.joints[..., :2] - target
     median = np.nan_to_num(nan_median(np.where(score[..., None] > 0, error, np.nan), axis=1))

@@ -149,7 +149,6 @@ def blend_directions(key_directions: Array, frame_directions: Array, frame_share
 
 
 def _normalise(vectors: Array, otherwise: Array) -> Array:
-    """Return vectors (..., 3) at unit length; others where they have none."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.where(length > EPSILON, vectors / np.maximum(length, EPSILON), otherwise)
 
