@@ -48,7 +48,6 @@ START_FROM_RATE = 1.5e-4
 START_FROM_SHARE = 0.4
 TIMED_STEPS = 3  # steps by which the precisions are compared, after one that allocates memory
 MIN_SPEED_UP = 1.25  # 1; bfloat16 rounds to three digits, so it has to be worth it
-CALIBRATION_BATCHES = 16  # batches of examples for mean and variance of each unit of a lifter that exists
 
 
 @dataclass(frozen=True)
@@ -61,12 +60,11 @@ class TrainingSettings:
     passes: int = 2
     width: int = 768  # number of units in a hidden layer
     blocks: int = 2  # number of residual blocks
-    dropout: float = 0.0  # share of hidden units that are left out in a step
     rate: float = 2e-3  # highest learning rate
     decay: float = 0.01  # weight decay of AdamW
     uncertainty: float = 0.02  # weight of the likelihood of the standard deviations in the objective
     average: float = 0.998  # decay per step of the running average of the weights, which becomes the lifter
-    seed: int = 0  # seed of the examples, the initial weights and dropout
+    seed: int = 0  # seed of the examples and the initial weights
     precision: str = 'float32'  # number format of the network's products, `float32` or `bfloat16`
     without: tuple[str, ...] = ()  # kinds of `synthesis.KINDS` that are left out of the examples
 
@@ -74,15 +72,10 @@ class TrainingSettings:
 class LifterNetwork(nn.Module):  # type: ignore[misc, unused-ignore]
     """The network during training; `fold_batch_norms` converts it to a `Lifter`, which needs no PyTorch."""
 
-    def __init__(self, width: int, blocks: int, dropout: float) -> None:
+    def __init__(self, width: int, blocks: int) -> None:
         super().__init__()
         self.hidden = nn.ModuleList(
-            nn.Sequential(
-                nn.Linear(width if i else FEATURE_COUNT, width),
-                nn.BatchNorm1d(width),
-                nn.ReLU(),
-                nn.Dropout(dropout),
-            )
+            nn.Sequential(nn.Linear(width if i else FEATURE_COUNT, width), nn.BatchNorm1d(width), nn.ReLU())
             for i in range(1 + 2 * blocks)
         )
         self.last = nn.Linear(width, OUTPUT_COUNT)
@@ -95,46 +88,32 @@ class LifterNetwork(nn.Module):  # type: ignore[misc, unused-ignore]
             x = x + b(a(x))
         return self.last(x)
 
-    def copy_weights(self, lifter: Lifter, features: Tensor) -> None:
-        """Copy the weights of a lifter, so that this network computes the same in evaluation mode.
+    def start_from(self, lifter: Lifter) -> None:
+        """Take over the weights of a lifter, and compute the same.
 
-        A lifter's batch norms, folded into its layers, are unfolded with the mean and the variance of each unit on
-        the features (N, FEATURE_COUNT) of examples. The weights get the size of those of a new network, on which
-        the effect of a step of the optimiser depends. Raises `MocapError` if the layers are others.
+        The weights get the size of those of a new network, on which the effect of a step of the optimiser depends.
+        The batch norms undo that, and are not trained. Raises `MocapError` if the layers are others.
         """
-        layers = [
-            (torch.from_numpy(weight.T.astype('f4')), torch.from_numpy(bias.astype('f4')))
-            for weight, bias in lifter.layers
-        ]
+        layers = [(torch.from_numpy(w.T.astype('f4')), torch.from_numpy(b.astype('f4'))) for w, b in lifter.layers]
         own = [*(linear for linear, *_ in self.hidden), self.last]
         if [weight.shape for weight, _ in layers] != [linear.weight.shape for linear in own]:
             raise MocapError('the layers of the lifter to start from have other sizes than those of the network')
-
-        def copy_unit(unit: Any, layer: tuple[Tensor, Tensor], x: Tensor) -> Tensor:
-            (linear, norm, *_), (weight, bias) = unit, layer
-            scale = linear.weight.square().mean().sqrt() / weight.square().mean().sqrt()
-            linear.weight.copy_(scale * weight)
-            linear.bias.zero_()
-            out = linear(x)
-            norm.running_mean.copy_(out.mean(dim=0))
-            norm.running_var.copy_(out.var(dim=0))
-            norm.weight.copy_(torch.sqrt(norm.running_var + norm.eps) / scale)
-            norm.bias.copy_(bias + norm.running_mean / scale)
-            return torch.relu(out / scale + bias)
-
         with torch.no_grad():
-            (first, *rest), (first_layer, *rest_layers) = self.hidden, layers[:-1]
-            x = copy_unit(first, first_layer, features)
-            blocks = zip(rest[::2], rest[1::2], rest_layers[::2], rest_layers[1::2], strict=True)
-            for a, b, layer_a, layer_b in blocks:
-                x = x + copy_unit(b, layer_b, copy_unit(a, layer_a, x))
+            for (linear, norm, _), (weight, bias) in zip(self.hidden, layers[:-1], strict=True):
+                scale = linear.weight.square().mean().sqrt() / weight.square().mean().sqrt()
+                linear.weight.copy_(scale * weight)
+                linear.bias.zero_()
+                norm.running_var.fill_(1 - norm.eps)
+                norm.weight.fill_(1 / scale)
+                norm.bias.copy_(bias)
+                norm.eval().requires_grad_(requires_grad=False)
             self.last.weight.copy_(layers[-1][0])
             self.last.bias.copy_(layers[-1][1])
 
     def fold_batch_norms(self, provenance: Mapping[str, object]) -> Lifter:
         """Return the lifter that computes the same as this network in evaluation mode."""
         layers = []
-        for linear, norm, *_ in self.hidden:
+        for linear, norm, _ in self.hidden:
             factor = norm.weight / torch.sqrt(norm.running_var + norm.eps)
             bias = (linear.bias - norm.running_mean) * factor + norm.bias
             layers.append((linear.weight * factor[:, None], bias))
@@ -184,17 +163,13 @@ def find_fastest_precision(settings: TrainingSettings) -> str:
 
 
 def _time_steps(settings: TrainingSettings) -> float:
-    network, features = _make_network(settings), torch.zeros(settings.batch, FEATURE_COUNT)
+    network, features = LifterNetwork(settings.width, settings.blocks), torch.zeros(settings.batch, FEATURE_COUNT)
     begin = 0.0
     for step in range(1 + TIMED_STEPS):
         if step == 1:
             begin = time.perf_counter()
         _evaluate(network, features, settings).sum().backward()
     return time.perf_counter() - begin
-
-
-def _make_network(settings: TrainingSettings) -> LifterNetwork:
-    return LifterNetwork(settings.width, settings.blocks, settings.dropout)
 
 
 def _evaluate(network: LifterNetwork, features: Tensor, settings: TrainingSettings) -> Tensor:
@@ -232,16 +207,12 @@ def train_lifter(
     torch.manual_seed(settings.seed)
     torch.set_flush_denormal(True)
     library = MotionLibrary.from_trials(trials, shares)
-    training = _Training(ExampleSynthesiser(library, settings.seed, settings.without), settings)
+    training = _Training(ExampleSynthesiser(library, settings.seed, settings.without), settings, start)
     fixed = {**vars(settings), 'steps': None, 'trials': [len(t) for t in trials]}
     if checkpoint is not None:
         if checkpoint['fixed'] != fixed:
             raise MocapError('the checkpoint is of a training with other settings or other data')
         training.restore(checkpoint)
-    elif start is not None:
-        training.start_from(start)
-    if start is not None:
-        training.freeze_batch_norms()
     block_steps = BLOCK_BATCHES * settings.passes
     for step in progress(range(training.step, settings.steps)):
         training.step_once()
@@ -272,11 +243,13 @@ class _Training:
         averaged: network with the running average of the weights.
     """
 
-    def __init__(self, synthesiser: ExampleSynthesiser, settings: TrainingSettings) -> None:
+    def __init__(self, synthesiser: ExampleSynthesiser, settings: TrainingSettings, start: Lifter | None) -> None:
         self.step, self.mean_error = 0, 0.0
         self._synthesiser, self._settings = synthesiser, settings
-        self._network = _make_network(settings)
-        self.averaged = LifterNetwork(settings.width, settings.blocks, 0.0).eval()
+        self._network, self.averaged = (LifterNetwork(settings.width, settings.blocks) for _ in range(2))
+        if start is not None:
+            self._network.start_from(start)
+        self.averaged.eval()
         self.averaged.load_state_dict(self._network.state_dict())
         self._optimiser = torch.optim.AdamW(
             self._network.parameters(), lr=settings.rate, weight_decay=settings.decay, fused=True
@@ -318,18 +291,6 @@ class _Training:
             'optimiser': self._optimiser.state_dict(),
             'random': self._synthesiser.random.to_state(),
         }
-
-    def start_from(self, lifter: Lifter) -> None:
-        """Begin with the weights of a lifter."""
-        batches = [self._synthesiser.make_batch(self._settings.batch).features for _ in range(CALIBRATION_BATCHES)]
-        self._network.copy_weights(lifter, torch.from_numpy(np.concatenate(batches)))
-        self.averaged.load_state_dict(self._network.state_dict())
-
-    def freeze_batch_norms(self) -> None:
-        """Keep mean, variance, factor and offset of all batch norms as they are."""
-        for layer in self._network.modules():
-            if isinstance(layer, nn.BatchNorm1d):
-                layer.eval().requires_grad_(requires_grad=False)
 
     def restore(self, checkpoint: Mapping[str, Any]) -> None:
         """Go on from a state of `to_checkpoint`."""

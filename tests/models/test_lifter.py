@@ -129,7 +129,7 @@ def test_numpy_and_pytorch_agree(walk_model: BasePoses, rng: np.random.Generator
     from mocap_ros.training.lifter import LifterNetwork
 
     torch.manual_seed(0)
-    network = LifterNetwork(32, 2, 0.1)
+    network = LifterNetwork(32, 2)
     motions = MotionLibrary.from_trials(make_trials(walk_model, rng), EQUAL_SHARES)
     batch = ExampleSynthesiser(motions, 0).make_batch(200)
     network(torch.from_numpy(batch.features))  # moves the statistics of the batch norms
@@ -140,6 +140,10 @@ def test_numpy_and_pytorch_agree(walk_model: BasePoses, rng: np.random.Generator
     assert plain_lifter.evaluate(folded.layers, batch.features) == pytest.approx(expected, abs=1e-4)
     found = folded.network.evaluate(batch.features.reshape(100, 2, -1)).reshape(expected.shape)
     assert found == pytest.approx(expected, abs=0.02), 'weights are rounded to integers'
+    other = LifterNetwork(32, 2)
+    other.start_from(folded)
+    with torch.no_grad():
+        assert other(torch.from_numpy(batch.features)).numpy() == pytest.approx(expected, abs=1e-4)
 
 
 Array = NDArray[np.float64]
