@@ -105,9 +105,7 @@ def test_json_needs_the_frame_rate_and_logs_what_is_assumed(openpose: Path, capl
         ({'fps': FPS, 'person': 'eve'}, ".*openpose: no person 'eve'"),
     ],
 )
-def test_a_wrong_argument_of_read_is_one_error_that_names_it(
-    openpose: Path, arguments: dict[str, Any], place: str
-) -> None:
+def test_a_wrong_argument_of_read_is_named(openpose: Path, arguments: dict[str, Any], place: str) -> None:
     with pytest.raises(mocap_ros.MocapError, match=f'^{place}'):
         mocap_ros.read(openpose, **arguments)
 
@@ -154,9 +152,7 @@ def test_the_errors_of_a_result_are_those_of_the_evaluation(
     assert own.joints == (12 if limbs_only else 15)
 
 
-def test_arrays_have_the_same_errors_without_what_they_do_not_know(
-    result: mocap_ros.PoseSequence, truth: mocap_ros.GroundTruth
-) -> None:
+def test_arrays_have_the_same_errors(result: mocap_ros.PoseSequence, truth: mocap_ros.GroundTruth) -> None:
     whole = mocap_ros.evaluate(result)
     order = np.arange(15)[::-1]
     names = [truth.joint_names[i].replace('lk', 'left_k') for i in order]

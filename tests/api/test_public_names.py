@@ -54,16 +54,7 @@ def describe(name: str) -> str:
     value = getattr(mocap_ros, name)
     if isinstance(value, type) and issubclass(value, Exception):
         return value.__mro__[1].__name__
-    if name not in (
-        'Config',
-        'GroundTruth',
-        'KeypointSequence',
-        'Tracker',
-        'evaluate',
-        'read',
-        'reconstruct',
-        'write',
-    ):
+    if not PUBLIC[name].startswith('('):
         members = {*dir(value), *getattr(value, '__dataclass_fields__', ())}
         return ' '.join(sorted(member for member in members if not member.startswith('_')))
     signature = inspect.signature(value)

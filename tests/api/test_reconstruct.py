@@ -1,8 +1,9 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""`reconstruct` and `Tracker` give what the solver and the tracker of the node give, and name wrong arguments."""
+"""`reconstruct`, `Tracker` and `BasePoses` give what solver, tracker and training give, and name wrong input."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.training.fit_base_poses import fit_base_poses
 
 MATRIX = np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]])
 QUICK = {'solver.max_iterations': 3}
@@ -154,7 +156,7 @@ def test_a_wrong_argument_is_one_error_that_names_it(
 def test_a_sequence_brings_its_own_arguments(sequence: mocap_ros.KeypointSequence) -> None:
     for argument in ('joint_names', 'times', 'image_size', 'camera_matrix', 'distortion'):
         given: dict[str, Any] = {argument: (640, 480)}
-        with pytest.raises(mocap_ros.InputError, match=f'{argument}: the KeypointSequence has its own'):
+        with pytest.raises(INPUT, match=f'{argument}: the KeypointSequence has its own'):
             mocap_ros.reconstruct(sequence, **given)
 
 
@@ -212,11 +214,9 @@ def test_a_repeated_time_drops_the_frame(keypoints: np.ndarray) -> None:
         ({'people': np.ones((2, 17, 3)) * [90, 90, 1], 'ids': ['a', 'a']}, "ids: id 'a' twice"),
     ],
 )
-def test_a_wrong_frame_is_one_error_and_changes_nothing(
-    keypoints: np.ndarray, change: dict[str, Any], place: str
-) -> None:
+def test_a_wrong_frame_changes_nothing(keypoints: np.ndarray, change: dict[str, Any], place: str) -> None:
     tracker = make_tracker()
-    with pytest.raises(mocap_ros.InputError, match=f'^{place}'):
+    with pytest.raises(INPUT, match=f'^{place}'):
         tracker.update(**{'time_s': 0.0, 'people': [keypoints], **change})
     assert len(tracker.update(0.0, [keypoints])) == 1
 
@@ -237,5 +237,70 @@ def test_thirty_frames_show_a_wrong_unit_or_a_transposed_image(
     for frame in range(29):
         tracker.update(times[frame], [shifted[frame]])
     for frame in (29, 30):
-        with pytest.raises(mocap_ros.InputError, match=message):
+        with pytest.raises(INPUT, match=message):
             tracker.update(times[frame], [shifted[frame]])
+
+
+@pytest.fixture(scope='module')
+def trial(sequence: mocap_ros.KeypointSequence) -> np.ndarray:
+    """Poses (40, 15, 3) in m, z up."""
+    assert sequence.truth is not None
+    x, y, z = np.moveaxis(sequence.truth.joints, -1, 0)
+    return np.stack([x, z, -y], axis=-1)
+
+
+def test_fitting_is_the_training_with_joints_in_any_order(trial: np.ndarray) -> None:
+    expected = fit_base_poses([trial, trial[:20]], name='demo', components=5, mirror=True)
+    names = mocap_ros.BasePoses.load('walk').joint_names
+    order = np.arange(15)[::-1]
+    shuffled = [t[:, order].tolist() for t in (trial, trial[:20])]
+    fitted = mocap_ros.BasePoses.fit(
+        shuffled, name='demo', joint_names=[names[i] for i in order], components=5, mirror=True
+    )
+    for array in ('mean', 'components', 'std', 'explained'):
+        np.testing.assert_array_equal(getattr(fitted, array), getattr(expected, array))
+
+
+def test_saved_poses_reconstruct(sequence: mocap_ros.KeypointSequence, trial: np.ndarray, tmp_path: Path) -> None:
+    origin = {'source': 'the demo', 'alignment': 'heading'}  # the training knows its alignment better
+    fitted = mocap_ros.BasePoses.fit([trial], name='demo', provenance=origin)
+    assert not fitted.aligned_by_heading
+    fitted.save(tmp_path / 'demo.npz')
+    loaded = mocap_ros.BasePoses.load(tmp_path / 'demo.npz')
+    assert loaded.provenance['source'] == 'the demo'
+    np.testing.assert_allclose(loaded.mean, fitted.mean, atol=1e-6)
+    quick = {'solver.prior': 'pca', 'solver.max_iterations': 2}
+    assert mocap_ros.reconstruct(sequence, model=loaded, parameters=quick).base_poses == 'demo'
+
+
+@pytest.mark.parametrize(
+    ('change', 'kind', 'place'),
+    [
+        ({'trials': lambda trial: [trial * 1000]}, MODEL, 'trials: trial 0'),
+        ({'trials': lambda trial: [trial, trial[:0]]}, INPUT, r'trials\[1\]: no frames'),
+        ({'trials': []}, MODEL, 'trials: training needs'),
+        ({'joint_names': 'coco17'}, INPUT, 'joint_names: head, neck, pelvis missing'),
+        ({'components': 0}, INPUT, 'components: 0'),
+        ({'bodies': 0.5}, INPUT, 'bodies: 0.5'),
+        ({'alignment': 'none'}, INPUT, "alignment: 'none'"),
+        ({'name': 'a' * 101}, MODEL, 'name: '),
+        ({'provenance': {'a': {1}}}, MODEL, 'provenance: '),
+    ],
+)
+def test_a_wrong_argument_of_fit_is_one_error_that_names_it(
+    trial: np.ndarray, change: dict[str, Any], kind: type[mocap_ros.MocapError], place: str
+) -> None:
+    arguments = {'trials': [trial], 'name': 'demo', **change}
+    if callable(arguments['trials']):
+        arguments['trials'] = arguments['trials'](trial)
+    with pytest.raises(mocap_ros.MocapError, match=f'^{place}') as caught:
+        mocap_ros.BasePoses.fit(**arguments)
+    assert type(caught.value) is kind
+
+
+@pytest.mark.parametrize('path', ['waltz', None, 5, b'walk', '', 'a\0b', 'a' * 5000])
+def test_what_is_no_path_is_refused(path: Any) -> None:
+    with pytest.raises(MODEL, match="'waltz'" if path == 'waltz' else r'^name_or_path: '):
+        mocap_ros.BasePoses.load(path)
+    with pytest.raises(mocap_ros.MocapError, match=r'waltz/walk\.npz: ' if path == 'waltz' else r'^path: '):
+        mocap_ros.BasePoses.load('walk').save('waltz/walk.npz' if path == 'waltz' else path)

@@ -51,9 +51,7 @@ from tests.support.foreign_messages import (
         ('(?s).*', 'a: \udcff', ''),
     ],
 )
-def test_damaged_metadata_are_an_error_that_recommends_recover(
-    tmp_path: Path, old: str, new: str, reason: str
-) -> None:
+def test_damaged_metadata_recommend_recover(tmp_path: Path, old: str, new: str, reason: str) -> None:
     write_bag(tmp_path / 'bag', RecorderConfig())
     metadata = tmp_path / 'bag' / METADATA
     text = metadata.read_text()
@@ -143,9 +141,7 @@ def write_foreign(
         ('yolo_of_mine_msgs', ('string class_name', 'int64 more\nstring class_name'), False),
     ],
 )
-def test_messages_of_a_package_by_another_name_are_read(
-    tmp_path: Path, package: str, edit: tuple[str, str], is_read: bool
-) -> None:
+def test_renamed_packages_are_read(tmp_path: Path, package: str, edit: tuple[str, str], is_read: bool) -> None:
     write_foreign(tmp_path / 'bag', package, edit=edit)
     with Bag(tmp_path / 'bag') as bag:
         found = bag.topics_of_type([YOLO_DETECTIONS])

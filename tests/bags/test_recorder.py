@@ -194,9 +194,7 @@ def test_unwritable_and_existing_folders_are_refused(tmp_path: Path) -> None:
         Recorder(tmp_path / 'bag', RecorderConfig())
 
 
-def test_a_further_file_repeats_what_no_later_message_replaces(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_further_file_repeats_what_nothing_replaces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A message replaces those of which it has all keys, and a refused one none. Each topic has its own limit."""
     monkeypatch.setattr('mocap_ros.bags.recorder.MAX_REPEATED', 2)
     with Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=1.0)) as recorder:
@@ -288,9 +286,7 @@ def test_recorders_that_start_at_once_have_folders_of_their_own(tmp_path: Path) 
     assert len(set(names)) == 8
 
 
-def test_what_comes_while_the_disk_is_checked_is_written_before_the_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_comes_while_the_disk_is_checked_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The thread has just seen that nothing waits, when the last message and the end come."""
     is_checking, may_continue = threading.Event(), threading.Event()
     check_disk = Recorder.flush

@@ -114,9 +114,7 @@ def test_a_flipped_bit_loses_at_most_a_chunk_and_is_always_reported(tmp_path: Pa
         )
 
 
-def test_attachments_and_qos_of_a_split_bag_are_recovered(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_attachments_and_qos_are_recovered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bag = tmp_path / 'bag'
     with Recorder(
         bag, RecorderConfig(split_seconds=1.0), [Attachment('a.txt', 'text/plain', b'kept')]
@@ -158,9 +156,7 @@ def read_files(bag: Path) -> list[tuple[list[tuple[str, int, int, bytes]], list[
 
 
 @pytest.mark.parametrize('split_seconds', [0.0, 1800.0])
-def test_a_recovered_bag_has_the_files_and_messages_of_the_other_and_no_more(
-    tmp_path: Path, split_seconds: float
-) -> None:
+def test_a_recovered_bag_has_the_files_and_messages_of_the_other(tmp_path: Path, split_seconds: float) -> None:
     """Also of a long recording, and with messages of a latched topic that further files repeat by their keys."""
     attachment = Attachment('a.txt', 'text/plain', b'kept')
     with Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=split_seconds), [attachment]) as recorder:

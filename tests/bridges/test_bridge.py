@@ -44,7 +44,7 @@ from mocap_ros.messages.transforms import TRANSFORMS, FrameNames
 from mocap_ros.people import Person3D, PredictedPerson
 from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton
-from tests.support.people import make_person_3d
+from tests.support.people import make_person_3d, make_standing_person
 from tests.support.swinging_body import STANDING
 
 HEADER = Header(12_345_678_901, 'map')
@@ -139,9 +139,7 @@ def test_poses_face_ahead() -> None:
 
 
 @given(st.integers(0, 2**31), st.floats(0.0, 0.2), st.sampled_from([CMU15, BODY26]))
-def test_joints_are_inside_capsules_that_grow_with_the_deviation_of_the_joints(
-    seed: int, std: float, skeleton: Skeleton
-) -> None:
+def test_joints_are_inside_capsules_wider_by_their_deviation(seed: int, std: float, skeleton: Skeleton) -> None:
     rng, count = np.random.default_rng(seed), len(skeleton.joints)
     body = STANDING[np.arange(count) % len(STANDING)] + rng.normal(scale=0.1, size=(count, 3))
     person = replace(make_walker(), joints=body, std=np.full(count, std), skeleton=skeleton)
@@ -274,9 +272,7 @@ def test_skeletons_that_cannot_be_used_are_refused(field: str, value: Any, messa
         (0.25, 0.0, 14, r'times\[0\]: people with other than 15 joints'),
     ],
 )
-def test_predictions_that_cannot_be_used_are_refused(
-    ahead: float, first_x: float, count: int, message: str
-) -> None:
+def test_unusable_predictions_are_refused(ahead: float, first_x: float, count: int, message: str) -> None:
     frames = [PredictedFrame(0.25, [make_predicted()])]
     predictions = decode(encode_predictions(HEADER, frames, CameraPlacement('camera')), PREDICTIONS)
     (then,) = predictions.times
@@ -384,7 +380,7 @@ def show(bridge: Bridge, *people: Person3D) -> list[OutputMessage]:
 
 def test_each_body_has_topics_of_its_own_and_is_described_once() -> None:
     bridge = Bridge(['bodies'])
-    anna, ben = (replace(make_person_3d(name), joints=STANDING) for name in ('anna', '7'))
+    anna, ben = map(make_standing_person, ('anna', '7'))
     first, second = show(bridge, anna, ben), show(bridge, anna)
     assert [o.topic for o in first] == [
         TRACKED,
@@ -423,7 +419,7 @@ def test_two_people_never_have_one_name_nor_change_it_while_present(frames: list
 
 
 def test_people_whose_ids_make_one_name_are_two_bodies_with_the_same_names_on_tf() -> None:
-    people = [replace(make_person_3d(i), joints=STANDING) for i in ('a.b', 'a-b', '7')]
+    people = [*map(make_standing_person, ('a.b', 'a-b', '7'))]
     node = with_values(Config(), {'node.publish_tf': True}).node
     encoder, bridge = OutputEncoder(), Bridge(['bodies'])
     for seen in (people, people[::-1], people[1:]):
@@ -437,7 +433,7 @@ def test_people_whose_ids_make_one_name_are_two_bodies_with_the_same_names_on_tf
 
 
 def test_topics_of_bodies_are_not_longer_than_the_middleware_allows() -> None:
-    people = [replace(make_person_3d(i), joints=STANDING) for i in ('x' * 1000, 'x' * 1001)]
+    people = [make_standing_person('x' * length) for length in (1000, 1001)]
     topics = [m.topic for m in show(Bridge(['bodies']), *people)]
     assert len(set(topics)) == 5
     assert max(map(len, topics)) <= MAX_TOPIC_CHARACTERS

@@ -39,9 +39,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_video_becomes_a_skeleton_in_one_command(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_video_becomes_a_skeleton(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ['reconstruct', str(folder / 'walk.mp4'), '--detector', str(folder / 'movenet.onnx')]
     assert main([*command, '-o', str(tmp_path / 'out.npz')]) == 0
     assert '1 person in 40 frames' in capsys.readouterr().out
@@ -78,9 +76,7 @@ def test_detect_writes_the_keypoints_of_one_person_or_a_bag_of_all(
     assert {(m.image_width, m.image_height) for m in messages} == {(640, 480)}
 
 
-def test_an_interrupt_ends_a_recording_of_a_camera_and_keeps_what_was_detected(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupt_keeps_the_detected(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class InterruptedCamera(VideoReader):
         """A video instead of a camera."""
 

@@ -39,9 +39,7 @@ def test_evaluate_prints_a_table_and_writes_json(
     assert 'PA-MPJPE: after one similarity transform per frame' in legend
 
 
-def test_results_are_compared_as_they_are_with_the_truth_of_another_file(
-    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_results_are_compared(short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     quick = ['--set', 'solver.max_iterations=2']
     names = [str(tmp_path / name) for name in ('r.npz', 'r.mcap')]
     for name in names:
@@ -67,9 +65,7 @@ def test_results_are_compared_as_they_are_with_the_truth_of_another_file(
         assert message in line
 
 
-def test_a_result_is_compared_at_the_times_that_the_truth_has(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_times_are_those_of_the_truth(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     whole = load_sequence(recording)
     assert whole.truth is not None
     truth = GroundTruth(whole.truth.joints[20:60:2], whole.truth.joint_names)
@@ -111,9 +107,7 @@ def test_a_result_is_compared_at_the_times_that_the_truth_has(
         assert reason in capsys.readouterr().err
 
 
-def test_covariances_of_a_recording_are_checked_in_whatever_frame_they_are(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_covariances_in_any_frame(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sequence = load_sequence(recording)
     frames = [*encode_sequence(sequence)][:60]
     found = {}

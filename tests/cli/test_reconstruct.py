@@ -38,8 +38,6 @@ def test_several_files_of_one_reconstruction_agree(short_recording: Path, tmp_pa
         assert np.linalg.norm(result['orientation'], axis=-1) == pytest.approx(np.ones((20, 26)), abs=1e-5)
         assert (result['orientation_order'], result['turn_inferred'].shape) == ('xyzw', (20, 26))
         assert 0 < result['turn_inferred'].mean() < 1
-    table = np.loadtxt(tmp_path / 'r.csv', delimiter=',', skiprows=1)[:, 1:]
-    assert table.reshape(20, 26, 3) == pytest.approx(joints, abs=1e-5)
     with (tmp_path / 'r.angles.csv').open() as file:
         header, *rows = csv.reader(file)
     assert header == ['time_s', *(f'{n}_m' if n in POSITIONS else f'{n}_deg' for n in COORDINATES)]
@@ -80,9 +78,7 @@ def write_two_people(path: Path, ids: tuple[str, str], seen_joints: int = 17) ->
     save_detections(path, Detections(people, sequence.stamps_ns[:12], (640, 480)))
 
 
-def test_all_people_are_written_into_files_of_their_own(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_all_people_have_files_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_two_people(tmp_path / 'two.mcap', ('a/b', 'a?b'))
     command = ['reconstruct', str(tmp_path / 'two.mcap'), '--all-people', *QUICK_OPTIONS]
     assert main([*command, '-o', str(tmp_path / 'r.bvh'), '-o', str(tmp_path / 'r.angles.csv')]) == 0
@@ -108,7 +104,7 @@ def test_one_who_cannot_be_saved_does_not_stop_the_others(tmp_path: Path, monkey
     assert {path.name for path in tmp_path.iterdir()} == {'two.mcap', 'r_a.npz'}
 
 
-def test_one_of_whom_too_little_is_seen_does_not_stop_the_others(
+def test_one_who_is_hardly_seen_does_not_stop_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_two_people(tmp_path / 'two.mcap', ('b', 'a'), seen_joints=3)
@@ -132,9 +128,7 @@ def test_an_option_that_does_nothing_to_a_result_is_refused(
         assert main(['view', str(result), '-o', str(tmp_path / output)]) == 0
 
 
-def test_train_on_bvh_files_gives_the_model_of_their_poses(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_train_on_bvh_gives_the_model_of_its_poses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bvh = build_armature(make_poses() @ Z_UP_TO_Y_UP.T, 30.0)
     positions = np.moveaxis(bvh.compute_positions() / 100, 1, 0)
     expected = fit_base_poses([map_to_model(dict(zip(bvh.names, positions, strict=True))) @ Z_UP_TO_Y_UP])

@@ -90,9 +90,7 @@ def test_help_waits_for_no_slow_package(arguments: list[str]) -> None:
         (['train', 'a', '-o', 'b', '--seed', str(2**63)], 'argument --seed: '),
     ],
 )
-def test_wrong_usage_exits_with_2_and_names_the_argument(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], reason: str
-) -> None:
+def test_wrong_usage_exits_with_2(capsys: pytest.CaptureFixture[str], arguments: list[str], reason: str) -> None:
     with pytest.raises(SystemExit) as stopped:
         main(arguments)
     assert stopped.value.code == 2
@@ -206,9 +204,7 @@ def keep_what_stays(shown: str) -> list[str]:
 
 
 @pytest.mark.parametrize('size', [(24, COLUMNS), (0, 0)])
-def test_a_terminal_shows_one_bar_with_the_time_left_and_a_pipe_none(
-    long_recording: Path, tmp_path: Path, size: tuple[int, int]
-) -> None:
+def test_only_a_terminal_shows_a_bar(long_recording: Path, tmp_path: Path, size: tuple[int, int]) -> None:
     command = ['reconstruct', str(long_recording), '-o', str(tmp_path / 'r.npz')]
     code, shown = run_on_terminal(command, size=size)
     assert code == 0

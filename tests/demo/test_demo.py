@@ -6,21 +6,14 @@
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.recorder import Recorder
-from mocap_ros.cli.demo import describe_errors, load_demo_scene, reserve_domain
+from mocap_ros.cli.demo import reserve_domain
 from mocap_ros.cli.main import main
-from mocap_ros.config import RecorderConfig
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import MocapError
 from mocap_ros.formats.sequence_file import load_sequence, save_sequence
-from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.paths import ROOT
-from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames
 
 FRAMES = 12
 
@@ -54,24 +47,6 @@ def test_a_domain_is_given_away_once(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr('mocap_ros.cli.demo.DOMAINS', [int(domain['ROS_DOMAIN_ID'])])
         with pytest.raises(MocapError, match='all ROS domains of this host are taken'), reserve_domain():
             pass
-
-
-def test_the_truth_and_the_person_are_in_the_frames_of_the_sequence(tmp_path: Path) -> None:
-    sequence = make_recording().sequence(is_calibrated=True)
-    assert sequence.truth is not None
-    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        for frame, raw in enumerate(encode_demo_frames(FRAMES)):
-            if frame != 4:
-                recorder.write('/keypoints', KEYPOINTS, raw, frame, frame)
-    with Bag(tmp_path / 'bag') as bag:
-        replay(bag, tmp_path / 'out', ReplayOptions(FAST_CONFIG))
-    scene = load_demo_scene(tmp_path / 'out', sequence)
-    found = np.delete(np.arange(FRAMES), 4)
-    assert scene.truth is not None
-    assert scene.truth[:, :15] == pytest.approx(sequence.truth.joints[found], abs=1e-5)
-    assert f'{FRAMES - 1} of {len(sequence)} frames have a skeleton' in describe_errors(
-        scene, sequence, sequence.truth
-    )
 
 
 def test_the_shipped_recording_is_the_generated_one(tmp_path: Path) -> None:

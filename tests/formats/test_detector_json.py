@@ -186,9 +186,7 @@ NAMED_IN = ['keypoint_id2name', 'keypoint_name2id', 'keypoint_info', 'categories
     ],
 )
 @pytest.mark.parametrize('place', NAMED_IN)
-def test_joints_are_called_as_the_file_says(
-    tmp_path: Path, place: str, names: list[str], expected: tuple[str, ...]
-) -> None:
+def test_the_file_names_joints(tmp_path: Path, place: str, names: list[str], expected: tuple[str, ...]) -> None:
     person: dict[str, Any] = {
         'image_id': 0,
         'category_id': 5,

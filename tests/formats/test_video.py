@@ -59,9 +59,7 @@ def test_uneven_times_are_kept_and_begin_with_0(tmp_path: Path) -> None:
         ((0, -1, -1, 0), True, 'lower right'),
     ],
 )
-def test_a_video_that_is_stored_turned_or_mirrored_is_shown_as_players_do(
-    tmp_path: Path, matrix: tuple[int, ...], is_upright: bool, corner: str
-) -> None:
+def test_turned_videos_are_upright(tmp_path: Path, matrix: tuple[int, ...], is_upright: bool, corner: str) -> None:
     path = write_video(tmp_path / 'a.mp4', make_images(), TIMES_S, 'libx264', 'yuv420p')
     content, (a, b, c, d) = path.read_bytes(), matrix
     start = content.index(struct.pack('>9i', ONE, 0, 0, 0, ONE, 0, 0, 0, 1 << 30), content.index(b'tkhd'))
@@ -148,9 +146,7 @@ def test_a_video_that_was_cut_off_says_where_it_ended(tmp_path: Path) -> None:
         ('com.apple.quicktime.model', '26', None),
     ],
 )
-def test_the_focal_length_that_a_telephone_writes_is_read(
-    tmp_path: Path, key: str, text: str, expected: float | None
-) -> None:
+def test_focal_lengths_of_telephones_are_read(tmp_path: Path, key: str, text: str, expected: float | None) -> None:
     import av
 
     path = tmp_path / 'v.mov'

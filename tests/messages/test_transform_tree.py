@@ -3,7 +3,6 @@
 
 """The place of a camera from /tf and /tf_static: chains, times between two messages, and what must not count."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,10 +16,8 @@ from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.transform_tree import HISTORY_S, MAX_FRAMES, TransformTree, is_of_people_only
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
-from mocap_ros.people import Person3D
 from tests.support.camera_infos import SECOND_NS, make_transforms
-from tests.support.people import make_person_3d
-from tests.support.swinging_body import STANDING
+from tests.support.people import make_standing_person
 
 CAMERA = np.array([0.1, 0.0, 0.4])  # m, of the camera in base
 TURN = Rotation.from_euler('z', 90, degrees=True)  # of odom in map
@@ -37,10 +34,6 @@ def make_tree() -> TransformTree:
     for tenth in range(11):
         tree.add(make_transforms(('odom', 'base', tenth * SECOND_NS // 10, (tenth / 10, 0, 0))), is_static=False)
     return tree
-
-
-def make_standing_person(person_id: str) -> Person3D:
-    return replace(make_person_3d(person_id), joints=STANDING + [0, 0, 4])
 
 
 @given(st.integers(0, SECOND_NS))

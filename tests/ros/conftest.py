@@ -8,11 +8,13 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
 
 from mocap_ros.cli.demo import reserve_domain
+from tests.support.launch_file import load_launch_file
 from tests.support.ros_node import FAST_PARAMETERS, RELIABLE_INPUT, Peer, Process, StartNode, StartProgram
 
 
@@ -58,3 +60,8 @@ def start_node(start: StartProgram) -> StartNode:
         return start(sys.executable, '-m', 'mocap_ros.ros.main', '--ros-args', *options, *ros)
 
     return start_with
+
+
+@pytest.fixture
+def launch_file(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    return load_launch_file(monkeypatch)

@@ -25,12 +25,12 @@ from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.markers import DELETE, MARKERS
 from mocap_ros.messages.skeletons import SKELETONS, encode_skeletons
 from mocap_ros.messages.transform_tree import is_of_people_only
+from mocap_ros.ros.help import BRIDGE_NAME
 from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.runtime.replay import replay
 from mocap_ros.skeleton import keypoint_layout
 from tests.support import foreign_packages
 from tests.support.camera_infos import camera_info
-from tests.support.launch_file import load_launch_file
 from tests.support.paths import ROOT
 from tests.support.people import make_person_3d
 from tests.support.pipeline_inputs import read_messages
@@ -50,11 +50,6 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 BRIDGE = sys.executable, '-c', 'import sys; from mocap_ros.ros import main; sys.exit(main.bridge_main())'
 
 
-@pytest.fixture
-def launch_file(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    return load_launch_file(monkeypatch)
-
-
 def listen(peer: Peer, topic: str, kind: str, **qos: Any) -> list[bytes]:
     """Subscribe to a topic; return the list of the messages that will arrive."""
     from rclpy.qos import QoSProfile
@@ -72,6 +67,7 @@ def test_started_by_the_launch_file_it_publishes_the_people_of_the_node(
 ) -> None:
     context = {**dict.fromkeys(launch_file.ARGUMENTS, ''), 'bridge': 'poses capsules prediction_markers'}
     node, bridge = launch_file.create_nodes(context)
+    assert (bridge.package, bridge.executable, bridge.name) == ('mocap_ros', BRIDGE_NAME, BRIDGE_NAME)
     node_process = start_node(*(f'{name}:={str(value).lower()}' for name, value in node.parameters[1].items()))
     bridge_process = start(*BRIDGE, '--ros-args', '-p', f'publish:={bridge.parameters[0]["publish"].args[0]}')
     received = {
@@ -150,10 +146,10 @@ def foreign() -> None:
     foreign_packages.build()
 
 
-def run_detector(env: dict[str, str], kind: str, frames: list[Any], *options: str) -> str:
+def run_detector(env: dict[str, str], kind: str, frames: list[Any]) -> str:
     """Publish frames as messages of this kind; return what the detector prints."""
     done = subprocess.run(
-        [sys.executable, '-m', 'tests.support.foreign_detector', kind, *options],
+        [sys.executable, '-m', 'tests.support.foreign_detector', kind],
         env=foreign_packages.environment(env),
         cwd=ROOT,
         input=json.dumps(frames),
@@ -182,9 +178,7 @@ def assert_replay_gives_the_same(bag_folder: Path, out: Path, skeletons: list[by
     np.testing.assert_allclose(stack_joints(replayed), stack_joints(skeletons), atol=1e-9, rtol=0)
 
 
-def test_yolo_detections_with_transforms(
-    env: dict[str, str], peer: Peer, start_node: StartNode, tmp_path: Path
-) -> None:
+def test_yolo_with_transforms(env: dict[str, str], peer: Peer, start_node: StartNode, tmp_path: Path) -> None:
     env.update(foreign_packages.environment(env))
     node = start_node(
         'node.input_type:=yolo_msgs/msg/DetectionArray',
@@ -201,7 +195,7 @@ def test_yolo_detections_with_transforms(
     info.publish(camera_info())
     peer.wait_for_diagnostics('focal length', 'known')
     frames: list[Any] = [[(f + 1) * 10**8, place_people(f, 'anna', 'b/ob')] for f in range(20)]
-    transforms = json.loads(run_detector(env, 'yolo', frames, 'tf', 'map'))
+    transforms = json.loads(run_detector(env, 'yolo', frames))
     peer.wait_for_frames(len(frames))
     assert stop_node(node) == []
     for raw, (stamp_ns, _) in zip(peer.received['skeletons'], frames, strict=True):
@@ -221,9 +215,7 @@ def test_yolo_detections_with_transforms(
     assert_replay_gives_the_same(bag_folder, tmp_path / 'again', peer.received['skeletons'])
 
 
-def test_bodies_of_ros4hri_that_come_and_go(
-    env: dict[str, str], peer: Peer, start_node: StartNode, tmp_path: Path
-) -> None:
+def test_bodies_that_come_and_go(env: dict[str, str], peer: Peer, start_node: StartNode, tmp_path: Path) -> None:
     env.update(foreign_packages.environment(env))
     node = start_node(
         'node.input_type:=hri_msgs/msg/Skeleton2D',

@@ -1,15 +1,18 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A live run without ROS: what it publishes, logs and records, and that a replay of its bag gives the same."""
+"""A live run without ROS: its queue, what it publishes, logs and records, and that a replay gives the same."""
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mocap_ros.bags.journal import JOURNAL, Verdict, read_run
 from mocap_ros.bags.reader import Bag
@@ -19,11 +22,14 @@ from mocap_ros.bags.topics import Source
 from mocap_ros.config import Config, with_settings
 from mocap_ros.errors import RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import Header, OutputMessage, decode
+from mocap_ros.messages.cdr import Header, OutputMessage, decode, read_stamp_ns
+from mocap_ros.messages.foreign_types import HRI_IDS
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
+from mocap_ros.messages.plain import encode_plain
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.messages.transforms import TRANSFORMS
-from mocap_ros.ros.input_queue import ReceivedMessage
+from mocap_ros.ros import input_queue
+from mocap_ros.ros.input_queue import InputQueue, ReceivedMessage
 from mocap_ros.ros.live import LiveRun
 from mocap_ros.ros.live_recording import Recording
 from mocap_ros.ros.message_types import MessageVersions
@@ -31,6 +37,7 @@ from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.replay import replay
 from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.units import NS_PER_S
 from tests.support.camera_infos import camera_info, make_transforms
 from tests.support.pipeline_inputs import (
     FAST_CONFIG,
@@ -175,18 +182,6 @@ def test_a_replay_repeats_resets_parameters_and_bad_inputs(tmp_path: Path, strea
     assert live.run.statistics.reason.startswith('/keypoints: not a mocap_ros_msgs/msg/Keypoints2DArray')
 
 
-def test_tracking_restarts_when_stamps_go_back_both_live_and_replayed(tmp_path: Path, stream: list[bytes]) -> None:
-    live = CollectingRun(recording_to(tmp_path / 'live'))
-    seconds = [5.0, 5.1, 900.0, 5.2, 5.3, 0.0, 0.1, 0.05]  # one from the future, and then a loop
-    live.enqueue(*(with_stamp(raw, round(second * 1e9)) for raw, second in zip(stream, seconds, strict=False)))
-    live.wait_for_frames(len(seconds) - 1)
-    live.run.stop()
-    assert [o.stamp_ns for o in live.skeletons] == [round(s * 1e9) for s in seconds[:-1]]
-    (line,) = (line for line in live.log.lines if 'tracking was restarted' in line)
-    assert line.startswith('warning /keypoints: message 4: ')
-    assert_replay_gives_the_same(find_bag(tmp_path), tmp_path / 'again')
-
-
 def test_a_backlog_is_skipped_counted_and_left_out_of_a_replay(tmp_path: Path, stream: list[bytes]) -> None:
     has_started, may_continue = threading.Event(), threading.Event()
     tracker = block_tracker(has_started, may_continue)
@@ -210,9 +205,7 @@ def test_a_backlog_is_skipped_counted_and_left_out_of_a_replay(tmp_path: Path, s
 
 
 @pytest.mark.parametrize('remapped', [{}, {'/tf': '/robot/moving', '/tf_static': '/robot/fixed'}])
-def test_people_whose_robot_drives_are_the_same_in_a_replay_also_where_they_are_on_tf(
-    tmp_path: Path, stream: list[bytes], remapped: dict[str, str]
-) -> None:
+def test_people_of_a_driving_robot_replayed(tmp_path: Path, stream: list[bytes], remapped: dict[str, str]) -> None:
     values = {'node.output_frame': 'map', 'node.publish_tf': True, 'node.queue': 3, 'recorder.enabled': False}
     live = CollectingRun(recording_to(tmp_path / 'live', **values), names=TF_NAMES | remapped)
     live.run.enqueue(Source.CAMERA_INFO, camera_info(), 5)
@@ -238,9 +231,7 @@ def test_people_whose_robot_drives_are_the_same_in_a_replay_also_where_they_are_
     assert abs(moved_m) < 0.3
 
 
-def test_a_disk_that_takes_nothing_is_reported_and_stops_nothing(
-    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stuck_disk_is_reported(tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr('mocap_ros.ros.live.MAX_PAUSE_SECONDS', 0.01)
     disk_is_ready = block_disk(monkeypatch)
     live = CollectingRun(recording_to(tmp_path / 'live'))
@@ -256,9 +247,7 @@ def test_a_disk_that_takes_nothing_is_reported_and_stops_nothing(
     assert read_messages(find_bag(tmp_path), '/keypoints') == stream[:1]
 
 
-def test_inputs_that_are_too_many_for_the_disk_are_counted_in_state_log_and_bag(
-    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lost_inputs_are_counted(tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch) -> None:
     disk_is_ready = block_disk(monkeypatch)
     live = CollectingRun(recording_to(tmp_path / 'live', **{'recorder.backlog': 3, 'node.queue': FRAMES}))
     live.process(stream[:8])
@@ -359,9 +348,7 @@ def test_an_internal_error_costs_its_frame_and_is_logged_once(tmp_path: Path, st
 @pytest.mark.parametrize(
     ('values', 'is_warned'), [({}, True), ({'node.output_frame': 'map', 'node.camera_pose': '0 0 1 0 0 0'}, False)]
 )
-def test_a_camera_without_a_name_is_logged_where_people_have_no_frame(
-    values: dict[str, str], is_warned: bool
-) -> None:
+def test_a_camera_without_a_name_is_logged(values: dict[str, str], is_warned: bool) -> None:
     live = CollectingRun(with_settings(FAST_CONFIG, values))
     live.process([encode_keypoints(Header(START_NS + i, ''), (640, 480), []) for i in range(2)])
     live.run.stop()
@@ -369,9 +356,7 @@ def test_a_camera_without_a_name_is_logged_where_people_have_no_frame(
 
 
 @pytest.mark.parametrize('latched', [(True,), (False, True)], ids=str)
-def test_inputs_of_a_split_recording_are_read_whole_and_file_by_file(
-    tmp_path: Path, stream: list[bytes], latched: tuple[bool, ...]
-) -> None:
+def test_a_split_recording_is_read_by_file(tmp_path: Path, stream: list[bytes], latched: tuple[bool, ...]) -> None:
     """While an image is processed, inputs wait, which are recorded after its outputs with earlier times."""
     config = with_settings(FAST_CONFIG, {'recorder.folder': str(tmp_path), 'recorder.split_seconds': 1.0})
     offered = [make_topic('/', TRANSFORMS, latched=is_latched).qos[0] for is_latched in latched]
@@ -419,3 +404,92 @@ def test_inputs_of_a_split_recording_are_read_whole_and_file_by_file(
         assert sorted(alone[:3]) == sorted([camera_info(), *static])
         first = raws.index(alone[3])
         assert alone[3:] == raws[first : first + len(alone) - 3]
+
+
+BODIES = range(12)
+SOURCES = {'/keypoints': Source.KEYPOINTS, '/camera_info': Source.CAMERA_INFO, '/tf': Source.TRANSFORMS}
+
+
+def put(queue: InputQueue, topic: str, count: int = 1, size: int = 1) -> None:
+    for _ in range(count):
+        queue.put(SOURCES[topic], topic, bytes(size), (1, 1))
+
+
+def take_all(queue: InputQueue, limit: int = 10**6) -> list[tuple[str, int, bool]]:
+    """Return topic, number, and whether to skip it, of each waiting message."""
+    taken = []
+    while popped := queue.pop(limit):
+        taken.append((popped[0].topic, popped[0].number, popped[1]))
+    return taken
+
+
+def put_image(queue: InputQueue, stamp_s: int, bodies: range = BODIES) -> None:
+    for body in bodies:
+        raw = encode_plain((Header(stamp_s * NS_PER_S, 'camera'), ()), HRI_IDS)
+        queue.put(Source.BODY, f'/humans/bodies/b{body}/skeleton2d', raw, (1, 1))
+
+
+def take_images(queue: InputQueue, limit: int) -> Counter[int]:
+    """Return the numbers of bodies that are not skipped, by their stamps in s."""
+    taken: Counter[int] = Counter()
+    while popped := queue.pop(limit):
+        taken[read_stamp_ns(popped[0].raw) // NS_PER_S] += not popped[1]
+    queue.wait(0.0)
+    return +taken
+
+
+def test_images_of_single_bodies_are_skipped_as_a_whole() -> None:
+    queue = InputQueue()
+    for stamp_s in range(1, 6):
+        put_image(queue, stamp_s)
+    put_image(queue, 6, range(5))  # the others are still on their way
+    assert take_images(queue, limit=3) == {6: 5}
+    put_image(queue, 6, range(5, 12))
+    put_image(queue, 7)
+    assert take_images(queue, limit=3) == {6: 7, 7: 12}
+    for stamp_s in (8, 9, 10, 2):  # time goes back
+        put_image(queue, stamp_s)
+    put_image(queue, 3)
+    assert take_images(queue, limit=3) == {8: 12, 9: 12, 10: 12, 3: 12}
+    put_image(queue, 2)
+    assert take_images(queue, limit=3) == {2: 12}, 'what comes later is not skipped'
+
+
+def test_from_as_many_images_as_the_limit_on_the_newest_alone_is_not_skipped() -> None:
+    queue = InputQueue()
+    put(queue, '/keypoints', 2)
+    assert [skipped for *_, skipped in take_all(queue, limit=3)] == [False, False]
+    put(queue, '/camera_info')
+    put(queue, '/keypoints', 3)
+    skipped = [(topic, skipped) for topic, _, skipped in take_all(queue, limit=3)]
+    assert skipped == [('/camera_info', False), *(('/keypoints', s) for s in (True, True, False))]
+
+
+@given(st.lists(st.tuples(st.sampled_from([*SOURCES, 'pop']), st.integers(0, 60))), st.integers(1, 5))
+def test_every_message_is_taken_in_order_or_counted_as_removed(steps: list[tuple[str, int]], most: int) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(input_queue, 'MAX_WAITING', most)
+        patch.setattr(input_queue, 'MAX_WAITING_BYTES', 100)
+        queue, sent, taken = InputQueue(), dict.fromkeys(SOURCES, 0), dict.fromkeys(SOURCES, 0)
+        numbers = dict.fromkeys(SOURCES, 0)
+
+        def note(topic: str, number: int) -> None:
+            assert number > numbers[topic]
+            numbers[topic] = number
+            taken[topic] += 1
+
+        for step, size in steps:
+            if step != 'pop':
+                put(queue, step, size=size)
+                sent[step] += 1
+                assert queue.count_received(step) == sent[step]
+            elif popped := queue.pop(2):
+                note(popped[0].topic, popped[0].number)
+            assert len(queue) <= most * len(SOURCES)
+            waiting = queue._waiting.values()
+            assert sum(len(m.raw) for m in waiting) <= 100 + 60 * len(SOURCES)
+        for topic, number, _ in take_all(queue):
+            note(topic, number)
+        removed = queue.pop_removed_counts()
+    assert {topic: taken[topic] + removed[topic] for topic in SOURCES} == sent
+    assert all(numbers[topic] == sent[topic] for topic in SOURCES), 'the newest is never removed'

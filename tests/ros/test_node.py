@@ -68,9 +68,7 @@ def test_a_node_that_cannot_start_logs_why_in_one_line_and_keeps_running(
     assert re.search(reason, line), line
 
 
-def test_parameters_are_checked_when_they_are_set_and_unknown_ones_are_named(
-    peer: Peer, start_node: StartNode, tmp_path: Path
-) -> None:
+def test_parameters_are_checked_and_unknown_ones_named(peer: Peer, start_node: StartNode, tmp_path: Path) -> None:
     (tmp_path / 'p.yaml').write_text('mocap_node: {ros__parameters: {tracker: {windw: 2.0}, queue: 3}}')
     parameters = (
         'tracker.min_score:=0',
@@ -98,9 +96,7 @@ def test_parameters_are_checked_when_they_are_set_and_unknown_ones_are_named(
     assert sorted(unknown) == [*known]
 
 
-def test_a_node_without_autostart_is_configured_activated_and_shut_down_from_outside(
-    peer: Peer, start_node: StartNode, tmp_path: Path
-) -> None:
+def test_a_node_without_autostart_obeys(peer: Peer, start_node: StartNode, tmp_path: Path) -> None:
     silence = 'node.silence_warning:=0.5'
     node = start_node('node.autostart:=false', silence, f'recorder.folder:={tmp_path}/bags')
     assert read_state(peer) == 'unconfigured'
@@ -133,9 +129,7 @@ def test_a_node_without_autostart_is_configured_activated_and_shut_down_from_out
 
 
 @pytest.mark.slow
-def test_repeated_transitions_leak_neither_threads_nor_files(
-    peer: Peer, start_node: StartNode, tmp_path: Path
-) -> None:
+def test_transitions_leak_neither_threads_nor_files(peer: Peer, start_node: StartNode, tmp_path: Path) -> None:
     def count_threads_and_files() -> tuple[int, int]:
         status = Path(f'/proc/{node.pid}/status').read_text()
         threads = int(re.search(r'Threads:\s+(\d+)', status)[1])  # type: ignore[index]

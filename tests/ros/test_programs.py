@@ -72,9 +72,7 @@ def test_wrong_arguments_are_reported_in_one_line(
     assert reason in line
 
 
-def test_a_missing_ros_is_reported_in_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missing_ros_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     for name in [name for name in sys.modules if name.startswith('mocap_ros.ros.')]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, 'rclpy', None)
@@ -87,9 +85,7 @@ def test_a_missing_ros_is_reported_in_one_line(
     ('program', 'end'),
     [('mocap_ros.ros.main', (0, '')), ('mocap_ros.cli.main', (130, 'mocap-ros: interrupted\n'))],
 )
-def test_an_interrupt_during_the_start_gives_no_traceback(
-    env: dict[str, str], program: str, end: tuple[int, str]
-) -> None:
+def test_an_interrupted_start_gives_no_traceback(env: dict[str, str], program: str, end: tuple[int, str]) -> None:
     code = (
         'import _thread, builtins, sys; real = builtins.__import__\n'
         'def slow(name, *rest):\n'

@@ -40,9 +40,7 @@ pytestmark = pytest.mark.ros
         (KEYPOINTS, [False, True], 1000, 'VOLATILE'),
     ],
 )
-def test_a_played_topic_serves_late_subscribers_as_its_publishers_did(
-    msgtype: str, latched: list[bool], depth: int, durability: str
-) -> None:
+def test_late_subscribers_are_served(msgtype: str, latched: list[bool], depth: int, durability: str) -> None:
     offered: Any = [{**make_topic('/topic', msgtype, latched=kept).qos[0], 'depth': 3} for kept in latched]
     profile = choose_playback_profile(parse_qos(offered), msgtype)
     assert profile.durability.name == durability
@@ -58,9 +56,7 @@ def listener(peer: Peer) -> Iterator[Any]:
     node.destroy_node()
 
 
-def test_silence_is_explained_by_what_other_nodes_publish(
-    peer: Peer, listener: Any, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_silence_is_explained_by_other_nodes(peer: Peer, listener: Any, capfd: pytest.CaptureFixture[str]) -> None:
     from std_msgs.msg import String
 
     def read_warning(expected_type: str = KEYPOINTS) -> str:

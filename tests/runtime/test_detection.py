@@ -60,9 +60,7 @@ def test_a_video_of_two_people_in_turn_gives_one_of_them_and_a_warning(tmp_path:
         ([0] + [None] * 100 + [400, 405], '1' + '.' * 100 + '22', 1),  # 4 s later
     ],
 )
-def test_people_of_a_detector_of_one_person_are_distinguished(
-    shift_px: list[float | None], names: str, changes: int
-) -> None:
+def test_people_in_turn_are_distinguished(shift_px: list[float | None], names: str, changes: int) -> None:
     named, lines = name_people(at(shift_px))
     assert ''.join(people[0].id.removeprefix('person_') if people else '.' for people in named.people) == names
     assert sum(line.count(' from ') for line in lines) == changes

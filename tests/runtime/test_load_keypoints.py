@@ -271,9 +271,7 @@ def reconstruct(folder: Path, sequence: KeypointSequence, gap_s: float, *suffixe
 
 
 @pytest.mark.parametrize(('suffix', 'gap_s'), [('.trc', 3600.0), ('.bvh', 3600.0), ('.trc', 70.0), ('.bvh', 15.0)])
-def test_no_hour_is_invented(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str, gap_s: float
-) -> None:
+def test_no_hour_is_added(tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str, gap_s: float) -> None:
     assert reconstruct(tmp_path, make_walker(), gap_s, suffix) == 1
     assert f'a gap of {gap_s:.1f} s after 0.6 s' in capsys.readouterr().err
     assert not (tmp_path / f'out{suffix}').exists()

@@ -3,9 +3,9 @@
 
 """A detector that publishes YOLO or ROS4HRI messages; run as a module, with the foreign packages on its path.
 
-Its arguments are `yolo` or `hri`, `tf` if it is to wait for transforms and print their frames as JSON, and `map`
-if it is to say where the camera is in the frame map, by a latched transform and one that moves. Its standard input
-is JSON: for each frame its stamp in ns, and for each person the (x, y, score) of each joint.
+Its argument is `yolo` or `hri`. With `yolo`, it also says where the camera is in the frame map, by a latched
+transform and one that moves, waits for transforms and prints their frames as JSON. Its standard input is JSON: for
+each frame its stamp in ns, and for each person the (x, y, score) of each joint.
 """
 
 import json
@@ -121,14 +121,12 @@ def publish_hri() -> None:
 
 
 wait_until_discovered(node, executor, 'mocap_node')
-if 'map' in sys.argv:
-    publish_camera()
 if kind == 'yolo':
+    publish_camera()
     publish_yolo()
 else:
     publish_hri()
-wait_until(lambda: len(skeletons) == len(frames))
-if 'tf' in sys.argv:
+if kind == 'yolo':
     wait_until(lambda: len(transforms) >= len(frames))
     print(json.dumps([[(t.header.frame_id, t.child_frame_id) for t in m.transforms] for m in transforms]))
 node.destroy_node()

@@ -24,23 +24,18 @@ class Recorded(SimpleNamespace):
         return context[self.args[0]]
 
 
+class RecordingModule(ModuleType):
+    """A module that has every class."""
+
+    def __getattr__(self, name: str) -> type[Recorded]:
+        return Recorded
+
+
 def load_launch_file(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """Return the launch file, with substitutes for the packages that it imports."""
-    classes = {
-        'launch': ('LaunchContext', 'LaunchDescription'),
-        'launch.actions': ('DeclareLaunchArgument', 'OpaqueFunction'),
-        'launch.conditions': ('IfCondition',),
-        'launch.substitutions': ('LaunchConfiguration', 'PathJoinSubstitution'),
-        'launch_ros': (),
-        'launch_ros.actions': ('Node',),
-        'launch_ros.parameter_descriptions': ('ParameterValue',),
-        'launch_ros.substitutions': ('FindPackageShare',),
-    }
-    for name, members in classes.items():
-        module = ModuleType(name)
-        for member in members:
-            setattr(module, member, Recorded)
-        monkeypatch.setitem(sys.modules, name, module)
+    for part in ('', '.actions', '.conditions', '.substitutions', '.parameter_descriptions'):
+        for package in ('launch', 'launch_ros'):
+            monkeypatch.setitem(sys.modules, package + part, RecordingModule(package + part))
     return load_module(ROOT / 'config' / 'launch' / 'mocap.launch.py')
 
 

@@ -3,10 +3,13 @@
 
 """People in 3D, as the tracker returns them."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocap_ros.people import Motion, MotionKind, Person3D
+from tests.support.swinging_body import STANDING
 
 
 def make_person_3d(person_id: str, x: float = 0.0) -> Person3D:
@@ -24,3 +27,8 @@ def make_person_3d(person_id: str, x: float = 0.0) -> Person3D:
         scale_known=True,
         predicted=False,
     )
+
+
+def make_standing_person(person_id: str) -> Person3D:
+    """Return a person who stands 4 m before the camera."""
+    return replace(make_person_3d(person_id), joints=STANDING + [0, 0, 4])

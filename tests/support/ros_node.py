@@ -11,15 +11,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mocap_ros.demo.scene import make_recording
-from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.cdr import Header, decode, encode
-from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
+from mocap_ros.messages.cdr import decode
+from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.markers import DELETE_ALL, MARKERS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION, SKELETONS
 from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.runtime.outputs import OUTPUTS
-from mocap_ros.skeleton import keypoint_layout
+from tests.support.pipeline_inputs import encode_demo_frames, with_stamp
 
 TIMEOUT_S = 60.0  # s; far above what anything here takes on a busy machine
 ANSWER_S = 1.0  # s; an answer that takes longer is lost, because the server had not discovered the client
@@ -211,15 +209,10 @@ class Peer:
 
 def stop_node(process: Process, by: signal.Signals = signal.SIGTERM) -> list[str]:
     """Stop the node; return the warnings and errors that it logged."""
-    return [line for line in stop_node_and_read_log(process, by) if not line.startswith('[INFO]')]
-
-
-def stop_node_and_read_log(process: Process, by: signal.Signals = signal.SIGTERM) -> list[str]:
-    """Stop the node; return all that it logged."""
     process.send_signal(by)
     _, log = process.communicate(timeout=TIMEOUT_S)
     assert process.returncode == 0
-    return log.splitlines()
+    return [line for line in log.splitlines() if not line.startswith('[INFO]')]
 
 
 def stack_joints(skeletons: Sequence[bytes]) -> np.ndarray:
@@ -228,13 +221,6 @@ def stack_joints(skeletons: Sequence[bytes]) -> np.ndarray:
     return np.array([[p.x, p.y, p.z] for frame in people for person in frame for p in person.joints])
 
 
-def keypoints_at(seconds: float, **changed_fields: Any) -> bytes:
-    """Return a valid message with this stamp, or one in which some fields of its person are changed."""
-    names = keypoint_layout('coco17').joints
-    points = make_recording().keypoints[0]
-    person = Person2D('', names, np.nan_to_num(points[:, :2]), points[:, 2])
-    raw = encode_keypoints(Header(round(seconds * 1e9), 'camera'), (640, 480), [person])
-    message = decode(raw, KEYPOINTS)
-    for field, value in changed_fields.items():
-        setattr(message.people[0], field, value)
-    return encode(message, KEYPOINTS)
+def keypoints_at(seconds: float) -> bytes:
+    """Return the keypoints of a person with this stamp."""
+    return with_stamp(encode_demo_frames(1)[0], round(seconds * 1e9))

@@ -190,9 +190,7 @@ def test_the_view_jumps_skipped_frames_do_not_flicker_and_names_stand_apart(tmp_
             assert apart_x or abs(box['y'] - other['y']) >= 12
 
 
-def test_what_is_not_known_of_any_person_has_no_row_and_a_tilted_camera_leaves_people_upright(
-    scene: Scene, tmp_path: Path, page: Any
-) -> None:
+def test_what_is_not_known_has_no_row_and_people_are_upright(scene: Scene, tmp_path: Path, page: Any) -> None:
     turn = Rotation.from_euler('xz', [-30, 5], degrees=True).as_matrix()
     anna, nan = scene.people[0], np.float32(np.nan)
     joints = (anna.joints @ turn.T).astype(np.float32)
@@ -263,9 +261,7 @@ def ask(server: PageServer, path: str, **headers: str) -> tuple[int, bytes]:
         ('/../setup.py', {}, 404),
     ],
 )
-def test_only_pages_of_the_server_get_an_answer(
-    server: PageServer, path: str, headers: dict[str, str], status: int
-) -> None:
+def test_only_own_pages_get_an_answer(server: PageServer, path: str, headers: dict[str, str], status: int) -> None:
     assert ask(server, path, **headers)[0] == status
 
 

@@ -177,9 +177,7 @@ def test_an_image_belongs_to_the_nearest_frame() -> None:
     assert [find_frame(scene, stamp) for stamp in stamps] == [3, -1, -1]
 
 
-def test_a_film_and_a_picture_show_the_points_in_the_images(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_film_and_a_picture_show_points_in_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = make_scene(IMAGES)
     points = np.concatenate([scene.people[0].image, np.ones((IMAGES, 15, 1), np.float32)], axis=-1)
     save_sequence(tmp_path / 'in.npz', KeypointSequence(points, CMU15.joints, scene.times, (640, 480)))

@@ -1,0 +1,182 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Files for RViz, Foxglove, `ros2 launch` and SROS2 name topics, fields, parameters and rights that there are."""
+
+import json
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+import yaml
+
+from mocap_ros.bags.recorder import Recorder
+from mocap_ros.bags.topics import Source
+from mocap_ros.bridges.bridge import CONSUMERS
+from mocap_ros.config import Config, RecorderConfig, values
+from mocap_ros.errors import ConfigError
+from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.messages.cdr import Header, decode
+from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.messages.skeletons import encode_skeletons
+from mocap_ros.messages.transforms import TRANSFORMS
+from mocap_ros.ros.message_types import load_interface_class
+from mocap_ros.runtime.outputs import OUTPUTS, SWITCHED_OUTPUTS
+from tests.support.camera_infos import camera_info
+from tests.support.launch_file import Permissions, read_permissions
+from tests.support.paths import ROOT
+from tests.support.people import make_person_3d
+from tests.support.ros_node import Peer, StartNode, StartProgram, keypoints_at
+
+BODIES = '/humans/bodies/*'  # topics of single bodies, with types that are not installed
+OF_EVERY_NODE = {'/parameter_events'}  # rclpy subscribes to it only where the time of a simulation is used
+
+
+def is_installed(kind: str) -> bool:
+    try:
+        load_interface_class(kind)
+    except ConfigError:
+        return False
+    return True
+
+
+def find_permissions(node: Any, name: str) -> Permissions:
+    """Return what another node has on the middleware, with names as in the policies."""
+
+    def rename(found: list[tuple[str, list[str]]]) -> frozenset[str]:
+        allowed = {name for names in read_permissions(name) for name in names}
+        own = {topic.replace(f'/{name}/', '~/') for topic, _ in found}
+        return frozenset(topic[1:] if topic[1:] in allowed else topic for topic in own)
+
+    return Permissions(
+        publish=rename(node.get_publisher_names_and_types_by_node(name, '/')),
+        subscribe=rename(node.get_subscriber_names_and_types_by_node(name, '/')),
+        reply=rename(node.get_service_names_and_types_by_node(name, '/')),
+        request=rename(node.get_client_names_and_types_by_node(name, '/')),
+    )
+
+
+def without(permissions: Permissions, missing: set[str]) -> Permissions:
+    """Return the permissions that do not need types that are not installed."""
+    return permissions._replace(
+        publish=permissions.publish - missing, subscribe=permissions.subscribe - missing - OF_EVERY_NODE
+    )
+
+
+def wait_for_permissions(peer: Peer, name: str, missing: set[str]) -> None:
+    """Wait until a node has on the middleware what the policies allow; it must never have more."""
+    allowed = read_permissions(name)
+    expected = without(allowed, missing)
+
+    def are_reached() -> bool:
+        found = find_permissions(peer.node, name) if name in peer.node.get_node_names() else None
+        if found is None:
+            return False
+        for mine, others in zip(found, allowed, strict=True):
+            assert mine <= others, 'not allowed'
+        return without(found, set()) == expected
+
+    peer.wait_until(are_reached)
+
+
+@pytest.mark.ros
+def test_the_node_has_what_the_policies_allow(peer: Peer, start_node: StartNode) -> None:
+    wanted = dict(SWITCHED_OUTPUTS.values()) | {'/tf_static': TRANSFORMS}
+    bodies = {BODIES, '/humans/bodies/tracked'}  # inputs of another type
+    missing = {*bodies, *(topic for topic, kind in wanted.items() if not is_installed(kind))}
+    assert 'predictions' not in missing
+    switches = [f'node.{field}:=true' for field in SWITCHED_OUTPUTS]
+    start_node('node.output_frame:=map', 'use_sim_time:=true', *switches)
+    wait_for_permissions(peer, 'mocap_node', missing)
+
+
+@pytest.mark.ros
+def test_the_player_has_what_the_policies_allow(peer: Peer, start: StartProgram, tmp_path: Path) -> None:
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        recorder.write('/camera_info', CAMERA_INFO, camera_info(), 0, 0)
+        for i in range(10):
+            recorder.write('/keypoints', KEYPOINTS, keypoints_at(i), i * 10**8, i * 10**8)
+    start(sys.executable, '-m', 'mocap_ros.cli.main', 'play', tmp_path / 'bag', '--loop', '--clock')
+    missing = {BODIES, '/humans/bodies/tracked', '/tf', '/tf_static'}  # they are not in this bag
+    wait_for_permissions(peer, 'mocap_player', missing)
+
+
+CONFIG = ROOT / 'config'
+# Message type that a display of RViz shows.
+DISPLAY_TYPES = {'MarkerArray': 'visualization_msgs/msg/MarkerArray', 'PointCloud2': 'sensor_msgs/msg/PointCloud2'}
+
+
+def test_rviz_shows_outputs_of_the_node() -> None:
+    displays = yaml.safe_load((CONFIG / 'mocap_ros.rviz').read_text())['Visualization Manager']['Displays']
+    shown = {d['Topic']['Value']: d['Class'].rpartition('/')[2] for d in displays if 'Topic' in d}
+    assert shown.keys() == {'markers', 'points'}
+    assert {topic: DISPLAY_TYPES[display] for topic, display in shown.items()} == {t: OUTPUTS[t] for t in shown}
+
+
+def test_foxglove_shows_fields_of_outputs_of_the_node() -> None:
+    layout = json.loads((CONFIG / 'mocap_ros.foxglove.json').read_text())
+    panels = layout['configById']
+    assert set(re.findall(r'"(\w+!\w+)"', json.dumps(layout['layout']))) == panels.keys(), 'each panel has a place'
+    assert {topic.removeprefix('/') for topic in panels['3D!people']['topics']} <= OUTPUTS.keys()
+    assert panels['DiagnosticSummary!node']['topicToRender'] == '/diagnostics'
+    paths = [p['value'] for p in panels['Plot!residual']['paths']]
+    skeletons = decode(encode_skeletons(Header(1, 'camera'), [make_person_3d('anna')]), OUTPUTS['skeletons'])
+    for path in (*paths, panels['RawMessages!skeletons']['topicPath']):
+        field = re.fullmatch(r'/skeletons\.people\[:\]\.(\w+)', path)
+        assert field, path
+        assert hasattr(skeletons.people[0], field[1]), path
+
+
+def test_the_launch_file_starts_the_node_with_parameters_and_topics_that_it_has(launch_file: ModuleType) -> None:
+    (description,) = launch_file.generate_launch_description().args
+    declared = {a.args[0]: a.default_value for a in description if hasattr(a, 'default_value')}
+    assert declared.keys() == launch_file.ARGUMENTS.keys()
+    known = values(Config())
+    for name, (parameter, kind) in launch_file.PARAMETERS.items():
+        assert declared[name] == '', 'an argument that is not given leaves the parameter as the file has it'
+        assert type(known[parameter]) is kind
+    (node,) = launch_file.create_nodes(dict.fromkeys(declared, ''))
+    assert (node.package, node.executable, node.name) == ('mocap_ros', 'mocap_node', 'mocap_node')
+    assert [p.args[0] for p in node.parameters] == ['params_file']
+    assert {topic for topic, _ in node.remappings} == {Source.KEYPOINTS.value, Source.CAMERA_INFO.value}
+    assert all(substitution.args == (topic,) for topic, substitution in node.remappings)
+    (node,) = launch_file.create_nodes({**dict.fromkeys(declared, ''), 'record': 'true'})
+    _, given = node.parameters
+    assert {name: (v.args[0].args[0], v.value_type) for name, v in given.items()} == {
+        'recorder.enabled': ('record', bool)
+    }
+
+
+def test_the_launch_file_finds_the_files_that_are_installed(launch_file: ModuleType) -> None:
+    (description,) = launch_file.generate_launch_description().args
+    (rviz,) = (a for a in description if getattr(a, 'executable', '') == 'rviz2')
+    parameter_file, _ = launch_file.ARGUMENTS['params_file']
+    for substitution in (parameter_file, rviz.arguments[1]):
+        ((share, *parts),) = substitution.args
+        assert share.args == ('mocap_ros',)
+        assert Path(ROOT, *parts).is_file()
+
+
+NODE_TOPICS = {'/parameter_events', '/rosout'}  # of every node, which rclpy creates
+OWN_SERVICES = {'~/record', '~/reset'}  # of `mocap_node`, besides those of every lifecycle node
+
+
+def test_the_bridge_may_do_what_it_does() -> None:
+    bridge = read_permissions('mocap_bridge')
+    topics = {consumer.topic for consumer in CONSUMERS.values()}
+    assert bridge.publish == {*topics, *NODE_TOPICS, BODIES, '~/transition_event'}
+    assert bridge.subscribe == {'skeletons', 'predictions', '/clock', '/parameter_events'}
+    assert bridge.reply == read_permissions('mocap_node').reply - OWN_SERVICES
+    assert not bridge.request
+
+
+def test_the_operator_calls_services_of_the_node_and_reads_what_it_says() -> None:
+    operator, node = read_permissions('operator'), read_permissions('mocap_node')
+    called = {name.replace('/mocap_node', '~') for name in operator.request}
+    assert {*OWN_SERVICES, '~/change_state', '~/get_state', '~/set_parameters'} <= called <= node.reply
+    assert operator.subscribe == {'/diagnostics', 'skeletons', '/parameter_events'}
+    assert operator.publish == NODE_TOPICS
+    assert not operator.reply
