@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import Config, format_value, values, with_values
 from mocap_ros.errors import ConfigError, InputError, MocapError, ModelError, name_errors
 from mocap_ros.formats.npz_arrays import ArrayReader
@@ -30,7 +31,6 @@ from mocap_ros.models.model_file import AUTO, load_base_pose_models
 from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.units import NS_PER_S
 
-Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]  # arrays by the keys of a sequence file
 Parameters = Mapping[str, object] | Config | None  # argument `parameters`: values by name, or a configuration
 Model = str | Path | BasePoses  # argument `model`: the name of shipped base poses, a model file, or base poses

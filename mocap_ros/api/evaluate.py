@@ -11,8 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mocap_ros.api.arguments import Array, read_array, read_joint_names, read_numbers, rename_errors
+from mocap_ros.api.arguments import read_array, read_joint_names, read_numbers, rename_errors
 from mocap_ros.api.reconstruct import PoseSequence
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
 from mocap_ros.evaluation import evaluate as evaluation
 from mocap_ros.formats.sequence_file import MAX_COORDINATE_M, GroundTruth, check_timestamps

@@ -21,6 +21,7 @@ from mocap_ros.api.arguments import (
     load_models,
     make_config,
 )
+from mocap_ros.arrays import Array
 from mocap_ros.config import format_value
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import KeypointSequence, describe_frames, extract_observations
@@ -28,8 +29,6 @@ from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.whole_sequence import SequenceResult, describe_height_faults, reconstruct_sequence
 from mocap_ros.runtime.save_results import ReconstructedSequence
 from mocap_ros.runtime.summary import Summary, summarise
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

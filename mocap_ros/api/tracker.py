@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from mocap_ros.api.arguments import (
     LOGGER,
-    Array,
     Model,
     Parameters,
     check_camera,
@@ -26,6 +25,7 @@ from mocap_ros.api.arguments import (
     read_numbers,
     rename_errors,
 )
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError, name_errors
 from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, MIN_JUDGED_FRAMES, check_timestamps, create_intrinsics
 from mocap_ros.keypoints.joint_map import build_joint_map

@@ -24,7 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.bridges.seen import Array, People
+from mocap_ros.arrays import Array
+from mocap_ros.bridges.seen import People
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS
 from mocap_ros.messages.markers import CYLINDER, SPHERE_LIST, Marker, MarkerStyle, choose_color, show_markers
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton

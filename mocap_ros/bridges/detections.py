@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from mocap_ros.bridges.seen import FLESH_M, Array, People
+from mocap_ros.arrays import Array
+from mocap_ros.bridges.seen import FLESH_M, People
 from mocap_ros.geometry.rigid_transform import NO_ROTATION
 from mocap_ros.people import HIPS
 

@@ -27,7 +27,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.bridges.seen import Array, People
+from mocap_ros.arrays import Array
+from mocap_ros.bridges.seen import People
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.foreign_types import HRI_IDS
 from mocap_ros.messages.transforms import FrameNames, compute_links

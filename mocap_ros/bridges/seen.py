@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.geometry.rigid_transform import NO_ROTATION
 from mocap_ros.geometry.rotations import quaternion_from_rotation
@@ -23,8 +24,6 @@ from mocap_ros.messages.plain import decode_plain
 from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS
 from mocap_ros.messages.transforms import compute_links
 from mocap_ros.skeleton import CMU15, CORE_COUNT, Skeleton, keypoint_layout
-
-Array = NDArray[np.float64]
 
 RELIABILITY_FADE_S = 1.0  # s; the reliability of a person who has not been seen for so long is a third
 FLESH_M = 0.1  # m; how far a body reaches beyond its joints: half a trunk's depth, a hand beyond its wrist

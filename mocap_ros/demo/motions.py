@@ -21,15 +21,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import dct
 
+from mocap_ros.arrays import Array
 from mocap_ros.geometry.rotations import centre_poses, fit_heading_rotation
 from mocap_ros.models import model_file
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.npz_file import write_npz
-
-Array = NDArray[np.float64]
 
 FRAME_RATE_HZ = 30.0  # Hz, of the motion capture and of the demo recording
 GAIT_HARMONICS = 6  # harmonics of a learned gait; the sixth is at 5 to 10 Hz, where a gait has hardly any movement

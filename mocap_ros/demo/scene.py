@@ -14,15 +14,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from mocap_ros.arrays import Array
 from mocap_ros.demo.motions import FRAME_RATE_HZ, load_motions
 from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence
 from mocap_ros.skeleton import CMU15, keypoint_layout
 from mocap_ros.training.fit_base_poses import scale_bones
-
-Array = NDArray[np.float64]
 
 IMAGE_SIZE = (640, 480)  # px, width and height of a common USB camera
 FOCAL_LENGTH_PX = 600.0  # px, a horizontal field of view of 56 degrees, as common USB cameras have

@@ -11,9 +11,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import ModelError
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]  # (H, W, 3) red, green, blue
 
 

@@ -16,12 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.detectors.detector import Image
 from mocap_ros.errors import ModelError, tell_installation
-
-Array = NDArray[np.float64]
 
 KEYPOINTS = 33  # of BlazePose
 MS_PER_S = 1000.0  # the Tasks API takes whole milliseconds

@@ -18,12 +18,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.detectors.detector import Image
 from mocap_ros.detectors.one_person import Box, OnePersonDetector, cut_out, is_seen
 from mocap_ros.detectors.onnx_model import OnnxModel
 from mocap_ros.skeleton import keypoint_layout
-
-Array = NDArray[np.float64]
 
 OUTPUT_FORM = '(1, 1, 17, 3) or (1, 6, 56) of MoveNet'  # in the words of messages
 COCO = keypoint_layout('coco17')

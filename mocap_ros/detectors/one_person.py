@@ -10,13 +10,11 @@ from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image as Pillow
 
+from mocap_ros.arrays import Array
 from mocap_ros.detectors.detector import Image
 from mocap_ros.detectors.onnx_model import OnnxModel
-
-Array = NDArray[np.float64]
 
 MIN_SIDE_PX = 1.0  # px; guards divisions by the size of a rectangle whose points coincide
 MIN_SEEN = 6  # keypoints; with fewer there is no saying where the person is

@@ -18,13 +18,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.detectors.detector import Image
 from mocap_ros.detectors.one_person import Box, OnePersonDetector, cut_out
 from mocap_ros.detectors.onnx_model import OnnxModel
-
-Array = NDArray[np.float64]
 
 OUTPUT_FORM = '(1, J, 2 W) and (1, J, 2 H) of RTMPose'  # in the words of messages, for an input of W x H px
 BINS_PER_PX = 2  # bins of SimCC per px of the input, in all published models

@@ -14,14 +14,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.detectors.detector import Image
 from mocap_ros.detectors.one_person import Box, cut_out
 from mocap_ros.detectors.onnx_model import OnnxModel
 from mocap_ros.skeleton import keypoint_layout
-
-Array = NDArray[np.float64]
 
 OUTPUT_FORM = '(1, 56, N) or (1, N, 57) of YOLO-pose'  # in the words of messages
 KEYPOINTS = len(keypoint_layout('coco17').joints)

@@ -12,15 +12,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
 from mocap_ros.evaluation import metrics
 from mocap_ros.models.joint_std import compute_joint_covariance
 from mocap_ros.skeleton import Skeleton
-
-Array = NDArray[np.float64]
 
 SHARES = (0.68, 0.95)  # p: as many errors are within one and two standard deviations of one dimension
 HIPS = ('lhip', 'rhip')  # between which the root is

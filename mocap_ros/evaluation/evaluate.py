@@ -11,13 +11,11 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
 from mocap_ros.evaluation import metrics
 from mocap_ros.skeleton import Skeleton
-
-Array = NDArray[np.float64]
 
 MIN_PERSON_SIZE_M = 0.01  # m; a smaller truth is a single place, against which no pose can be compared
 MAX_PERSON_SIZE_M = 10.0  # m; a larger truth is probably in mm

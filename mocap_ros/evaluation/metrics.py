@@ -17,10 +17,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
-
-Array = NDArray[np.float64]
 
 # the twelve joints that every keypoint layout and every motion capture skeleton has
 LIMB_JOINTS = (

@@ -33,8 +33,8 @@ from enum import Enum, IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.keypoints.extremities import convert_body_to_rays, join_body
@@ -43,8 +43,6 @@ from mocap_ros.models.lifter_input import sample_histories
 from mocap_ros.skeleton import CMU15, CORE_COUNT, KEYPOINT_LAYOUTS, keypoint_layout
 from mocap_ros.solvers.vertical import GIVEN_STD_DEG
 from mocap_ros.units import NS_PER_S
-
-Array = NDArray[np.float64]
 
 STRETCH_S = 1.5  # s; the lifter sees 0.8 s
 MAX_STRETCHES = 3  # of a recording: its beginning, its middle and its end

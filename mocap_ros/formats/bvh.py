@@ -20,15 +20,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.text_files import check_position_count, quote_line, read_text
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-Array = NDArray[np.float64]
 
 END_SUFFIX = '_end'  # follows the joint's name in the name of its end site, which has no name in a file
 POSITION_CHANNELS = ('Xposition', 'Yposition', 'Zposition')

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import InputError
 from mocap_ros.formats.image_names import order_images
@@ -33,8 +33,6 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import describe_other_unit, find_first_fault, mark_unseen
 from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.units import NS_PER_S
-
-Array = NDArray[np.float64]
 
 # The layout that a detector's file means by its number of keypoints. The 133 keypoints of COCO-WholeBody begin
 # with the 17 of COCO, and the 136 of Halpe-FullBody with the 26 of the body.

@@ -28,8 +28,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.detections import Detections, Video, arrange_frames, create_person
 from mocap_ros.formats.image_names import MAX_FRAME_NUMBER, ImageName
@@ -38,7 +38,6 @@ from mocap_ros.keypoints.image_size import ImageSize, resolve_image_size
 from mocap_ros.keypoints.person import Person2D, is_person_class
 from mocap_ros.skeleton import detector_joint_names
 
-Array = NDArray[np.float64]
 Names = tuple[str, ...]  # of joints, in the order of the keypoints; empty where they are not known
 
 FILE_SUFFIX = '_keypoints.json'  # end of the names of OpenPose's files

@@ -15,13 +15,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.copying import copy_as_float64
+from mocap_ros.arrays import Array, copy_as_float64
 from mocap_ros.errors import InputError, describe_read_error
 from mocap_ros.input_file import open_input_file
 from mocap_ros.npz_file import open_npz
 from mocap_ros.skeleton import canonical_joint_names
-
-Array = NDArray[np.float64]
 
 MAX_FILE_BYTES = 1 << 30  # unpacked; guards the memory against files that unpack to much more than their size
 

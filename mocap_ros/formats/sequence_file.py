@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.npz_arrays import ArrayReader, iterate_arrays, list_keys
 from mocap_ros.geometry.distortion import Distortion
@@ -32,8 +33,6 @@ from mocap_ros.skeleton import (
     skeleton_from_joints,
 )
 from mocap_ros.units import NS_PER_S
-
-Array = NDArray[np.float64]
 
 MAX_TIMESTAMP_S = 2.0**31  # s; the seconds of a ROS stamp are an int32
 MAX_MEDIAN_STEP_S = 1.0  # s; a person moves too much in it to be followed from frame to frame

@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -26,8 +26,6 @@ from mocap_ros.keypoints.image_size import ImageSize
 from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.messages.plain import encode_plain
-
-Array = NDArray[np.float64]
 
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 MIN_FOCAL_SHARE = 0.04  # image widths; less than any lens has: drivers without a calibration send the unit matrix

@@ -17,14 +17,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mocap_ros.copying import copy_with
+from mocap_ros.arrays import Array, copy_with
 from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.geometry.rotations import multiply_quaternions
 from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
-
-Array = NDArray[np.float64]
 
 
 class CameraPlacement(NamedTuple):

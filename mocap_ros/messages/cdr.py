@@ -11,8 +11,6 @@ from functools import lru_cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -20,8 +18,6 @@ from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
 from mocap_ros.messages.foreign_types import DEFINITIONS
 from mocap_ros.units import NS_PER_S
-
-Array = NDArray[np.float64]
 
 DEFINITIONS_DISTRO = 'kilted'  # the distribution whose definitions of the standard messages are used
 CDR_ALIGNMENT_BYTES = 4  # DDS (RTPS) pads every payload to a multiple of this length

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from mocap_ros.arrays import copy_as_float64
 from mocap_ros.config import NodeConfig
-from mocap_ros.copying import copy_as_float64
 from mocap_ros.errors import InputError
 from mocap_ros.keypoints.image_size import ImageSize
 from mocap_ros.keypoints.person import Person2D, is_person_class

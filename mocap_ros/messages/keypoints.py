@@ -11,10 +11,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array, copy_as_float64
 from mocap_ros.config import NodeConfig
-from mocap_ros.copying import copy_as_float64
 from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
@@ -22,8 +21,6 @@ from mocap_ros.keypoints.validation import describe_other_unit, find_first_fault
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, decode_input, validate_header, validate_text
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.skeleton import LAYOUT_NAMES, keypoint_layout
-
-Array = NDArray[np.float64]
 
 KEYPOINTS = MOCAP_ROS_MSGS + 'Keypoints2DArray'
 

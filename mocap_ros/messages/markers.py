@@ -20,8 +20,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.geometry.rigid_transform import SAME_POSE
-from mocap_ros.messages.cdr import Array, Header
+from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.people import Person3D
 from mocap_ros.units import NS_PER_S

@@ -29,9 +29,10 @@ from itertools import chain, count
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.geometry.rigid_transform import NO_ROTATION, RigidTransform
 from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_rotation
-from mocap_ros.messages.cdr import Array, Header
+from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.people import HIPS, Person3D
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, Skeleton

@@ -43,6 +43,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import Config, SolverConfig, TrackerConfig
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import CALIBRATED_TILT_STD, MAX_CERTAIN_STD, Floor, average_vertical, build_world
@@ -74,7 +75,6 @@ from mocap_ros.solvers.vertical import (
 )
 from mocap_ros.solvers.window import Reconstruction, Window
 
-Array = NDArray[np.float64]
 Report = Callable[[float], None]  # gets the share, 0 to 1, of the work that is done
 
 

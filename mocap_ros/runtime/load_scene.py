@@ -19,6 +19,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array, Array32
 from mocap_ros.bags.journal import JOURNAL, Verdict, decode_entry
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.topics import find_people_topics
@@ -46,8 +47,6 @@ from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.overlay import StampedImage
 from mocap_ros.viewing.scene import Mark, Scene, SceneKeypoints, ScenePerson
 
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
 Row = TypeVar('Row')
 
 MAX_PEOPLE = 16  # people who are reconstructed; those who are seen most, since each one takes seconds

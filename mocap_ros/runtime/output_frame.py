@@ -9,8 +9,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import Config, NodeConfig
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -24,8 +24,6 @@ from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.solvers.floor import ANKLE_M, HEEL_M, MAX_STEP_S
 from mocap_ros.units import NS_PER_S
-
-Array = NDArray[np.float64]
 
 CAMERA_MOTION_S = 0.1  # s; over which the motion of the camera is found: as long as velocities are smoothed over
 FIRST_S = 0.5  # s; for which the first person shows heading and floor of the world

@@ -20,6 +20,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.bags.recorder import RECOVERY_HINT, Recorder
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError, RecordingError
@@ -43,8 +44,6 @@ from mocap_ros.runtime.playback import DEFAULT_FRAME_ID
 from mocap_ros.runtime.summary import Summary
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.solvers.observed_window import ObservedWindow
-
-Array = NDArray[np.float64]
 
 ONE_FILE = RecorderConfig(min_free_mb=0, split_seconds=0.0)  # of a bag that is written as a single file
 DEFAULT_PERSON_ID = 'person_1'  # id in the messages of a bag, if the sequence does not name its person

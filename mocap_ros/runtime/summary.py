@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import Config
 from mocap_ros.evaluation.verdict import (
     LOOK_S,
@@ -48,8 +48,6 @@ from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.skeleton import CMU15, skeleton_from_joints
 from mocap_ros.solvers.vertical import read_given_vertical
 from mocap_ros.units import NS_PER_S
-
-Array = NDArray[np.float64]
 
 NOT_JUDGED = Judgement(Grade.GOOD, Fault.UNKNOWN)
 MAX_JUDGED_PEOPLE = 3  # of a recording; those who come first in the input

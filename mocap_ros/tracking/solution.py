@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.copying import copy_with
+from mocap_ros.arrays import Array, copy_with
 from mocap_ros.engine import motion as engine
 from mocap_ros.geometry.interpolation import interpolate_linearly, interpolate_rotations
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -32,8 +32,6 @@ from mocap_ros.models.joint_std import expect_stature
 from mocap_ros.solvers.joint import JointReconstruction
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.solvers.window import InitialValues
-
-Array = NDArray[np.float64]
 
 _STATES = 'theta', 'rotation', 'roots', 'bone_lengths', 'frame_residuals'  # attributes with a row a frame
 

@@ -13,12 +13,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.viewing.plots import TRUTH_COLOUR, choose_side_colour, make_printable
-
-Array = NDArray[np.float64]
 
 COLUMNS = 12  # skeletons in a row; more would be too small to recognise
 MAX_DRAWN_KEYFRAMES = 36  # keyframes of one half: three rows

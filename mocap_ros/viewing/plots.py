@@ -19,10 +19,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
 from mocap_ros.skeleton import CMU15, CORE_COUNT, Skeleton
-
-Array = NDArray[np.float64]
 
 LEFT_COLOUR = '#1f77b4'  # blue
 RIGHT_COLOUR = '#d62728'  # red

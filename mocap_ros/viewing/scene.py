@@ -16,16 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array, Array32, Indices, Mask
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import LOWEST_PERCENTILE, rotation_to_level
 from mocap_ros.skeleton import CMU15, Skeleton, canonical_joint_names
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.plots import MIDDLE_COLOUR, TRUTH_COLOUR, PlotData, choose_side_colour
-
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
-Indices = NDArray[np.intp]
 
 PALE_COLOUR = '#a8a8a8'  # grey; people who are predicted or tentative
 # Colours of several people, which people with defective colour vision distinguish as well (Okabe and Ito 2008),

@@ -26,8 +26,8 @@ import warnings
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.formats.bvh import END_SUFFIX, POSITION_CHANNELS, ROTATION_CHANNELS, BvhMotion
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
@@ -35,7 +35,6 @@ from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-Array = NDArray[np.float64]
 
 CM_PER_M = 100.0  # a BVH file names no unit; files are written in cm, which most programs for animation expect
 SHORT_BONE_M = 0.01  # m, of a bone without a second joint; can be seen in Blender, and hardly turns a limb

@@ -43,12 +43,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.skeleton import CMU15
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 UPRIGHT_DEG = 23.0  # degrees; with it lumbar_extension is 0 in the mean pose of walkers (`walk.npz`)

@@ -9,9 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mocap_ros.arrays import Array
 
 MM_PER_M = 1000.0  # TRC files are written in mm
 

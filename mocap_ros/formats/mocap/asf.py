@@ -17,15 +17,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.text_files import check_position_count, quote_line, read_text
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-Array = NDArray[np.float64]
 
 ROOT = 'root'  # name of the root in both files
 ROTATIONS = ('rx', 'ry', 'rz')  # degrees of freedom of a bone

@@ -15,11 +15,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError, MocapError, tell_installation
-
-Array = NDArray[np.float64]
 
 METRES_BY_UNIT = {'m': 1.0, 'dm': 0.1, 'cm': 0.01, 'mm': 0.001}  # length in m of each unit that a file may name
 MEMORY_BYTES = 2 << 30  # address space of the reader without the file; it takes a quarter of it at the start

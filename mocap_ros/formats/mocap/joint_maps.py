@@ -14,14 +14,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import load_yaml
 from mocap_ros.errors import InputError
 from mocap_ros.formats.text_files import read_text
 from mocap_ros.skeleton import CMU15, canonical_joint_names, estimate_stature
-
-Array = NDArray[np.float64]
 
 # For each joint of the model, the names of the joints or markers whose mean it is.
 MarkerMap = Mapping[str, Sequence[str]]

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.bvh import load_bvh
 from mocap_ros.formats.mocap.asf import load_amc
@@ -25,8 +25,6 @@ from mocap_ros.formats.mocap.joint_maps import MarkerMap, infer_unit, map_to_mod
 from mocap_ros.formats.npz_arrays import ArrayReader, iterate_arrays, list_keys
 from mocap_ros.formats.text_files import read_text
 from mocap_ros.skeleton import BODY26, CMU15
-
-Array = NDArray[np.float64]
 
 MOTION_SUFFIXES = ('.amc', '.bvh', '.c3d')  # files of one trial each; other files are read as .npz archives
 MAX_ARCHIVE_BYTES = 8 << 30  # unpacked; guards the memory; the CMU database (15 joints, 30 Hz) takes below 1 GB

@@ -16,16 +16,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.camera_jacobian import camera_jacobian
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation, rotation_from_vector
 from mocap_ros.geometry.weak_perspective import subtract_weighted_centroid
 from mocap_ros.offline.keyframes.image_points import build_low_pass_matrix, nan_median
 from mocap_ros.skeleton import CMU15
-
-Array = NDArray[np.float64]
 
 # the settings of rotation, scale and robustness were tuned on CMU motion capture
 ROBUST_SCALE_M = 0.06  # m; scale of Cauchy's loss in the alignment, so that outliers do not pull a pose

@@ -21,12 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array, Array32, Mask
 from mocap_ros.offline.keyframes.image_points import build_low_pass_matrix, interpolate_gaps
 from mocap_ros.skeleton import CMU15, Skeleton
-
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 MIN_SEEN_JOINTS = 4  # joints; a half with fewer seen joints fits almost any pose once it is translated
 LOW_PASS_S = 0.05  # s, standard deviation; removes the detector's jitter, which would add to every distance

@@ -13,8 +13,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array, Indices
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rotations import centre_poses
@@ -30,9 +30,6 @@ from mocap_ros.offline.whole_sequence import reconstruct_window
 from mocap_ros.skeleton import CMU15, estimate_stature
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.solvers.window import MIN_JOINTS_FOR_CAMERA
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 MAX_SECTION_S = 20.0  # s; bounds the memory and time of one solve
 SOLVER_MARGIN_S = 0.5  # s of frames on both sides of a section, so that its ends are smooth too

@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array, Indices, Mask
 from mocap_ros.config import Config, KeyframesConfig, TrackerConfig
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -48,10 +48,6 @@ from mocap_ros.offline.whole_sequence import SequenceResult, choose_vertical, fi
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import ObservedWindow, observe_sequence
 from mocap_ros.solvers.window import Reconstruction
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Indices = NDArray[np.intp]
 
 MAX_SECTION_S = 60.0  # s; bounds the memory of the running medians
 SECTION_MARGIN_S = 1.0  # s on both sides of a section; longer than the links between inliers

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array, Array32, Indices, Mask
 from mocap_ros.config import KeyframesConfig
 from mocap_ros.offline.keyframes.half_poses import (
     BodyHalf,
@@ -34,10 +35,6 @@ from mocap_ros.offline.keyframes.half_poses import (
     compute_distances,
     denoise_distances,
 )
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Indices = NDArray[np.intp]
 
 SINGLE_FRAME_INTERVAL_S = 1 / 30  # s; stands for the frame interval of a sequence of one frame, which has none
 # relative; incremental sums differ by rounding from direct ones, so equal costs count as ties
@@ -152,8 +149,6 @@ class _CandidateCosts:
         end_terms = (a >= 0).astype(int) + (b < len(self.times))
         return np.asarray((b - a - 1 + end_terms) * (self.padded_times[b + 1] - self.padded_times[a + 1]))
 
-
-Array32 = NDArray[np.float32]
 
 MIN_WEIGHT = 1e-9  # guards the division by the number of frames that show a joint
 

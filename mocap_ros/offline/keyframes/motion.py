@@ -21,13 +21,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array, Indices
 from mocap_ros.offline.keyframes.alignment import AlignedMotion
 from mocap_ros.offline.keyframes.image_points import build_low_pass_matrix, nan_median
 from mocap_ros.skeleton import Skeleton
 from mocap_ros.solvers.window import SolverStatus
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 Bones = Sequence[tuple[int, int]]  # (parent, child) joint indices of each bone
 

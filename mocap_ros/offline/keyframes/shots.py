@@ -8,14 +8,12 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.offline.keyframes.half_poses import estimate_torso_lengths
 from mocap_ros.offline.keyframes.image_points import nan_median
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import MIN_JOINTS_FOR_CAMERA
-
-Array = NDArray[np.float64]
 
 CUT_DISPLACEMENT = 0.5  # torso lengths between frames; more than a body moves, less than it jumps at a cut
 MAX_ABSENCE_S = 0.5  # s without a pose, after which the motion before no longer says which side is left

@@ -16,12 +16,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
 from mocap_ros.skeleton import CMU15
-
-Array = NDArray[np.float64]
 
 HALF_NAMES = ('upper', 'lower')  # names of the body halves, in the order of `split_into_halves`
 MAX_ENTRIES = 100_000  # keyframes in a file; guards against files that are not lists of keyframes
