@@ -303,7 +303,7 @@ cdef class JointProblem:
         self.lifter_weight, self.lifter_robust_scale = objective.lifter_weight, objective.lifter_robust_scale
         self.sequences, self.frames, self.joints = len(batch.counts), len(batch.times), len(objective.model.mean)
         self.bones_count, self.components = len(arrays.parents), K
-        self.weigh(objective)
+        self.weigh(objective.noise_ratio, objective.factors)
         cdef int N = self.frames, J = self.joints, B = self.bones_count, n = K + CAMERA
         cdef int D = max((d.order for d in differences), default=1)
         self.unknowns, self.distances = n, D
@@ -880,12 +880,9 @@ cdef class JointProblem:
 
     # What Python calls
 
-    def weigh(self, objective):
-        """Take the image noise and the factors of the differences of an objective."""
-        factors = np.zeros((len(objective.differences), self.frames, 3))
-        for own, difference in zip(factors, objective.differences):
-            own[:, : difference.order + 1] = difference.factors
-        self.noise_ratio, self.factors = objective.noise_ratio, factors
+    def weigh(self, noise_ratio, factors):
+        """Take the image noise (P,) over the reference and the factors (T, N, 3) of the differences."""
+        self.noise_ratio, self.factors = noise_ratio, factors
 
     def start(self, theta, rotation, log_scale, translation, int settle_steps=0, bint at_reference=False):
         """Set the point: theta (N, K), rotation (N, 3, 3), log_scale (N,), translation (N, 2).

@@ -27,6 +27,7 @@ class NewestFrames:
     log_scale: Array
     translation: Array
     units: Array
+    factors: Array
 
     def __init__(
         self, counts: Sequence[int], mean: Array, arrays: Any, sigma: Array, has_lifted: bool

@@ -28,9 +28,11 @@ cdef extern from *:
     #define MAX_APPROACH 0.5        /* of the last depth, by which a person comes nearer at most; stays in view */
     #define MIN_DEPTH_M 1e-3        /* guards the division by the depth of the body's origin */
     #define MIN_STD_M 0.01          /* a smaller standard deviation of the lifter is not believed */
+    #define LASTING_S (1.0 / 30)    /* with the next one as in `solvers.joint.objective` and `.differences` */
+    #define MIN_TIME_STEP_S 1e-4
     #define MIN_TOTAL_WEIGHT 1e-12  /* guards the division by the weights of a frame in which no joint is seen */
     """
-    const double MAX_APPROACH, MIN_DEPTH_M, MIN_STD_M, MIN_TOTAL_WEIGHT
+    const double MAX_APPROACH, MIN_DEPTH_M, MIN_STD_M, LASTING_S, MIN_TIME_STEP_S, MIN_TOTAL_WEIGHT
 
 
 cdef void extrapolate(
@@ -70,14 +72,15 @@ cdef class NewestFrames:
         times: with the next ten, those of `solvers.joint.batch.Batch`.
         theta: (N, K) with the next three the initial values, those of `solvers.joint.batch.State`.
         units: (P,) px/m.
+        factors: (1, N, 3) those of differences of order 1, by `solvers.joint.objective.weigh_motion`.
     """
 
     cdef readonly object times, starts, counts, image, score, focal, is_free, lifted, precision
-    cdef readonly object earlier_lengths, earlier_frames, theta, rotation, log_scale, translation, units
+    cdef readonly object earlier_lengths, earlier_frames, theta, rotation, log_scale, translation, units, factors
     cdef double[::1] time, focals, logs, unit
     cdef long long[::1] start, earlier
     cdef unsigned char[::1] free_frames
-    cdef double[:, :, ::1] images, lifts, precisions, rotations
+    cdef double[:, :, ::1] images, lifts, precisions, rotations, steps
     cdef double[:, ::1] scores, lengths, weights, translations, roots
     cdef Rows mean, basis
     cdef Vector sigma, mean_lengths
@@ -93,6 +96,8 @@ cdef class NewestFrames:
         self.earlier_lengths, self.earlier_frames = np.empty((P, B)), np.zeros(P, np.int64)
         self.theta, self.rotation = np.empty((N, K)), np.empty((N, 3, 3))
         self.log_scale, self.translation = np.empty(N), np.empty((N, 2))
+        self.factors = np.zeros((1, N, 3))
+        self.steps = self.factors
         self.time, self.focals, self.logs, self.unit = self.times, self.focal, self.log_scale, self.units
         self.start, self.earlier, self.free_frames = self.starts, self.earlier_frames, self.is_free.view(np.uint8)
         self.images, self.lifts, self.precisions, self.rotations = self.image, self.lifted, self.precision, self.rotation
@@ -140,6 +145,10 @@ cdef class NewestFrames:
             depth = max(dot(&camera[2, 0], &self.roots[t, 0]), MIN_DEPTH_M)
             scales[n] = focal / depth
             self.logs[t] = log(scales[n])
+        value = max(LASTING_S * (count - 1) / max(times[times.shape[0] - 1] - times[first], MIN_TIME_STEP_S), 1.0)
+        for t in range(start, start + count - 1):
+            self.steps[0, t, 1] = sqrt(value / max(self.time[t + 1] - self.time[t], MIN_TIME_STEP_S))
+            self.steps[0, t, 0] = -self.steps[0, t, 1]
         unit = find_median(scales, count)
         free(scales)
         self.unit[p] = unit

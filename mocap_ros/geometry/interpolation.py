@@ -27,10 +27,10 @@ def interpolate_linearly(times: Array, sample_times: Array, samples: Array) -> A
     """Return samples (n, D) of increasing times interpolated at times (N,); the ends hold beyond them."""
     if len(sample_times) == 1:
         return np.repeat(samples, len(times), axis=0)
-    right = np.clip(np.searchsorted(sample_times, times), 1, len(sample_times) - 1)
-    left = right - 1
-    share = np.clip((times - sample_times[left]) / (sample_times[right] - sample_times[left]), 0, 1)[:, None]
-    return np.asarray((1 - share) * samples[left] + share * samples[right])
+    left = sample_times[1:-1].searchsorted(times)
+    share = (times - sample_times[left]) / (sample_times[left + 1] - sample_times[left])
+    share = np.minimum(np.maximum(share, 0), 1)[:, None]
+    return np.asarray((1 - share) * samples[left] + share * samples[left + 1])
 
 
 def central_velocity(times: Array, points: Array) -> Array:

@@ -195,18 +195,23 @@ def find_evidence(
         focal: px.
         target: skeleton of the joints.
     """
+    joints, pairs = _find_midway(target)
+    seen = np.where(weight[..., None] > 0, rays, np.nan)
+    size = (np.fmax.reduce(seen, axis=1) - np.fmin.reduce(seen, axis=1)).max(axis=1)
+    tolerance = np.fmax(MIDWAY_SHARE * size, MIDWAY_PX / focal)
+    middles = seen[:, pairs].sum(axis=2) / 2
+    is_midway = np.abs(rays[:, joints] - middles).max(axis=2) <= tolerance[:, None]  # not where one is not seen
     is_evidence = np.repeat(build_joint_map(source, target).is_evidence[None], len(weight), axis=0)
-    is_seen = weight[..., None] > 0
-    seen = np.where(is_seen, rays, np.nan)
-    largest, least = np.where(is_seen, rays, -np.inf).max(axis=1), np.where(is_seen, rays, np.inf).min(axis=1)
-    size = (largest - least).max(axis=1)
-    tolerance = np.maximum(MIDWAY_SHARE * size, MIDWAY_PX / focal)
-    for joint, pair in _MIDWAY.items():
-        if joint in target.joints:
-            middle = seen[:, [target.index(j) for j in pair]].mean(axis=1)
-            off = np.abs(rays[:, target.index(joint)] - middle).max(axis=1)
-            is_evidence[:, target.index(joint)] &= ~(off <= tolerance)  # NaN where one of the pair is not seen
+    is_evidence[:, joints] &= ~is_midway
     return np.asarray(is_evidence | ((is_evidence & (weight > 0)).sum(axis=1) < MIN_TARGET_JOINTS)[:, None])
+
+
+@lru_cache(maxsize=MAX_CACHED_MAPS)
+def _find_midway(target: Skeleton) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the joints (M,) of a skeleton that some programs put between two others, and these (M, 2)."""
+    names = [joint for joint in _MIDWAY if joint in target.joints]
+    pairs = [[target.index(j) for j in _MIDWAY[joint]] for joint in names]
+    return np.array([target.index(joint) for joint in names], np.intp), np.array(pairs, np.intp).reshape(-1, 2)
 
 
 def _list_usable_names(target: Skeleton) -> list[str]:

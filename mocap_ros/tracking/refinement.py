@@ -34,6 +34,7 @@ from mocap_ros.models.base_poses import BasePoses, arrange_model
 from mocap_ros.models.joint_std import HIDDEN_SHARE
 from mocap_ros.solvers.joint.batch import Batch, State
 from mocap_ros.solvers.joint.lifted_start import ALTERNATIONS
+from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
 from mocap_ros.solvers.joint.solver import WARM_DAMPING, continue_from
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
@@ -67,15 +68,18 @@ def refine(kept: Refinement, tracks: Sequence[Track], parts: Sequence[tuple[int,
     newest = collect_newest_frames(tracks, parts, model, kept.newest)
     if newest is not kept.newest:
         kept.newest, kept.problem = newest, None
-    batch = Batch(
-        *(newest.times, newest.starts, newest.counts, newest.image, newest.score, newest.focal, newest.is_free),
-        *(newest.lifted, newest.precision, newest.earlier_lengths, newest.earlier_frames),
-    )
     state = State(newest.theta, newest.rotation, newest.log_scale, newest.translation)
     noise = None
     if config.adapt_noise:
         noise = np.array([max(track.solved.noise, config.noise_floor) for track in tracks])
-    kept.problem = problem = continue_from(batch, state, noise, model, config, kept=kept.problem)
+    problem = kept.problem
+    if problem is None or config.pose_acceleration_weight > 0:
+        measured = newest.times, newest.starts, newest.counts, newest.image, newest.score, newest.focal
+        known = newest.is_free, newest.lifted, newest.precision, newest.earlier_lengths, newest.earlier_frames
+        kept.problem = problem = continue_from(Batch(*measured, *known), state, noise, model, config)
+    else:
+        problem.weigh(np.ones(len(tracks)) if noise is None else noise / NOISE_REFERENCE, newest.factors)
+        problem.start(*state, settle_steps=1, at_reference=True)
     problem.minimise(config.max_iterations, config.tolerance, WARM_DAMPING)
     before, seen = [track.solved for track in tracks], [track.observed for track in tracks]
     people = [fixed for _, fixed in parts], seen, before

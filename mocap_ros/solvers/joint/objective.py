@@ -132,6 +132,14 @@ class JointObjective:
             differences=tuple(differences),
         )
 
+    @property
+    def factors(self) -> Array:
+        """The factors (T, N, 3) of all differences, 0 behind those of order 1."""
+        factors = np.zeros((len(self.differences), len(self.batch.times), 3))
+        for own, difference in zip(factors, self.differences, strict=True):
+            own[:, : difference.order + 1] = difference.factors
+        return factors
+
     def truncate(self, k: int) -> JointObjective:
         """Return the objective of the first `k` base poses."""
         weights = [np.concatenate([d.weight[:k], d.weight[-CAMERA_FEATURES:]]) for d in self.differences]

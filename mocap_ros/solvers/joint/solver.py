@@ -105,22 +105,14 @@ def continue_from(
     model: BasePoses,
     config: SolverConfig,
     settle_steps: int = 1,
-    kept: engine.JointProblem | None = None,
 ) -> engine.JointProblem:
-    """Return the problem of a batch that starts from a state under image noise (P,) m; None for the reference.
-
-    It is `kept` if there is one, of other numbers in the same arrays of a batch.
-    """
+    """Return the problem of a batch that starts from a state under image noise (P,) m; None for the reference."""
     activity = None
     if noise is not None and config.pose_acceleration_weight > 0:
         frames = batch.find_best_seen(COARSE_FRAME_STEP_S)
         activity = measure_activities(state.select(frames), batch.select(frames), batch)
     objective = JointObjective.build(batch, model, config, noise, None, activity)
-    if kept is None:
-        return objective.compile(state, settle_steps, at_reference=True)
-    kept.weigh(objective)
-    kept.start(*state, settle_steps, at_reference=True)
-    return kept
+    return objective.compile(state, settle_steps, at_reference=True)
 
 
 def solve_hypotheses(

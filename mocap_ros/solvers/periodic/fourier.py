@@ -50,11 +50,11 @@ class FourierSeries:
 
     def differentiate(self, times: Array) -> tuple[Array, Array]:
         """Return the derivatives of the functions at times (N,) s: terms (N, P), slopes (N, K + 1)."""
-        t = (times - self.origin)[:, None]
-        h = np.arange(1, len(self.coefficients) // 2 + 1)
-        angle = self.omega * t * h
-        slopes = np.stack([-h * t * np.sin(angle), h * t * np.cos(angle)], axis=-1).reshape(len(times), -1)
-        return make_terms(angle), slopes @ self.coefficients[1:]
+        by_omega = (times - self.origin)[:, None] * np.arange(1, len(self.coefficients) // 2 + 1)
+        terms = make_terms(self.omega * by_omega)
+        slopes = np.empty((len(times), terms.shape[1] - 1))
+        slopes[:, ::2], slopes[:, 1::2] = -by_omega * terms[:, 2::2], by_omega * terms[:, 1::2]
+        return terms, slopes @ self.coefficients[1:]
 
     def evaluate(self, times: Array) -> Array:
         """Return the weights (m) and, in the last column, the heading (rad), (N, K + 1), at the times (N,) s."""
@@ -110,8 +110,10 @@ def list_scanned_frequencies(times: Array) -> Array:
 
 def make_terms(angle: Array) -> Array:
     """Return the terms (..., 2 H + 1) 1, cos, sin, cos 2, sin 2, ... of the angles (..., H) h omega (t - t0)."""
-    pairs = np.stack([np.cos(angle), np.sin(angle)], axis=-1).reshape(*angle.shape[:-1], -1)
-    return np.concatenate([np.ones_like(pairs[..., :1]), pairs], axis=-1)
+    terms = np.ones((*angle.shape[:-1], 2 * angle.shape[-1] + 1))
+    np.cos(angle, out=terms[..., 1::2])
+    np.sin(angle, out=terms[..., 2::2])
+    return terms
 
 
 def fit_with_ridge(terms: Array, theta: Array, share: Array) -> tuple[Array, Array]:

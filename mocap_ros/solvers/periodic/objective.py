@@ -92,7 +92,7 @@ class PeriodicObjective:
     def set_noise(self, noise: float) -> None:
         """Set the image noise (standard deviation, m), to which `MODEL_ERROR` is added."""
         self.body = self.body.with_noise(np.array([np.hypot(noise, MODEL_ERROR)]))
-        self.problem.weigh(self.body)
+        self.problem.weigh(self.body.noise_ratio, self.body.factors)
 
     def with_still_camera(self, config: SolverConfig) -> PeriodicObjective:
         """Return the objective for a camera that hardly moves."""

@@ -45,12 +45,13 @@ def measure_repetition(times: Array, theta: Array, cadence: float) -> float:
     longest_s = min((1 + MAX_STRETCH) / cadence, known_s)
     cycles_s = np.linspace((1 - MAX_STRETCH) / cadence, longest_s, STRETCHES)
     ages_s = np.arange(0, NEWEST_S + 1 / cadence, SAMPLE_STEP_S)
-    poses = interpolate_linearly(times[-1] - ages_s, times, theta)
-    spread = ((poses - poses.mean(axis=0)) ** 2).sum(axis=1).mean()
-    newest = ages_s <= NEWEST_S
-    before = interpolate_linearly((times[-1] - ages_s[newest] - cycles_s[:, None]).ravel(), times, theta)
-    changes = poses[newest] - before.reshape(STRETCHES, -1, theta.shape[1])
-    change = (changes**2).sum(axis=2).mean(axis=1).min()
+    newest = int(ages_s.searchsorted(NEWEST_S, side='right'))
+    before_s = ages_s[:newest] + cycles_s[:, None]
+    poses = interpolate_linearly(times[-1] - np.concatenate([ages_s, before_s.ravel()]), times, theta)
+    poses, before = poses[: len(ages_s)], poses[len(ages_s) :].reshape(STRETCHES, newest, -1)
+    moved, changes = poses - poses.mean(axis=0), poses[:newest] - before
+    spread = np.vdot(moved, moved) / len(poses)
+    change = np.einsum('sik,sik->s', changes, changes).min() / newest
     return float(1 - change / (2 * spread)) if spread > 0 else math.nan
 
 
