@@ -50,7 +50,9 @@ MAX_CHUNK_BYTES = (
 PIECE_BYTES = 1 << 20  # that are searched for a chunk at a time
 
 # What the parsers and decompressors raise for damaged data.
-PARSE_ERRORS = (struct.error, ValueError, KeyError, EOFError, RuntimeError, McapError, zstandard.ZstdError)
+PARSE_ERRORS = (
+    struct.error, ValueError, KeyError, EOFError, RuntimeError, OverflowError, McapError, zstandard.ZstdError,
+)  # fmt: skip
 
 
 class ScannedMessage(NamedTuple):
