@@ -6,7 +6,7 @@
 import io
 import json
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -195,13 +195,19 @@ def make_yamls() -> list[bytes]:
 
 def make_mcaps() -> list[bytes]:
     """Return files without compression and checksums, which mutations would break, and one of each compression."""
-    plain = CompressionType.NONE
-    return [_make_mcap(compression) for compression in CompressionType] + [
-        _make_mcap(plain, is_other_version=True)
+    topic = make_topic('/keypoints', KEYPOINTS)
+    qos = {'offered_qos_profiles': encode_yaml([dict(q) for q in topic.qos])}
+    plain, *others = CompressionType
+    return [
+        make_mcap(plain),
+        make_mcap(plain, OTHER_VERSION),
+        *(make_mcap(compression, topic.definition, qos) for compression in others),
     ]
 
 
-def _make_mcap(compression: CompressionType, *, is_other_version: bool = False) -> bytes:
+def make_mcap(
+    compression: CompressionType, definition: str = '', metadata: Mapping[str, str] | None = None
+) -> bytes:
     has_checksums = compression != CompressionType.NONE
     stream = io.BytesIO()
     writer = McapWriter(
@@ -209,15 +215,11 @@ def _make_mcap(compression: CompressionType, *, is_other_version: bool = False) 
         enable_data_crcs=has_checksums,
     )  # fmt: skip
     writer.start('ros2', 'fuzz')
-    definition, metadata = '', {}
-    if has_checksums:
-        topic = make_topic('/keypoints', KEYPOINTS)
-        definition = topic.definition
-        metadata = {'offered_qos_profiles': encode_yaml([dict(q) for q in topic.qos])}
-    if is_other_version:
-        definition = OTHER_VERSION
     channel = writer.register_channel(
-        '/keypoints', 'cdr', writer.register_schema(KEYPOINTS, 'ros2msg', definition.encode()), metadata
+        '/keypoints',
+        'cdr',
+        writer.register_schema(KEYPOINTS, 'ros2msg', definition.encode()),
+        dict(metadata or {}),
     )
     for i in range(FRAMES):
         writer.add_message(channel, START_NS + i * STEP_NS, make_keypoints(i), START_NS)
@@ -267,10 +269,9 @@ def make_folders() -> list[bytes]:
         (file,) = (Path(folder) / 'a').glob('*.mcap')
         metadata = (Path(folder) / 'a' / METADATA).read_text().replace(file.name, 'a_0.mcap')
         content = file.read_bytes()
-    compressed = metadata.replace("compression_format: ''", 'compression_format: zstd')
-    compressed = compressed.replace("compression_mode: ''", 'compression_mode: FILE').replace(
-        '.mcap', '.mcap.zstd'
-    )
+    compressed = metadata.replace('.mcap', '.mcap.zstd')
+    for field, value in (('format', 'zstd'), ('mode', 'FILE')):
+        compressed = compressed.replace(f"compression_{field}: ''", f'compression_{field}: {value}')
     return [
         metadata.encode() + FILE_SEPARATOR + content,
         compressed.encode() + FILE_SEPARATOR + zstandard.ZstdCompressor().compress(content),

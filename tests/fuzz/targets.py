@@ -112,16 +112,6 @@ def read_json(data: bytes, folder: Path) -> None:
     _read_all(partial(load_input, place, InputOptions(VIDEO)) for place in (path, folder))
 
 
-def read_bvh(data: bytes, folder: Path) -> None:
-    (folder / 'a.bvh').write_bytes(data)
-    load_trials(folder / 'a.bvh')
-
-
-def read_c3d(data: bytes, folder: Path) -> None:
-    (folder / 'a.c3d').write_bytes(data)
-    load_trials(folder / 'a.c3d')
-
-
 def read_npz(data: bytes, folder: Path) -> None:
     """Read an .npz file as everything that it may be."""
     path = folder / 'a.npz'
@@ -165,15 +155,6 @@ def _read_bag(path: Path) -> None:
                     decode_frame(message.raw, message.type, LIMITS, IMAGE_SIZE)
 
 
-def _make_bag_reader(suffix: str) -> Read:
-
-    def read(data: bytes, folder: Path) -> None:
-        (folder / f'a{suffix}').write_bytes(data)
-        _read_bag(folder / f'a{suffix}')
-
-    return read
-
-
 def recover_bag(data: bytes, folder: Path) -> None:
     """Recover what can be recovered of a bag; the first bytes of an SQLite3 bag say what it is."""
     path = folder / ('a.db3' if data.startswith(b'SQLite') else 'a.mcap')
@@ -200,16 +181,26 @@ def read_bag_folder(data: bytes, folder: Path) -> None:
     _read_bag(folder)
 
 
+def _as_file(name: str, read: Callable[[Path], object]) -> Read:
+    """Return a target that writes the bytes into a file, which is then read."""
+
+    def read_file(data: bytes, folder: Path) -> None:
+        (folder / name).write_bytes(data)
+        read(folder / name)
+
+    return read_file
+
+
 TARGETS: dict[str, Read] = {
     'messages': read_message,
     'json': read_json,
-    'bvh': read_bvh,
-    'c3d': read_c3d,
+    'bvh': _as_file('a.bvh', load_trials),
+    'c3d': _as_file('a.c3d', load_trials),
     'npz': read_npz,
     'yaml': read_yaml,
-    'mcap': _make_bag_reader('.mcap'),
-    'db3': _make_bag_reader('.db3'),
-    'ros1': _make_bag_reader('.bag'),
+    'mcap': _as_file('a.mcap', _read_bag),
+    'db3': _as_file('a.db3', _read_bag),
+    'ros1': _as_file('a.bag', _read_bag),
     'recovery': recover_bag,
     'folder': read_bag_folder,
 }

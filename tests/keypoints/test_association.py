@@ -15,19 +15,8 @@ from scipy.optimize import linear_sum_assignment
 from mocap_ros.config import Config
 from mocap_ros.formats.detections import Detections, associate_people, create_person
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.association import (
-    MIN_DETECTION_SIZE,
-    MIN_SHARED_JOINTS,
-    RADIUS_OFFSET,
-    VELOCITY_SPAN_S,
-    Array,
-    ExpectedPerson,
-    choose_pairs,
-    expect_person,
-    measure_distances,
-    measure_sizes,
-    show_people,
-)
+from mocap_ros.keypoints import association
+from mocap_ros.keypoints.association import Array, ExpectedPerson, choose_pairs, measure_distances, measure_sizes
 from mocap_ros.keypoints.identities import EXCHANGED_IDS
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15
@@ -41,9 +30,9 @@ JOINTS = len(MIRROR)
 def test_joints_that_coincide_show_no_person() -> None:
     rays, weight = np.full((4, 5, 2), 0.3), np.ones((4, 5))
     weight[1] = 0  # nothing is seen
-    rays[2:, 0] += 10 * MIN_DETECTION_SIZE
+    rays[2:, 0] += 10 * association.MIN_DETECTION_SIZE
     weight[3, 0] = 0
-    assert show_people(measure_sizes(rays, weight)).tolist() == [False, False, True, False]
+    assert association.show_people(measure_sizes(rays, weight)).tolist() == [False, False, True, False]
 
 
 def make_body(rng: np.random.Generator, x: float = 0.0, size: float = 0.1) -> Array:
@@ -63,11 +52,11 @@ def compute_slowly(person: ExpectedPerson, points: Array, weight: Array) -> tupl
     for labels in (np.arange(JOINTS), MIRROR):
         shared = known & seen[labels]
         a, b = person.points[shared], points[labels][shared]
-        if shared.sum() < MIN_SHARED_JOINTS:
+        if shared.sum() < association.MIN_SHARED_JOINTS:
             growth = math.log(sizes[1] / sizes[0])
             offset = float(np.linalg.norm(points[seen].mean(axis=0) - person.points[known].mean(axis=0)))
         else:
-            extra = RADIUS_OFFSET * max(sizes)
+            extra = association.RADIUS_OFFSET * max(sizes)
             growth = math.log((radius(b) + extra) / (radius(a) + extra))
             offset = float(np.median(np.linalg.norm(a - b, axis=1)))
         candidates.append((offset / max(sizes) + abs(growth), growth))
@@ -95,17 +84,15 @@ def test_a_person_is_expected_where_the_movement_goes(rng: np.random.Generator) 
     weight = np.ones((6, JOINTS))
     weight[3:, 2] = 0  # this joint was seen 3 frames before the newest
     weight[:, 5] = 0  # and this one never
+    known = np.arange(JOINTS) != 5
+    moved = np.array([0.02, -0.01]) / step_s
     for gap in (1, 2, 100):
         age_s: Array = (np.arange(6.0)[::-1] + gap) * step_s
-        person = expect_person(frames, weight, age_s)
-        moved = np.array([0.02, -0.01]) / step_s
-        known = np.arange(JOINTS) != 5
-        at_newest = body + [0.1, -0.05] + moved * min(gap * step_s, VELOCITY_SPAN_S)
-        assert person.points[known & (np.arange(JOINTS) != 2)] == pytest.approx(
-            at_newest[known & (np.arange(JOINTS) != 2)]
-        )
-        held = body[2] + [0.04, -0.02] + moved * min((gap + 3) * step_s, VELOCITY_SPAN_S)
-        assert person.points[2] == pytest.approx(held)
+        person = association.expect_person(frames, weight, age_s)
+        span_s, longer_s = (min(g * step_s, association.VELOCITY_SPAN_S) for g in (gap, gap + 3))
+        expected = body + [0.1, -0.05] + moved * span_s
+        expected[2] = body[2] + [0.04, -0.02] + moved * longer_s
+        assert person.points[known] == pytest.approx(expected[known])
         assert person.weight.tolist() == known.astype(float).tolist()
 
 

@@ -20,6 +20,8 @@ from mocap_ros.keypoints.rays import convert_to_rays
 from mocap_ros.keypoints.validation import PointPlaces, mark_unseen
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, LAYOUT_NAMES, keypoint_layout
 
+Array = NDArray[np.float64]
+
 
 @pytest.mark.parametrize('name', LAYOUT_NAMES)
 def test_every_layout_gives_all_model_joints(name: str) -> None:
@@ -32,34 +34,33 @@ def test_every_layout_gives_all_model_joints(name: str) -> None:
 
 def test_missing_joints_are_derived_in_order_of_precision() -> None:
     joints = keypoint_layout('coco17').joints
-    points = np.zeros((len(joints), 2))
-    score = np.full(len(joints), 0.8)
-    at = {n: joints.index(n) for n in joints}
-    points[at['lshoulder']], points[at['rshoulder']] = (10, 100), (-10, 100)
-    points[at['lear']], points[at['rear']] = (4, 80), (-4, 80)
-    points[at['nose']] = (0, 80)
-    mapped, mapped_score = build_joint_map(joints).apply(points, score)
-    assert mapped[CMU15.index('neck')] == pytest.approx([0, 100])
-    assert mapped[CMU15.index('head')] == pytest.approx([0, 74])
-    assert mapped_score[CMU15.index('head')] == pytest.approx(0.4)
-    score[at['lear']] = 0
-    points[at['leye']] = points[at['reye']] = (0, 82)
-    mapped, mapped_score = build_joint_map(joints).apply(points, score)
-    assert mapped[CMU15.index('head')] == pytest.approx([0, 100 + 1.2 * (82 - 100)])
-    score[[at['leye'], at['reye'], at['rear']]] = 0
-    mapped, mapped_score = build_joint_map(joints).apply(points, score)
-    assert mapped[CMU15.index('head')] == pytest.approx([0, 100 + 1.3 * (80 - 100)])
-    score[at['lshoulder']] = 0
-    mapped, mapped_score = build_joint_map(joints).apply(points, score)
-    assert np.isnan(mapped[CMU15.index('neck')]).all()
-    assert mapped_score[CMU15.index('neck')] == 0
+    points, score, at = np.zeros((len(joints), 2)), np.full(len(joints), 0.8), joints.index
+
+    def derive(name: str) -> tuple[Array, float]:
+        mapped, mapped_score = build_joint_map(joints).apply(points, score)
+        return mapped[CMU15.index(name)], mapped_score[CMU15.index(name)]
+
+    points[at('lshoulder')], points[at('rshoulder')] = (10, 100), (-10, 100)
+    points[at('lear')], points[at('rear')] = (4, 80), (-4, 80)
+    points[at('nose')] = (0, 80)
+    assert derive('neck')[0] == pytest.approx([0, 100])
+    assert derive('head')[0] == pytest.approx([0, 74])
+    assert derive('head')[1] == pytest.approx(0.4)
+    score[at('lear')] = 0
+    points[at('leye')] = points[at('reye')] = (0, 82)
+    assert derive('head')[0] == pytest.approx([0, 100 + 1.2 * (82 - 100)])
+    score[[at('leye'), at('reye'), at('rear')]] = 0
+    assert derive('head')[0] == pytest.approx([0, 100 + 1.3 * (80 - 100)])
+    score[at('lshoulder')] = 0
+    assert np.isnan(derive('neck')[0]).all()
+    assert derive('neck')[1] == 0
 
 
 @pytest.mark.parametrize(
     ('layout', 'derived'), [('coco17', {'neck', 'pelvis'}), ('body25', set()), ('mediapipe33', {'neck', 'pelvis'})]
 )
 def test_joints_between_others_are_no_evidence_but_where_little_is_seen(layout: str, derived: set[str]) -> None:
-    rays, weight = np.random.default_rng(0).normal(size=(3, len(CMU15.joints), 2)), np.ones((3, len(CMU15.joints)))
+    rays, weight = np.random.default_rng(0).normal(size=(3, 15, 2)), np.ones((3, 15))
     rays[2, CMU15.index('neck')] = rays[2, [CMU15.index('lshoulder'), CMU15.index('rshoulder')]].mean(axis=0)
     weight[1, [CMU15.index(j) for j in CMU15.joints if j[0] in 'lr' and not j.endswith('shoulder')]] = 0
     rays[2, CMU15.index('neck')] += [1 / 600, -1 / 600]  # in whole pixels
@@ -78,27 +79,23 @@ def test_too_few_or_repeated_joints_are_refused() -> None:
 
 def test_joints_of_mediapipe_are_moved_to_where_motion_capture_has_them() -> None:
     joints = keypoint_layout('mediapipe33').joints
-    at = {n: joints.index(n) for n in joints}
-    points, score = np.zeros((len(joints), 2)), np.full(len(joints), 0.9)
-    points[at['lshoulder']], points[at['rshoulder']] = (40, 0), (-40, 0)  # px, seen from behind, y down
-    points[at['lhip']], points[at['rhip']] = (20, 120), (-20, 120)
-    points[at['lankle']], points[at['lelbow']] = (20, 300), (50, 60)
-    score[at['rshoulder']] = 0.1
-    joint_map = build_joint_map(joints)
-    mapped, mapped_score = joint_map.apply(points, score)
-    px_per_m = 120 / 0.51  # of the trunk
-    ankle = mapped[CMU15.index('lankle')] - points[at['lankle']]
-    assert ankle / px_per_m == pytest.approx([-0.006, 0.024], abs=0.001), (
-        'm: MediaPipe sees it higher and outwards'
-    )
-    elbow = mapped[CMU15.index('lelbow')] - points[at['lelbow']]
-    assert elbow / px_per_m == pytest.approx([0.013, 0.014], abs=0.001), 'm: MediaPipe sees it higher and inwards'
-    assert mapped_score[CMU15.index('lankle')] == 0.9, 'the trunk decides nothing about its score'
-    assert mapped[CMU15.index('lhip')] == pytest.approx(points[at['lhip']])
-    points[at['rhip']], score[at['rhip']] = np.nan, 0
-    mapped, mapped_score = joint_map.apply(points, score)
-    assert mapped[CMU15.index('lankle')] == pytest.approx(points[at['lankle']]), 'without the trunk as it is'
-    assert mapped_score[CMU15.index('lankle')] == 0.9
+    points, score, at = np.zeros((len(joints), 2)), np.full(len(joints), 0.9), joints.index
+
+    def move(name: str) -> Array:
+        """Return by how many m a joint is moved, by the length of the trunk."""
+        mapped, mapped_score = build_joint_map(joints).apply(points, score)
+        assert mapped_score[CMU15.index(name)] == 0.9, 'the trunk decides nothing about its score'
+        return (mapped[CMU15.index(name)] - points[at(name)]) * 0.51 / 120
+
+    points[at('lshoulder')], points[at('rshoulder')] = (40, 0), (-40, 0)  # px, seen from behind, y down
+    points[at('lhip')], points[at('rhip')] = (20, 120), (-20, 120)
+    points[at('lankle')], points[at('lelbow')] = (20, 300), (50, 60)
+    score[at('rshoulder')] = 0.1
+    assert move('lankle') == pytest.approx([-0.006, 0.024], abs=0.001), 'MediaPipe sees it higher and outwards'
+    assert move('lelbow') == pytest.approx([0.013, 0.014], abs=0.001), 'MediaPipe sees it higher and inwards'
+    assert move('lhip') == pytest.approx([0, 0])
+    points[at('rhip')], score[at('rhip')] = np.nan, 0
+    assert move('lankle') == pytest.approx([0, 0]), 'without the trunk as it is'
 
 
 def test_scores_of_a_person_are_divided_by_the_largest_of_those_seen_if_it_exceeds_one() -> None:
@@ -158,8 +155,6 @@ def test_the_size_of_the_image_is_that_of_message_camera_user_or_the_smallest_th
     assert found == size
 
 
-Array = NDArray[np.float64]
-
 NAMES = keypoint_layout('coco17').joints
 MIN_SCORE = 0.3
 MAX_POINT_PX = 1e7  # coordinates beyond it count as not seen
@@ -202,9 +197,8 @@ def test_rays_are_those_of_the_formula(lens: Distortion, rng: np.random.Generato
     for index in np.ndindex(3, 20):
         with np.errstate(invalid='ignore'):
             is_used = (np.abs(points[index]) < MAX_POINT_PX).all(axis=-1) & (score[index] >= MIN_SCORE)
-        expected, expected_weight = map_plainly(
-            joint_map, points[index], np.where(is_used, np.minimum(score[index], 1), 0)
-        )
+        used_score = np.where(is_used, np.minimum(score[index], 1), 0)
+        expected, expected_weight = map_plainly(joint_map, points[index], used_score)
         seen = expected_weight > 0
         seen_count += int(seen.sum())
         assert weight[index] == pytest.approx(expected_weight)
@@ -214,10 +208,6 @@ def test_rays_are_those_of_the_formula(lens: Distortion, rng: np.random.Generato
 
 
 PINHOLE = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
-
-
-def make_body(rng: np.random.Generator, frames: int) -> tuple[np.ndarray, np.ndarray]:
-    return rng.normal(size=(frames, len(BODY26.joints), 2)), rng.uniform(0.1, 1, (frames, len(BODY26.joints)))
 
 
 @pytest.mark.parametrize(
@@ -231,7 +221,7 @@ def make_body(rng: np.random.Generator, frames: int) -> tuple[np.ndarray, np.nda
 def test_feet_go_with_legs_hands_with_arms_and_the_face_with_the_shoulders(
     part: str, exchanged: set[str], rng: np.random.Generator
 ) -> None:
-    points, weight = make_body(rng, 3)
+    points, weight = rng.normal(size=(3, 26, 2)), rng.uniform(0.1, 1, (3, 26))
     is_swapped = np.zeros((3, len(PARTS)), bool)
     is_swapped[1, PARTS.index(part)] = True
     new_points, new_weight = join_body(*exchange_body_sides(*split_body(points, weight), is_swapped))

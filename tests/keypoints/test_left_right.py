@@ -50,9 +50,8 @@ def swap(points: np.ndarray, is_swapped: np.ndarray) -> np.ndarray:
 
 def run_filter(swap_filter: SwapFilter, points: np.ndarray, weight: np.ndarray = SEEN) -> SwapFilter:
     for time_s, image, score in zip(TIMES, points, weight, strict=False):
-        swap_filter = swap_filter.update(
-            float(time_s), image, score, float(measure_sizes(image[None], score[None])[0])
-        )
+        (size,) = measure_sizes(image[None], score[None])
+        swap_filter = swap_filter.update(float(time_s), image, score, float(size))
     return swap_filter
 
 
@@ -184,14 +183,8 @@ def test_the_compiled_steps_are_those_of_the_formulas(walk: np.ndarray, rng: np.
 
 
 def test_exchanged_lower_joints_cost_by_how_much_their_lines_get_longer() -> None:
-    joints = {
-        'lshoulder': (10.0, 0.0),
-        'rshoulder': (-10.0, 0.0),
-        'lhip': (8.0, 40.0),
-        'rhip': (-8.0, 40.0),
-        'lelbow': (-12.0, 5.0),  # arms crossed in front of the body
-        'relbow': (12.0, 5.0),
-    }
+    joints = {'lshoulder': (10.0, 0.0), 'rshoulder': (-10.0, 0.0), 'lhip': (8.0, 40.0), 'rhip': (-8.0, 40.0)}
+    joints |= {'lelbow': (-12.0, 5.0), 'relbow': (12.0, 5.0)}  # arms crossed in front of the body
     points, weight = np.zeros((15, 2)), np.ones(15)
     for name, point in joints.items():
         points[CMU15.index(name)] = point

@@ -1,17 +1,21 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Training examples: synthetic postures, errors of synthetic detectors, and targets that know nothing of them."""
+"""Examples of synthetic postures and detectors, with targets that know nothing of their errors; base poses."""
 
 import numpy as np
 import pytest
 
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.errors import ModelError
+from mocap_ros.geometry import rotations
+from mocap_ros.geometry.rotations import rotation_from_vector
+from mocap_ros.models.base_poses import BasePoses, mirror_poses
 from mocap_ros.models.lifter_input import HISTORY_SLOTS_S, JOINT_COUNT, MIRROR_PERMUTATION
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 from mocap_ros.training import synthesis
 from mocap_ros.training.detector_errors import SWAP_SHARE, DetectorErrors
 from mocap_ros.training.example_arrays import Array, RandomArrays, add_bones, find_trunks
+from mocap_ros.training.fit_base_poses import fit_base_poses
 from mocap_ros.training.motion_library import MotionLibrary, balance_trials
 from mocap_ros.training.postures import KINDS, joint_indices, take_postures
 from mocap_ros.training.synthesis import ExampleSynthesiser
@@ -68,9 +72,8 @@ def test_the_target_is_the_true_pose(library: MotionLibrary, monkeypatch: pytest
         monkeypatch.setattr(synthesis, 'OFFSET_SIZE_RANGE', (factor, factor))
         batches.append(ExampleSynthesiser(library, seed=1).make_batch(EXAMPLES))
     small, large = batches
-    assert large.target * large.size[:, None, None] == pytest.approx(
-        small.target * small.size[:, None, None], abs=1e-5
-    )
+    true, same = (batch.target * batch.size[:, None, None] for batch in batches)
+    assert true == pytest.approx(same, abs=1e-5)
     assert np.abs(large.newest - small.newest).max() > 0.01
 
 
@@ -149,20 +152,12 @@ def test_trunks_are_upright_or_lie(standing: Array, kind: str, up: float) -> Non
 
 DETECTIONS = 400
 SLOTS = len(HISTORY_SLOTS_S)
-ALWAYS = np.ones((DETECTIONS, SLOTS), bool)
-NEVER_PRECISE = np.zeros(DETECTIONS, bool)
-NO_DEPTH = np.zeros((DETECTIONS, JOINT_COUNT), np.float32)
-ALL_JOINTS = np.ones((DETECTIONS, JOINT_COUNT), bool)
 LIMBS = tuple(name for name in CMU15.joints if name not in ('head', 'neck', 'pelvis'))
 
 
 @pytest.fixture
 def errors() -> DetectorErrors:
     return DetectorErrors(RandomArrays(0))
-
-
-def make_image() -> Array:
-    return np.zeros((DETECTIONS, SLOTS, JOINT_COUNT, 2), np.float32)
 
 
 def test_a_swap_exchanges_points_with_their_scores(errors: DetectorErrors) -> None:
@@ -172,17 +167,18 @@ def test_a_swap_exchanges_points_with_their_scores(errors: DetectorErrors) -> No
     np.testing.assert_allclose(score, image[..., 0] / 100, rtol=1e-6)
     swapped = image[..., 0] != number
     assert np.isin(image[..., 0], number).all()
-    np.testing.assert_array_equal(
-        image[..., 0][swapped], np.broadcast_to(MIRROR_PERMUTATION, swapped.shape)[swapped]
-    )
+    np.testing.assert_array_equal(image[..., 0], np.where(swapped, MIRROR_PERMUTATION, number))
     share = swapped.any(axis=(1, 2)).mean()
     assert 0.75 * SWAP_SHARE < share < 1.25 * SWAP_SHARE
 
 
 def test_detections_are_near_the_truth_where_they_are_seen(errors: DetectorErrors) -> None:
-    found, score = errors.detect(make_image(), NO_DEPTH, ALWAYS, ALL_JOINTS, NEVER_PRECISE)
+    image, no_depth = np.zeros((DETECTIONS, SLOTS, JOINT_COUNT, 2)), np.zeros((DETECTIONS, JOINT_COUNT))
+    always, all_joints = np.ones((DETECTIONS, SLOTS), bool), np.ones((DETECTIONS, JOINT_COUNT), bool)
+    given = image.astype(np.float32), no_depth.astype(np.float32), always, all_joints, np.zeros(DETECTIONS, bool)
+    found, score = errors.detect(*given)
     seen = score > 0
-    assert found.shape == (DETECTIONS, SLOTS, JOINT_COUNT, 2)
+    assert found.shape == image.shape
     assert ((score >= 0) & (score <= 1)).all()
     assert 0.6 < seen[..., joint_indices(*LIMBS)].mean() < 0.95
     assert 0.01 < np.median(np.abs(found[seen])) < 0.03, 'm'
@@ -196,3 +192,60 @@ def test_a_state_is_kept_from_slot_to_slot(errors: DetectorErrors) -> None:
     keep = np.exp(-HISTORY_SLOTS_S[-1] / (length * (1 - share)))
     assert older[newer].mean() == pytest.approx(share + (1 - share) * keep, abs=0.01)
     assert older[~newer].mean() == pytest.approx(share - share * keep, abs=0.01)
+
+
+def test_random_bodies_have_equal_left_and_right_bones(walk_model: BasePoses) -> None:
+    standing = (walk_model.mean + mirror_poses(walk_model.mean, CMU15)) / 2
+    direction = (walk_model.components[0] + mirror_poses(walk_model.components[0], CMU15)) / 2
+    poses = standing + 0.2 * np.sin(np.linspace(0, 6, 30))[:, None, None] * direction
+    model = fit_base_poses([poses], alignment='heading', bodies=6)
+    assert model.mean == pytest.approx(mirror_poses(model.mean, CMU15), abs=1e-6)
+    for component in model.components:
+        assert component == pytest.approx(mirror_poses(component, CMU15), abs=1e-4)
+    assert len(model.std) > 3, 'the bodies differ'
+
+
+def test_a_share_counts_as_often_as_the_trial_were_there(walk_model: BasePoses, rng: np.random.Generator) -> None:
+    one, other = (walk_model.poses(rng.normal(0, 0.1, (20, 5))) for _ in range(2))
+    weighted = fit_base_poses([one, other], shares=[3, 1], alignment='heading', mirror=True, bodies=1)
+    repeated = fit_base_poses([one, one, one, other], alignment='heading', mirror=True)
+    plain = fit_base_poses([one, other], shares=[3, 1], alignment='heading', mirror=True)
+    assert plain.mean == pytest.approx(repeated.mean, abs=1e-6)
+    assert plain.std == pytest.approx(repeated.std, rel=1e-4)
+    assert plain.stature == pytest.approx(repeated.stature)
+    assert weighted.std[: len(plain.std)] != pytest.approx(plain.std, rel=1e-4), 'the bodies differ'
+
+
+@pytest.mark.parametrize('alignment', ['rotation', 'heading'])
+def test_fit_spans_the_poses_it_was_trained_on(
+    rng: np.random.Generator, walk_model: BasePoses, alignment: str
+) -> None:
+    theta = rng.normal(size=(400, 3)) * walk_model.std[:3]
+    turns = rotation_from_vector(rng.uniform(-3, 3, (400, 1)) * [0, 0, 1])
+    poses = walk_model.poses(theta) @ np.swapaxes(turns, -1, -2) + rng.normal(size=(400, 1, 3))
+    model = fit_base_poses([poses], alignment=alignment)
+    align = rotations.fit_rotation if alignment == 'rotation' else rotations.fit_heading_rotation
+    body = rotations.centre_poses(poses)
+    body = body @ np.swapaxes(align(body, model.mean), -1, -2)
+    assert np.abs(model.poses(model.weights(body)) - body).max() < 1e-3
+    flat = model.components.reshape(len(model.std), -1)
+    assert flat @ flat.T == pytest.approx(np.eye(len(flat)), abs=1e-9)
+    assert (np.diff(model.std) <= 0).all()
+    assert model.explained[2] > 0.99
+
+
+def test_invalid_training_data_is_refused_by_name(walk_model: BasePoses) -> None:
+    good = np.repeat(walk_model.mean[None], 5, axis=0)
+    bad = good.copy()
+    bad[2, 3, 1] = np.nan
+    for trials, message in (
+        ([], 'at least two'),
+        ([good[:1]], 'at least two'),
+        ([good, good[:, :14]], 'trial b has shape'),
+        ([bad], 'trial a'),
+        ([good], 'do not vary'),
+        ([good, good * 0], 'trial b: a body 0 m tall'),
+        ([good * 1e160], 'trial a: joints more than 6 m apart'),
+    ):
+        with pytest.raises(ModelError, match=message):
+            fit_base_poses(trials, labels=['a', 'b'][: len(trials)])
