@@ -120,25 +120,23 @@ AT_EDGE_M = np.array([4.5, -0.4, 5.0])  # m in the camera's frame: 42 degrees of
 slope = st.floats(-50, 50)  # 1, x / z or y / z of a ray; 50 is 89 degrees off the optical axis
 
 
-def make_people(position: Array) -> tuple[Array, Array, Array]:
-    """Return joints (F, 15, 3) m of a person at a position in m, weights (F, 15) and times (F,) s."""
-    poses, times = make_swinging_body(FRAMES)
-    return poses + position, np.ones(poses.shape[:2]), times
-
-
 def to_rays(points: Array) -> Array:
     return np.asarray(points[..., :2] / points[..., 2:])
+
+
+def check_smallest_turn(rotation: Array, start: Array, end: Array, tolerance: float) -> None:
+    """Check that a rotation turns one direction (3,) into another by the smallest angle."""
+    assert rotation @ start == pytest.approx(end, abs=1e-11)
+    assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1)
+    angle = np.arctan2(np.linalg.norm(np.cross(start, end)), start @ end)
+    assert Rotation.from_matrix(rotation).magnitude() == pytest.approx(angle, abs=tolerance)
 
 
 @given(slope, slope)
 def test_the_rotation_to_the_optical_axis_is_the_smallest(x: float, y: float) -> None:
     (rotation,) = rotation_to_optical_axis(np.array([[x, y]]))
-    ray = np.array([x, y, 1.0]) / math.hypot(x, y, 1.0)
-    assert rotation @ ray == pytest.approx(np.array([0, 0, 1]), abs=1e-12)
-    assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-12)
-    assert np.linalg.det(rotation) == pytest.approx(1)
-    angle = math.atan2(math.hypot(x, y), 1.0)
-    assert Rotation.from_matrix(rotation).magnitude() == pytest.approx(angle, abs=1e-7)
+    check_smallest_turn(rotation, np.array([x, y, 1.0]) / math.hypot(x, y, 1.0), np.array([0, 0, 1]), 1e-7)
 
 
 @given(slope, slope, st.floats(-0.6, 0.6), st.floats(-0.6, 0.6))
@@ -166,7 +164,8 @@ def test_rays_behind_the_rotated_camera_are_finite_and_far_outside_the_image() -
 
 @pytest.mark.parametrize('position', [np.array([0.0, 0.0, 5.0]), AT_EDGE_M, AT_EDGE_M * [-1, -1, 1]])
 def test_positions_and_rotations_come_back_to_the_real_camera(position: Array) -> None:
-    joints, weight, times = make_people(position)
+    poses, times = make_swinging_body(FRAMES)
+    joints, weight = poses + position, np.ones(poses.shape[:2])
     rays = CAMERA.pixels_to_rays(CAMERA.project(joints))
     view = VirtualCamera.look_at_person(rays, weight, times, SMOOTHING_S, CAMERA)
     pelvis = joints[:, [CMU15.index('pelvis')]]
@@ -209,20 +208,16 @@ def test_rotations_as_vectors_and_quaternions() -> None:
 STEP = 1e-6  # of the central differences; their error is about its square, that of rounding 1e-10
 
 
-def differentiate(points: np.ndarray) -> np.ndarray:
-    """(..., 3, 4) central differences of points that a step of the camera rotates and scales."""
+@pytest.mark.parametrize('rows', [2, 3])
+def test_jacobian_agrees_with_finite_differences(rng: np.random.Generator, rows: int) -> None:
+    points = rng.normal(size=(4, 5, 3))
 
     def move(step: np.ndarray) -> np.ndarray:
         return np.exp(step[3]) * (points @ rotation_from_vector(step[:3]).T)
 
     steps = STEP * np.eye(CAMERA_UNKNOWNS)
-    return np.stack([(move(step) - move(-step)) / (2 * STEP) for step in steps], axis=-1)
-
-
-@pytest.mark.parametrize('rows', [2, 3])
-def test_jacobian_agrees_with_finite_differences(rng: np.random.Generator, rows: int) -> None:
-    points = rng.normal(size=(4, 5, 3))
-    assert camera_jacobian(points, rows) == pytest.approx(differentiate(points)[..., :rows, :], abs=1e-8)
+    expected = np.stack([(move(step) - move(-step)) / (2 * STEP) for step in steps], axis=-1)
+    assert camera_jacobian(points, rows) == pytest.approx(expected[..., :rows, :], abs=1e-8)
 
 
 @given(
@@ -260,12 +255,7 @@ ANGLES = st.floats(-180, 180)
 @example(180.0, 1e-7)
 def test_the_vertical_becomes_that_of_a_level_camera_by_the_smallest_turn(pitch: float, roll: float) -> None:
     vertical = Rotation.from_euler('xz', [pitch, roll], degrees=True).apply(LEVEL_UP)
-    rotation = rotation_to_level(vertical)
-    assert rotation @ vertical == pytest.approx(LEVEL_UP, abs=1e-11)
-    assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-14)
-    assert np.linalg.det(rotation) == pytest.approx(1)
-    angle = np.arctan2(np.linalg.norm(np.cross(vertical, LEVEL_UP)), vertical @ LEVEL_UP)
-    assert Rotation.from_matrix(rotation).magnitude() == pytest.approx(angle, abs=1e-11)
+    check_smallest_turn(rotation_to_level(vertical), vertical, LEVEL_UP, 1e-11)
 
 
 def test_the_mean_leaves_out_what_is_not_known() -> None:

@@ -16,9 +16,9 @@ from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
 from mocap_ros.models import lifter, model_file
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses, Lifter
-from mocap_ros.models.lifter_input import JOINT_COUNT, encode_features, sample_histories
+from mocap_ros.models.lifter_input import JOINT_COUNT, sample_histories
 from mocap_ros.models.network import RoundedNetwork
-from mocap_ros.skeleton import CMU15, CORE_COUNT
+from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.training.motion_library import MotionLibrary
 from mocap_ros.training.synthesis import ExampleSynthesiser
 from tests.support import plain_lifter
@@ -58,24 +58,10 @@ def test_lifted_poses_are_accurate(shipped: Lifter, walk: tuple[lifter.Array, ..
     assert not is_outlier.any(), 'no error exceeds three standard deviations'
 
 
-def add_extremities(points: lifter.Array, weight: lifter.Array) -> tuple[lifter.Array, lifter.Array]:
-    """Return histories of 26 joints of those of the core; all extremities are where the wrists are."""
-    wrists = [CMU15.index('lwrist'), CMU15.index('rwrist')]
-    return tuple(  # type: ignore[return-value]
-        np.concatenate([a, *[a[:, :, [wrists[i % 2]]] for i in range(JOINT_COUNT - CORE_COUNT)]], axis=2)
-        for a in (points, weight)
-    )
-
-
 @pytest.mark.parametrize('focal', [np.inf, 900.0])
-def test_lifted_poses_agree_with_the_formula(
-    shipped: Lifter, walk: tuple[lifter.Array, ...], rng: np.random.Generator, focal: float
-) -> None:
-    _, points, weight, times = walk
-    weight *= rng.random(weight.shape) * (rng.random(weight.shape) > 0.2)
-    points[weight == 0] = np.nan
-    points, weight = sample_histories(points, weight, times, np.array([3, 20, 39]))
-    points, weight = add_extremities(points, weight)
+def test_lifted_poses_agree_with_the_formula(shipped: Lifter, rng: np.random.Generator, focal: float) -> None:
+    points, weight = sample_histories(*make_sequence(rng, 30.0, outlier=9.0), np.array([3, 20, 59]))
+    points *= PX_PER_M
     weight[1, 0, plain_lifter.MIN_SEEN_JOINTS - 1 : CORE_COUNT] = 0
     vertical, vertical_std = np.array([[0.0, -1, 0], [0, -0.8, -0.6], [np.nan] * 3]), np.array([0.1, 0.0, 0.1])
     lifted = shipped.lift(points, weight, focal, vertical, vertical_std)
@@ -167,20 +153,6 @@ def test_histories_agree_with_the_formula(rng: np.random.Generator, rate_hz: flo
         assert weight[n] == pytest.approx(expected_weight, abs=1e-12)
         assert points[n] == pytest.approx(expected_points, rel=1e-12, abs=1e-9)
     assert (weight > 0).any()
-
-
-def test_features_of_examples_are_those_of_histories(rng: np.random.Generator) -> None:
-    points, weight = sample_histories(*make_sequence(rng, 30.0, outlier=9.0), np.array([3, 20, 59]))
-    focal = np.array([np.inf, 0.7, 40.0])
-    upward = rng.normal(size=(3, 3))
-    single = points.astype(np.float32), weight.astype(np.float32)
-    features, newest, size = encode_features(*single, focal, upward)
-    for n in range(len(points)):
-        given = points[n], weight[n], focal[n], upward[n]
-        expected, expected_newest, expected_size = plain_lifter.encode_features(*given)
-        assert features[n] == pytest.approx(expected, abs=1e-5)
-        assert newest[n] == pytest.approx(expected_newest, abs=1e-5)
-        assert size[n] == pytest.approx(expected_size, rel=1e-5)
 
 
 Array32 = NDArray[np.float32]

@@ -46,35 +46,22 @@ def fits(walk_model: BasePoses) -> dict[str, PeriodicFit]:
 
 @pytest.mark.parametrize('category', ['walk', 'run'])
 @pytest.mark.parametrize('threshold', ['residual', 'amplitude', 'cadence'])
-def test_a_larger_factor_loosens_every_threshold(
+def test_hysteresis_loosens_every_threshold_of_periodic_motion_and_tightens_it_of_other(
     fits: dict[str, PeriodicFit], category: str, threshold: str
 ) -> None:
-    fit = fits[category]
-    passed: dict[str, Any] = {f'{category}_residual': 1.0, 'amplitude': 0.0, f'{category}_cadence': 0.0}
-    other = 'run' if category == 'walk' else 'walk'
-    never_passed: dict[str, Any] = {f'{other}_residual': 0.0, f'{other}_cadence': 5.0}
-    config = ClassifierConfig(**passed, **never_passed, hysteresis=1.0)
-    assert is_periodic(fit, config, was_periodic=False)
-    just_missed = {
-        'residual': 0.95 * fit.excess_residual,
-        'amplitude': 1.05 * fit.amplitude,
-        'cadence': 1.05 * fit.reconstruction.cadence,
-    }
-    name = threshold if threshold == 'amplitude' else f'{category}_{threshold}'
-    missed: dict[str, Any] = {name: just_missed[threshold]}
-    assert not is_periodic(fit, replace(config, **missed), was_periodic=True)
-    assert is_periodic(fit, replace(config, **missed, hysteresis=1.1), was_periodic=True)
-
-
-@pytest.mark.parametrize('hysteresis', [1.1, 1.25])
-def test_switch_has_hysteresis(fits: dict[str, PeriodicFit], hysteresis: float) -> None:
-    config = ClassifierConfig(hysteresis=hysteresis)
-    decisions = [False]
-    shares = (1.5, 1.02, 1.05 / hysteresis, 0.95 / hysteresis, 0.98, 0.95 * hysteresis, 1.05 * hysteresis, 1.02)
-    residuals = [replace(fits['walk'], excess_residual=share * config.walk_residual) for share in shares]
-    for fit in residuals:
-        decisions.append(is_periodic(fit, config, was_periodic=decisions[-1]))
-    assert decisions[1:] == [False, False, False, True, True, True, False, False]
+    fit, other = fits[category], 'run' if category == 'walk' else 'walk'
+    limits: dict[str, Any] = {f'{category}_residual': 1.0, 'amplitude': 0.0, f'{category}_cadence': 0.0}
+    limits |= {f'{other}_residual': 0.0, f'{other}_cadence': 5.0, 'hysteresis': 1.1}
+    values = {'residual': fit.excess_residual, 'amplitude': fit.amplitude, 'cadence': fit.reconstruction.cadence}
+    name, value = threshold if threshold == 'amplitude' else f'{category}_{threshold}', values[threshold]
+    for share, was_periodic, expected in (
+        (1.15, True, False),
+        (1.05, True, True),
+        (0.95, False, False),
+        (0.87, False, True),
+    ):
+        limits[name] = value / share if threshold == 'residual' else value * share
+        assert is_periodic(fit, ClassifierConfig(**limits), was_periodic=was_periodic) is expected
 
 
 def test_a_walk_is_periodic_whatever_the_detector_adds_to_all_frames_alike(walk_model: BasePoses) -> None:

@@ -4,7 +4,7 @@
 """Face, feet and hands from rays and lifted poses; orientations of the segments of a body."""
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,19 +44,17 @@ JOINTS = len(BODY26.joints)
 FACING = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 
 
-class Body(NamedTuple):
-    """A body over F frames: joints (F, 26, 3) m, and what is seen of them."""
-
-    joints: Array
-    evidence: ExtremityEvidence
-
-
 def at(name: str) -> int:
     return BODY26.index(name)
 
 
-def look_around(seed: int, sizes: tuple[float, float, float] = (1.0, 1.0, 1.0), frames: int = FRAMES) -> Body:
-    """A standing body that turns its head and its feet; sizes of face, feet and hands in average ones."""
+def look_around(
+    seed: int, sizes: tuple[float, float, float] = (1.0, 1.0, 1.0), frames: int = FRAMES
+) -> tuple[Array, ExtremityEvidence]:
+    """Joints (F, 26, 3) m of a standing body that turns its head and its feet, and what is seen of them.
+
+    The sizes of face, feet and hands are in average ones.
+    """
     rng = np.random.default_rng(seed)
     times = np.arange(frames) * STEP_S
     turn = Rotation.from_rotvec([0, 0, rng.uniform(-1, 1)])
@@ -77,7 +75,7 @@ def look_around(seed: int, sizes: tuple[float, float, float] = (1.0, 1.0, 1.0), 
     evidence = ExtremityEvidence(
         core, attach(core, lifted_offsets), std, rays, np.full((frames, JOINTS), 0.8), np.full(frames, 0.008)
     )
-    return Body(joints, evidence)
+    return joints, evidence
 
 
 def follow(evidence: ExtremityEvidence, step_s: float = STEP_S, *, is_steady: bool = False) -> NDArray[Any]:
@@ -120,13 +118,13 @@ def test_head_and_feet_are_truer_and_steadier_than_the_lifted_pose() -> None:
     jitter: list[list[float]] = []
     within = []
     for seed in range(4):
-        body = look_around(seed)
-        states = follow(body.evidence)
-        smooth = attach(body.evidence.core, smooth_extremities(TIMES, body.evidence, STATURE_M).offsets)
-        found = (body.evidence.lifted, attach(body.evidence.core, states['offsets']), smooth)
-        off.append([float(np.median(angles_deg(directions(j), directions(body.joints))[15:])) for j in found])
+        truth, evidence = look_around(seed)
+        states = follow(evidence)
+        smooth = attach(evidence.core, smooth_extremities(TIMES, evidence, STATURE_M).offsets)
+        found = (evidence.lifted, attach(evidence.core, states['offsets']), smooth)
+        off.append([float(np.median(angles_deg(directions(j), directions(truth))[15:])) for j in found])
         jitter.append([jitter_deg(joints) for joints in found])
-        error = np.linalg.norm(found[1][:, CORE_COUNT:] - body.joints[:, CORE_COUNT:], axis=-1)
+        error = np.linalg.norm(found[1][:, CORE_COUNT:] - truth[:, CORE_COUNT:], axis=-1)
         within.append((error < states['offset_std'])[15:].mean())
     lifted, live, whole = np.mean(off, axis=0)
     assert whole < 0.95 * live < 0.95**2 * lifted
@@ -136,23 +134,23 @@ def test_head_and_feet_are_truer_and_steadier_than_the_lifted_pose() -> None:
 
 
 def test_parts_are_rigid_and_sizes_are_learnt_and_kept() -> None:
-    body = look_around(5, sizes=(1.05, 1.2, 0.85), frames=400)
-    states = follow(body.evidence)
+    _, evidence = look_around(5, sizes=(1.05, 1.2, 0.85), frames=400)
+    states = follow(evidence)
     found = np.exp(states[-1]['sizes'][:, 0])
     assert found == pytest.approx([1.05, 1.2, 0.85], rel=0.06)
-    late = attach(body.evidence.core, states['offsets'])[-60:]
+    late = attach(evidence.core, states['offsets'])[-60:]
     for first, second in (('lankle', 'ltoe'), ('ltoe', 'lheel'), ('nose', 'rear'), ('rwrist', 'rhand')):
         length = np.linalg.norm(late[:, at(first)] - late[:, at(second)], axis=1)
         assert np.ptp(length) < 0.01 * length.mean()
-    hidden = hide(body.evidence, list(range(CORE_COUNT, JOINTS)), slice(300, None))
+    hidden = hide(evidence, list(range(CORE_COUNT, JOINTS)), slice(300, None))
     assert np.exp(follow(hidden)[-1]['sizes'][:, 0]) == pytest.approx(found, rel=0.06)
 
 
 def test_unseen_parts_are_where_the_core_has_them_with_larger_deviations_and_flagged() -> None:
-    body = look_around(6)
+    _, evidence = look_around(6)
     face = [at(n) for n in ('nose', 'leye', 'reye', 'lear', 'rear')]
-    hidden = hide(body.evidence, [*face, at('ltoe'), at('lheel')])
-    seen, unseen = follow(body.evidence)[-1], follow(hidden)[-1]
+    hidden = hide(evidence, [*face, at('ltoe'), at('lheel')])
+    seen, unseen = follow(evidence)[-1], follow(hidden)[-1]
     points = [j - CORE_COUNT for j in (*face, at('ltoe'), at('lheel'))]
     assert (unseen['offset_std'][points] > 1.3 * seen['offset_std'][points]).all()
     is_seen = dict(zip(BODY26.joints, unseen['is_turn_seen'], strict=False))

@@ -15,6 +15,7 @@ from mocap_ros.geometry.level import Floor, build_world
 from mocap_ros.offline.whole_sequence import SequenceResult, share_floor
 from mocap_ros.skeleton import BODY26
 from mocap_ros.solvers.floor import HEEL_M, SIZE_RANGE, TOE_M, FloorFit, Stander, fit_floor
+from tests.support.upright_body import UPRIGHT
 
 Array = NDArray[np.float64]
 
@@ -23,22 +24,16 @@ TIMES = np.arange(FRAMES) / 30
 UPWARD = Rotation.from_euler('xz', [-12.0, 3.0], degrees=True).apply([0.0, -1.0, 0.0])
 CONTACT = np.ones((FRAMES, 4))
 SEEN_TWICE = np.where(np.arange(FRAMES) < 2, 1.0, np.nan)[:, None, None]
-# m, over the floor: x right, y ahead, z up
-UPRIGHT = {
-    'head': (0.0, 0.0, 1.6), 'neck': (0.0, 0.0, 1.4), 'pelvis': (0.0, 0.0, 1.0),
-    'lshoulder': (-0.2, 0.0, 1.4), 'lelbow': (-0.2, 0.0, 1.1), 'lwrist': (-0.2, 0.0, 0.9),
-    'lhip': (-0.1, 0.0, 0.9), 'lknee': (-0.1, 0.0, 0.5), 'lankle': (-0.1, 0.0, 0.08),
-    'lheel': (-0.1, -0.05, HEEL_M), 'ltoe': (-0.1, 0.2, TOE_M),
-}  # fmt: skip
 
 
 def stand(camera_height: float = CAMERA_HEIGHT_M) -> Array:
     """Joints (F, 26, 3) m in the camera of a person who slides about on a floor, from 3 to 6 m away."""
-    body = np.zeros((26, 3))
-    for joint, (x, y, z) in UPRIGHT.items():
-        body[BODY26.index(joint)] = x, y, z
-        if joint[0] == 'l':
-            body[BODY26.index('r' + joint[1:])] = -x, y, z
+    body = np.zeros((26, 3))  # m, over the floor: x right, y ahead, z up
+    body[:15] = UPRIGHT[:, [1, 0, 2]] * [-1, 1, 1]
+    for side in 'lr':
+        x = body[BODY26.index(side + 'ankle'), 0]
+        body[BODY26.index(side + 'heel')] = x, -0.05, HEEL_M
+        body[BODY26.index(side + 'toe')] = x, 0.2, TOE_M
     way = np.stack([np.sin(TIMES), 4.5 + 1.5 * np.cos(0.8 * TIMES), 0 * TIMES], axis=1)
     in_world = body + way[:, None] - [0.0, 0.0, camera_height]
     level = in_world * [1, 1, -1]

@@ -18,11 +18,7 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import periodic
 from mocap_ros.solvers.joint.batch import State
 from mocap_ros.solvers.periodic.fourier import FourierSeries
-from mocap_ros.solvers.periodic.normal_equations import (
-    MIN_CAMERA_INFORMATION,
-    MIN_INFORMATION,
-    PeriodicEquations,
-)
+from mocap_ros.solvers.periodic.normal_equations import MIN_CAMERA_INFORMATION, MIN_INFORMATION, PeriodicEquations
 from mocap_ros.solvers.periodic.objective import PeriodicObjective, Point, measure_matrices, move_cameras
 from mocap_ros.solvers.periodic.repetition import (
     MAX_STRETCH,
@@ -68,11 +64,6 @@ def make_point(walk_model: BasePoses, rng: np.random.Generator, is_seen: bool) -
 @pytest.fixture
 def seen(walk_model: BasePoses, rng: np.random.Generator) -> tuple[PeriodicObjective, Point]:
     return make_point(walk_model, rng, is_seen=True)
-
-
-@pytest.fixture
-def unseen(walk_model: BasePoses, rng: np.random.Generator) -> tuple[PeriodicObjective, Point]:
-    return make_point(walk_model, rng, is_seen=False)
 
 
 def move(objective: PeriodicObjective, point: Point, step: np.ndarray) -> Point:
@@ -126,8 +117,8 @@ def test_gradient_is_half_that_of_the_cost(walk_model: BasePoses, rng: np.random
     assert np.abs(gradient - numeric).max() < 1e-6 * np.abs(numeric).max()
 
 
-def test_matrix_of_the_cameras_is_that_of_the_squares(unseen: tuple[PeriodicObjective, Point]) -> None:
-    objective, point = unseen
+def test_matrix_of_the_cameras_is_that_of_the_squares(walk_model: BasePoses, rng: np.random.Generator) -> None:
+    objective, point = make_point(walk_model, rng, is_seen=False)
 
     def compute_residuals(p: Point) -> np.ndarray:
         moved = objective.movement @ measure_matrices(p.cameras)

@@ -18,7 +18,7 @@ from mocap_ros.errors import ConfigError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequence
-from mocap_ros.people import Person3D
+from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.tracking.vertical_check import LEAST_S, VerticalCheck
 from tests.support.people import make_person_3d
@@ -47,21 +47,24 @@ def reconstruct(vertical: str, frames: int = FRAMES) -> SequenceResult:
     return reconstruct_sequence(keypoints, SEQUENCE.joint_names, times, CAMERA, MODELS, config)
 
 
+def find(tracker: Tracker) -> CameraVertical:
+    assert tracker.vertical is not None
+    return tracker.vertical
+
+
 def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
     return math.degrees(math.acos(float(np.clip(a @ b, -1, 1))))
 
 
 def test_it_is_found_from_certain_people_and_is_that_of_the_whole_sequence() -> None:
-    tracker, found = make_tracker(), []
-    for first, last in ((0, 2), (2, 4), (4, FRAMES)):
-        feed(tracker, first, last)
-        found.append(tracker.vertical)
-    tentative, early, late = found
-    assert tentative is None, 'a tentative person may be none'
-    assert early is not None
-    assert late is not None
+    tracker = make_tracker()
+    feed(tracker, 0, 2)
+    assert tracker.vertical is None, 'a tentative person may be none'
+    feed(tracker, 2, 4)
+    early = find(tracker)
+    feed(tracker, 4, FRAMES)
+    late, whole = find(tracker), reconstruct('auto')
     assert late.std < early.std
-    whole = reconstruct('auto')
     assert np.linalg.norm(late.direction) == pytest.approx(1)
     assert late.direction[1] < -0.9, 'y is down in the camera, which is nearly level'
     assert angle_deg(late.direction, whole.vertical[-1]) < 3
@@ -75,13 +78,11 @@ def test_another_camera_or_a_restart_forgets_what_was_found_and_a_little_drift_d
         focal = CAMERA.focal * (1 + 5e-4 * (-1) ** frame)
         near = replace(CAMERA, focal=focal, center=(x + 0.1, y)) if frame else CAMERA
         np.testing.assert_array_equal(feed(drifting, frame, frame + 1, near), feed(steady, frame, frame + 1))
-    assert steady.vertical is not None
-    assert drifting.vertical is not None
-    known = steady.vertical.std
-    assert drifting.vertical.std == known
+    known = find(steady).std
+    assert find(drifting).std == known
     feed(steady, FRAMES, FRAMES + 1, replace(CAMERA, focal=1.002 * CAMERA.focal))
     feed(drifting, FRAMES, FRAMES + 1, replace(CAMERA, center=(x + 0.002 * CAMERA.focal, y)))
-    assert min(steady.vertical.std, drifting.vertical.std) > known
+    assert min(find(steady).std, find(drifting).std) > known
     drifting.reset()
     assert drifting.vertical is None
 
@@ -90,8 +91,7 @@ def test_a_given_vertical_stays_and_turns_people() -> None:
     tilted = make_tracker(vertical='0 -0.9397 -0.3420')  # the camera looks down by 20 degrees, which is not true
     plain = make_tracker(vertical='none')
     joints = feed(tilted, 0, 30)[-1], feed(plain, 0, 30)[-1]
-    assert tilted.vertical is not None
-    assert tilted.vertical.direction == pytest.approx([0, -0.9397, -0.3420], abs=1e-3)
+    assert find(tilted).direction == pytest.approx([0, -0.9397, -0.3420], abs=1e-3)
     assert plain.vertical is None
     trunks = [(j[1] - j[8]) / np.linalg.norm(j[1] - j[8]) for j in joints]  # neck less pelvis
     assert trunks[0][2] < trunks[1][2] - 0.02, 'the upper body is nearer to the camera'
