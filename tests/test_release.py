@@ -19,12 +19,12 @@ from pathlib import Path
 
 import pytest
 
-from mocap_ros.engine import geometry
+from mocap_ros.engine import rays
 from tests.support.paths import ROOT
 
 VERSION = ET.parse(ROOT / 'package.xml').findtext('version')
 ROS_VARIABLES = ('PYTHONPATH', 'PYTHONHOME', 'AMENT_PREFIX_PATH', 'LD_LIBRARY_PATH', 'ROS_DISTRO')
-COMPILED = 'geometry.pyx'
+COMPILED = 'rays.pyx'
 NO_INDEX = ('Temporary failure in name resolution', 'NewConnectionError', 'ProxyError', 'ConnectTimeoutError')
 BUILD_SDIST = 'import sys; from setuptools import build_meta; print(build_meta.build_sdist(sys.argv[1]))'
 
@@ -171,7 +171,7 @@ def test_the_wheel_works_without_ros(distributions: Path, tmp_path: Path) -> Non
         pytest.skip('pip reaches no package index')
 
     (installed,) = environment.glob('lib/python*/site-packages/mocap_ros/engine')
-    for path in Path(geometry.__file__).parent.glob('*.so'):
+    for path in Path(rays.__file__).parent.glob('*.so'):
         shutil.copy(path, installed)
     notebook.mkdir()
     (notebook / 'notebook.py').write_text(NOTEBOOK, encoding='utf-8')

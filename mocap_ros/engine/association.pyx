@@ -10,12 +10,10 @@ Sizes: J joints, P people who are expected, D detections. A joint is known or se
 from libc.math cimport INFINITY, NAN, fabs, hypot, log, sqrt
 from libc.stdlib cimport free, malloc
 
-from mocap_ros.engine.median cimport find_median
-
 import numpy as np
 
-ctypedef const double[:, ::1] Points
-ctypedef const double[::1] Weights
+from mocap_ros.engine.geometry cimport Indices, Rows, Stack, Vector
+from mocap_ros.engine.median cimport find_median
 
 cdef struct Extent:
     double x, y, size
@@ -25,7 +23,7 @@ cdef struct Difference:
     double distance, growth
 
 
-cdef Extent measure_one(Points points, Weights weight, double min_size) noexcept nogil:
+cdef Extent measure_one(Rows points, Vector weight, double min_size) noexcept nogil:
     """Centre and size of the seen joints; NaN if there is none."""
     cdef Py_ssize_t j
     cdef int seen = 0
@@ -46,8 +44,8 @@ cdef Extent measure_one(Points points, Weights weight, double min_size) noexcept
 
 
 cdef Difference compare(
-    Points expected, Weights known, Extent person, Points detected, Weights seen, Extent detection,
-    const long long[::1] counterpart, double* offset, int min_shared, double radius_offset,
+    Rows expected, Vector known, Extent person, Rows detected, Vector seen, Extent detection,
+    Indices counterpart, double* offset, int min_shared, double radius_offset,
 ) noexcept nogil:
     """Distance and growth of a pair; joint j of the person is called counterpart[j] in the detection."""
     cdef Py_ssize_t j, i
@@ -77,7 +75,7 @@ cdef Difference compare(
     return Difference(find_median(offset, shared) / size + fabs(growth), growth)
 
 
-def measure_sizes(const double[:, :, ::1] points, const double[:, ::1] weight, double min_size):
+def measure_sizes(Stack points, Rows weight, double min_size):
     """Return the sizes (N,) of the seen joints of points (N, J, 2) with weights (N, J); NaN if none was seen."""
     cdef Py_ssize_t n
     result = np.empty(points.shape[0])
@@ -88,7 +86,7 @@ def measure_sizes(const double[:, :, ::1] points, const double[:, ::1] weight, d
 
 
 def expect_person(
-    const double[:, :, ::1] points, Points weight, Weights age_s, double max_moved_s, double min_span_s, int min_shared
+    Stack points, Rows weight, Vector age_s, double max_moved_s, double min_span_s, int min_shared
 ):
     """Return where joints are expected (J, 2) and whether they were seen (J,), as of `keypoints.association`."""
     cdef Py_ssize_t j, f, last = weight.shape[0] - 1
@@ -118,21 +116,19 @@ def expect_person(
 
 
 def measure_distances(
-    const double[:, :, ::1] expected, Points known, const double[:, :, ::1] detected, Points seen,
-    const long long[::1] mirror, int min_shared, double min_size, int few_shared, double radius_offset,
+    Stack expected, Rows known, Stack detected, Rows seen,
+    Indices mirror, int min_shared, double min_size, int few_shared, double radius_offset,
 ):
     """Return the distances (D, P) and growths (D, P) of points (P, J, 2), (D, J, 2) with weights (P, J), (D, J).
 
-    `expected` where the people are expected; `known` weights of these; `detected` detections, in the same unit;
-    `seen` weights of these; `mirror` (J,) for each joint its counterpart on the other side of the body;
-    `min_shared` number of joints that must be both known and seen, with fewer the distance is infinite; `min_size`
-    added to each size, in the unit of the points; `few_shared` number of such joints below which centres and sizes
-    are compared instead; `radius_offset` added to both radii, as a share of the larger size.
+    The formulas, and limits that are arguments, are those of `keypoints.association`; weights are `known` and `seen`, and
+    mirror (J,) are the counterparts of the joints. With fewer than `min_shared` joints that are both known and seen
+    the distance is infinite; with fewer than `few_shared` centres and sizes are compared.
     """
     cdef Py_ssize_t p, d, j, people = known.shape[0], detections = seen.shape[0], joints = known.shape[1]
     cdef int shared
     cdef Difference own, exchanged
-    cdef const long long[::1] same = np.arange(joints)
+    cdef Indices same = np.arange(joints)
     out, growths = np.full((detections, people), INFINITY), np.zeros((detections, people))
     cdef double[:, ::1] distance = out, growth = growths
     cdef double* offset = <double*> malloc(joints * sizeof(double))
@@ -160,57 +156,47 @@ def measure_distances(
     return out, growths
 
 
-def choose_pairs(Points cost):
+def choose_pairs(costs):
     """Return for each of D detections the person of P, so that the sum of costs (D, P) is least; -1 for none.
 
-    All costs are finite. Each row in turn is given a column along the shortest augmenting path, by reduced costs
-    c_ij - u_i - v_j >= 0 (Crouse 2016; as in `scipy.optimize.linear_sum_assignment`, which is slow to import).
+    Each row i in turn gets a column j along the shortest augmenting path, by reduced costs c_ij - u_i - v_j >= 0
+    (Kuhn and Munkres; `scipy.optimize.linear_sum_assignment` is slow to import). Rows and columns count from 1.
     """
-    cdef Py_ssize_t i, j, k, index, row, sink, left, other, transposed = cost.shape[0] > cost.shape[1]
-    cdef Py_ssize_t rows = min(cost.shape[0], cost.shape[1]), columns = max(cost.shape[0], cost.shape[1])
-    cdef double reached, lowest, reduced
-    cdef double[::1] u = np.zeros(rows), v = np.zeros(columns), shortest = np.empty(columns)
-    cdef long long[::1] row_of = np.full(columns, -1), column_of = np.full(rows, -1)
-    cdef long long[::1] path = np.empty(columns, np.int64), remaining = np.empty(columns, np.int64)
-    cdef unsigned char[::1] is_row_passed = np.empty(rows, np.uint8), is_column_passed = np.empty(columns, np.uint8)
-    for row in range(rows):
-        for i in range(rows):
-            is_row_passed[i] = 0
-        for j in range(columns):
-            is_column_passed[j], shortest[j] = 0, INFINITY
-            remaining[j] = columns - j - 1  # in reverse order, so that equal costs give the identity
-        i, sink, left, reached = row, -1, columns, 0.0
-        while sink < 0:
-            index, lowest, is_row_passed[i] = -1, INFINITY, 1
-            for k in range(left):
-                j = remaining[k]
-                reduced = reached + (cost[j, i] if transposed else cost[i, j]) - u[i] - v[j]
-                if not fabs(reduced) < INFINITY:
-                    raise ValueError('a cost is not finite')
-                if reduced < shortest[j]:
-                    path[j], shortest[j] = i, reduced
-                if shortest[j] < lowest or (shortest[j] == lowest and row_of[j] < 0):
-                    lowest, index = shortest[j], k
-            reached, j = lowest, remaining[index]
-            if row_of[j] < 0:
-                sink = j
-            else:
-                i = row_of[j]
-            is_column_passed[j] = 1
-            left -= 1
-            remaining[index] = remaining[left]
-        u[row] += reached
-        for i in range(rows):
-            if is_row_passed[i] and i != row:
-                u[i] += reached - shortest[column_of[i]]
-        for j in range(columns):
-            if is_column_passed[j]:
-                v[j] -= reached - shortest[j]
-        j, i = sink, -1
-        while i != row:
-            i = path[j]
-            row_of[j] = i
-            other = column_of[i]
-            column_of[i] = j
-            j = other
-    return np.array(row_of if transposed else column_of)
+    if not np.isfinite(costs).all():
+        raise ValueError('a cost is not finite')
+    cdef bint transposed = costs.shape[0] > costs.shape[1]
+    cdef Rows cost = np.ascontiguousarray(costs.T if transposed else costs)
+    cdef Py_ssize_t row, i, j, column, following = 0, rows = cost.shape[0], columns = cost.shape[1]
+    cdef double[::1] u = np.zeros(rows + 1), v = np.zeros(columns + 1)
+    cdef double[::1] shortest = np.empty(columns + 1)  # reduced cost of the path to each column
+    cdef long long[::1] row_of = np.zeros(columns + 1, np.int64), before = np.zeros(columns + 1, np.int64)
+    cdef unsigned char[::1] is_passed = np.empty(columns + 1, np.uint8)
+    cdef double least
+    for row in range(1, rows + 1):
+        row_of[0], column = row, 0
+        shortest[:], is_passed[:] = INFINITY, 0
+        while row_of[column] > 0:
+            i, least, is_passed[column] = row_of[column], INFINITY, 1
+            for j in range(1, columns + 1):
+                if is_passed[j]:
+                    continue
+                if cost[i - 1, j - 1] - u[i] - v[j] < shortest[j]:
+                    shortest[j], before[j] = cost[i - 1, j - 1] - u[i] - v[j], column
+                if shortest[j] < least:
+                    least, following = shortest[j], j
+            for j in range(columns + 1):
+                if is_passed[j]:
+                    u[row_of[j]] += least
+                    v[j] -= least
+                else:
+                    shortest[j] -= least
+            column = following
+        while column > 0:
+            row_of[column] = row_of[before[column]]
+            column = before[column]
+    chosen = np.array(row_of)[1:] - 1
+    if transposed:
+        return chosen
+    column_of = np.full(rows, -1)
+    column_of[chosen[chosen >= 0]] = np.flatnonzero(chosen >= 0)
+    return column_of

@@ -56,7 +56,7 @@ class Body:
         steps: Array,
         is_steady: bool,
     ) -> None: ...
-    def smooth(
+    def run(
         self,
         start: Array,
         core: Array,
@@ -67,7 +67,9 @@ class Body:
         noise: float,
         stature: float,
         steps: Array,
-    ) -> Array: ...
+        is_learning: bool,
+    ) -> tuple[Array, Array]: ...
+    def finish(self, states: Array, weight: Array, stature: float) -> None: ...
 
 def sum_derivatives(
     template: Array,

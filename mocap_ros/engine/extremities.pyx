@@ -14,44 +14,37 @@ from libc.string cimport memcpy, memset
 
 import numpy as np
 
-from mocap_ros.engine.geometry cimport dot, multiply, multiply_transposed, rotation_from_vector, vector_from_rotation
+from mocap_ros.engine.geometry cimport (
+    Rows, Stack, Vector, dot, multiply, multiply_transposed, rotation_from_vector, vector_from_rotation,
+)
 
-cdef extern from *:
-    """
-    #define MIN_LENGTH_M 1e-6      /* far under any bone, guards divisions */
-    #define WEAK_SINE 0.2          /* W; sine of 12 degrees, by which a bent joint differs from a straight, noisy one */
-    #define REST_SINE 0.15         /* D; weight of the direction without evidence: that of a limb bent by 9 degrees */
-    #define FOOT_SINE 1.0          /* D_f; weight of the foot: that of a knee bent by 90 degrees */
-    #define KNOWN_SINE 0.3         /* |v| from which the bend of a limb says how it is turned, and not its rest */
-    #define LIMB_MEMORY_S 0.3      /* T; so long a straight limb keeps the direction that it had when it was bent */
-    #define LIFTED_MEMORY_S 0.1    /* T of the lifter's errors; more would leave turning heads and stepping feet behind */
-    #define IMAGE_MEMORY_S 1.0     /* T of the detector's errors, most of which last for a whole sequence */
-    #define SHIFT_STD_M 0.05       /* s: std of a core joint's error and of a detector's idea of it */
-    #define RAY_STD_M 0.03         /* at the body; error of a seen point besides the image noise: detectors' offsets */
-    #define ROBUST_STDS 2.5        /* standard deviations from which an image point counts less */
-    #define STEPS 2                /* of Gauss and Newton; a third changes directions by less than 0.1 degrees */
-    #define MAX_STEP_RAD 0.5       /* a longer step would leave the range in which the linearisation holds */
-    #define MIN_DEPTH_M 0.1        /* a nearer point has no image */
-    #define MIN_ANGLE 1e-9         /* rad; guards a division */
-    #define MIN_PIVOT 1e-12        /* guards the square roots of a Cholesky factorisation against rounding */
-    #define MAX_SIZE_STDS 5.0      /* of people's sizes; there is no such face, foot or hand */
-    #define SIZE_MEMORY_S 60.0     /* a person's size does not change, but the detector may */
-    #define MAX_TURN_STD_RAD 0.4363323129985824 /* 25 degrees; a turn that is known no better counts as unknown */
-    #define VELOCITY_MEMORY_S 0.1  /* over which the velocity of a point about its anchor is averaged */
-    /* Of the filter of orientations, chosen on 12 views of persons of the training data and detections at 60 Hz: the
-       jitter at 60 Hz halved, at 0.4 degrees more of error. */
-    #define STIFFNESS 12.0         /* rad/s at rest; Omega */
-    #define DAMPING 0.7            /* zeta */
-    #define MIN_SPIN 1.0           /* rad/s; s_0, of someone who moves little */
-    #define SPIN_MEMORY_S 0.2      /* of the mean square of the angular velocity */
-    #define MAX_LAG_RAD 0.5        /* d; a segment that seems to turn by more in a frame is taken for a wrong one */
-    #define MAX_STEADY_GAP_S 0.2   /* after a longer one nothing is known of the angular velocity */
-    """
-    const double MIN_LENGTH_M, WEAK_SINE, REST_SINE, FOOT_SINE, KNOWN_SINE, LIMB_MEMORY_S, LIFTED_MEMORY_S
-    const double IMAGE_MEMORY_S, SHIFT_STD_M, RAY_STD_M, ROBUST_STDS, MAX_STEP_RAD, MIN_DEPTH_M, MIN_ANGLE, MIN_PIVOT
-    const double MAX_SIZE_STDS, SIZE_MEMORY_S, MAX_TURN_STD_RAD, VELOCITY_MEMORY_S
-    const double STIFFNESS, DAMPING, MIN_SPIN, SPIN_MEMORY_S, MAX_LAG_RAD, MAX_STEADY_GAP_S
-    const int STEPS
+cdef double MIN_LENGTH_M = 1e-6  # far under any bone, guards divisions
+cdef double WEAK_SINE = 0.2  # W; sine of 12 degrees, by which a bent joint differs from a straight, noisy one
+cdef double REST_SINE = 0.15  # D; weight of the direction without evidence: that of a limb bent by 9 degrees
+cdef double FOOT_SINE = 1.0  # D_f; weight of the foot: that of a knee bent by 90 degrees
+cdef double KNOWN_SINE = 0.3  # |v| from which the bend of a limb says how it is turned, and not its rest
+cdef double LIMB_MEMORY_S = 0.3  # T; so long a straight limb keeps the direction that it had when it was bent
+cdef double LIFTED_MEMORY_S = 0.1  # T of the lifter's errors; more would leave turning heads and steps behind
+cdef double IMAGE_MEMORY_S = 1.0  # T of the detector's errors, most of which last for a whole sequence
+cdef double SHIFT_STD_M = 0.05  # s: std of a core joint's error and of a detector's idea of it
+cdef double RAY_STD_M = 0.03  # at the body; error of a seen point besides the image noise: detectors' offsets
+cdef double ROBUST_STDS = 2.5  # standard deviations from which an image point counts less
+cdef double MAX_STEP_RAD = 0.5  # a longer step would leave the range in which the linearisation holds
+cdef double MIN_DEPTH_M = 0.1  # a nearer point has no image
+cdef double MIN_ANGLE = 1e-9  # rad; guards a division
+cdef double MIN_PIVOT = 1e-12  # guards the square roots of a Cholesky factorisation against rounding
+cdef double MAX_SIZE_STDS = 5.0  # of people's sizes; there is no such face, foot or hand
+cdef double SIZE_MEMORY_S = 60.0  # a person's size does not change, but the detector may
+cdef double MAX_TURN_STD_RAD = 0.4363323129985824  # 25 degrees; a turn that is known no better counts as unknown
+cdef double VELOCITY_MEMORY_S = 0.1  # over which the velocity of a point about its anchor is averaged
+# Of the filter of orientations, chosen on 12 views of persons of the training data and detections at 60 Hz: the
+# jitter at 60 Hz halved, at 0.4 degrees more of error.
+cdef double STIFFNESS = 12.0  # rad/s at rest; Omega
+cdef double DAMPING = 0.7  # zeta
+cdef double MIN_SPIN = 1.0  # rad/s; s_0, of someone who moves little
+cdef double SPIN_MEMORY_S = 0.2  # of the mean square of the angular velocity
+cdef double MAX_LAG_RAD = 0.5  # d; a segment that seems to turn by more in a frame is taken for a wrong one
+cdef double MAX_STEADY_GAP_S = 0.2  # after a longer one nothing is known of the angular velocity
 
 cdef enum:
     CORE = 15
@@ -59,10 +52,8 @@ cdef enum:
     PARTS = 5
     POINTS = 11
     SIZES = 3
+    STEPS = 2  # of Gauss and Newton; a third changes directions by less than 0.1 degrees
 
-ctypedef const double[::1] Vector
-ctypedef const double[:, ::1] Rows
-ctypedef const double[:, :, ::1] Stack
 
 cdef struct State:  # of a person in a frame, the fields of `solvers.extremities.STATE`
     double segments[CORE][9]
@@ -89,7 +80,7 @@ cdef struct Evidence:  # of a frame, the attributes of `ExtremityEvidence`, and 
 
 
 cdef struct Sums:  # halves of the derivatives of a sum of squares by turn, displacement and size of a part
-    double hessian[7][7]
+    double hessian[7][7]  # lower triangle
     double gradient[7]
 
 
@@ -241,6 +232,16 @@ cdef void invert(double* matrix, int n, double* out) noexcept nogil:
             out[n * i + c] = rest / matrix[n * i + i]
 
 
+cdef void write_spread(const double* rest, const double* std, double* out) noexcept nogil:
+    """Write the covariance of standard deviations about the axes of a rotation."""
+    cdef int i, j
+    cdef double[9] scaled
+    for i in range(3):
+        for j in range(3):
+            scaled[3 * i + j] = rest[3 * i + j] * square(std[j])
+    multiply_transposed(scaled, rest, out)
+
+
 cdef void write_arm(const double* template, const double* turn, double size, double* arm, double[3][7] slopes) noexcept nogil:
     """Write the offset of a point from its anchor, and its derivatives by d, t (0: it is not displaced) and b."""
     cdef int i
@@ -254,43 +255,44 @@ cdef void write_arm(const double* template, const double* turn, double size, dou
     slopes[2][0], slopes[2][1] = arm[1], -arm[0]
 
 
+cdef inline void add_row(Sums* sums, const double* slopes, double error, double information) noexcept nogil:
+    """Add `information` times the square of an error with these derivatives (7,)."""
+    cdef int a, b
+    for a in range(7):
+        sums.gradient[a] += information * error * slopes[a]
+        for b in range(a + 1):
+            sums.hessian[a][b] += information * slopes[a] * slopes[b]
+
+
 cdef void add_lifted(
     Sums* sums, const double[3][7] slopes, const double* error, const double* sight, double across, double along
 ) noexcept nogil:
     """Add the squared distance of a point from the lifted one: `error` m apart, across and along the line of sight."""
-    cdef int a, b
-    cdef double in_depth = dot(sight, error)
-    cdef double[7] depth_slopes
+    cdef int a
+    cdef double[7] in_depth
+    for a in range(3):
+        add_row(sums, slopes[a], error[a], across)
     for a in range(7):
-        depth_slopes[a] = sight[0] * slopes[0][a] + sight[1] * slopes[1][a] + sight[2] * slopes[2][a]
-    for a in range(7):
-        sums.gradient[a] += (
-            across * (slopes[0][a] * error[0] + slopes[1][a] * error[1] + slopes[2][a] * error[2])
-            + (along - across) * depth_slopes[a] * in_depth
-        )
-        for b in range(7):
-            sums.hessian[a][b] += (
-                across * (slopes[0][a] * slopes[0][b] + slopes[1][a] * slopes[1][b] + slopes[2][a] * slopes[2][b])
-                + (along - across) * depth_slopes[a] * depth_slopes[b]
-            )
+        in_depth[a] = sight[0] * slopes[0][a] + sight[1] * slopes[1][a] + sight[2] * slopes[2][a]
+    add_row(sums, in_depth, dot(sight, error), along - across)
 
 
 cdef void add_ray(
     Sums* sums, const double[3][7] slopes, const double* point, const double* ray, double variance, double share
 ) noexcept nogil:
     """Add the robust distance of a point's image from a ray; variance in m^2 at the body."""
-    cdef int a, b
-    cdef double u = point[0] / point[2], v = point[1] / point[2]
-    cdef double error_x = (u - ray[0]) * point[2], error_y = (v - ray[1]) * point[2], information
-    cdef double[7] x, y
-    information = (error_x * error_x + error_y * error_y) / variance
-    information = share / (variance * (1 + information / (ROBUST_STDS * ROBUST_STDS)))
-    for a in range(7):
-        x[a], y[a] = slopes[0][a] - u * slopes[2][a], slopes[1][a] - v * slopes[2][a]
-    for a in range(7):
-        sums.gradient[a] += information * (x[a] * error_x + y[a] * error_y)
-        for b in range(7):
-            sums.hessian[a][b] += information * (x[a] * x[b] + y[a] * y[b])
+    cdef int a, axis
+    cdef double squared = 0, information
+    cdef double[2] error
+    cdef double[2][7] across
+    for axis in range(2):
+        error[axis] = (point[axis] / point[2] - ray[axis]) * point[2]
+        squared += error[axis] * error[axis]
+        for a in range(7):
+            across[axis][a] = slopes[axis][a] - point[axis] / point[2] * slopes[2][a]
+    information = share / (variance * (1 + squared / variance / (ROBUST_STDS * ROBUST_STDS)))
+    for axis in range(2):
+        add_row(sums, across[axis], error[axis], information)
 
 
 cdef void add_seen(
@@ -334,25 +336,6 @@ cdef void take_step(Sums* sums, double* turn, double* turned, double* shift, dou
     multiply(rotation, old, turn)
 
 
-cdef void add_estimate(
-    double* information, double* pull, const double* own, const double* other, const double* added, double sign
-) noexcept nogil:
-    """Add the estimate of a rotation and its information to what is known (sign 1), or take it away (-1).
-
-    `pull` is the information times the rotation vectors from `own`, about which everything is linearised.
-    """
-    cdef double[9] relative
-    cdef double[3] vector, weighed
-    cdef int i
-    multiply_transposed(other, own, relative)
-    vector_from_rotation(relative, vector)
-    transform(added, vector, weighed)
-    for i in range(9):
-        information[i] += sign * added[i]
-    for i in range(3):
-        pull[i] += sign * weighed[i]
-
-
 def collect_frame(
     Py_ssize_t p, Py_ssize_t frame, Stack core, Rows camera, Stack lifted, Stack std, Stack rays, Rows weight,
     Stack other_rays, Rows other_weight, double[:, :, ::1] out_lifted, double[:, :, ::1] out_std,
@@ -360,11 +343,8 @@ def collect_frame(
 ):
     """Write what one of F frames of a window says of person p: attributes of `ExtremityEvidence` of P people.
 
-    `p` index of the person; `frame` index of the frame; `core` (P, 15, 3) m; `camera` (3, 3) rotation from the
-    real to the virtual camera; `lifted`, `std` (F, 26, 3) in the unit of rays, None without a lifter; `rays` (F,
-    15, 2) of the core; `weight` (F, 15); `other_rays` (F, 11, 2) of the extremities, None if none were seen;
-    `other_weight` (F, 11); `out_lifted`, `out_std` (P, 26, 3), NaN before, written only with a lifter; `out_rays`
-    (P, 26, 2), 0 before; `out_weight` (P, 26), 0 before.
+    `core` (P, 15, 3) m; `camera` (3, 3) of the person; `lifted` to `other_weight` are of the window, (F, ...), None
+    without a lifter or extremities. Deviations are NaN before, and rays and weights 0.
     """
     cdef Py_ssize_t j, i, known = core.shape[1]
     cdef double depth = 0
@@ -500,10 +480,10 @@ cdef class Body:
         cdef double* turn = state.turns[part]
         cdef double* covariance = state.covariances[part]
         cdef double* rest = state.segments[self.part_segments[part]]
-        cdef double[9] relative, moved, product
+        cdef double[9] relative, moved, product, spread
         cdef double[3] vector
-        cdef double kept = exp(-step_s / self.rest_memory_s[part]), spread
-        cdef int i, j, k
+        cdef double kept = exp(-step_s / self.rest_memory_s[part])
+        cdef int i, j
         for i in range(3):
             for j in range(3):
                 relative[3 * i + j] = old_rest[i] * turn[j] + old_rest[3 + i] * turn[3 + j] + old_rest[6 + i] * turn[6 + j]
@@ -515,12 +495,9 @@ cdef class Body:
         multiply(rest, relative, turn)
         multiply(moved, covariance, product)
         multiply_transposed(product, moved, covariance)
-        for i in range(3):
-            for j in range(3):
-                spread = 0
-                for k in range(3):
-                    spread += rest[3 * i + k] * self.rest_std[part][k] * self.rest_std[part][k] * rest[3 * j + k]
-                covariance[3 * i + j] = kept * kept * covariance[3 * i + j] + (1 - kept * kept) * spread
+        write_spread(rest, self.rest_std[part], spread)
+        for i in range(9):
+            covariance[i] = kept * kept * covariance[i] + (1 - kept * kept) * spread[i]
 
     cdef void correct_part(
         self, State* state, Py_ssize_t part, const Evidence* seen, double step_s, double* size_sums
@@ -575,7 +552,7 @@ cdef class Body:
         information, slope = sums.hessian[6][6], sums.gradient[6]
         for i in range(6):
             for j in range(6):
-                information -= sums.hessian[6][i] * inverse[6 * i + j] * sums.hessian[j][6]
+                information -= sums.hessian[6][i] * inverse[6 * i + j] * sums.hessian[6][j]
                 slope -= sums.hessian[6][i] * inverse[6 * i + j] * sums.gradient[j]
         for i in range(3):
             memcpy(covariance + 3 * i, inverse + 6 * i, 3 * sizeof(double))
@@ -671,81 +648,37 @@ cdef class Body:
                         (person.offsets[p][i] - old[p][i]) / steps[n] - person.velocity[p][i]
                     )
 
-    cdef void smooth_part(
-        self, State* state, Py_ssize_t part, const double* backward_turn, const double* backward_covariance
-    ) noexcept nogil:
-        """Join the rotation of a part with what was predicted backwards, each of which holds the spread at rest."""
-        cdef double* turn = state.turns[part]
-        cdef double* covariance = state.covariances[part]
-        cdef double* rest = state.segments[self.part_segments[part]]
-        cdef double[9] work, information, added, rotation, own
-        cdef double[3] pull = [0, 0, 0], vector
-        cdef int i, j, k
-        memcpy(own, turn, sizeof(own))
-        memcpy(work, covariance, sizeof(work))
-        invert(work, 3, information)
-        memcpy(work, backward_covariance, sizeof(work))
-        invert(work, 3, added)
-        add_estimate(information, pull, own, backward_turn, added, 1.0)
-        for i in range(3):
-            for j in range(3):
-                added[3 * i + j] = 0
-                for k in range(3):
-                    added[3 * i + j] += rest[3 * i + k] / square(self.rest_std[part][k]) * rest[3 * j + k]
-        add_estimate(information, pull, own, rest, added, -1.0)
-        invert(information, 3, covariance)
-        transform(covariance, pull, vector)
-        rotation_from_vector(vector, rotation)
-        multiply(rotation, own, turn)
-
-    def smooth(
+    def run(
         self, double[::1] start, Stack core, Stack lifted, Stack lifted_std, Stack rays, Rows weight, double noise,
-        double stature, Vector steps,
+        double stature, Vector steps, bint is_learning,
     ):
-        """Return the states (F, N) of a person in the frames of a sequence, smoothed.
+        """Return the states (F, N) after each frame of a sequence, and R and P (2, F, 5, 9) before its correction.
 
-        `start` (N,) the state before the first frame; `core`, `lifted`, `lifted_std`, `rays`, `weight`, `noise`
-        the attributes of `ExtremityEvidence` in all frames; `stature` m; `steps` (F,) s, time since the frame
-        before, infinite for the first.
+        `start` (N,) is the state before the first frame; the evidence is that of one person; `steps` (F,) s since the
+        frame before, infinite for the first; `is_learning` whether the sizes are learned.
         """
-        cdef Py_ssize_t f, k, part, frames = core.shape[0]
-        cdef int round_
-        result = np.empty((frames, start.shape[0]))
-        cdef double[:, ::1] states = result
-        cdef double[:, :, :, ::1] predicted = np.empty((2, frames, PARTS, 9))  # backwards: turns and covariances
+        cdef Py_ssize_t f, frames = core.shape[0]
         cdef State state
         cdef Evidence seen
-        cdef double step_s
+        states, predicted = np.empty((frames, start.shape[0])), np.empty((2, frames, PARTS, 9))
+        cdef double[:, ::1] out = states
+        cdef double[:, :, :, ::1] out_predicted = predicted
         memcpy(&state, &start[0], sizeof(state))
-        for round_ in range(3):  # forwards to learn the sizes, forwards with these, backwards with these
-            for k in range(frames):
-                f = k if round_ < 2 else frames - 1 - k
-                step_s = steps[f] if round_ < 2 else steps[f + 1] if k > 0 else INFINITY
-                seen = Evidence(&core[f, 0, 0], &lifted[f, 0, 0], &lifted_std[f, 0, 0], &rays[f, 0, 0],
-                                &weight[f, 0], noise, stature)
-                if k == 0:
-                    reset(&state, <State*> &start[0])
-                if round_ < 2:
-                    self.advance(&state, &seen, step_s, round_ == 0, NULL, NULL)
-                    memcpy(&states[f, 0], &state, sizeof(state))
-                else:
-                    self.advance(&state, &seen, step_s, False, &predicted[0, f, 0, 0], &predicted[1, f, 0, 0])
         for f in range(frames):
-            for part in range(PARTS):
-                self.smooth_part(<State*> &states[f, 0], part, &predicted[0, f, part, 0], &predicted[1, f, part, 0])
+            seen = Evidence(&core[f, 0, 0], &lifted[f, 0, 0], &lifted_std[f, 0, 0], &rays[f, 0, 0], &weight[f, 0],
+                            noise, stature)
+            self.advance(&state, &seen, steps[f], is_learning, &out_predicted[0, f, 0, 0], &out_predicted[1, f, 0, 0])
+            memcpy(&out[f, 0], &state, sizeof(state))
+        return states, predicted
+
+    def finish(self, double[:, ::1] states, Rows weight, double stature):
+        """Overwrite points, deviations and orientations in the states (F, N) of a sequence by what the others mean."""
+        cdef Py_ssize_t f
+        for f in range(states.shape[0]):
             if f > 0:
                 memcpy((<State*> &states[f, 0]).quaternions, (<State*> &states[f - 1, 0]).quaternions,
-                       sizeof(state.quaternions))
+                       CORE * 4 * sizeof(double))
             self.write_result(<State*> &states[f, 0], &weight[f, 0], stature, INFINITY)
-        return result
-
-
-cdef void reset(State* state, const State* start) noexcept nogil:
-    """Overwrite all but the sizes."""
-    cdef double[SIZES][2] sizes
-    memcpy(sizes, state.sizes, sizeof(sizes))
-    memcpy(state, start, sizeof(state[0]))
-    memcpy(state.sizes, sizes, sizeof(sizes))
 
 
 def sum_derivatives(
@@ -773,7 +706,8 @@ def sum_derivatives(
         arm[i] += origin[i]
         slopes[i][3 + i] = 1.0
     add_ray(&sums, slopes, arm, &ray[0], variance, share)
-    return np.array(<double[:7, :7]> &sums.hessian[0][0]), np.array(<double[:7]> sums.gradient)
+    lower = np.array(<double[:7, :7]> &sums.hessian[0][0])
+    return lower + np.tril(lower, -1).T, np.array(<double[:7]> sums.gradient)
 
 
 cdef inline double square(double x) noexcept nogil:

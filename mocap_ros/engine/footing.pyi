@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
 
-def follow_contact(
+def follow_contacts(
     log_odds: Array,
     times: Array,
     rays: Array,
@@ -21,7 +21,6 @@ def follow_contact(
     upward: Array,
     legs: Indices,
     others: Indices,
-    reach_s: float,
     numbers: Array,
 ) -> Array: ...
 def begin() -> Array: ...

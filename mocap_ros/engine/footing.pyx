@@ -15,11 +15,8 @@ from libc.string cimport memcpy, memset
 
 import numpy as np
 
-from mocap_ros.engine.geometry cimport dot
+from mocap_ros.engine.geometry cimport Indices, Rows, Stack, Vector, dot
 
-ctypedef const double[::1] Vector
-ctypedef const double[:, ::1] Rows
-ctypedef const double[:, :, ::1] Stack
 
 cdef enum:
     OWN = 9  # unknowns of a frame
@@ -280,79 +277,70 @@ cdef Model read_model(Vector numbers):
     return model
 
 
-def follow_contact(
-    Vector log_odds, Vector times, Stack rays, Rows weight, Stack other_rays, Rows other_weight, Rows core,
-    double[:, ::1] feet, Vector upward, const long long[:, ::1] legs, const long long[::1] others, double reach_s,
-    Vector numbers,
+def follow_contacts(
+    Vector log_odds, Vector times, const double[:, :, :] rays, const double[:, :] weight,
+    const double[:, :, :] other_rays, const double[:, :] other_weight, const double[:, :, :] core,
+    double[:, :, :] feet, const double[:, :] upward, const long long[:, ::1] legs, Indices others, Vector numbers,
 ):
-    """Return the logarithms (4,) of the odds that points stand in the newest frame (`solvers.contacts`).
+    """Return log f exp(e) and e of `solvers.contacts`, both (N, 4), in the newest N frames of a window.
 
-    Args:
-        log_odds: (4,) of the frame before; NaN where nothing is known, as in what is returned.
-        times: (F,) s, and the next four, of a window that the newest frame ends.
-        rays: (F, J, 2) of the core.
-        weight: (F, J) scores.
-        other_rays: (F, E, 2) of the extremities.
-        other_weight: (F, E).
-        core: (J, 3) m in the newest frame.
-        feet: (4, 3) m, points about their ankles; set to 0 where the window has no such points but ankles.
-        upward: (3,) unit vector; NaN if it is not known.
-        legs: (2, 3) indices of hip, knee and ankle.
-        others: (4,) columns of the points among the extremities.
-        reach_s: s, of the frames before that a line is fitted to; where frames are rare it is two and a half steps.
-        numbers: V, H, B, D, E, T, the longest step in s, and the least tanh of half the logarithm that is known.
+    `log_odds` (4,) are of the frame before these; rays, scores and times (F,) of the window, `other_rays` those of the
+    extremities; core (N, J, 3) m, and feet (N, 4, 3) m about their ankles, which are set to 0 where the window has no
+    such points but ankles; numbers V, H, B, D, E, T, the longest step in s, and how far lines reach to both sides in s.
     """
-    cdef Py_ssize_t newest = times.shape[0] - 1, t, k, at, count
-    cdef int i
-    cdef double ago, first, second, x, y, sum_x, sum_y, speed, evidence, known, lowest = INFINITY
-    cdef double step_s = times[newest] - times[newest - 1] if newest > 0 else numbers[6]
-    cdef double[4] height
-    cdef double[4] depth
-    cdef bint is_ankle
-    cdef Stack seen
-    cdef Rows score
-    result = np.empty(POINTS)
-    cdef double[::1] out = result
-    count = newest if newest < 4 else 4
-    if count > 0:
-        reach_s = fmax(reach_s, 2.5 * (times[newest] - times[newest - count]) / count)
+    cdef Py_ssize_t frames = times.shape[0], known = core.shape[0], first = frames - known, n, t, s, k, i, at, start, count
+    cdef double step_s, reach_s, ago, sum_1, sum_2, x, y, sum_x, sum_y, speed, height, lowest
+    cdef double[4] odds, heights, depths
+    cdef bint[4] is_ankle
+    cdef const double[:, :, :] seen
+    cdef const double[:, :] score
+    found = np.empty((2, known, POINTS))
+    cdef double[:, :, ::1] out = found
     for k in range(POINTS):
-        height[k], depth[k], at = 0, core[legs[k // 2, ANKLE], 2] + feet[k, 2], legs[k // 2, ANKLE]
-        for i in range(3):
-            height[k] += upward[i] * (core[at, i] + feet[k, i])
-        lowest = fmin(lowest, height[k])
-    for k in range(POINTS):
-        is_ankle = True
-        for t in range(newest + 1):
-            is_ankle = is_ankle and not other_weight[t, others[k]] > 0
-        if is_ankle:
-            seen, score, at = rays, weight, legs[k // 2, ANKLE]
-            feet[k, 0], feet[k, 1], feet[k, 2] = 0, 0, 0
-        else:
-            seen, score, at = other_rays, other_weight, others[k]
-        known = exp(-step_s / numbers[5]) * tanh(log_odds[k] / 2) if isfinite(log_odds[k]) else 0.0
-        out[k] = 2 * atanh(known)
-        count, first, second, x, y, sum_x, sum_y = 0, 0, 0, 0, 0, 0, 0
-        t = newest
-        while t >= 0 and times[newest] - times[t] <= reach_s:
-            if score[t, at] > 0:
-                ago = times[t] - times[newest]
-                count, first, second = count + 1, first + ago, second + ago * ago
-                sum_x, sum_y = sum_x + seen[t, at, 0], sum_y + seen[t, at, 1]
-                x, y = x + ago * seen[t, at, 0], y + ago * seen[t, at, 1]
-            t -= 1
-        if count < 3 or not score[newest, at] > 0:
-            if fabs(known) < numbers[7]:
-                out[k] = NAN
-            continue
-        second = count * second - first * first
-        x, y = (count * x - first * sum_x) / second, (count * y - first * sum_y) / second
-        speed = depth[k] * sqrt(x * x + y * y) / numbers[0]
-        evidence = numbers[2] - speed * speed
-        if isfinite(lowest):
-            evidence -= (height[k] - lowest) * (height[k] - lowest) / (numbers[1] * numbers[1])
-        out[k] += score[newest, at] * fmin(step_s, numbers[6]) / numbers[4] * fmax(evidence, -numbers[3])
-    return result
+        odds[k], is_ankle[k] = log_odds[k] if isfinite(log_odds[k]) else 0.0, True
+        for t in range(frames if other_weight.shape[1] > 0 else 0):
+            is_ankle[k] = is_ankle[k] and not other_weight[t, others[k]] > 0
+    for n in range(known):
+        t, start, lowest, step_s = first + n, max(first + n - 4, 0), INFINITY, numbers[6]
+        count = min(start + 4, frames - 1) - start
+        reach_s = numbers[7]
+        if count > 0:
+            reach_s = fmax(reach_s, 2.5 * (times[start + count] - times[start]) / count)
+            step_s = fmin(step_s, times[max(t, 1)] - times[max(t, 1) - 1])
+        for k in range(POINTS):
+            at, height = legs[k // 2, ANKLE], 0
+            for i in range(3):
+                height += upward[n, i] * (core[n, at, i] + feet[n, k, i])
+            heights[k], depths[k], lowest = height, core[n, at, 2] + feet[n, k, 2], fmin(lowest, height)
+        for k in range(POINTS):
+            if is_ankle[k]:
+                seen, score, at = rays, weight, legs[k // 2, ANKLE]
+                feet[n, k, 0], feet[n, k, 1], feet[n, k, 2] = 0, 0, 0
+            else:
+                seen, score, at = other_rays, other_weight, others[k]
+            count, sum_1, sum_2, x, y, sum_x, sum_y, s = 0, 0, 0, 0, 0, 0, 0, t
+            while s > 0 and times[t] - times[s - 1] <= reach_s:
+                s -= 1
+            while s < frames and times[s] - times[t] <= reach_s:
+                if score[s, at] > 0:
+                    ago = times[s] - times[t]
+                    count, sum_1, sum_2 = count + 1, sum_1 + ago, sum_2 + ago * ago
+                    sum_x, sum_y = sum_x + seen[s, at, 0], sum_y + seen[s, at, 1]
+                    x, y = x + ago * seen[s, at, 0], y + ago * seen[s, at, 1]
+                s += 1
+            odds[k] = 2 * atanh(exp(-(times[t] - times[t - 1] if t > 0 else step_s) / numbers[5]) * tanh(odds[k] / 2))
+            out[1, n, k] = NAN
+            if count >= 3 and score[t, at] > 0 and isfinite(depths[k]):
+                sum_2 = count * sum_2 - sum_1 * sum_1
+                x, y = (count * x - sum_1 * sum_x) / sum_2, (count * y - sum_1 * sum_y) / sum_2
+                speed = depths[k] * sqrt(x * x + y * y) / numbers[0]
+                height = (heights[k] - lowest) / numbers[1] if isfinite(lowest) else 0
+                out[1, n, k] = score[t, at] * step_s / numbers[4] * fmax(
+                    numbers[2] - speed * speed - height * height, -numbers[3]
+                )
+                odds[k] += out[1, n, k]
+            out[0, n, k] = odds[k]
+    return found
 
 
 def begin():
@@ -365,14 +353,8 @@ def advance(double[::1] memory, Vector numbers, double step_s, Rows core, Rows f
 
     Where the root is too far away for a person to have moved there, or what was found is not finite, all begins anew.
 
-    Args:
-        memory: of the frames before, overwritten.
-        numbers: the fields of `Model`.
-        step_s: s since the frame before.
-        core: (J, 3) m.
-        feet: (4, 3) m, points that may stand, about their ankles.
-        log_odds: (4,) logarithms of the odds that they stand.
-        legs: (2, 3) indices of hip, knee and ankle, left and right.
+    `memory` of the frames before is overwritten; `numbers` are the fields of `Model`; `step_s` since the frame before;
+    feet (4, 3) m about their ankles, and the logarithms (4,) of the odds that they stand.
     """
     cdef Memory* own = <Memory*> &memory[0]
     cdef Model model = read_model(numbers)

@@ -2,13 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 # cython: cdivision=True
 
-"""Rotations, rays and lens distortion of single points, for the other modules of the engine.
+"""Types of arrays; rotations, rays and lens distortion of single points, for the other modules of the engine.
 
 Vectors are pointers to 3 numbers, matrices to 9 in the order of their rows. An output is none of the inputs, unless
 a function says so. The formulas are in the modules of `mocap_ros.geometry`.
 """
 
 from libc.math cimport atan, atan2, fabs, hypot, sin, sqrt, tan
+
+ctypedef const double[::1] Vector
+ctypedef const double[:, ::1] Rows
+ctypedef const double[:, :, ::1] Stack
+ctypedef const long long[::1] Indices
 
 cdef extern from *:
     """

@@ -38,7 +38,7 @@ Sequences are not coupled: each has a damping of its own, and steps until it has
 Sizes: P sequences, N frames of all and F of one, J joints, B bones, K base poses, T differences of order up to D.
 """
 
-from libc.math cimport INFINITY, NAN, exp, fabs, isfinite, log1p, sqrt
+from libc.math cimport INFINITY, NAN, exp, isfinite, log1p, sqrt
 from libc.stdlib cimport free, malloc
 from libc.string cimport memcpy, memset
 
@@ -57,6 +57,7 @@ cdef enum:
     MAX_ITERATIONS = 0
     CONVERGED = 1
     NO_LOWER_STEP = 2
+    SQUARES = 14  # K^(2^14): another eigenvalue that is smaller by 1 % is gone to the last digit
 
 cdef double NOISE_REFERENCE = 0.01  # m
 cdef double MIN_DEPTH = 0.1  # of that of the body's origin; a joint nearer to the camera is a failed solution
@@ -795,38 +796,36 @@ cdef class JointProblem:
             total += square if row < rows else -square / w
         return 2 + total
 
-    cdef double measure_misfit_of(self, int p) noexcept nogil:
-        """Return the noise of a sequence in m, from its residual and the coordinates that are not absorbed."""
-        cdef int start = self.starts[p], end = start + self.counts[p], first = start, t, j, stride
-        cdef int coordinates = 0, counted = 0
-        cdef double c = self.robust_scale_of(p), squares = 0, absorbed = 0
-        cdef Frame f
-        for t in range(start, end):
-            f = self.view(&self.current[t, 0])
-            for j in range(self.joints):
-                if self.score[t, j] > 0:
-                    coordinates += 2
-                    squares += self.score[t, j] * compute_loss(f.squared[j], c)
-        while first < end and not self.is_free[first]:
-            first += 1
-        stride = COUNTED_FRAMES + (end - first) // COUNTED_FRAME_STEP
-        stride = max((end - first + stride - 1) // stride, 1)
-        for t from first <= t < end by stride:
-            absorbed += self.count_absorbed_coordinates(p, t)
-            counted += 1
-        absorbed *= self.counts[p]
-        return sqrt(
-            squares / max(coordinates - absorbed / max(counted, 1), MIN_FREE_SHARE * coordinates + 1)
-        )
-
     def measure_misfit(self):
-        """Return what the poses leave unexplained, as a noise (P,) m of a coordinate of a point of weight 1."""
-        cdef int p
+        """Return what the poses leave unexplained, as a noise (P,) m of a coordinate of a point of weight 1.
+
+        It follows from the residual and the coordinates that are not absorbed.
+        """
+        cdef int p, t, j, end, first, stride, coordinates, counted
+        cdef double squares, absorbed
+        cdef Frame f
         misfit = np.empty(self.sequences)
         cdef double[::1] out = misfit
-        with nogil:
-            for p in range(self.sequences):
-                out[p] = self.measure_misfit_of(p)
+        for p in range(self.sequences):
+            first, coordinates, counted, squares, absorbed = self.starts[p], 0, 0, 0, 0
+            end = first + self.counts[p]
+            for t in range(first, end):
+                f = self.view(&self.current[t, 0])
+                for j in range(self.joints):
+                    if self.score[t, j] > 0:
+                        coordinates += 2
+                        squares += self.score[t, j] * compute_loss(f.squared[j], self.robust_scale_of(p))
+            while first < end and not self.is_free[first]:
+                first += 1
+            stride = COUNTED_FRAMES + (end - first) // COUNTED_FRAME_STEP
+            stride = max((end - first + stride - 1) // stride, 1)
+            for t from first <= t < end by stride:
+                absorbed += self.count_absorbed_coordinates(p, t)
+                counted += 1
+            absorbed *= self.counts[p]
+            out[p] = sqrt(
+                squares / max(coordinates - absorbed / max(counted, 1), MIN_FREE_SHARE * coordinates + 1)
+            )
         return misfit
 
     def measure_least_noise(self, growth=None):
@@ -834,20 +833,14 @@ cdef class JointProblem:
 
         `growth` (P,), of `measure_noise_growth`, is that of more frames than those of the batch.
         """
-        cdef int p
-        cdef const double[::1] given = growth
+        cdef int p, start, end
         noise = np.empty(self.sequences)
-        cdef double[::1] out = noise
-        with nogil:
-            for p in range(self.sequences):
-                out[p] = self.measure_roughness(p)
-                if given is not None:
-                    out[p] *= given[p]
-                elif out[p] > 0:
-                    out[p] *= compute_noise_growth(
-                        self.image, self.score, self.times, self.starts[p], self.starts[p] + self.counts[p], 1.0
-                    )
-        return noise
+        for p in range(self.sequences):
+            start, end = self.starts[p], self.starts[p] + self.counts[p]
+            noise[p] = self.measure_roughness(p)
+            if growth is None and noise[p] > 0:
+                noise[p] *= compute_noise_growth(self.image, self.score, self.times, start, end, 1.0)
+        return noise if growth is None else noise * growth
 
     def measure_joint_std(self):
         """Return the posterior standard deviations (P, J) m of the last joints about the body's origin.
@@ -983,79 +976,40 @@ cdef class JointProblem:
         return self.point[:, first : first + size].reshape(shape).copy()
 
 
-cdef double find_largest_root(double determinant, double constant) noexcept nogil:
-    """Return the largest root of x^4 - 2 x^2 - 8 d x + c by Newton's method, going down from sqrt(3)."""
-    cdef double x = sqrt(3.0), value, slope, step  # no smaller than the sum of three singular values, |M| = 1
-    cdef int i
-    for i in range(30):
-        value = ((x * x - 2) * x - 8 * determinant) * x + constant
-        slope = (4 * x * x - 4) * x - 8 * determinant
-        if not slope > 0:
-            break
-        step = value / slope
-        x -= step
-        if fabs(step) < 1e-15 * x:
-            break
-    return x
-
-
-cdef double compute_minor(const double* m, int row, int column) noexcept nogil:
-    """Return the minor of a matrix (4, 4) without a row and a column."""
-    cdef int r0 = 0 if row > 0 else 1, r1 = 1 if row > 1 else 2, r2 = 2 if row > 2 else 3
-    cdef int c0 = 0 if column > 0 else 1, c1 = 1 if column > 1 else 2, c2 = 2 if column > 2 else 3
-    return (
-        m[4 * r0 + c0] * (m[4 * r1 + c1] * m[4 * r2 + c2] - m[4 * r1 + c2] * m[4 * r2 + c1])
-        - m[4 * r0 + c1] * (m[4 * r1 + c0] * m[4 * r2 + c2] - m[4 * r1 + c2] * m[4 * r2 + c0])
-        + m[4 * r0 + c2] * (m[4 * r1 + c0] * m[4 * r2 + c1] - m[4 * r1 + c1] * m[4 * r2 + c0])
-    )
-
-
 cdef void write_best_rotation(const double* products, double* out) noexcept nogil:
     """Write the rotation R (3, 3) that maximises tr(R^T M), M = sum_j q_j p_j^T (3, 3): the closest R p_j to q_j.
 
-    tr(R^T M) is a quadratic form of the quaternion of R, whose matrix K (4, 4) has trace 0. Its largest eigenvalue
-    is found by Newton's method on the characteristic polynomial from an upper bound down; its eigenvector is a
-    column of the adjugate of K - lambda I (Horn 1987; Theobald 2005). Where M has rank 0 or 1 the rotation is one
-    of many.
+    tr(R^T M) is a quadratic form of the quaternion of R, with a matrix K (4, 4) (Horn 1987). Its eigenvalues are
+    within 3^(1/2) |M|, so the powers of K + 3^(1/2) |M| I tend to the projection on the eigenvector of the largest:
+    each column becomes a multiple of it. Where M has rank 0 or 1 the rotation is one of many.
     """
-    cdef int i, j
-    cdef double size = 0, squared, best = -1, determinant, constant = 0, x, w, y, z
-    cdef double m[9]
-    cdef double k[16]
-    cdef double[4] column
-    cdef double[4] q = [1, 0, 0, 0]
+    cdef int i, j, a, square, largest = 0
+    cdef double size = 0, trace, w, x, y, z
+    cdef const double* m = products
+    cdef double[4][4] k, power
     for i in range(9):
-        size += products[i] * products[i]
+        size += m[i] * m[i]
         out[i] = 1 if i % 4 == 0 else 0
     if not size > 0:
         return
-    for i in range(9):
-        m[i] = products[i] / sqrt(size)
-    k[0], k[5], k[10], k[15] = m[0] + m[4] + m[8], m[0] - m[4] - m[8], m[4] - m[0] - m[8], m[8] - m[0] - m[4]
-    k[1], k[2], k[3] = m[7] - m[5], m[2] - m[6], m[3] - m[1]
-    k[6], k[7], k[11] = m[3] + m[1], m[2] + m[6], m[7] + m[5]
+    k[0][:] = [m[0] + m[4] + m[8], m[7] - m[5], m[2] - m[6], m[3] - m[1]]
+    k[1][:] = [k[0][1], m[0] - m[4] - m[8], m[3] + m[1], m[2] + m[6]]
+    k[2][:] = [k[0][2], k[1][2], m[4] - m[0] - m[8], m[7] + m[5]]
+    k[3][:] = [k[0][3], k[1][3], k[2][3], m[8] - m[0] - m[4]]
     for i in range(4):
-        for j in range(i):
-            k[4 * i + j] = k[4 * j + i]
-    # characteristic polynomial x^4 - 2 x^2 - 8 det(M) x + det(K) of the normalised matrix
-    determinant = m[0] * (m[4] * m[8] - m[5] * m[7]) - m[1] * (m[3] * m[8] - m[5] * m[6])
-    determinant += m[2] * (m[3] * m[7] - m[4] * m[6])
-    for j in range(4):
-        constant += (1 if j % 2 == 0 else -1) * k[j] * compute_minor(k, 0, j)
-    x = find_largest_root(determinant, constant)
-    for i in range(4):
-        k[5 * i] -= x
-    for i in range(4):
-        squared = 0
-        for j in range(4):
-            column[j] = (1 if (i + j) % 2 == 0 else -1) * compute_minor(k, i, j)
-            squared += column[j] * column[j]
-        if squared > best:
-            best = squared
-            memcpy(q, column, sizeof(column))
-    if not best > 0:
-        return
-    w, x, y, z = q[0] / sqrt(best), q[1] / sqrt(best), q[2] / sqrt(best), q[3] / sqrt(best)
+        k[i][i] += sqrt(3 * size)
+    for square in range(SQUARES):
+        trace = k[0][0] + k[1][1] + k[2][2] + k[3][3]
+        for i in range(4):
+            for j in range(4):
+                power[i][j] = 0
+                for a in range(4):
+                    power[i][j] += k[i][a] * k[a][j] / (trace * trace)
+        memcpy(k, power, sizeof(k))
+    for i in range(1, 4):
+        largest = i if k[i][i] > k[largest][largest] else largest
+    size = sqrt(k[largest][largest] * (k[0][0] + k[1][1] + k[2][2] + k[3][3]))  # of this column
+    w, x, y, z = k[largest][0] / size, k[largest][1] / size, k[largest][2] / size, k[largest][3] / size
     out[0], out[1], out[2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
     out[3], out[4], out[5] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
     out[6], out[7], out[8] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)

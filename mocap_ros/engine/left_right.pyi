@@ -33,6 +33,3 @@ def continue_paths(
     upper: Indices,
     lower: Indices,
 ) -> tuple[Indices, Array, Array, Array, Array]: ...
-def exchange_sides(
-    points: Array, weight: Array, is_part_swapped: NDArray[np.uint8], mirror: Indices, part: Indices
-) -> tuple[Array, Array]: ...

@@ -14,36 +14,25 @@ from libc.math cimport INFINITY, exp, hypot, log, pow, tanh
 
 import numpy as np
 
-ctypedef const double[::1] Vector
-ctypedef const double[:, ::1] Rows
-ctypedef const double[:, :, ::1] Stack
-ctypedef const long long[::1] Indices
+from mocap_ros.engine.geometry cimport Indices, Rows, Stack, Vector
 
-cdef extern from *:
-    """
-    static const double ENTER[3] = {0.0005, 0.003, 0.003};  /* a, the probability that a swap begins */
-    static const double LEAVE[3] = {0.2, 0.55, 0.55};       /* b, the probability that it ends */
-    static const double INITIAL_COST[3] = {7.0, 5.0, 5.0};  /* nats; the shares of frames above */
-    #define PREDICTION_STD 0.05      /* body sizes; std of a predicted coordinate at once: image noise */
-    #define PREDICTION_STD_PER_S 1.0   /* body sizes/s; for the velocity is not known exactly */
-    #define PREDICTION_STD_PER_S2 2.0  /* body sizes/s^2; makes either labelling acceptable after a gap */
-    #define OUTLIER_PROBABILITY 0.1  /* eps; share of points that are far from where the joint is */
-    #define OUTLIER_STD 0.3          /* body sizes (s); such points are still on the body */
-    #define CONFUSION_COST 12.0      /* nats; more than to enter a swap of legs or arms, so that these show at once */
-    #define ATTACHMENT_COST 5.0      /* nats; log odds that the much shorter lines are those of the right labels */
-    #define ATTACHMENT_SCALE 0.25    /* body sizes; lines longer by this have log odds of about 4 nats */
-    #define ATTACHMENT_TIME_S 0.1    /* s; frames that follow each other more closely say the same */
-    #define VELOCITY_TIME_S 0.08     /* s; tau, of the smoothing of velocities and of their decay in a prediction */
-    #define MAX_VELOCITY_GAP_S 0.2   /* s; a joint that was not seen for longer restarts with velocity 0 */
-    #define MIN_STEP_S 1e-3          /* s; guards divisions by a time step, for images may be a millisecond apart */
-    #define REFERENCE_FRAME_S (1.0 / 30)  /* s; frame interval that the transition probabilities refer to */
-    """
-    const double* ENTER
-    const double* LEAVE
-    const double* INITIAL_COST
-    const double PREDICTION_STD, PREDICTION_STD_PER_S, PREDICTION_STD_PER_S2, OUTLIER_PROBABILITY, OUTLIER_STD
-    const double CONFUSION_COST, ATTACHMENT_COST, ATTACHMENT_SCALE, ATTACHMENT_TIME_S
-    const double VELOCITY_TIME_S, MAX_VELOCITY_GAP_S, MIN_STEP_S, REFERENCE_FRAME_S
+
+cdef double[3] ENTER = [0.0005, 0.003, 0.003]  # a, the probability that a swap begins
+cdef double[3] LEAVE = [0.2, 0.55, 0.55]  # b, the probability that it ends
+cdef double[3] INITIAL_COST = [7.0, 5.0, 5.0]  # nats; the shares of frames above
+cdef double PREDICTION_STD = 0.05  # body sizes; std of a predicted coordinate at once: image noise
+cdef double PREDICTION_STD_PER_S = 1.0  # body sizes/s; for the velocity is not known exactly
+cdef double PREDICTION_STD_PER_S2 = 2.0  # body sizes/s^2; makes either labelling acceptable after a gap
+cdef double OUTLIER_PROBABILITY = 0.1  # eps; share of points that are far from where the joint is
+cdef double OUTLIER_STD = 0.3  # body sizes (s); such points are still on the body
+cdef double CONFUSION_COST = 12.0  # nats; more than to enter a swap of legs or arms, so that these show at once
+cdef double ATTACHMENT_COST = 5.0  # nats; log odds that the much shorter lines are those of the right labels
+cdef double ATTACHMENT_SCALE = 0.25  # body sizes; lines longer by this have log odds of about 4 nats
+cdef double ATTACHMENT_TIME_S = 0.1  # s; frames that follow each other more closely say the same
+cdef double VELOCITY_TIME_S = 0.08  # s; tau, of the smoothing of velocities and of their decay in a prediction
+cdef double MAX_VELOCITY_GAP_S = 0.2  # s; a joint that was not seen for longer restarts with velocity 0
+cdef double MIN_STEP_S = 1e-3  # s; guards divisions by a time step, for images may be a millisecond apart
+cdef double REFERENCE_FRAME_S = (1.0 / 30)  # s; frame interval that the transition probabilities refer to
 
 cdef enum:
     STATES = 8
@@ -167,9 +156,7 @@ def continue_paths(
 ):
     """Return the paths continued by a frame: which path each state continues (8,), then as `begin_paths`.
 
-    `path_cost`, `path_points`, `velocity`, `last_seen_s` the attributes of `ViterbiPaths`; `time_s` s, of the
-    frame; `points` (J, 2) as the detector labelled them; `weight` (J,) scores; `body_size` in the units of the
-    points; `mirror`, `part`, `upper`, `lower` the attributes of `BodySides`.
+    The first four are the attributes of `ViterbiPaths`, the last four of `BodySides`; points (J, 2) are as detected.
     """
     cdef Py_ssize_t j, d, source, before, joints = mirror.shape[0]
     cdef int path, state, p, label, bit
@@ -238,18 +225,4 @@ def continue_paths(
             new_last_seen_s[state, j] = time_s
     for state in range(STATES):
         cost[state] -= least
-    return arrays
-
-
-def exchange_sides(Stack points, Rows weight, const unsigned char[:, ::1] is_part_swapped, Indices mirror, Indices part):
-    """Return points (F, J, 2) and weights (F, J) with left and right of some parts (F, 3) exchanged."""
-    cdef Py_ssize_t frame, j, source
-    arrays = np.empty((weight.shape[0], weight.shape[1], 2)), np.empty((weight.shape[0], weight.shape[1]))
-    cdef double[:, :, ::1] out = arrays[0]
-    cdef double[:, ::1] out_weight = arrays[1]
-    for frame in range(weight.shape[0]):
-        for j in range(weight.shape[1]):
-            source = mirror[j] if part[j] >= 0 and is_part_swapped[frame, part[j]] else j
-            out[frame, j, 0], out[frame, j, 1] = points[frame, source, 0], points[frame, source, 1]
-            out_weight[frame, j] = weight[frame, source]
     return arrays

@@ -14,21 +14,6 @@ Codes: TypeAlias = NDArray[Any]  # of 8 or 16 bits
 def sample_histories(
     points: Array, weight: Array, times: Array, frames: Indices, slots: Array, max_gap_s: float, tolerance_s: float
 ) -> tuple[Array, Array]: ...
-def sample_body_histories(
-    rays: Array,
-    weight: Array,
-    other_rays: Array | None,
-    other_weight: Array | None,
-    rotation: Array,
-    focal: float,
-    times: Array,
-    first: int,
-    oldest: int,
-    joints: int,
-    slots: Array,
-    max_gap_s: float,
-    tolerance_s: float,
-) -> tuple[Array, Array]: ...
 def encode(
     points: Array,
     weight: Array,

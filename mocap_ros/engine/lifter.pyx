@@ -12,11 +12,8 @@ from libc.math cimport INFINITY, NAN, exp, fabs, isfinite, sqrt
 
 import numpy as np
 
-from mocap_ros.engine.geometry cimport rotate_ray, turn_to_axis
+from mocap_ros.engine.geometry cimport Rows, Stack, Vector, rotate_ray, turn_to_axis
 
-ctypedef const double[::1] Vector
-ctypedef const double[:, ::1] Rows
-ctypedef const double[:, :, ::1] Stack
 ctypedef const float[::1] Floats
 
 cdef extern from *:
@@ -107,9 +104,7 @@ def sample_histories(
 ):
     """Return the points (N, T, J, 2) and scores (N, T, J) at the slots before some frames; 0 where not seen.
 
-    `points` (F, J, 2) any unit; `weight` (F, J) scores, 0 where not seen; `times` (F,) s, increasing; `frames`
-    (N,) the newest frame of each history; `slots` (T,) s before it, increasing; `max_gap_s` s, in longer gaps
-    between frames joints count as not seen; `tolerance_s` s, a frame this near to a slot is taken as it is.
+    Arguments and rules are those of `models.lifter_input.sample_histories`; slots (T,) s before the frames (N,) increase.
     """
     cdef Py_ssize_t n, t, j, axis, after, before, nearest, older, newer
     cdef double time, to_after, to_before, share
@@ -140,34 +135,6 @@ def sample_histories(
                     for axis in range(2):
                         out[n, t, j, axis] = (1 - share) * points[older, j, axis] + share * points[newer, j, axis]
     return sampled, sampled_weight
-
-
-def sample_body_histories(
-    Stack rays, Rows weight, Stack other_rays, Rows other_weight, Stack rotation, double focal, Vector times,
-    Py_ssize_t first, Py_ssize_t oldest, Py_ssize_t joints, Vector slots, double max_gap_s, double tolerance_s,
-):
-    """Return what `sample_histories` does of the frames from `first` to the newest of a body, in rotated cameras.
-
-    `rays` (F, J_c, 2) of the core; `weight` (F, J_c) scores; `other_rays` (F, J - J_c, 2) of the extremities, None
-    if none were seen; `other_weight` (F, J - J_c); `rotation` (F, 3, 3), or (1, 3, 3) for all frames; `focal` of
-    the rotated cameras; `times` (F,) s; `first` index of the first frame; `oldest` index of the oldest frame that
-    may take part; `joints` J; `slots`, `max_gap_s`, `tolerance_s` as of `sample_histories`.
-    """
-    cdef Py_ssize_t f, j, core = weight.shape[1], count = times.shape[0] - oldest
-    points, scores = np.zeros((count, joints, 2)), np.zeros((count, joints))
-    cdef double[:, :, ::1] out = points
-    cdef double[:, ::1] score = scores
-    cdef const double* camera
-    cdef const double* ray
-    for f in range(count):
-        camera = &rotation[(oldest + f) % rotation.shape[0], 0, 0]
-        for j in range(core if other_weight is None else joints):
-            score[f, j] = weight[oldest + f, j] if j < core else other_weight[oldest + f, j - core]
-            if score[f, j] > 0:
-                ray = &rays[oldest + f, j, 0] if j < core else &other_rays[oldest + f, j - core, 0]
-                rotate_ray(camera, ray[0], ray[1], focal, &out[f, j, 0])
-    frames = np.arange(first - oldest, count)
-    return sample_histories(out, score, times[oldest:], frames, slots, max_gap_s, tolerance_s)
 
 
 cdef inline bint is_seen(const double* point, double weight) noexcept nogil:
@@ -234,11 +201,9 @@ def encode(
 ):
     """Return features (N, images, I), newest points (N, J, 2), units (N,) and rotations (N, 3, 3) of the cameras.
 
-    `points` (N, T, J, 2) image points, or without the last of the joints; `weight` (N, T, J) scores, likewise;
-    `focal` (N,) focal length, in the unit of the points, infinite if unknown; `upward` (N, 3) k v in the axes of
-    the camera that took the points; `mirror` (J,) counterparts of the joints on the other side; `core` J_c;
-    `turns_cameras` whether virtual cameras turn to the newest points, where the focal length is known; `images` 1,
-    or 2 for the features of the mirror image as well.
+    Points (N, T, J, 2) and scores may lack the last joints; focal lengths (N,), in the unit of the points, are infinite if
+    unknown; `upward` (N, 3) is k v; `mirror` (J,) are the counterparts of the joints. Of `images`, 2 are the history
+    and its mirror image. Virtual cameras turn to the newest points, if they turn, where the focal length is known.
     """
     cdef Py_ssize_t n, t, j, k, image, first, joints = mirror.shape[0]
     cdef Py_ssize_t count = weight.shape[0], slots = weight.shape[1], given = weight.shape[2]
@@ -342,9 +307,7 @@ def decode(
 ):
     """Return the joints and deviations (N, J, 3) that the outputs (N, 2, O) of both images mean on average.
 
-    `outputs` of the network; `features`, `newest`, `size`, `rotation` what `encode` returned; `mirror` (J,)
-    counterparts of the joints on the other side; `core` J_c; `min_log_std`, `max_log_std` the range of logarithms
-    of deviations, in units.
+    `features`, `newest`, `size` and `rotation` are what `encode` returned; logarithms of deviations are in units.
     """
     cdef Py_ssize_t n, j, m, i, seen, joints = mirror.shape[0], stds = 3 * joints  # where log deviations begin
     cdef double total, unit, across, along, log_across, log_along

@@ -5,74 +5,54 @@
 """Where a person is from frame to frame: states of the solution, the filter of the motion, corrected velocities.
 
 The formulas are in `tracking.solution`, `tracking.motion_filter` and `models.velocity_correction`. Sizes: J joints,
-F frames, K base poses, T spans of time, I inputs and H hidden units of the network.
+F frames, K base poses, T spans of time, I inputs of the network.
 """
 
-from libc.math cimport M_PI, NAN, cos, exp, expf, fabs, isfinite, pow, sqrt
+from libc.math cimport M_PI, NAN, cos, exp, fabs, isfinite, pow, sqrt
 from libc.stdlib cimport free, malloc
-from libc.string cimport memcpy, memmove
+from libc.string cimport memmove
 
 import numpy as np
 
-from mocap_ros.engine.geometry cimport dot
+from mocap_ros.engine.geometry cimport Indices, Rows, Stack, Vector, dot
 
-ctypedef const double[::1] Vector
-ctypedef const double[:, ::1] Rows
-ctypedef const double[:, :, ::1] Stack
-ctypedef const float[::1] Floats
-ctypedef const long long[::1] Indices
+# The constants of joints and the powers were chosen together on 53 trials of persons of the training data, with clean
+# points and as three detectors give them: least errors of acceleration for 0.1 to 0.6 mm of the positions. The
+# stiffness of joints and the power of jitter were set last, with other persons in sight (docs/method.md). Factors of
+# deviations are by likelihood in these trials, then set so that two thirds of other persons' errors are within the
+# standard deviation.
+cdef struct Spring:
+    double stiffness  # rad/s at 1 m/s and w = w_0; Omega
+    double damping  # zeta
+    double fade  # 1/s; b: limbs swing to and fro, who walks goes on for some seconds
+    double speed_floor  # m/s; s_0
+    double[3] jitter_factors  # f_w of x, y and z
+    double[3] speed_factors  # f_s
+    double velocity_floor  # m/s; f_0
 
-cdef extern from *:
-    """
-    /* The constants of joints and the powers were chosen together on 53 trials of persons of the training data, with
-       clean points and as three detectors give them: least errors of acceleration for 0.1 to 0.6 mm of the positions.
-       The stiffness of joints and the power of jitter were set last, with other persons in sight (docs/method.md).
-       Factors of deviations are by likelihood in these trials, then set so that two thirds of other persons' errors
-       are within the standard deviation. */
-    typedef struct {
-        double stiffness;          /* rad/s at 1 m/s and w = w_0; Omega */
-        double damping;            /* zeta */
-        double fade;               /* 1/s; b: limbs swing to and fro, who walks goes on for some seconds */
-        double speed_floor;        /* m/s; s_0 */
-        double jitter_factors[3];  /* f_w of x, y and z */
-        double speed_factors[3];   /* f_s */
-        double velocity_floor;     /* m/s; f_0 */
-    } Spring;
-    static const Spring JOINT = {40.0, 0.5, 6.4, 0.055, {1.6, 1.6, 0.5}, {0.0, 0.0, 0.62}, 0.0};
-    /* its steps should not overshoot; its first solutions may be off by a tenth of the depth; it rises and falls */
-    static const Spring CENTRE = {20.0, 1.0, 0.5, 0.2, {1.1, 1.1, 1.1}, {0.14, 0.14, 0.55}, 0.07};
-    #define SPEED_POWER 0.73      /* p */
-    #define JITTER_POWER 0.45     /* q */
-    #define JITTER_UNIT_M 0.005   /* w_0, the jitter with OpenPose's points */
-    #define SPEED_MEMORY_S 0.077  /* time constant of the mean square of the speed */
-    #define JITTER_MEMORY_S 0.113 /* time constant of that of the second differences, short for joints that are astray */
-    #define MAX_RISE 6.0          /* mean squares; a single squared difference counts at most so much */
-    #define MIN_JITTER_M 1e-4     /* far below what is seen, keeps the stiffness finite */
-    #define SQUARES 6.0           /* sum of the squared coefficients of a second difference at even times: 1, -2, 1 */
-    #define INITIAL_JITTER_M 0.005  /* until it is estimated */
-    #define INITIAL_SPEED_M_S 1.0   /* that of a walker */
-    #define MAX_NOISE_SHARE 0.5     /* of the image noise; a joint rests on several frames and points */
-    #define MAX_STEP_S 0.200001     /* over a gap of more than 0.2 s the differences say nothing of the jitter */
-    #define MAX_SPEED_M_S 10.0      /* of a sprinter */
-    #define MAX_DEPTH_CHANGE 0.3    /* of the depth; a larger one from frame to frame is another solution */
-
-    #define INPUT_LIMIT 4.0       /* standard deviations; there is next to nothing beyond in training */
-    #define MAX_CORRECTION 1.5    /* standard deviations of the filter's velocity; one in 40 would be larger */
-    #define LIMIT_FIRST 1         /* of the spans, 0.1 to 0.4 s; less has jitter, more remembers what has ended */
-    #define LIMIT_LAST 4
-    """
-    ctypedef struct Spring:
-        double stiffness, damping, fade, speed_floor, velocity_floor
-        double[3] jitter_factors, speed_factors
-    const Spring JOINT, CENTRE
-    const double SPEED_POWER, JITTER_POWER, JITTER_UNIT_M, SPEED_MEMORY_S, JITTER_MEMORY_S, MAX_RISE
-    const double MIN_JITTER_M, SQUARES, INPUT_LIMIT, MAX_CORRECTION, INITIAL_JITTER_M, INITIAL_SPEED_M_S
-    const double MAX_NOISE_SHARE, MAX_STEP_S, MAX_SPEED_M_S, MAX_DEPTH_CHANGE
-    const int LIMIT_FIRST, LIMIT_LAST
+cdef Spring JOINT = Spring(40.0, 0.5, 6.4, 0.055, [1.6, 1.6, 0.5], [0.0, 0.0, 0.62], 0.0)
+# its steps should not overshoot; its first solutions may be off by a tenth of the depth; it rises and falls
+cdef Spring CENTRE = Spring(20.0, 1.0, 0.5, 0.2, [1.1, 1.1, 1.1], [0.14, 0.14, 0.55], 0.07)
+cdef double SPEED_POWER = 0.73  # p
+cdef double JITTER_POWER = 0.45  # q
+cdef double JITTER_UNIT_M = 0.005  # w_0, the jitter with OpenPose's points
+cdef double SPEED_MEMORY_S = 0.077  # time constant of the mean square of the speed
+cdef double JITTER_MEMORY_S = 0.113  # that of the second differences, short for joints that are astray
+cdef double MAX_RISE = 6.0  # mean squares; a single squared difference counts at most so much
+cdef double MIN_JITTER_M = 1e-4  # far below what is seen, keeps the stiffness finite
+cdef double SQUARES = 6.0  # sum of the squared coefficients of a second difference at even times: 1, -2, 1
+cdef double INITIAL_JITTER_M = 0.005  # until it is estimated
+cdef double INITIAL_SPEED_M_S = 1.0  # that of a walker
+cdef double MAX_NOISE_SHARE = 0.5  # of the image noise; a joint rests on several frames and points
+cdef double MAX_STEP_S = 0.200001  # over a gap of more than 0.2 s the differences say nothing of the jitter
+cdef double MAX_SPEED_M_S = 10.0  # of a sprinter
+cdef double MAX_DEPTH_CHANGE = 0.3  # of the depth; a larger one from frame to frame is another solution
 
 cdef enum:  # rows of the filter's state: x, v, mean squares of the second differences and of v, variance of v
     X, V, SECOND, SPEED, VARIANCE
     LEFT = 1  # index of the axis of the body whose sign a mirror changes
+    LIMIT_FIRST = 1  # of the spans, 0.1 to 0.4 s; less has jitter, more remembers what has ended
+    LIMIT_LAST = 4
 
 
 cdef inline double square(double x) noexcept nogil:
@@ -105,9 +85,8 @@ def sample_joints(
 ):
     """Return the joints (T, J, 3) m of poses size (R (Q_0 + sum_k theta_k Q_k) + root); NaN before the first frame.
 
-    `ago` (T,) s, not negative, times before a frame, positions are interpolated between those of the frames;
-    `frame` index of the frame; `times` (F,) s; `theta` (F, K) m; `rotation` (F, 3, 3) R; `roots` (F, 3) m; `mean`
-    (J, 3) m, Q_0; `components` (K or more, J, 3), Q_k; `size` of the person over that of the solution.
+    Positions at times `ago` (T,) s before a frame, given by its index, are interpolated between those of the frames:
+    times (F,) s, theta (F, K) m, R (F, 3, 3), roots (F, 3) m. `mean` is Q_0, and components are Q_k, K or more.
     """
     cdef Py_ssize_t n, k, first, values = 3 * mean.shape[0], count = theta.shape[1]
     cdef double share, wanted
@@ -323,62 +302,21 @@ def build_inputs(
     return result
 
 
-cdef void evaluate(
-    const double* inputs, Py_ssize_t rows, Floats centre, Floats scale, const float[:, ::1] weight_0, Floats bias_0,
-    const float[:, ::1] weight_1, Floats bias_1, float* hidden, float* found,
-) noexcept nogil:
-    """Write what the network says of inputs (N, I): `found` (N, 3 (J + 1)); each weight is read once for all rows."""
-    cdef Py_ssize_t r, i, k, n, second, third, fourth, width = centre.shape[0], units = bias_0.shape[0], outputs = bias_1.shape[0]
-    cdef float factor
-    cdef float[4] factors
-    cdef float* sums
-    for r in range(rows):
-        memcpy(hidden + r * units, &bias_0[0], units * sizeof(float))
-        memcpy(found + r * outputs, &bias_1[0], outputs * sizeof(float))
-    for i in range(0, width, 4):  # four at a time, for sums are read and written less often
-        second, third, fourth = min(i + 1, width - 1), min(i + 2, width - 1), min(i + 3, width - 1)
-        for r in range(rows):
-            sums = hidden + r * units
-            for k in range(4):
-                factors[k] = 0
-                if i + k < width:
-                    factors[k] = <float> min(
-                        max((inputs[r * width + i + k] - centre[i + k]) / scale[i + k], -INPUT_LIMIT), INPUT_LIMIT
-                    )
-            for n in range(units):  # added one after the other, so that rounding does not depend on it
-                factor = sums[n] + factors[0] * weight_0[i, n]
-                factor = factor + factors[1] * weight_0[second, n]
-                factor = factor + factors[2] * weight_0[third, n]
-                sums[n] = factor + factors[3] * weight_0[fourth, n]
-    for r in range(rows):
-        sums = found + r * outputs
-        for i in range(units):
-            factor = hidden[r * units + i] / (1 + expf(-hidden[r * units + i]))
-            for n in range(outputs):
-                sums[n] += factor * weight_1[i, n]
-
-
-def correct_velocity(
-    Stack velocity, Rows std, Stack joints, const double[:, :, :, ::1] earlier, Stack axes, Py_ssize_t needed, Vector spans,
-    Indices mirror, Indices hips, Floats centre, Floats scale, const float[:, ::1] weight_0, Floats bias_0,
-    const float[:, ::1] weight_1, Floats bias_1,
+def limit_correction(
+    const float[:, :, ::1] found, Stack velocity, Rows std, Stack joints, const double[:, :, :, ::1] earlier,
+    Stack axes, Py_ssize_t needed, double max_stds, Vector spans, Indices mirror, Indices hips,
 ):
     """Return what is to be added to the velocities (P, J, 3) m/s, limited (the l_j).
 
-    `velocity`, `std`, `joints`, `earlier`, `axes` the attributes of `VelocityPast`; `needed` index of the span
-    without which nothing is corrected; `spans`, `mirror`, `hips` as of `build_inputs`; `centre`, `scale`,
-    `weight_0`, `bias_0`, `weight_1`, `bias_1` the attributes of `VelocityCorrection`.
+    `found` (P, 2, 3 (J + 1)) c_j and c_0 of people and of the mirror images; `needed` index of the span without
+    which nothing is corrected; `max_stds` L; the others are those of `build_inputs`, and `std` that of `VelocityPast`.
     """
-    cdef Py_ssize_t p, j, i, a, k, n, people = joints.shape[0], count = joints.shape[1], outputs = bias_1.shape[0]
-    cdef const double[:, :, ::1] inputs = build_inputs(velocity, joints, earlier, axes, spans, mirror, hips)
+    cdef Py_ssize_t p, j, i, a, k, n, people = joints.shape[0], count = joints.shape[1]
     cdef double[:, ::1] said = np.zeros((count + 1, 3))
-    cdef float[::1] hidden = np.empty(2 * people * bias_0.shape[0], np.float32)
-    cdef float[::1] found = np.empty(2 * people * outputs, np.float32)
     cdef double along, apart_along, most_along, most_across, squared, length
     cdef double[3] sight, apart
     result = np.zeros((people, count, 3))
     cdef double[:, :, ::1] out = result
-    evaluate(&inputs[0, 0, 0], 2 * people, centre, scale, weight_0, bias_0, weight_1, bias_1, &hidden[0], &found[0])
     for p in range(people):
         if not isfinite(earlier[p, needed, 0, 0]):
             continue
@@ -386,7 +324,7 @@ def correct_velocity(
         for n in range(2):  # the mean of the person and of the mirror image
             for j in range(count + 1):
                 for i in range(3):
-                    length = found[(2 * p + n) * outputs + 3 * (mirror[j] if n else j) + i] / 2
+                    length = found[p, n, 3 * (mirror[j] if n else j) + i] / 2
                     said[j, i] += -length if n and i == LEFT else length
         for i in range(3):
             sight[i] = joints[p, hips[0], i] + joints[p, hips[1], i]
@@ -417,98 +355,10 @@ def correct_velocity(
             for i in range(3):
                 out[p, j, i] = length * out[p, j, i] + along * sight[i]
             length = sqrt(dot(&out[p, j, 0], &out[p, j, 0]))
-            most_along = MAX_CORRECTION * std[p, j]
+            most_along = max_stds * std[p, j]
             if not (isfinite(length) and isfinite(most_along)):
                 out[p, j, 0] = out[p, j, 1] = out[p, j, 2] = 0.0
             elif length > most_along:
                 for i in range(3):
                     out[p, j, i] *= most_along / length
-    return result
-
-
-def add_correction(
-    double[:, :, ::1] velocity, double[:, ::1] std, double[:, :, ::1] covariance, Stack correction, Indices hips,
-    double std_factor, double correction_factor, double root_factor,
-):
-    """Correct velocities (P, J, 3), their deviations (P, J) and covariances (P, 3, 3) in place (`tracking.output`).
-
-    `velocity`, `std` of the filter; `covariance` likewise, of the velocity between the hips; `correction` (P, J,
-    3), 0 where nothing is corrected; `hips` (2,) indices; `std_factor` f; `correction_factor` g; `root_factor` h.
-    """
-    cdef Py_ssize_t p, j, i, k, count = velocity.shape[1]
-    cdef double total, squared
-    cdef double[3] at_root
-    for p in range(velocity.shape[0]):
-        total = 0
-        for j in range(count):
-            total += dot(&correction[p, j, 0], &correction[p, j, 0])
-        if total == 0:
-            continue
-        for j in range(count):
-            squared = dot(&correction[p, j, 0], &correction[p, j, 0])
-            std[p, j] = sqrt(square(std_factor * std[p, j]) + square(correction_factor) * squared)
-            for i in range(3):
-                velocity[p, j, i] += correction[p, j, i]
-        for i in range(3):
-            at_root[i] = (correction[p, hips[0], i] + correction[p, hips[1], i]) / 2
-        for i in range(3):
-            for k in range(3):
-                covariance[p, i, k] *= square(root_factor * std_factor)
-                covariance[p, i, k] += square(root_factor * correction_factor) * at_root[i] * at_root[k]
-
-
-def estimate_joint_std(
-    Rows posterior, Rows weight, Stack lifter_std, Vector noise, double seen_factor, double inferred_factor, double floor,
-    double lifter_seen_factor, double lifter_inferred_factor, double noise_factor,
-):
-    """Return the standard deviations (P, J) m of joints; formulas and factors are in `models.joint_std`.
-
-    `posterior` (P, J) m; `weight` (P, J or more) scores, 0 for inferred joints; `lifter_std` (P, J or more, 3) m,
-    NaN where not lifted; `noise` (P,) m; `seen_factor`, `inferred_factor`, `floor` h of seen and inferred joints,
-    and the floor in m; `lifter_seen_factor`, `lifter_inferred_factor`, `noise_factor` f / a^0.5, g and n.
-    """
-    cdef Py_ssize_t p, j
-    cdef double length
-    result = np.empty((posterior.shape[0], posterior.shape[1]))
-    cdef double[:, ::1] out = result
-    for p in range(posterior.shape[0]):
-        for j in range(posterior.shape[1]):
-            length = sqrt(dot(&lifter_std[p, j, 0], &lifter_std[p, j, 0]))
-            if not isfinite(length):
-                length = posterior[p, j] * (seen_factor if weight[p, j] > 0 else inferred_factor)
-                out[p, j] = sqrt(square(length) + square(floor))
-            elif weight[p, j] > 0:
-                out[p, j] = sqrt(square(lifter_seen_factor * lifter_std[p, j, 2]) + square(noise_factor * noise[p]))
-            else:
-                out[p, j] = lifter_inferred_factor * length
-    return result
-
-
-def estimate_root_covariance(
-    Stack joints, Rows std, Rows sizes, Py_ssize_t left_hip, Py_ssize_t right_hip, double factor, double across,
-    double along,
-):
-    """Return the covariances (P, 3, 3) m^2 of roots; the formula is in `tracking.body_size`.
-
-    `joints` (P, J, 3) m of people of the assumed size; `std` (P, J) m; `sizes` (P, 3), each a `BodySize`;
-    `left_hip`, `right_hip` indices of the joints; `factor` F; `across`, `along` shares of a joint's variance in a
-    direction across and along the line of sight.
-    """
-    cdef Py_ssize_t p, i, k
-    cdef double variance
-    cdef double[3] root
-    result = np.empty((joints.shape[0], 3, 3))
-    cdef double[:, :, ::1] out = result
-    for p in range(joints.shape[0]):
-        for i in range(3):
-            root[i] = (joints[p, left_hip, i] + joints[p, right_hip, i]) / 2
-        variance = square(factor * (std[p, left_hip] + std[p, right_hip]) / 2)
-        for i in range(3):
-            for k in range(3):
-                out[p, i, k] = (variance * (along - across) / dot(root, root) + square(sizes[p, 1])) * root[i] * root[k]
-            out[p, i, i] += variance * across
-        out[p, 2, 2] += square(sizes[p, 2] * root[2])
-        for i in range(3):
-            for k in range(3):
-                out[p, i, k] *= square(sizes[p, 0])
     return result

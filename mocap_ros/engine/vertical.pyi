@@ -15,10 +15,11 @@ def add_frame(
     sign: float,
     level_deg: float,
     last_level_deg: float,
+    outlier_deg: float,
+    min_standing: float,
     upward: Array,
     standing: Array,
-) -> tuple[Array, float, float, float, float]: ...
-def find_sequence(times: Array, upward: Array, weight: Array, standing: Array) -> tuple[Array, Array]: ...
+) -> tuple[Array, float, float, float, float, float]: ...
 def turn_poses(
     joints: Array, std: Array, upward: Array, vertical: Array, vertical_std: Array, standing: Array, core: int
 ) -> Array: ...

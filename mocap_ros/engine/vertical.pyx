@@ -7,35 +7,17 @@
 Sizes: P people in a frame, F frames, J joints, J_c of the core, which come first.
 """
 
-from libc.math cimport NAN, acos, atan2, cos, exp, isfinite, sin, sqrt
+from libc.math cimport NAN, acos, atan2, cos, isfinite, sin, sqrt
 
 import numpy as np
 
-from mocap_ros.engine.geometry cimport dot
-
-ctypedef const double[::1] Vector
-ctypedef const double[:, ::1] Rows
-ctypedef const double[:, :, ::1] Stack
-
-cdef extern from *:
-    """
-    #define DEGREE (3.14159265358979323846 / 180)
-    #define MEMORY_S 20.0       /* T: long for people who turn about, short enough for a camera that is moved */
-    #define OUTLIER_DEG 10.0    /* A: who lies or tumbles does not show the vertical */
-    #define MIN_STANDING 0.02   /* P: where no person stands, a vertical is better than none */
-    #define LEAN_PER_DEPTH 0.36 /* KAPPA: share of the depths' errors that is a lean of the whole body */
-    #define BALANCE_STD_DEG 6.0 /* s_u */
-    #define MAX_TURN_DEG 20.0   /* B: a larger angle is rather a person who does not stand */
-    #define ROBUST_ROUNDS 4     /* rounds of weights and means of a whole sequence; more change nothing */
-    """
-    const double DEGREE, MEMORY_S, OUTLIER_DEG, MIN_STANDING, LEAN_PER_DEPTH, BALANCE_STD_DEG, MAX_TURN_DEG
-    const int ROBUST_ROUNDS
+from mocap_ros.engine.geometry cimport Rows, Stack, Vector, dot
 
 
-cdef double discount(const double* direction, const double* upward) noexcept nogil:
-    """1 / (1 + (angle / A)^2) of the angle between two directions."""
-    cdef double angle = acos(min(max(dot(direction, upward), -1.0), 1.0)) / (OUTLIER_DEG * DEGREE)
-    return 1 / (1 + angle * angle)
+cdef double DEGREE = 3.14159265358979323846 / 180
+cdef double LEAN_PER_DEPTH = 0.36  # KAPPA: share of the depths' errors that is a lean of the whole body
+cdef double BALANCE_STD_DEG = 6.0  # s_u
+cdef double MAX_TURN_DEG = 20.0  # B: a larger angle is rather a person who does not stand
 
 
 cdef inline double fall(double value, double first, double last) noexcept nogil:
@@ -44,18 +26,16 @@ cdef inline double fall(double value, double first, double last) noexcept nogil:
 
 
 def add_frame(
-    Vector direction, double weight, double step_s, double sign, double level_deg, double last_level_deg, Rows upward,
-    Vector standing,
+    Vector direction, double weight, double step_s, double sign, double level_deg, double last_level_deg,
+    double outlier_deg, double min_standing, Rows upward, Vector standing,
 ):
-    """Return the new direction (3,), and what the frame adds: weight, seconds, people who stand and who are askew.
+    """Return the new direction (3,), and what the frame adds to sums of seconds (`solvers.vertical`).
 
-    `direction` (3,) of the frame before; `weight` s, that it has now; `step_s` s, time that the new frame stands
-    for; `sign` 1, or -1 where the camera is upside down; `level_deg` up to this angle to up in the image, people
-    stand as before a level camera; `last_level_deg` from this angle on, they do not; `upward` (P, 3) directions of
-    the new frame; `standing` (P,) shares to which these people have straight hips.
+    `direction` (3,) of the frame before; `weight` s, that it has now; `step_s` s, dt of the new frame; `sign` 1, or -1
+    where the camera is upside down; degrees `LEVEL_DEG` and A, and P; u (P, 3) and p (P,), not yet multiplied.
     """
     cdef Py_ssize_t p, i
-    cdef double discounted, share, norm, level, stands, added = 0, seconds = 0, upright = 0, askew = 0
+    cdef double angle, discounted, share, norm, level, stands, added = 0, seconds = 0, upright = 0, askew = 0
     result = np.array(direction)
     cdef double[::1] out = result
     for i in range(3):
@@ -65,10 +45,11 @@ def add_frame(
         stands = standing[p] * level
         upright += stands
         askew += standing[p] - stands
-        discounted = step_s * discount(&direction[0], &upward[p, 0])
+        angle = acos(min(max(dot(&direction[0], &upward[p, 0]), -1.0), 1.0)) / (outlier_deg * DEGREE)
+        discounted = step_s / (1 + angle * angle)
         if level == 0 or not (discounted >= 0 and stands >= 0):  # not known
             continue
-        share = discounted * max(stands, MIN_STANDING)
+        share = discounted * max(stands, min_standing)
         added += share
         seconds += discounted * stands
         for i in range(3):
@@ -76,50 +57,7 @@ def add_frame(
     norm = sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2])
     for i in range(3):
         out[i] = out[i] / norm if norm > 0 else direction[i]
-    return result, added, seconds, upright, askew
-
-
-def find_sequence(Vector times, Rows upward, Vector weight, Vector standing):
-    """Return the directions (F, 3) and the seconds (F,) of a whole sequence.
-
-    `times` (F,) s, increasing; `upward` (F, 3) directions that poses show; `weight` (F,) s, time that each frame
-    stands for, 0 where it shows nothing; `standing` (F,) shares to which the poses stand.
-    """
-    cdef Py_ssize_t t, i, frames = times.shape[0]
-    cdef int round_
-    cdef double kept, norm, counted
-    cdef double[4] total
-    found = np.empty((frames, 3)), np.empty(frames)
-    cdef double[:, ::1] directions = found[0]
-    cdef double[::1] seconds = found[1], robust = np.array(weight)
-    for round_ in range(ROBUST_ROUNDS):
-        total = [0, 0, 0, 0]
-        for t in range(frames):  # frames before t and itself
-            kept = exp((times[t - 1] - times[t]) / MEMORY_S) if t > 0 else 0.0
-            counted = max(standing[t], MIN_STANDING) * robust[t]
-            for i in range(3):
-                total[i] = kept * total[i] + counted * upward[t, i]
-                directions[t, i] = total[i]
-            total[3] = kept * total[3] + standing[t] * robust[t]
-            seconds[t] = total[3]
-        total = [0, 0, 0, 0]
-        for t in range(frames - 2, -1, -1):  # frames after t
-            kept = exp((times[t] - times[t + 1]) / MEMORY_S)
-            counted = max(standing[t + 1], MIN_STANDING) * robust[t + 1]
-            for i in range(3):
-                total[i] = kept * (total[i] + counted * upward[t + 1, i])
-                directions[t, i] += total[i]
-            total[3] = kept * (total[3] + standing[t + 1] * robust[t + 1])
-            seconds[t] += total[3]
-        for t in range(frames):
-            norm = 0
-            for i in range(3):
-                norm += directions[t, i] * directions[t, i]
-            norm = max(sqrt(norm), 1e-300)
-            for i in range(3):
-                directions[t, i] /= norm
-            robust[t] = weight[t] * discount(&directions[t, 0], &upward[t, 0])
-    return found
+    return result, added, seconds, step_s * upward.shape[0], step_s * upright, step_s * askew
 
 
 def turn_poses(
@@ -127,9 +65,7 @@ def turn_poses(
 ):
     """Return poses (F, J, 3) turned towards the vertical about the horizontal axes of their virtual cameras.
 
-    `joints` (F, J, 3) lifted poses; `std` (F, J, 3) their deviations; `upward` (F, 3) directions upwards that they
-    show; `vertical` (F, 3) in the same axes; `vertical_std` (F,) rad; `standing` (F,) shares to which they stand;
-    `core` J_c.
+    `std` (F, J, 3); u and v (F, 3) in the same axes; s_v (F,) rad; p (F,).
     """
     cdef Py_ssize_t t, j
     cdef double angle, spread, radius, lean, turn, cosine, sine
@@ -165,9 +101,7 @@ def find_upward(Stack joints, Vector masses, const long long[:, ::1] sides, Py_s
                 double support_ahead, double min_length):
     """Return the directions upwards (N, 3) that poses (N, J, 3) show; the formula is in `models.upward_direction`.
 
-    `joints` poses in any unit; `masses` (J_c,) shares of the body's mass; `sides` (2, 4) left and right shoulder,
-    hip, knee and ankle; `neck`, `pelvis` index of the joint; `support_ahead` b; `min_length` guards divisions by
-    lengths.
+    `masses` (J_c,); `sides` (2, 4) left and right shoulder, hip, knee and ankle; `support_ahead` b.
     """
     cdef Py_ssize_t n, j, s
     cdef int i
@@ -207,8 +141,7 @@ def find_standing(
 ):
     """Return the shares (N,) to which poses stand.
 
-    `joints`, `sides`, `neck`, `pelvis`, `min_length` as of `find_upward`; `standing_deg` who has a leg whose hip and
-    knee are bent by no more stands; `seated_deg` who has in both legs one that is bent by more does not.
+    PHI_0 and PHI_1 are in degrees; the others are those of `find_upward`.
     """
     cdef Py_ssize_t n, s
     cdef double[3] trunk, thigh, shank

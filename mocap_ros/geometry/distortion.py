@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.engine import geometry as engine
+from mocap_ros.engine import rays as engine
 from mocap_ros.errors import InputError
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.engine import geometry as engine
+from mocap_ros.engine import rays as engine
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 

@@ -27,7 +27,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.engine import motion as engine
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.skeleton import Skeleton
 
@@ -52,9 +51,15 @@ def estimate_joint_std(posterior_std: Array, weight: Array, lifter_std: Array, n
     `lifter_std` (P, J or more, 3) in m, NaN for frames that were not lifted; `noise` (P,) in m that of the image
     at the body.
     """
-    of_posterior = POSTERIOR_FACTOR_SEEN, POSTERIOR_FACTOR_INFERRED, POSTERIOR_FLOOR_M
-    of_lifter = LIFTER_FACTOR_SEEN / math.sqrt(VARIANCE_ALONG), LIFTER_FACTOR_INFERRED, NOISE_FACTOR_SEEN
-    return engine.estimate_joint_std(posterior_std, weight, lifter_std, noise, *of_posterior, *of_lifter)
+    joints = posterior_std.shape[1]
+    is_seen, std = weight[:, :joints] > 0, lifter_std[:, :joints]
+    posterior = posterior_std * np.where(is_seen, POSTERIOR_FACTOR_SEEN, POSTERIOR_FACTOR_INFERRED)
+    along = LIFTER_FACTOR_SEEN / math.sqrt(VARIANCE_ALONG) * std[..., 2]
+    length = np.sqrt((std * std).sum(axis=-1))
+    lifted = np.where(
+        is_seen, np.hypot(along, NOISE_FACTOR_SEEN * noise[:, None]), LIFTER_FACTOR_INFERRED * length
+    )
+    return np.where(np.isfinite(length), lifted, np.hypot(posterior, POSTERIOR_FLOOR_M))
 
 
 def expect_stature(lengths: Array, skeleton: Skeleton, lifted: LiftedPoses | None, depth: Array) -> float:

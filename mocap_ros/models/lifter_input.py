@@ -60,35 +60,6 @@ def sample_histories(points: Array, weight: Array, times: Array, frames: NDArray
     )
 
 
-def sample_body_histories(
-    rays: Array,
-    weight: Array,
-    other_rays: Array | None,
-    other_weight: Array | None,
-    rotation: Array,
-    focal: float,
-    times: Array,
-    first: int,
-    oldest: int,
-) -> tuple[Array, Array]:
-    """Sample the frames of a body from `first` on as `sample_histories` does, as rotated cameras see it.
-
-    Args:
-        rays: (F, J_c, 2) of the core.
-        weight: (F, J_c) confidence scores.
-        other_rays: (F, J - J_c, 2) of face, feet and hands; None if none were seen.
-        other_weight: (F, J - J_c) confidence scores.
-        rotation: (F, 3, 3) from the camera to rotated ones, or (1, 3, 3) for all frames.
-        focal: focal length of these, which is the unit of the points.
-        times: (F,) s, increasing.
-        first: index of the first frame.
-        oldest: index of the oldest frame that may take part.
-    """
-    seen = rays, weight, other_rays, other_weight, rotation, focal, times, first, oldest, JOINT_COUNT
-    limits = MAX_INTERPOLATION_GAP_S, TIME_TOLERANCE_S
-    return engine.sample_body_histories(*seen, HISTORY_SLOTS_S, *limits)
-
-
 class NetworkInput(NamedTuple):
     """Histories of N people or frames as the network gets them."""
 

@@ -39,7 +39,8 @@ Array32 = NDArray[np.float32]
 SPANS_S = (1 / 30, 0.1, 0.2, 0.4, 0.8)  # s; over which mean velocities are taken
 # s; one of the `SPANS_S`, of a person's past without which nothing is corrected; training has hardly less
 LEAST_PAST_S = 0.4
-MAX_CORRECTION = 1.5  # standard deviations of the filter's velocity, which the engine has as well
+INPUT_LIMIT = 4.0  # standard deviations; there is next to nothing beyond in training
+MAX_CORRECTION = 1.5  # standard deviations of the filter's velocity; one in 40 would be larger
 
 _NEEDED = SPANS_S.index(LEAST_PAST_S)
 _SPANS, _MIRROR = np.array(SPANS_S), np.array([*CMU15.mirror, len(CMU15.mirror)])  # the root is its own image
@@ -69,8 +70,13 @@ class VelocityCorrection:
 
     def correct(self, past: VelocityPast) -> Array:
         """Return what is to be added to the velocities (P, J, 3) m/s; 0 where too little is known."""
-        network = self.centre, self.scale, self.weight_0, self.bias_0, self.weight_1, self.bias_1
-        return engine.correct_velocity(*past, _NEEDED, _SPANS, _MIRROR, _HIPS, *network)
+        inputs = build_inputs(past).reshape(2 * len(past.joints), -1)
+        x = ((inputs - self.centre) / self.scale).clip(-INPUT_LIMIT, INPUT_LIMIT).astype(np.float32)
+        hidden: Array32 = x @ self.weight_0 + self.bias_0
+        hidden *= (1 + np.tanh(hidden / 2)) / 2  # a(t), without overflow
+        found: Array32 = hidden @ self.weight_1 + self.bias_1
+        both = found.reshape(len(past.joints), 2, -1)
+        return engine.limit_correction(both, *past, _NEEDED, MAX_CORRECTION, _SPANS, _MIRROR, _HIPS)
 
 
 def build_inputs(past: VelocityPast) -> Array:

@@ -3,10 +3,10 @@
 
 """How probable it is that heels and toes stand, from how fast they move in the image and how low they are.
 
-The ray r of a point follows a straight line within `HALF_WINDOW_S`, whose slope, at the depth z of the solution,
-is its speed v = z |dr/dt|; a_h is its height over the lowest point of both feet. Whether it stands changes at
-random, once in T on average, and each frame multiplies the odds, forwards and backwards in time (exact for such a
-Markov chain):
+The ray r of a point follows a straight line within `HALF_WINDOW_S`, or two and a half frames where these are rare;
+its slope, at the depth z of the solution, is the speed v = z |dr/dt|. a_h is the height over the lowest point of
+both feet. Whether it stands changes at random, once in T on average, and each frame multiplies the odds, forwards
+and backwards in time (exact for such a Markov chain):
 
     p_t / (1 - p_t) = f_t b_t,    f_t = g(f_{t-1}) exp(e_t),    b_t = g(b_{t+1} exp(e_{t+1}))
     e_t = w_t dt_t / E max(B - (v / V)^2 - (a_h / H)^2, -D)
@@ -20,12 +20,14 @@ and 0.74, 0.74 and 0.78.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.skeleton import BODY26
+from mocap_ros.engine import footing as engine
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
+from mocap_ros.solvers.observed_window import ObservedWindow
 
 Array = NDArray[np.float64]
 
@@ -41,21 +43,17 @@ MAX_STEP_S = 0.1  # s; longest time that one frame stands for
 MIN_KNOWN = 0.025  # 1; |p - 1/2| below which nothing is known of a point that is not seen, after about 3 s
 
 
-class Contacts(NamedTuple):
-    """Whether left heel and toe, right heel and toe stand."""
-
-    probability: Array  # (F, 4); about 1/2 where nothing is known
-    is_known: NDArray[np.bool_]  # (F, 4)
+FORGOTTEN = 2 * math.atanh(2 * MIN_KNOWN)  # the same, of the logarithm of the odds
+REACH_S = HALF_WINDOW_S + 0.01  # s; frames of 30 Hz come a little late
+# as the engine reads them
+NUMBERS = np.array([SPEED_M_S, HEIGHT_M, STANDING, MOVING, EVIDENCE_S, HOLD_S, MAX_STEP_S, REACH_S])
+LEGS = np.array([[CMU15.index(side + joint) for joint in ('hip', 'knee', 'ankle')] for side in 'lr'])
+FEET = np.array(HEELS_AND_TOES) - CORE_COUNT  # heels and toes among the extremities
+NO_ODDS = np.full(len(FEET), np.nan)
 
 
 def find_contacts(rays: Array, weight: Array, joints: Array, upward: Array, times: Array) -> Array:
-    """Return the probabilities (F, 4) of `weigh_contacts`; NaN where nothing is known."""
-    contacts = weigh_contacts(rays, weight, joints, upward, times)
-    return np.where(contacts.is_known, contacts.probability, np.nan)
-
-
-def weigh_contacts(rays: Array, weight: Array, joints: Array, upward: Array, times: Array) -> Contacts:
-    """Return how probable it is that left heel and toe, right heel and toe stand.
+    """Return the probabilities (F, 4) that left heel and toe, right heel and toe stand; NaN where unknown.
 
     The camera does not move. In a layout without feet, both points of a foot are its ankle.
 
@@ -66,61 +64,30 @@ def weigh_contacts(rays: Array, weight: Array, joints: Array, upward: Array, tim
         upward: (3,) or (F, 3) unit vectors upwards in these axes; NaN where they are not known.
         times: (F,) s, increasing.
     """
-    points, own = _choose_points(weight), _choose_points(np.isfinite(joints[..., 0]))
-    feet = joints[:, own]
-    speed = np.linalg.norm(_find_slopes(rays[:, points], weight[:, points], times), axis=-1) * feet[..., 2]
-    heights = (feet * np.broadcast_to(upward, (len(times), 3))[:, None]).sum(axis=-1)
-    above = np.nan_to_num(heights - heights.min(axis=1, keepdims=True))
-    evidence = np.maximum(STANDING - (speed / SPEED_M_S) ** 2 - (above / HEIGHT_M) ** 2, -MOVING)
-    steps = np.diff(times, append=2 * times[-1] - times[-2] if len(times) > 1 else times[-1] + MAX_STEP_S)
-    evidence *= weight[:, points] * (np.minimum(steps, MAX_STEP_S) / EVIDENCE_S)[:, None]
-    contact = _smooth(np.nan_to_num(evidence), np.exp(-steps / HOLD_S))
-    is_unseen = ~np.isfinite(evidence) | (weight[:, points] <= 0)
-    return Contacts(contact, ~is_unseen | (np.abs(contact - 0.5) >= MIN_KNOWN))
+    seen = *(rays[:, :CORE_COUNT], weight[:, :CORE_COUNT]), *(rays[:, CORE_COUNT:], weight[:, CORE_COUNT:])
+    core, feet = joints[:, :CORE_COUNT], np.zeros((len(times), len(FEET), 3))
+    if joints.shape[1] > CORE_COUNT:
+        feet = joints[:, HEELS_AND_TOES] - core[:, ANKLES]
+    up = np.broadcast_to(upward, core[:, 0].shape)
+    before, evidence = engine.follow_contacts(NO_ODDS, times, *seen, core, feet, up, LEGS, FEET, NUMBERS)
+    after, kept = np.zeros_like(before), np.exp(-np.diff(times) / HOLD_S)
+    for t in range(len(times) - 2, -1, -1):
+        after[t] = 2 * np.arctanh(kept[t] * np.tanh((after[t + 1] + np.nan_to_num(evidence[t + 1])) / 2))
+    log_odds = before + after
+    return np.where(np.isnan(evidence) & (np.abs(log_odds) < FORGOTTEN), np.nan, 1 / (1 + np.exp(-log_odds)))
 
 
-def _choose_points(known: NDArray[np.generic]) -> list[int]:
-    """Return the indices of heels and toes, or of ankles instead of those that are never known (F, J)."""
-    is_known = np.any(known, axis=0).tolist()
-    pairs = zip(HEELS_AND_TOES, ANKLES, strict=True)
-    return [point if point < len(is_known) and is_known[point] else ankle for point, ankle in pairs]
+def follow_contacts(
+    log_odds: Array, observed: ObservedWindow, frame: int, core: Array, feet: Array, upward: Array
+) -> Array:
+    """Return the logarithms (4,) of the odds in a frame of a window from those of the frame before.
 
-
-def _find_slopes(rays: Array, weight: Array, times: Array) -> Array:
-    """Return d/dt (F, P, 2) of the rays, by straight lines; NaN where too few points are near."""
-    step = float(np.median(np.diff(times))) if len(times) > 1 else HALF_WINDOW_S
-    reach = max(round(HALF_WINDOW_S / step), 1)
-    frames, longest = np.arange(len(times)), 1.25 * max(HALF_WINDOW_S, step)
-    count, first, second = np.zeros((3, *weight.shape))
-    sums, products = np.zeros((2, *rays.shape))
-    for shift in range(-reach, reach + 1):
-        other = (frames + shift).clip(0, len(times) - 1)
-        ago = times[other] - times
-        is_near = (other == frames + shift) & (np.abs(ago) <= longest)
-        seen, ago = (weight[other] > 0) * is_near[:, None], ago[:, None]
-        moved = np.where(seen[..., None], rays[other] - rays, 0.0)
-        count += seen
-        first += seen * ago
-        second += seen * ago * ago
-        sums += moved
-        products += ago[..., None] * moved
-    spread = count * second - first * first
-    is_enough = (weight > 0) & (count >= min(3, reach + 1)) & (spread > 0)
-    slopes = count[..., None] * products - first[..., None] * sums
-    return np.asarray(slopes / np.where(is_enough, spread, np.nan)[..., None])
-
-
-def _smooth(evidence: Array, kept: Array) -> Array:
-    """Return the probabilities (F, P) of the Markov chain; `kept` (F,) is k of the step to the next frame."""
-    odds = np.empty((2, *evidence.shape))
-    for direction, (e, k) in enumerate(((evidence, kept[:-1]), (evidence[::-1], kept[-2::-1]))):
-        for point, factors in enumerate(np.exp(e).T.tolist()):
-            before = []
-            f = 1.0
-            for factor, share in zip(factors, [1.0, *k.tolist()], strict=True):
-                f = (f * (1 + share) + 1 - share) / (f * (1 - share) + 1 + share)
-                before.append(f)
-                f *= factor
-            odds[direction, :, point] = before
-    total = odds[0] * odds[1, ::-1] * np.exp(evidence)
-    return np.asarray(total / (1 + total))
+    Later frames take no part. Heels and toes (4, 3) m about their ankles are set to 0 in a layout without feet.
+    """
+    end = frame + 1
+    rays, weight = observed.rays[:end], observed.weight[:end]
+    others = (rays[:, :0], weight[:, :0]) if observed.extremities is None else observed.extremities
+    seen = rays, weight, others[0][:end], others[1][:end], core[None], feet[None], upward[None]
+    (found,), (evidence,) = engine.follow_contacts(log_odds, observed.times[:end], *seen, LEGS, FEET, NUMBERS)
+    found[np.isnan(evidence) & (np.abs(found) < FORGOTTEN)] = np.nan
+    return found

@@ -51,6 +51,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.engine import extremities as engine
+from mocap_ros.geometry.rotations import rotation_from_vector, vector_from_rotation
 from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT
 from mocap_ros.solvers import body_segments as segments
 from mocap_ros.solvers.body_segments import PART_SEGMENTS, SEGMENT_COUNT, rotation_about
@@ -220,7 +221,27 @@ class ExtremitySequence(NamedTuple):
 
 def smooth_extremities(times: Array, evidence: ExtremityEvidence, stature: float) -> ExtremitySequence:
     """Estimate the extremities of a person over times (F,) s (formulas of the module)."""
-    steps = np.append(np.inf, np.diff(times))
-    states = read_states(_BODY.smooth(START, *evidence[:5], float(evidence.noise[0]), stature, steps))
+    steps, size = np.append(np.inf, np.diff(times)), (float(evidence.noise[0]), stature)
+    start = START[None].copy()
+    sizes, _ = _BODY.run(start[0], *evidence[:5], *size, steps, True)
+    read_states(start)['sizes'] = read_states(sizes)['sizes'][-1]
+    forwards, _ = _BODY.run(start[0], *evidence[:5], *size, steps, False)
+    reversed_ = ExtremityEvidence(*(np.ascontiguousarray(values[::-1]) for values in evidence))
+    _, predicted = _BODY.run(start[0], *reversed_[:5], *size, np.append(np.inf, steps[:0:-1]), False)
+    states = read_states(forwards)
+    back, back_covariance = predicted[:, ::-1].reshape(2, len(times), len(PARTS), 3, 3)
+    turns, rest = states['turns'].copy(), states['segments'][:, PART_SEGMENTS]
+    of_rest = rest @ (REST_STD[..., None] ** -2 * np.swapaxes(rest, -1, -2))  # S^-1
+    of_back = np.linalg.inv(back_covariance)
+    covariance = np.linalg.inv(np.linalg.inv(states['covariances']) + of_back - of_rest)
+    pull = of_back @ _find_turn(turns, back) - of_rest @ _find_turn(turns, rest)
+    states['turns'] = rotation_from_vector((covariance @ pull)[..., 0]) @ turns
+    states['covariances'] = covariance
+    _BODY.finish(forwards, evidence.weight, stature)
     offsets, std, quaternions = (np.ascontiguousarray(states[n]) for n in ('offsets', 'offset_std', 'quaternions'))
     return ExtremitySequence(offsets, std, quaternions, states['is_turn_seen'] > 0)
+
+
+def _find_turn(own: Array, other: Array) -> Array:
+    """Return the rotation vectors (..., 3, 1) from some rotations (..., 3, 3) to others."""
+    return vector_from_rotation(other @ np.swapaxes(own, -1, -2))[..., None]

@@ -40,28 +40,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.engine import footing as engine
-from mocap_ros.keypoints.extremities import Extremities, join_body
-from mocap_ros.skeleton import CMU15, CORE_COUNT
-from mocap_ros.solvers.contacts import (
-    EVIDENCE_S,
-    HALF_WINDOW_S,
-    HEELS_AND_TOES,
-    HEIGHT_M,
-    HOLD_S,
-    MAX_STEP_S,
-    MIN_KNOWN,
-    MOVING,
-    SPEED_M_S,
-    STANDING,
-    weigh_contacts,
-)
-from mocap_ros.solvers.extremities import ANCHORS, attach
+from mocap_ros.keypoints.extremities import join_body
+from mocap_ros.solvers.contacts import FEET, HEELS_AND_TOES, LEGS, NO_ODDS, find_contacts, follow_contacts
+from mocap_ros.solvers.extremities import attach
 from mocap_ros.solvers.observed_window import ObservedWindow
 
 Array = NDArray[np.float64]
 
-LEGS = np.array([[CMU15.index(side + joint) for joint in ('hip', 'knee', 'ankle')] for side in 'lr'])
-FEET = np.array(HEELS_AND_TOES) - CORE_COUNT  # heels and toes among the extremities
 ERROR_M, ERROR_PER_NOISE = (0.03, 0.004), (0.5, 0.3)  # m and 1; C_0 and C_1, along the line of sight and across it
 # m and 1; A_0 and A_1, but for tilts; with more, feet slide less and knees are worse
 LEG_M, LEG_PER_NOISE = 0.004, 0.1
@@ -69,10 +54,7 @@ SLIP_M_S = 0.09  # m/s; S_0; with less, errors of contacts add up to errors of t
 PRECISE_M = 0.007  # m; N
 ROUNDS = 3  # of the robust loss, over whole sequences
 LEAST_NOISE_M = 5e-4  # m; image noise of points without errors
-# as the engine reads them, units as in `solvers.contacts`; the last one limits |2 p - 1|
-CONTACT = np.array([SPEED_M_S, HEIGHT_M, STANDING, MOVING, EVIDENCE_S, HOLD_S, MAX_STEP_S, 2 * MIN_KNOWN])
-REACH_S = HALF_WINDOW_S + 0.01  # s; frames of 30 Hz come a little late
-UNKNOWN, NO_ODDS = np.full(3, np.nan), np.full(len(FEET), np.nan)  # (3,) m of a place; (4,) logarithms
+UNKNOWN = np.full(3, np.nan)  # (3,) vertical
 
 
 class Knowledge(NamedTuple):
@@ -115,8 +97,7 @@ def plant_sequence(observed: ObservedWindow, core: Array, offsets: Array, upward
         noise: m, image noise at the body.
     """
     rays, weight = join_body(observed.rays, observed.weight, observed.extremities)
-    found = weigh_contacts(rays, weight, attach(core, offsets), upward, observed.times)
-    contact = np.where(found.is_known, found.probability, 0.0)
+    contact = np.nan_to_num(find_contacts(rays, weight, attach(core, offsets), upward, observed.times))
     are_feet_seen = np.any(weight[:, HEELS_AND_TOES] > 0, axis=0)  # else their ankles stand
     feet = np.ascontiguousarray(offsets[:, FEET] * are_feet_seen[:, None])
     numbers = choose_numbers(noise, OF_ALL)
@@ -152,14 +133,8 @@ class Footing(NamedTuple):
 
         The offsets (11, 3) m are those of the frame before, else as `plant_sequence`.
         """
-        times, end = observed.times[: frame + 1], frame + 1
-        others = observed.extremities or Extremities(
-            np.zeros((end, len(ANCHORS), 2)), np.zeros((end, len(ANCHORS)))
-        )
-        seen = observed.rays[:end], observed.weight[:end], others.rays[:end], others.weight[:end]
-        feet, up = offsets[FEET], UNKNOWN if upward is None else upward
-        log_odds = NO_ODDS if before is None else before.log_odds
-        log_odds = engine.follow_contact(log_odds, times, *seen, core, feet, up, LEGS, FEET, REACH_S, CONTACT)
+        feet, log_odds = offsets[FEET], NO_ODDS if before is None else before.log_odds
+        log_odds = follow_contacts(log_odds, observed, frame, core, feet, UNKNOWN if upward is None else upward)
         memory = engine.begin() if before is None else before.memory.copy()
         step_s = 1.0 if before is None else time_s - before.time_s
         numbers = choose_numbers(round(noise, 4), OF_NEWEST)

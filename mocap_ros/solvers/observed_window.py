@@ -40,7 +40,7 @@ from mocap_ros.models.lifter_input import (
     HISTORY_SLOTS_S,
     MAX_INTERPOLATION_GAP_S,
     TIME_TOLERANCE_S,
-    sample_body_histories,
+    sample_histories,
 )
 from mocap_ros.skeleton import CMU15, Skeleton
 from mocap_ros.solvers.window import (
@@ -127,10 +127,8 @@ class ObservedWindow:
         """Return rays (N, T, J, 2) and scores (N, T, J) of the frames not lifted yet, for `Lifter.lift`."""
         first = 0 if self.lifted is None else len(self.lifted.joints)
         oldest = int(self.times.searchsorted(self.times[first] - HISTORY_REACH_S))
-        other_rays, other_weight = (None, None) if self.extremities is None else self.extremities
-        cameras = self.virtual_camera.rotation.reshape(-1, 3, 3), RAY_FOCAL
-        seen = self.rays, self.weight, other_rays, other_weight, *cameras
-        return sample_body_histories(*seen, self.times, first, oldest)
+        body = self.view_body(slice(oldest, None), RAY_FOCAL)
+        return sample_histories(*body, self.times[oldest:], np.arange(first - oldest, len(self.times) - oldest))
 
     def view_body(self, frames: slice, focal: float) -> tuple[Array, Array]:
         """Return points (F, J, 2) of `skeleton.BODY26` in the virtual cameras, and scores."""

@@ -66,6 +66,9 @@ LEVEL_DEG = 50.0, 60.0  # between up in the image of a level camera and who stan
 LEVEL_PITCH_DEG = 10.0  # by which v_0 looks down, as robots and tripods do; roll and pitch differ by some 10
 STANDING_SHARE = 0.1  # 1; of the time; who stands for less of it still shows more than v_0 does
 ASKEW_STD_DEG = 45.0  # half of the quarter of a turn by which v_0 is wrong if the camera is on its side
+OUTLIER_DEG = 10.0  # A: who lies or tumbles does not show the vertical
+MIN_STANDING = 0.02  # P: where no person stands, a vertical is better than none
+ROBUST_ROUNDS = 4  # of weights and means; more change nothing
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for
 UNIT_TOLERANCE = 0.01  # 1; difference of a given direction's length from 1 that rounding may cause
 
@@ -101,11 +104,13 @@ def _add_prior(
 
 
 class _Sums(NamedTuple):
-    """Seconds in which people were seen, stood and lay; those of long ago count less."""
+    """Seconds of people, those of long ago counting less."""
 
-    seen: float = 0.0
-    standing: float = 0.0
-    askew: float = 0.0
+    weight: float = 0.0  # sum of max(p, P) k
+    certain: float = 0.0  # sum of p k
+    seen: float = 0.0  # n
+    standing: float = 0.0  # m
+    askew: float = 0.0  # q n
 
 
 NO_SUMS = _Sums()
@@ -121,9 +126,7 @@ class Vertical:
         is_given: whether the direction was given, so that it owes nothing to lifted poses.
         stamp_ns: ns, stamp of the newest frame that it rests on.
         found: (3,) the direction that people show alone.
-        seconds: s, for how long people have been seen standing, those of long ago counting less.
-        weight: s, the same, in which those who do not stand count at least `MIN_STANDING`.
-        sums: s, what else people have been seen to do.
+        sums: s, what people have been seen to do.
         sign: 1, or -1 where the camera is upside down.
     """
 
@@ -132,8 +135,6 @@ class Vertical:
     is_given: bool = False
     stamp_ns: int = 0
     found: Array = field(default_factory=lambda: np.full(3, np.nan))
-    seconds: float = 0.0
-    weight: float = 0.0
     sums: _Sums = NO_SUMS
     sign: float = 1.0
 
@@ -148,7 +149,7 @@ class Vertical:
         total = stances.upward.sum(axis=0)
         found = total / max(float(np.linalg.norm(total)), 1e-9)
         begun = Vertical(found, 0.0, False, stamp_ns, found, sign=sign).advance(stamp_ns + 1, stances, sign)
-        return replace(begun, stamp_ns=stamp_ns, found=found, seconds=0.0, weight=0.0)
+        return replace(begun, stamp_ns=stamp_ns, found=found, sums=begun.sums._replace(weight=0.0, certain=0.0))
 
     def advance(self, stamp_ns: int, stances: Stances, sign: float = 1.0) -> Vertical:
         """Return the vertical after another frame.
@@ -164,19 +165,16 @@ class Vertical:
             return Vertical.begin(stamp_ns, stances, sign)
         age_s = (stamp_ns - self.stamp_ns) / NS_PER_S
         faded, step_s = math.exp(-age_s / MEMORY_S), min(age_s, MAX_STEP_S)
-        found, weight, seconds, *stood = engine.add_frame(
-            self.found, faded * self.weight, step_s, sign, *LEVEL_DEG, *stances
-        )
-        added = len(stances.standing), *stood
-        sums = _Sums(*(faded * old + step_s * new for old, new in zip(self.sums, added, strict=True)))
-        seconds += faded * self.seconds
-        std_deg = min(math.hypot(BODY_STD_DEG, SECOND_STD_DEG / math.sqrt(max(seconds, 1e-9))), MAX_STD_DEG)
+        limits = *LEVEL_DEG, OUTLIER_DEG, MIN_STANDING
+        found, *added = engine.add_frame(self.found, faded * self.sums.weight, step_s, sign, *limits, *stances)
+        sums = _Sums(*(faded * old + new for old, new in zip(self.sums, added, strict=True)))
+        second_deg = SECOND_STD_DEG / math.sqrt(max(sums.certain, 1e-9))
+        std_deg = min(math.hypot(BODY_STD_DEG, second_deg), MAX_STD_DEG)
         direction, std = found, math.radians(std_deg)
         if sums.standing < STANDING_SHARE * sums.seen:
-            sums_by_frame = np.array(sums if self.sign > 0 else sums._replace(askew=sums.seen))[:, None]
-            ((direction,), (std,)) = _add_prior(found[None], np.array([std_deg]), self.sign, *sums_by_frame)
-        weight += faded * self.weight
-        return Vertical(direction, float(std), False, stamp_ns, found, seconds, weight, sums, self.sign)
+            counted = np.array(sums[2:] if self.sign > 0 else (sums.seen, sums.standing, sums.seen))[:, None]
+            ((direction,), (std,)) = _add_prior(found[None], np.array([std_deg]), self.sign, *counted)
+        return Vertical(direction, float(std), False, stamp_ns, found, sums, self.sign)
 
     def forget(self) -> Vertical | None:
         """Return what is left when the camera may have changed: a vertical that was given."""
@@ -247,10 +245,27 @@ def find_vertical(times: Array, stances: Stances, *, is_turned: bool = False) ->
     weight = np.where(known, np.maximum(steps, 1e-9), 0.0)
     levelness = _measure_levelness(stances.upward)
     standing, is_level = stances.standing * levelness, weight * (levelness > 0)
-    directions, seconds = engine.find_sequence(times, stances.upward, is_level, standing)
+    kept = np.exp(np.diff(times, prepend=-np.inf) / -MEMORY_S)  # of the frame before
+    counted, robust = np.maximum(standing, MIN_STANDING)[:, None] * stances.upward, is_level
+    for _ in range(ROBUST_ROUNDS):
+        total = _sum_over_time(robust[:, None] * np.column_stack([counted, standing]), kept)
+        length = np.linalg.norm(total[:, :3], axis=1, keepdims=True)
+        directions, seconds = total[:, :3] / np.maximum(length, 1e-300), total[:, 3]
+        angle = np.arccos((directions * stances.upward).sum(axis=1).clip(-1, 1))
+        robust = is_level / (1 + (angle / math.radians(OUTLIER_DEG)) ** 2)
     std_deg = np.hypot(BODY_STD_DEG, SECOND_STD_DEG / np.sqrt(np.maximum(seconds, 1e-9))).clip(None, MAX_STD_DEG)
-    same = np.tile([0.0, -1.0, 0.0], (len(times), 1))
-    seen = known.astype(float)
-    shares = seen, standing, seen if is_turned else np.maximum(stances.standing - standing, 0.0)
-    sums = [engine.find_sequence(times, same, weight, np.ascontiguousarray(s))[1] for s in shares]
-    return _add_prior(directions, std_deg, 1.0, *sums)
+    askew = known if is_turned else np.maximum(stances.standing - standing, 0.0)
+    sums = _sum_over_time(weight[:, None] * np.column_stack([known, standing, askew]), kept)
+    return _add_prior(directions, std_deg, 1.0, *sums.T)
+
+
+def _sum_over_time(values: Array, kept: Array) -> Array:
+    """Return sum_i exp(-|t - t_i| / T) values_i of each frame t, (F, D); `kept` (F,) is k of the one before."""
+    sums = -values
+    for order, shares in ((slice(None), kept), (slice(None, None, -1), np.roll(kept[::-1], 1))):
+        total, totals = [0.0] * values.shape[1], []
+        for share, row in zip(shares.tolist(), values[order].tolist(), strict=True):
+            total = [share * old + new for old, new in zip(total, row, strict=True)]
+            totals.append(total)
+        sums[order] += totals
+    return sums

@@ -39,10 +39,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import TrackerConfig
-from mocap_ros.engine import motion as engine
 from mocap_ros.errors import ConfigError
 from mocap_ros.geometry.level import Floor
-from mocap_ros.models.joint_std import VARIANCE_ACROSS, VARIANCE_ALONG
+from mocap_ros.models.joint_std import compute_joint_covariance
 from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.floor import POSE_SHARE, SIZE_RANGE
@@ -171,5 +170,11 @@ def assume_size(
 
 def estimate_root_covariance(joints: Array, std: Array, sizes: Sequence[BodySize]) -> Array:
     """Return the covariances (P, 3, 3) m^2 of roots, of joints (P, J, 3) m of the assumed size."""
-    shares = VARIANCE_ACROSS, VARIANCE_ALONG
-    return engine.estimate_root_covariance(joints, std, np.array(sizes), *HIPS, ROOT_FACTOR, *shares)
+    ratio, share, focal_share = np.array(sizes).T
+    hips = list(HIPS)
+    roots = joints[:, hips].mean(axis=1)
+    covariance = compute_joint_covariance(ROOT_FACTOR * std[:, hips].mean(axis=1), roots)
+    of_size = share[:, None] * roots
+    covariance += of_size[:, :, None] * of_size[:, None]
+    covariance[:, 2, 2] += (focal_share * roots[:, 2]) ** 2
+    return np.asarray(ratio[:, None, None] ** 2 * covariance)

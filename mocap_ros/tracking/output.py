@@ -19,7 +19,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.engine import motion as engine
 from mocap_ros.geometry.interpolation import central_velocity
 from mocap_ros.models.joint_std import estimate_joint_std
 from mocap_ros.models.model_file import load_velocity_correction
@@ -148,7 +147,13 @@ def find_published_motion(shown: Shown, now: Array, earlier: Array) -> CoreMotio
     motion = find_motion(shown, now)
     if earlier.shape[1]:
         correction = load_velocity_correction().correct(describe_past(shown.tracks, motion, now, earlier))
-        engine.add_correction(*motion[1:], correction, _HIPS, CORRECTED_STD, CORRECTION_STD, ROOT_SPREAD)
+        who = correction.any(axis=(1, 2))
+        correction, std, covariance = correction[who], motion.velocity_std, motion.root_velocity_covariance
+        motion.velocity[who] += correction
+        std[who] = np.hypot(CORRECTED_STD * std[who], CORRECTION_STD * np.linalg.norm(correction, axis=-1))
+        at_root = CORRECTION_STD * correction[:, _HIPS].mean(axis=1)
+        spread = CORRECTED_STD**2 * covariance[who] + at_root[:, :, None] * at_root[:, None]
+        covariance[who] = ROOT_SPREAD**2 * spread
     return motion
 
 

@@ -101,10 +101,9 @@ def test_the_pairs_are_those_of_the_least_sum(seed: int, detections: int, people
     cost = np.random.default_rng(seed).random((detections, people)) * 3
     if has_ties:
         cost = np.minimum(np.round(cost), 2)
-    expected: list[int | None] = [None] * detections
-    for row, column in zip(*linear_sum_assignment(cost), strict=True):
-        expected[row] = column
-    assert choose_pairs(cost, np.ones_like(cost, bool)) == expected
+    pairs = [(d, p) for d, p in enumerate(choose_pairs(cost, np.ones_like(cost, bool))) if p is not None]
+    assert len(pairs) == len({p for _, p in pairs}) == min(cost.shape)
+    assert sum(cost[pair] for pair in pairs) == pytest.approx(cost[linear_sum_assignment(cost)].sum())
     cost[-1, 0] = [math.nan, math.inf][seed % 2]
     with pytest.raises(ValueError, match='not finite'):
         choose_pairs(cost, np.ones_like(cost, bool))

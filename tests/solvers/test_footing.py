@@ -12,9 +12,9 @@ import pytest
 from mocap_ros.engine import footing as engine
 from mocap_ros.keypoints.extremities import Extremities
 from mocap_ros.skeleton import BODY26, CMU15
-from mocap_ros.solvers.contacts import HEELS_AND_TOES, find_contacts
+from mocap_ros.solvers.contacts import HEELS_AND_TOES, LEGS, find_contacts
 from mocap_ros.solvers.extremities import ANCHORS
-from mocap_ros.solvers.footing import LEGS, OF_ALL, OF_NEWEST, Footing, choose_numbers, plant_sequence
+from mocap_ros.solvers.footing import OF_ALL, OF_NEWEST, Footing, choose_numbers, plant_sequence
 
 Array = np.ndarray
 Motion = tuple[Array, Array, Array, Array]

@@ -28,8 +28,8 @@ from mocap_ros.solvers.joint.differences import (
 )
 from mocap_ros.solvers.joint.lifted_start import fit_lifted_poses
 from mocap_ros.solvers.joint.objective import JointObjective, read_state
-from mocap_ros.solvers.joint.reference import advance, compute_cost, compute_costs, compute_residuals
 from mocap_ros.solvers.window import Reconstruction, Window, initialise_from_mean_pose, reverse_depth
+from tests.support.plain_objective import advance, compute_cost, compute_costs, compute_residuals
 from tests.support.synthetic_walk import make_walk
 
 COMPONENTS, FRAMES = 6, (7, 5)
@@ -295,10 +295,12 @@ def test_lifted_poses_give_their_weights_and_cameras(
     theta = 0.1 * walk_model.std * rng.normal(size=(30, len(walk_model.std)))
     rotation = Rotation.random(30, random_state=0).as_matrix()
     poses = scale * walk_model.poses(theta) @ np.swapaxes(rotation, -1, -2)
-    found = fit_lifted_poses(LiftedPoses(poses, np.full(poses.shape, 1e-6 * scale)), walk_model)
-    assert found.scale == pytest.approx(np.full(30, scale), rel=0.01)
+    lifted = LiftedPoses(poses, np.full(poses.shape, 1e-6 * scale))
+    found = fit_lifted_poses(lifted, np.arange(30.0), walk_model)
+    assert found is not None
+    assert found.cameras.scale == pytest.approx(np.full(30, scale), rel=0.01)
     assert found.theta == pytest.approx(theta, abs=0.02)
-    assert found.rotation == pytest.approx(rotation, abs=0.02)
+    assert found.cameras.rotation == pytest.approx(rotation, abs=0.02)
 
 
 def test_a_batch_gives_what_each_sequence_gives_alone(walk_model: BasePoses) -> None:

@@ -12,8 +12,6 @@ weights are found in turn, `ALTERNATIONS` times.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,22 +27,7 @@ Array = NDArray[np.float64]
 ALTERNATIONS = 4  # rounds of cameras and weights; two give the same results, six no better ones (training persons)
 
 
-class FittedPoses(NamedTuple):
-    """Weights and cameras that fit lifted poses."""
-
-    theta: Array  # (F, K) m, weights of the base poses
-    scale: Array  # (F,) px/m, or the unit of the lifted poses per m
-    rotation: Array  # (F, 3, 3) from the body to the camera
-
-
-def fit_lifted_poses(lifted: LiftedPoses, model: BasePoses) -> FittedPoses:
-    """Fit base-pose weights and cameras to lifted poses (F, J, 3) in any unit, all of them known."""
-    joints, std = np.ascontiguousarray(lifted.joints), np.ascontiguousarray(lifted.std)
-    basis = arrange_model(model).components
-    return FittedPoses(*engine.fit_lifted_poses(joints, std, basis, model.mean, model.std, ALTERNATIONS))
-
-
-def fit_initial_values(lifted: LiftedPoses, times: Array, model: BasePoses) -> InitialValues | None:
+def fit_lifted_poses(lifted: LiftedPoses, times: Array, model: BasePoses) -> InitialValues | None:
     """Return initial values that fit lifted poses (F, J, 3) px at times (F,) s; None where no frame was lifted.
 
     A frame that was not lifted takes the values of the nearest one that was.
@@ -52,7 +35,8 @@ def fit_initial_values(lifted: LiftedPoses, times: Array, model: BasePoses) -> I
     known = np.flatnonzero(np.isfinite(lifted.joints).all(axis=(1, 2)))
     if not len(known):
         return None
-    fitted = fit_lifted_poses(lifted.select_frames(known), model)
+    poses = np.ascontiguousarray(lifted.joints[known]), np.ascontiguousarray(lifted.std[known])
+    basis = arrange_model(model).components
+    theta, *cameras = engine.fit_lifted_poses(*poses, basis, model.mean, model.std, ALTERNATIONS)
     nearest = find_nearest(times, times[known])
-    cameras = WeakPerspectiveCameras(fitted.scale[nearest], fitted.rotation[nearest])
-    return InitialValues(fitted.theta[nearest], cameras)
+    return InitialValues(theta[nearest], WeakPerspectiveCameras(*(values[nearest] for values in cameras)))

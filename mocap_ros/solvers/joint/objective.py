@@ -6,7 +6,7 @@
     E = reprojection (TPAMI 2016, eq. 9) + bone lengths (eq. 20) + prior of the base poses
       + differences (`differences`) + lifted poses, where there are any
 
-The formulas are in `engine.joint`, which minimises it, and in `reference`. Weights are given for an image noise of
+The formulas are in `engine.joint`, which minimises it. Weights are given for an image noise of
 10 mm (`NOISE_REFERENCE`); under another the reprojection is divided by the ratio of the variances.
 """
 

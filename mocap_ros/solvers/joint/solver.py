@@ -22,7 +22,7 @@ from mocap_ros.engine import joint as engine
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.joint.batch import Batch, State
-from mocap_ros.solvers.joint.lifted_start import fit_initial_values
+from mocap_ros.solvers.joint.lifted_start import fit_lifted_poses
 from mocap_ros.solvers.joint.noise_annealing import (
     COARSE_FRAME_STEP_S,
     COLD_DAMPING,
@@ -152,7 +152,7 @@ def start_from_lifted_poses(window: Window, model: BasePoses) -> Window:
     """Return the window with initial values from its lifted poses, if it has such poses and no initial values."""
     if window.start is not None or window.lifted is None:
         return window
-    return replace(window, start=fit_initial_values(window.lifted, window.times, model))
+    return replace(window, start=fit_lifted_poses(window.lifted, window.times, model))
 
 
 def negative_log_posterior(result: JointReconstruction, window: Window, config: SolverConfig) -> float:
