@@ -45,6 +45,8 @@ class Fault:
 
 def find_first_fault(points: Array, score: Array) -> Fault | None:
     """Find the first coordinate beyond `MAX_COORDINATE_PX` or infinite score; NaN is no fault."""
+    if not ((np.abs(points) > MAX_COORDINATE_PX).any() or np.isinf(score).any()):
+        return None
     for field, is_faulty, values, expected in (
         ('x', np.abs(points[..., 0]) > MAX_COORDINATE_PX, points[..., 0], 'a finite number of px'),
         ('y', np.abs(points[..., 1]) > MAX_COORDINATE_PX, points[..., 1], 'a finite number of px'),

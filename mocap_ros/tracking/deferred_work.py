@@ -40,41 +40,24 @@ class Work:
     next_cost: float | None  # cost of the next slice; None when all are done
 
 
+@dataclass(eq=False)
 class DeferredWork:
-    """Chooses the deferred work, and does it slice by slice.
+    """Chooses the deferred work, and does it slice by slice."""
 
-    Args:
-        checker: makes the checks.
-        candidate_models: names of the models to check, in turn.
-        max_check_interval_s: s, upper limit of the time between two checks of a track.
-        frame_budget: elements, largest cost of the slices that follow a frame; one is done whatever it costs.
-        compares_leads: whether the leading prior (`solvers.leading_prior`) has a turn after the models.
-
-    Attributes:
-        begun: the piece of work that has begun and is not finished; None if there is none.
-    """
-
-    def __init__(
-        self,
-        checker: HypothesisChecker,
-        candidate_models: tuple[str, ...],
-        max_check_interval_s: float,
-        frame_budget: int = FRAME_BUDGET,
-        *,
-        compares_leads: bool = False,
-    ) -> None:
-        self._checker = checker
-        self._turns = (*candidate_models, '') if compares_leads else candidate_models
-        self._max_check_interval_s = max_check_interval_s
-        self._frame_budget = frame_budget
-        self.begun: Work | None = None
+    checker: HypothesisChecker
+    # names of the models to check in turn; '' is the turn of the leading prior (`solvers.leading_prior`)
+    turns: tuple[str, ...]
+    max_check_interval_s: float  # s, upper limit of the time between two checks of a track
+    # elements, largest cost of the slices that follow a frame; one is done whatever it costs
+    frame_budget: int = FRAME_BUDGET
+    begun: Work | None = None  # the piece of work that has begun and is not finished
 
     def advance(self, tracks: Sequence[Track], stamp_ns: int) -> None:
         """Do the slices that follow a frame; an error gives its piece of work up until it is next due."""
         newest = [t for t in tracks if t.stamps_ns[-1] == stamp_ns and not t.is_tentative]
         for track in newest:
-            track.schedule.restart_if_noise_rose(track.solved.noise, stamp_ns, len(self._turns))
-            if not self._checker.still_repeats(track, track.schedule.classification):
+            track.schedule.restart_if_noise_rose(track.solved.noise, stamp_ns, len(self.turns))
+            if not self.checker.still_repeats(track, track.schedule.classification):
                 track.schedule.finish_classification(stamp_ns, classify_as_other(track))
         work, self.begun = self.begun, None
         if work is not None and not any(t is work.track for t in tracks):
@@ -82,9 +65,9 @@ class DeferredWork:
         elif work is not None and _is_outdated(work):
             work.track.schedule.be_due(stamp_ns, is_check=work.is_check)
             work = None
-        budget: float = self._frame_budget
+        budget: float = self.frame_budget
         while work := work or self._begin_latest(newest, stamp_ns):
-            while work.next_cost is not None and (budget == self._frame_budget or work.next_cost <= budget):
+            while work.next_cost is not None and (budget == self.frame_budget or work.next_cost <= budget):
                 budget -= work.next_cost
                 work.next_cost = next(work.slices, None)
             if work.next_cost is not None:
@@ -103,13 +86,13 @@ class DeferredWork:
             return None
         _, is_check, track = max(due, key=lambda piece: piece[0])
         if is_check:
-            track.schedule.begin_check(stamp_ns, track.age_s, self._max_check_interval_s)
+            track.schedule.begin_check(stamp_ns, track.age_s, self.max_check_interval_s)
             then = track.copy()
-            slices = _check(self._checker, then, track, self._turns)
+            slices = _check(self.checker, then, track, self.turns)
         else:
             track.schedule.begin_classification(stamp_ns)
             then = track.copy()
-            slices = _classify(self._checker, then, track)
+            slices = _classify(self.checker, then, track)
         return Work(track, then, is_check, slices, next(slices))
 
 

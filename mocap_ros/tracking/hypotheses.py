@@ -72,9 +72,7 @@ LEAD_SLACK = 1.1  # factor on the limits of base poses that lead already; keeps 
 # adoption come later, which costs the newest frame more than it gains.
 ADOPTION_MAX_ITERATIONS = 2
 ADOPTION_STEP_S = 0.05  # s; one frame of each step is solved then
-INITIAL_MAX_ITERATIONS = (
-    6  # steps of a first solution, which the first checks improve; limits the time of the frame
-)
+INITIAL_MAX_ITERATIONS = 6  # steps of a first solution, which checks improve; limits the time of the frame
 INITIAL_NOISE = 0.02  # m; image noise of a first solution: large, since a first lifted pose may be far off
 EVIDENCE_MARGIN = 10.0  # -2 log evidence, a factor of exp(5) = 150; keeps the choice of a model from chattering
 CHECK_STEP_S = 0.1  # s; one frame of each step is checked, for neighbouring frames add more time than evidence
@@ -125,7 +123,12 @@ class HypothesisChecker:
     def initialise(self, tracks: Sequence[Track], model_names: Sequence[str]) -> list[TrackSolution]:
         """Return the likeliest first solutions of tracks, from few steps of one batch for each model."""
         solver = replace(self.config.solver, max_iterations=INITIAL_MAX_ITERATIONS)
-        windows = [self._build_first_window(t, self.models[model_names[0]]) for t in tracks]
+        windows, first_model = [], self.models[model_names[0]]
+        for track in tracks:
+            window = replace(track.observed.build_solver_window(), noise=INITIAL_NOISE)
+            started = start_from_lifted_poses(window, first_model)
+            start, _ = choose_initial_values(started, first_model, self.config.solver.start_window)
+            windows.append(replace(window, unit=float(np.median(start.cameras.scale))))
         by_model = [solve_hypotheses(windows, self.models[name], solver) for name in model_names]
         solutions = []
         for track, *fits in zip(tracks, *by_model, strict=True):
@@ -134,13 +137,6 @@ class HypothesisChecker:
             frames = np.arange(len(track.stamps_ns))
             solutions.append(TrackSolution.interpolate(fit, track.observed, frames, name, model, None))
         return solutions
-
-    def _build_first_window(self, track: Track, model: BasePoses) -> Window:
-        window = replace(track.observed.build_solver_window(), noise=INITIAL_NOISE)
-        start, _ = choose_initial_values(
-            start_from_lifted_poses(window, model), model, self.config.solver.start_window
-        )
-        return replace(window, unit=float(np.median(start.cameras.scale)))
 
     def check(self, track: Track, model_name: str) -> Slices[TrackSolution | None]:
         """Check a solved track against a model; return the solution that replaces its own, or None.

@@ -71,22 +71,22 @@ class Shown(NamedTuple):
         return Shown(tracks, frames, np.array(ages) / NS_PER_S, np.array(noise))
 
 
-def advance_filters(shown: Shown, located: Array) -> None:
-    """Filter the motion of people up to the frame, with joints (P, J, 3) m."""
-    before = [t.motion_filter for t in shown.tracks]
-    filters = filter_motion(before, shown.times, located, shown.noise)
-    for track, own in zip(shown.tracks, filters, strict=True):
-        track.motion_filter = own
-
-
-def advance_extremities(shown: Shown, seen: ExtremityEvidence, *, is_steady: bool) -> None:
-    """Follow the extremities of people up to the frame, with filtered orientations if `is_steady`."""
-    tracks, before = shown.tracks, np.array([t.extremities_s for t in shown.tracks])
-    statures = np.array([t.solved.model.stature for t in tracks])
-    known = [t.extremity_state for t in tracks]
-    states = follow_extremities(known, shown.times - before, seen, statures, is_steady=is_steady)
-    for track, state, time in zip(tracks, states, np.maximum(shown.times, before).tolist(), strict=True):
+def follow_motion(shown: Shown, upward: Array | None, *, is_steady: bool) -> tuple[CoreMotion, ExtremityEvidence]:
+    """Filter the motion of people, if `is_steady`, plant their feet and follow their extremities."""
+    tracks, times = shown.tracks, shown.times
+    now, earlier = locate_past(shown)
+    if is_steady:
+        filters = filter_motion([t.motion_filter for t in tracks], times, now, shown.noise)
+        for track, own in zip(tracks, filters, strict=True):
+            track.motion_filter = own
+    motion = find_published_motion(shown, now, earlier)
+    plant_feet(shown, motion, upward)
+    seen, before = collect_seen(shown, motion.joints), np.array([t.extremities_s for t in tracks])
+    known, statures = [t.extremity_state for t in tracks], np.array([t.solved.model.stature for t in tracks])
+    states = follow_extremities(known, times - before, seen, statures, is_steady=is_steady)
+    for track, state, time in zip(tracks, states, np.maximum(times, before).tolist(), strict=True):
         track.extremity_state, track.extremities_s = state, time
+    return motion, seen
 
 
 def locate_joints(shown: Shown, ago: Array = _NOW) -> Array:

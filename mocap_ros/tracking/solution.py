@@ -16,7 +16,6 @@ with T and t the rotations and positions of the person's solution so far, and M 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,20 +81,21 @@ class TrackSolution:
         roots = camera.root_positions(reconstruction.cameras, reconstruction.translation)
         roots = interpolate_linearly(times, solved_times, roots)
         residuals = interpolate_linearly(times, solved_times, reconstruction.residual[:, None])[:, 0]
-        states: Sequence[Array] = (
-            theta,
-            rotation,
-            roots,
-            model.skeleton.bone_lengths(model.poses(theta)),
-            residuals,
-        )
+        lengths = model.skeleton.bone_lengths(model.poses(theta))
         if earlier is not None:
-            states = [
-                np.concatenate([getattr(earlier, n)[:first], s]) for n, s in zip(_STATES, states, strict=True)
-            ]
-        stature = expect_stature(states[3], model.skeleton, observed.lifted, camera.measure_depth(states[2]))
-        stature_ratio = stature / model.stature
-        return _finish(states, reconstruction, model_name, model, stature_ratio, base_poses_lead)
+            newest = zip(_STATES, (theta, rotation, roots, lengths, residuals), strict=True)
+            theta, rotation, roots, lengths, residuals = (
+                np.concatenate([getattr(earlier, n)[:first], s]) for n, s in newest
+            )
+        stature = expect_stature(lengths, model.skeleton, observed.lifted, camera.measure_depth(roots))
+        joint_std, image = reconstruction.joint_std, reconstruction.joints[-1, :, :2].ravel()
+        if joint_std is None:
+            joint_std = np.full(len(image) // 2, np.nan)
+        radius_px = math.sqrt(2 * (image @ image) / len(image)) * float(reconstruction.cameras.scale[-1])
+        errors = [error for error in reconstruction.residual.tolist() if not math.isnan(error)]
+        rms_error = math.sqrt(sum(error * error for error in errors) / len(errors)) if errors else math.nan
+        fit = reconstruction.noise, stature / model.stature, joint_std, rms_error / radius_px, base_poses_lead
+        return TrackSolution(model_name, model, theta, rotation, roots, lengths, residuals, *fit)
 
     @property
     def hidden_share(self) -> float:
@@ -120,11 +120,9 @@ class TrackSolution:
         joints = own.compute_joints(frames)
         joints = self.compute_joints(np.array([last])) + joints[1:] - joints[0]
         theta = self.model.weights(joints @ rotation)
-        lengths, residuals = (
-            self.model.skeleton.bone_lengths(self.model.poses(theta)),
-            np.full(len(theta), self.frame_residuals[-1]),
-        )
-        states = zip(_STATES, (theta, rotation, roots, lengths, residuals), strict=True)
+        lengths = self.model.skeleton.bone_lengths(self.model.poses(theta))
+        newest = theta, rotation, roots, lengths, np.full(len(theta), self.frame_residuals[-1])
+        states = zip(_STATES, newest, strict=True)
         return copy_with(self, **{n: np.concatenate([getattr(self, n), s]) for n, s in states})
 
     def change_camera(self, old: Intrinsics, new: Intrinsics) -> TrackSolution:
@@ -138,9 +136,8 @@ class TrackSolution:
         """Return the solution with its poses approximated under another model; its fit is not measured again."""
         rotation, theta = self.convert_poses(target_model, np.arange(len(self.theta)))
         lengths = target_model.skeleton.bone_lengths(target_model.poses(theta))
-        return copy_with(
-            self, model_name=target_name, model=target_model, rotation=rotation, theta=theta, bone_lengths=lengths
-        )
+        new = {'model_name': target_name, 'model': target_model, 'rotation': rotation, 'theta': theta}
+        return copy_with(self, **new, bone_lengths=lengths)
 
     def convert_poses(self, target_model: BasePoses, frames: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return rotations (n, 3, 3) and weights (n, K) m under another model of the poses of n frames."""
@@ -160,38 +157,6 @@ class TrackSolution:
         """
         states, basis = (self.theta, self.rotation, self.roots), (self.model.mean, self.model.components)
         return engine.sample_joints(ago, frame, times, *states, *basis, 1 / self.stature_ratio)
-
-
-def _finish(
-    states: Sequence[Array],
-    reconstruction: JointReconstruction,
-    model_name: str,
-    model: BasePoses,
-    stature_ratio: float,
-    base_poses_lead: bool,
-) -> TrackSolution:
-    """Return the solution with these states, and with the fit of the reconstruction that ended them."""
-    joint_std, newest = reconstruction.joint_std, reconstruction.joints[-1, :, :2].ravel()
-    if joint_std is None:
-        joint_std = np.full(len(newest) // 2, np.nan)
-    body_radius_px = math.sqrt(2 * (newest @ newest) / len(newest)) * float(reconstruction.cameras.scale[-1])
-    errors = [error for error in reconstruction.residual.tolist() if not math.isnan(error)]
-    rms_error = math.sqrt(sum(error * error for error in errors) / len(errors)) if errors else math.nan
-    theta, rotation, roots, bone_lengths, frame_residuals = states
-    return TrackSolution(
-        *(
-            model_name,
-            model,
-            theta,
-            rotation,
-            roots,
-            bone_lengths,
-            frame_residuals,
-            reconstruction.noise,
-            stature_ratio,
-        ),
-        *(joint_std, rms_error / body_radius_px, base_poses_lead),
-    )
 
 
 def select_start(

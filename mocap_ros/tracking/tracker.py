@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -36,31 +36,16 @@ from mocap_ros.models.model_file import load_prior_lifter, load_velocity_correct
 from mocap_ros.models.upward_direction import Stances
 from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
 from mocap_ros.skeleton import keypoint_layout
-from mocap_ros.solvers.extremities import ExtremityEvidence
 from mocap_ros.solvers.image_roll import CameraSide, find_roll, lift_turned, turn_upright
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, let_base_poses_lead
 from mocap_ros.solvers.vertical import AUTO as AUTO_VERTICAL
 from mocap_ros.solvers.vertical import NONE as NO_VERTICAL
-from mocap_ros.solvers.vertical import (
-    Vertical,
-    read_given_vertical,
-)
+from mocap_ros.solvers.vertical import Vertical, read_given_vertical
 from mocap_ros.tracking.body_size import BodySize, FloorContact, assume_size, read_body_heights
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, FRAME_BUDGET_WITHOUT_LIFTER, DeferredWork
 from mocap_ros.tracking.delayed_output import find_delayed_frame
 from mocap_ros.tracking.hypotheses import HypothesisChecker
-from mocap_ros.tracking.motion_filter import CoreMotion
-from mocap_ros.tracking.output import (
-    Cores,
-    Shown,
-    advance_extremities,
-    advance_filters,
-    collect_seen,
-    find_published_motion,
-    locate_past,
-    make_people,
-    plant_feet,
-)
+from mocap_ros.tracking.output import Cores, Shown, follow_motion, make_people
 from mocap_ros.tracking.prediction import predict_ahead, predict_people
 from mocap_ros.tracking.refinement import Refinement, refine
 from mocap_ros.tracking.schedule import MIN_CHECK_INTERVAL_S
@@ -94,18 +79,6 @@ class Tracker:
         ModelError: The lifter that `solver.prior` names cannot be loaded.
         ConfigError: The vertical that `tracker.vertical` gives is no unit vector, or `tracker.body_heights` are no
             ids with heights.
-
-    Attributes:
-        config: all parameters.
-        models: base-pose models by name, rescaled to `tracker.body_height`.
-        tracks: people who are tracked, in the order in which they came.
-        output_stamp_ns: ns, stamp of the frame whose people `update` last returned; with `tracker.lag`, an older
-            one.
-        has_restarted: whether the last accepted frame is the first after a start, reset or restart.
-        backward_jump_s: s by which the last accepted stamp went back, so that tracking restarted; else 0.
-        swapped_frames: number of frames so far in which a person's left and right were swapped back.
-        unusable_people: number of detections so far that were no person of their own: they had too few joints, or
-            all of them in one place, or were part of another detection.
     """
 
     def __init__(self, models: BasePoses | Mapping[str, BasePoses], config: Config) -> None:
@@ -113,7 +86,7 @@ class Tracker:
         settings = config.tracker
         components = min(settings.components, config.solver.components)
         self.config = config
-        self.models = {
+        self.models = {  # by name, rescaled to `tracker.body_height`
             n: m.rescale(settings.body_height / m.stature).truncate(components) for n, m in by_name.items()
         }
         skeleton = next(iter(self.models.values())).skeleton
@@ -129,13 +102,11 @@ class Tracker:
         of_newest = replace(config.solver, pose_acceleration_weight=0.0, scale_weight=scale_weight)
         self._checker = HypothesisChecker(self.models, replace(config, solver=of_newest))
         default_interval_s = LIFTER_CHECK_INTERVAL_S if has_lifter else CHECK_INTERVAL_S
-        self._deferred_work = DeferredWork(
-            self._checker,
-            self._candidate_models,
-            settings.hypothesis_check_interval or default_interval_s,
-            FRAME_BUDGET if has_lifter else FRAME_BUDGET_WITHOUT_LIFTER,
-            compares_leads=has_lifter and any(map(can_base_poses_lead, self._candidate_models)),
-        )
+        compares_leads = has_lifter and any(map(can_base_poses_lead, self._candidate_models))
+        turns = (*self._candidate_models, '') if compares_leads else self._candidate_models
+        interval_s = settings.hypothesis_check_interval or default_interval_s
+        budget = FRAME_BUDGET if has_lifter else FRAME_BUDGET_WITHOUT_LIFTER
+        self._deferred_work = DeferredWork(self._checker, turns, interval_s, budget)
         self._is_newest_shown = settings.lag < MIN_ACCELERATION_LAG_S
         refinement = of_newest if self._is_newest_shown else config.solver
         refinement = replace(refinement, max_iterations=settings.iterations)
@@ -146,10 +117,12 @@ class Tracker:
         self._limits_accelerations = refinement.pose_acceleration_weight > 0
         self._vertical = read_given_vertical(settings)
         read_body_heights(settings.body_heights)  # raises what is wrong with them
-        self.output_stamp_ns = 0
-        self.backward_jump_s, self.has_restarted = 0.0, False
-        self.swapped_frames = self.unusable_people = 0
-        self._forget_everybody()
+        self.output_stamp_ns = 0  # ns, of the frame whose people `update` last returned; with a lag, an older one
+        self.backward_jump_s = 0.0  # s by which the last accepted stamp went back, so that tracking restarted
+        self.has_restarted = False  # whether the last accepted frame is the first after a start or restart
+        self.swapped_frames = 0  # so far, in which a person's left and right were swapped back
+        self.unusable_people = 0  # detections so far that were a part of a person, or of too few joints
+        self.reset()
 
     @property
     def vertical(self) -> CameraVertical | None:
@@ -168,12 +141,8 @@ class Tracker:
         return self._who.are_ids_ignored
 
     def reset(self) -> None:
-        """Forget all people and all stamps."""
-        self._forget_everybody()
-
-    def _forget_everybody(self) -> None:
         """Begin without people, names and stamps; the counters and a vertical that was given stay."""
-        self.tracks: list[Track] = []
+        self.tracks: list[Track] = []  # in the order in which people came
         self._leaving: list[Track] = []  # with a lag, tracks that have ended and are still to be shown
         self._who = Identities[Track](self.config.tracker)
         self._waiting_ns: list[int] = []  # with a lag, stamps of the frame that is shown and of those after it
@@ -189,19 +158,15 @@ class Tracker:
     ) -> tuple[Person3D, ...]:
         """Track the people of a new frame.
 
-        A stamp that is older than the newest by more than `tracker.restart_after` restarts the tracker. The
-        deferred work of the frame before is done first, if it was not done yet. An error in a stage, which is a
-        fault of the program, is raised; the people whom it concerns are forgotten, and the next frame begins them
-        anew.
+        A stamp (ns) that is older than the newest by more than `tracker.restart_after` restarts the tracker. The
+        deferred work of the frame before is done first, if it was not done yet. Intrinsics of the frame before are
+        used where these hardly differ; the floor, if it is known, shows how tall people are. An error in a stage,
+        which is a fault of the program, is raised; the people whom it concerns are begun anew by the next frame.
 
-        `stamp_ns` ns, time of the image; `people` all people detected in the image, possibly none; `intrinsics`
-        intrinsics of the camera. Those of the frame before are used where these hardly differ; `floor` floor that
-        the people stand on, which shows how tall they are, None if it is not known. Returns All people
-        reconstructed in this frame, in the order of `people`, and then those who are predicted because they were
-        not detected, or with fewer than `tracker.min_joints` joints. With `tracker.lag`, the people are those of
-        the frame `output_stamp_ns`, in the order in which they came, and no person is predicted. New people are
-        tentative until they have been seen for a while, and are not predicted before. Parts of a person who were
-        detected as several people are one.
+        Returns the people in this frame, in the order of `people`, parts of one person joined, and then those who
+        are predicted because they were not detected, or with fewer than `tracker.min_joints` joints. With
+        `tracker.lag`, they are those of the frame `output_stamp_ns`, in the order in which they came, and none is
+        predicted. New people are tentative until they have been seen for a while, and are not predicted before.
 
         Raises:
             FrameDropped: The stamp repeats the newest or is a little older; the state has not changed.
@@ -215,7 +180,7 @@ class Tracker:
         detections = [d for d in converted if d is not None]
         self.run_deferred_work()
         if backward_jump_s > 0:
-            self._forget_everybody()
+            self.reset()
         self.backward_jump_s, self._at_work = backward_jump_s, ()
         self.has_restarted = self._who.newest_ns is None
         try:
@@ -239,11 +204,7 @@ class Tracker:
         return tuple(output)
 
     def predict(self, times_s: Sequence[float]) -> list[list[PredictedPerson]]:
-        """Return the people of the newest frame at some times after it; none with `tracker.lag`.
-
-        `times_s` s, times after the newest frame, not negative. Returns the people at each of the times, without
-        those who are tentative.
-        """
+        """Return the people of the newest frame at times after it, none tentative; none with `tracker.lag`."""
         newest_ns = self._who.newest_ns
         if newest_ns is None:
             return [[] for _ in times_s]
@@ -299,7 +260,8 @@ class Tracker:
     def _change_camera(self, intrinsics: Intrinsics) -> None:
         """Convert all tracks to the intrinsics of this frame, if these have changed."""
         if self._intrinsics not in (None, intrinsics):
-            for track in self._each((*self.tracks, *self._leaving)):
+            self._at_work = *self.tracks, *self._leaving
+            for track in self._at_work:
                 track.change_camera(intrinsics, solver_focal(intrinsics, self.config.tracker.perspective))
             self._vertical = self._vertical and self._vertical.forget()
             self._side = CameraSide()
@@ -328,7 +290,7 @@ class Tracker:
             self._end(track)
         if self._who.is_everybody_gone(stamp_ns):
             newest_ns, intrinsics = self._who.newest_ns, self._intrinsics
-            self._forget_everybody()
+            self.reset()
             self._who.newest_ns, self._intrinsics = newest_ns, intrinsics
 
     def _end(self, track: Track) -> None:
@@ -340,13 +302,6 @@ class Tracker:
         """Forget the people at whom a stage was when it raised an error, and those whom it left unsolved."""
         for tracks in (self.tracks, self._leaving):
             tracks[:] = [t for t in tracks if not (t in self._at_work or t.has_unsolved_frame)]
-
-    def _each(self, tracks: Iterable[Track]) -> Iterable[Track]:
-        """Yield tracks one by one, so that an error is known to be about one of them."""
-        for track in tracks:
-            self._at_work = (track,)
-            yield track
-        self._at_work = ()
 
     def _associate(self, stamp_ns: int, detections: Sequence[Detection], intrinsics: Intrinsics) -> list[Track]:
         """Match the detections with the known people; return the track of each person with this frame added.
@@ -411,8 +366,9 @@ class Tracker:
 
     def _find_vertical(self, stamp_ns: int, tracks: Sequence[Track], cameras: Array, stances: Stances) -> None:
         """Find the vertical anew by what the newest poses of P tracks show in the axes of virtual cameras."""
-        known = np.isfinite(stances.upward[:, 0]) & [not t.is_tentative for t in tracks]
-        if not known.any():
+        shown = zip(stances.upward[:, 0].tolist(), tracks, strict=True)
+        known = [p for p, (x, track) in enumerate(shown) if math.isfinite(x) and not track.is_tentative]
+        if not known:
             return
         upward = (stances.upward[known, None] @ cameras[known])[:, 0]
         seen, sign = Stances(upward, stances.standing[known]), -1.0 if self._side.is_upside_down else 1.0
@@ -478,24 +434,13 @@ class Tracker:
         people = [t for t in people if shown_ns in t.stamps_ns]
         return people, [t.stamps_ns.index(shown_ns) for t in people]
 
-    def _filter(self, shown: Shown) -> tuple[CoreMotion, ExtremityEvidence]:
-        """Filter the motion of people, and follow their extremities, up to the frame that is shown."""
-        now, earlier = locate_past(shown)
-        is_steady = self.config.tracker.steady_output and self._is_newest_shown
-        if is_steady:
-            advance_filters(shown, now)
-        motion = find_published_motion(shown, now, earlier)
-        plant_feet(shown, motion, self._upward)
-        seen = collect_seen(shown, motion.joints)
-        advance_extremities(shown, seen, is_steady=is_steady)
-        return motion, seen
-
     def _make_people(self, tracks: list[Track], frames: list[int], floor: Floor | None) -> list[Person3D]:
         """Return the people who are shown, of the sizes that the floor, if it is known, shows."""
         if not tracks:
             return []
         self._at_work, shown = tracks, Shown.of(tracks, frames)
-        motion, seen = self._filter(shown)
+        is_steady = self.config.tracker.steady_output and self._is_newest_shown
+        motion, seen = follow_motion(shown, self._upward, is_steady=is_steady)
         if floor is None and (height := self.config.tracker.camera_height) and self._vertical is not None:
             std = CALIBRATED_TILT_STD if self._vertical.is_given else self._vertical.std
             floor = Floor(self._vertical.direction, height, std)

@@ -250,7 +250,7 @@ def test_arbitrary_keypoints_give_finite_output(walk_model: BasePoses, data: st.
             assert person.rotation @ person.rotation.T == pytest.approx(np.eye(3), abs=1e-6)
 
 
-@pytest.mark.parametrize('stage', ['refine', 'make_people', 'advance_extremities'])
+@pytest.mark.parametrize('stage', ['refine', 'make_people', 'follow_motion'])
 def test_a_fault_forgets_the_people_whom_it_concerns_and_the_stream_goes_on(
     tracker: Tracker, points: Array, monkeypatch: pytest.MonkeyPatch, stage: str
 ) -> None:
