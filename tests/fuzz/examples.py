@@ -8,6 +8,7 @@ import json
 import sqlite3
 from collections.abc import Callable, Mapping
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -140,21 +141,21 @@ def make_c3ds() -> list[bytes]:
 
 def make_npzs() -> list[bytes]:
     """Return a sequence file, a result file, an archive of joints, and base poses."""
-    files = []
-    for arrays in make_arrays():
-        stream = io.BytesIO()
-        write_npz(stream, arrays)
-        files.append(stream.getvalue())
-    return files
+    return [to_bytes(partial(write_npz, arrays=arrays)) for arrays in make_arrays()]
+
+
+def to_bytes(write: Callable[[io.BytesIO], object]) -> bytes:
+    stream = io.BytesIO()
+    write(stream)
+    return stream.getvalue()
 
 
 def make_arrays() -> list[dict[str, NDArray[np.generic]]]:
     demo = make_recording().sequence()
     names = np.array(CMU15.joints)
     joints = np.arange(FRAMES * 45.0).reshape(FRAMES, 15, 3)
-    model = io.BytesIO()
-    save_base_poses(load_base_poses('walk').truncate(2), model)
-    with np.load(io.BytesIO(model.getvalue())) as archive:
+    model = to_bytes(lambda stream: save_base_poses(load_base_poses('walk').truncate(2), stream))
+    with np.load(io.BytesIO(model)) as archive:
         base_poses = dict(archive)
     return [
         {

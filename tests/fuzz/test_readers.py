@@ -82,7 +82,7 @@ BOMBS: dict[str, tuple[str, Callable[[], bytes]]] = {
 
 
 FAILED = Path(__file__).parent / 'failed'
-pytestmark = pytest.mark.filterwarnings('error')
+pytestmark = pytest.mark.filterwarnings('error', 'ignore:Stored array in format 3.0')
 KEPT = sorted(path for path in FAILED.rglob('*') if path.is_file())
 PROCESS = Path('/proc/self')
 # resident memory that an input may take; chunks of 128 MiB are read as they are, and then copied
@@ -185,7 +185,6 @@ any_arrays = st.builds(arrays_of.arrays, dtypes, shapes).flatmap(lambda strategy
 ARRAY_KEYS = sorted({key for arrays in make_arrays() for key in arrays})
 
 
-@pytest.mark.filterwarnings('ignore:Stored array in format 3.0')
 @QUICK
 @given(st.data(), st.integers(0, 3))
 def test_arrays(data: st.DataObject, file: int) -> None:

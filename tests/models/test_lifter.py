@@ -44,18 +44,14 @@ def walk(rng: np.random.Generator) -> tuple[lifter.Array, lifter.Array, lifter.A
     return poses, PX_PER_M * poses[..., :2] + [400, 300], np.ones(poses.shape[:2]), t
 
 
-def error_mm(lifted: lifter.Array, truth: lifter.Array) -> float:
-    return float(np.linalg.norm(lifted[:, :CORE_COUNT] / PX_PER_M - centre_poses(truth), axis=-1).mean() * 1e3)
-
-
 def test_lifted_poses_are_accurate(shipped: Lifter, walk: tuple[lifter.Array, ...]) -> None:
     poses, points, weight, times = walk
     lifted = shipped.lift_sequence(points, weight, times)
-    assert error_mm(lifted.joints, poses) < 1.1 * 23.9  # mm, measured
-    core = lifted.select_core()
+    core, truth = lifted.select_core(), centre_poses(poses)
+    errors = core.joints / PX_PER_M - truth
+    assert np.linalg.norm(errors, axis=-1).mean() < 1.1 * 0.0239  # m, measured
     assert core.joints.mean(axis=1) == pytest.approx(0, abs=1e-9)
-    is_outlier = np.abs(core.joints / PX_PER_M - centre_poses(poses)) > 3 * core.std / PX_PER_M
-    assert not is_outlier.any(), 'no error exceeds three standard deviations'
+    assert (np.abs(errors) <= 3 * core.std / PX_PER_M).all(), 'no error exceeds three standard deviations'
 
 
 @pytest.mark.parametrize('focal', [np.inf, 900.0])

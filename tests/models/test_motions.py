@@ -133,10 +133,6 @@ def test_a_correction_is_limited_by_what_the_filter_does_not_know(jitter: float)
 WALK = load_base_poses('walk')  # aligned by heading: z is up in every pose
 
 
-def walking_poses(rng: np.random.Generator) -> np.ndarray:
-    return WALK.poses(0.7 * rng.normal(size=(20, len(WALK.std))) * WALK.std)
-
-
 def find_upward_plainly(pose: np.ndarray) -> np.ndarray:
     at = {name: pose[i] for i, name in enumerate(CMU15.joints)}
     lever = MASSES @ pose - (at['lankle'] + at['rankle']) / 2
@@ -153,7 +149,8 @@ def test_the_kernel_computes_the_formula(rng: np.random.Generator) -> None:
 
 
 def test_walkers_show_the_vertical(rng: np.random.Generator) -> None:
-    angles = np.degrees(np.arccos(find_upward(walking_poses(rng))[:, 2]))
+    poses = WALK.poses(0.7 * rng.normal(size=(20, len(WALK.std))) * WALK.std)
+    angles = np.degrees(np.arccos(find_upward(poses)[:, 2]))
     assert np.median(angles) < 4, 'degrees; 3.2 over all motions of the training persons'
 
     assert np.isnan(find_upward(np.full((1, 15, 3), np.nan))).all()

@@ -43,16 +43,10 @@ from tests.support.swinging_body import BONE_LENGTHS, STANDING, make_swinging_bo
 from tests.support.synthetic_walk import mpjpe_mm, with_scores
 
 
-def make_half_poses(points: np.ndarray, seen: np.ndarray | None = None) -> HalfPoses:
-    frames = np.arange(len(points))
-    seen = np.ones(points.shape[:2], bool) if seen is None else seen
-    return HalfPoses(frames, frames / 30, points.astype('f4'), seen)
-
-
 def test_distances_follow_the_formulas_of_sections_4_1_and_4_2(rng: np.random.Generator) -> None:
     points, seen = rng.normal(size=(9, 6, 2)), rng.random((9, 6)) < 0.7
     seen[:, :2] = True
-    poses = make_half_poses(points, seen)
+    poses = HalfPoses(np.arange(9), np.arange(9) / 30, points.astype('f4'), seen)
     c, _ = compute_distances(poses, poses)
     b, a = np.zeros((9, 9)), np.zeros((9, 9))
     for i in range(9):

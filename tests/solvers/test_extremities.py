@@ -31,7 +31,7 @@ from mocap_ros.solvers.extremities import (
     read_states,
     smooth_extremities,
 )
-from tests.support.upright_body import UPRIGHT
+from tests.support.upright_body import UPRIGHT, angles_deg
 
 Array = NDArray[np.float64]
 
@@ -99,11 +99,6 @@ def directions(joints: Array) -> Array:
     ears = (joints[:, at('lear')] + joints[:, at('rear')]) / 2
     pairs = joints[:, at('nose')] - ears, joints[:, at('ltoe')] - joints[:, at('lheel')]
     return np.stack([*pairs, joints[:, at('rtoe')] - joints[:, at('rheel')]], axis=1)
-
-
-def angles_deg(first: Array, second: Array) -> Array:
-    norms = np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1)
-    return np.degrees(np.arccos(np.clip((first * second).sum(axis=-1) / norms, -1, 1)))
 
 
 def jitter_deg(joints: Array) -> float:

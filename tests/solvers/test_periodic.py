@@ -208,23 +208,17 @@ def test_a_camera_on_a_stand_moves_less(seen: tuple[PeriodicObjective, Point]) -
 CADENCE = 0.9  # Hz
 
 
-def make_periodic_walk(model: BasePoses, frames: int = 70, seed: int = 0) -> Walk:
-    """Return weights, cameras, points and times of a walk: four weights, two harmonics each, irregular times."""
-    rng = np.random.default_rng(seed)
-    times = np.cumsum(rng.uniform(0.02, 0.05, frames))
-    angle = 2 * np.pi * CADENCE * times[:, None]
-    theta = np.zeros((frames, len(model.std)))
-    phase = rng.uniform(0, 6, (2, 4))
-    theta[:, :4] = model.std[:4] * (np.sin(angle + phase[0]) + 0.4 * np.sin(2 * angle + phase[1]))
-    rotation = np.tile(BODY_TO_OPTICAL @ rotation_from_vector(np.array([0, 0, 0.9])), (frames, 1, 1))
-    cameras = WeakPerspectiveCameras(np.full(frames, 200.0), rotation)
-    return Walk(theta, cameras, cameras.project(model.poses(theta)) + [320.0, 240.0], times)
-
-
 @pytest.mark.parametrize(('missing', 'measured_mm'), [(0.0, 24.6), (0.2, 27.1)])
 def test_finds_cadence_and_motion(walk_model: BasePoses, missing: float, measured_mm: float) -> None:
-    walk = make_periodic_walk(walk_model)
-    weight = (np.random.default_rng(2).random(walk.points.shape[:2]) >= missing).astype(float)
+    """Of a walk with irregular times, whose four weights have two harmonics each."""
+    rng, theta = np.random.default_rng(0), np.zeros((70, len(walk_model.std)))
+    times = np.cumsum(rng.uniform(0.02, 0.05, 70))
+    angle, phase = 2 * np.pi * CADENCE * times[:, None], rng.uniform(0, 6, (2, 4))
+    theta[:, :4] = walk_model.std[:4] * (np.sin(angle + phase[0]) + 0.4 * np.sin(2 * angle + phase[1]))
+    rotation = np.tile(BODY_TO_OPTICAL @ rotation_from_vector(np.array([0, 0, 0.9])), (70, 1, 1))
+    cameras = WeakPerspectiveCameras(np.full(70, 200.0), rotation)
+    walk = Walk(theta, cameras, cameras.project(walk_model.poses(theta)) + [320.0, 240.0], times)
+    weight = (np.random.default_rng(2).random((70, 15)) >= missing).astype(float)
     if missing:
         weight[:, [3, 4]] = 0
     result = periodic.solve(replace(walk.window, weight=weight), walk_model, SolverConfig(components=10))

@@ -27,6 +27,7 @@ from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.synthetic_walk import make_walk, with_scores
 from tests.support.tracks import CAMERA, STEP_NS, feed
+from tests.support.upright_body import angles_deg
 
 UP = np.array([0.0, -math.cos(0.3), -math.sin(0.3)])  # of a camera that looks down by 17 degrees
 LEVEL = np.array([0.0, -math.cos(math.radians(10)), -math.sin(math.radians(10))])  # where nobody stands
@@ -34,10 +35,6 @@ LEVEL = np.array([0.0, -math.cos(math.radians(10)), -math.sin(math.radians(10))]
 
 def scatter(rng: np.random.Generator, count: int, std_deg: float, up: np.ndarray = UP) -> np.ndarray:
     return Rotation.from_rotvec(np.radians(std_deg) * rng.normal(size=(count, 3))).apply(up)
-
-
-def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
-    return math.degrees(math.acos(float(np.clip(a @ b, -1, 1))))
 
 
 def advance(vertical: Vertical | None, upward: np.ndarray, standing: float = 1.0) -> Vertical:
@@ -56,7 +53,7 @@ def test_several_people_make_the_vertical_more_certain_than_one(rng: np.random.G
     together, alone = advance(None, upward), advance(None, upward[:, :1])
     later = alone.advance(alone.stamp_ns + 30 * 10**9, Stances(scatter(rng, 1, 4.0), np.ones(1)))
     assert later.std > alone.std
-    assert angle_deg(together.direction, UP) < 2
+    assert angles_deg(together.direction, UP) < 2
     assert 0 < together.std < alone.std < advance(None, upward[:3, :1]).std == math.radians(module.MAX_STD_DEG)
 
 
@@ -64,23 +61,23 @@ def test_who_lies_does_not_change_the_vertical(rng: np.random.Generator) -> None
     upright, lying = scatter(rng, 300, 4.0), scatter(rng, 300, 4.0, np.array([1.0, 0.0, 0.0]))
     learned = advance(None, upright[:, None])
     misled = advance(learned, lying[:100, None])
-    assert angle_deg(misled.direction, UP) < 3
+    assert angles_deg(misled.direction, UP) < 3
     both = np.concatenate([lying[:100], upright])
     directions, _ = find_vertical(np.arange(400) / 30, Stances(both, np.ones(400)))
-    assert max(angle_deg(d, UP) for d in directions) < 3
+    assert angles_deg(directions, UP).max() < 3
 
 
 def test_who_sits_hardly_counts(rng: np.random.Generator) -> None:
     leaning = Rotation.from_rotvec([math.radians(22), 0, 0]).apply(UP)
     seated, upright = scatter(rng, 1800, 4.0, leaning), scatter(rng, 150, 4.0)
     only_seated = advance(None, seated.reshape(450, 4, 3), standing=0.0)
-    assert angle_deg(only_seated.direction, LEVEL) < 2, 'a level camera is likelier'
+    assert angles_deg(only_seated.direction, LEVEL) < 2, 'a level camera is likelier'
     assert only_seated.std == math.radians(module.MAX_STD_DEG), 'however many sit, and however long'
     alone = advance(None, seated[:, None], standing=0.0)
-    assert angle_deg(advance(alone, upright[:, None]).direction, UP) < 4
+    assert angles_deg(advance(alone, upright[:, None]).direction, UP) < 4
     both, standing = np.concatenate([seated, upright]), np.repeat([0.0, 1.0], [1800, 150])
     directions, std = find_vertical(np.arange(1950) / 30, Stances(both, standing))
-    assert angle_deg(directions[-1], UP) < 4
+    assert angles_deg(directions[-1], UP) < 4
     assert std[-1] < math.radians(4)
     assert std[0] > MAX_CERTAIN_STD
 
@@ -99,17 +96,17 @@ def test_where_all_lie_or_stand_on_their_hands_a_level_camera_is_likeliest(
     live = Vertical.begin(0, stances.select(np.arange(90) < 1), sign)
     live = live.advance(STEP_NS, stances.select(np.arange(90) == 1), sign)
     for direction, std_rad in ((directions[40], std[40]), (live.direction, live.std)):
-        assert angle_deg(direction, LEVEL * [1, sign, 1]) < 3
+        assert angles_deg(direction, LEVEL * [1, sign, 1]) < 3
         assert std_rad == pytest.approx(math.radians(module.ASKEW_STD_DEG), rel=0.03)
 
 
 def test_a_camera_that_was_tilted_is_forgotten(rng: np.random.Generator) -> None:
     tilted = np.array([0.0, -math.cos(0.6), -math.sin(0.6)])  # by 17 degrees more
     before, after = scatter(rng, 600, 4.0), scatter(rng, 1800, 4.0, tilted)
-    assert angle_deg(advance(advance(None, before[:, None]), after[:, None]).direction, tilted) < 2
+    assert angles_deg(advance(advance(None, before[:, None]), after[:, None]).direction, tilted) < 2
     directions, _ = find_vertical(np.arange(2400) / 30, Stances(np.concatenate([before, after]), np.ones(2400)))
-    assert angle_deg(directions[0], UP) < 9, 'half of the tilt: later frames count a little'
-    assert angle_deg(directions[-1], tilted) < 2
+    assert angles_deg(directions[0], UP) < 9, 'half of the tilt: later frames count a little'
+    assert angles_deg(directions[-1], tilted) < 2
 
 
 def test_whole_sequences_do_not_depend_on_the_direction_of_time(rng: np.random.Generator) -> None:
@@ -126,12 +123,6 @@ def test_whole_sequences_do_not_depend_on_the_direction_of_time(rng: np.random.G
     assert np.isnan(unknown).all()
     assert np.isnan(unknown_std).all()
     assert np.isfinite(find_vertical(times[:1], Stances(upward[:1], np.ones(1)))[0]).all(), 'one frame'
-
-
-def make_lifted(rng: np.random.Generator, frames: int, depth_std: float) -> LiftedPoses:
-    std = np.full((frames, 15, 3), 0.02)
-    std[..., 2] = depth_std
-    return LiftedPoses(POSES['standing'] + rng.normal(scale=0.03, size=(frames, 15, 3)), std)
 
 
 def make_pose(knee: tuple[float, float], ankle: tuple[float, float]) -> np.ndarray:
@@ -175,7 +166,8 @@ def test_the_lifter_gets_a_vertical_for_those_who_stand_alone(monkeypatch: pytes
 def test_poses_are_turned_towards_the_vertical_by_how_uncertain_their_depths_are() -> None:
     turned = []
     for depth_std in (0.02, 0.2):
-        lifted = make_lifted(np.random.default_rng(0), 2, depth_std)
+        noise = np.random.default_rng(0).normal(scale=0.03, size=(2, 15, 3))
+        lifted = LiftedPoses(POSES['standing'] + noise, np.tile([0.02, 0.02, depth_std], (2, 15, 1)))
         angles = np.array([0.1, -0.05])
         vertical = Rotation.from_rotvec(angles[:, None] * [1, 0, 0]).apply(find_upward(lifted.joints))
         joints = turn_towards_vertical(lifted, vertical, np.full(2, 0.03)).joints

@@ -1,9 +1,10 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A body that stands upright with hanging arms, as the axes of its segments are defined by it."""
+"""A body that stands upright with hanging arms, as its segments' axes are defined by it; angles of directions."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_ros.skeleton import CMU15
 
@@ -19,3 +20,9 @@ UPRIGHT = np.array(
         for name in CMU15.joints
     ]
 )
+
+
+def angles_deg(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the angles (...) between directions (..., 3) of any length."""
+    norms = np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1)
+    return np.degrees(np.arccos(np.clip((first * second).sum(axis=-1) / norms, -1, 1)))

@@ -22,7 +22,7 @@ from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.tracking.vertical_check import LEAST_S, VerticalCheck
 from tests.support.people import make_person_3d
-from tests.support.upright_body import UPRIGHT
+from tests.support.upright_body import UPRIGHT, angles_deg
 
 SEQUENCE = make_recording().sequence()
 CAMERA = SEQUENCE.intrinsics(1.0)
@@ -52,10 +52,6 @@ def find(tracker: Tracker) -> CameraVertical:
     return tracker.vertical
 
 
-def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
-    return math.degrees(math.acos(float(np.clip(a @ b, -1, 1))))
-
-
 def test_it_is_found_from_certain_people_and_is_that_of_the_whole_sequence() -> None:
     tracker = make_tracker()
     feed(tracker, 0, 2)
@@ -67,7 +63,7 @@ def test_it_is_found_from_certain_people_and_is_that_of_the_whole_sequence() -> 
     assert late.std < early.std
     assert np.linalg.norm(late.direction) == pytest.approx(1)
     assert late.direction[1] < -0.9, 'y is down in the camera, which is nearly level'
-    assert angle_deg(late.direction, whole.vertical[-1]) < 3
+    assert angles_deg(late.direction, whole.vertical[-1]) < 3
     assert late.std == pytest.approx(whole.vertical_std[-1], rel=0.2)
 
 

@@ -57,12 +57,6 @@ def checker(tracker: Tracker) -> HypothesisChecker:
     return HypothesisChecker(tracker.models, CONFIG)
 
 
-def turn_round(solution: TrackSolution) -> TrackSolution:
-    """Return the wrong solution in which the person faces the other way, in the pose that the image then shows."""
-    half_turn = rotation_from_vector(np.array([0.0, 0.0, np.pi]))
-    return replace(solution, rotation=solution.rotation @ half_turn, theta=np.zeros_like(solution.theta))
-
-
 def finish(slices: Slices[Any]) -> Any:
     try:
         while True:
@@ -98,7 +92,9 @@ def test_the_tracker_finds_back_to_the_right_solution(walk_model: BasePoses, wal
     """A wrong solution is given to a person; checks replace it within a second."""
     injected = track_walk({'jump': load_base_poses('jump'), 'walk': walk_model}, CONFIG, walk.points[:FRAMES])
     (track,) = injected.tracks
-    track.solution = turn_round(track.solved)
+    # the other way, in the pose that the image then shows
+    half_turn = track.solved.rotation @ rotation_from_vector(np.array([0.0, 0.0, np.pi]))
+    track.solution = replace(track.solved, rotation=half_turn, theta=np.zeros_like(track.solved.theta))
     restarts, errors, truth = [], [], walk.poses(walk_model)
     for frame in range(FRAMES, FRAMES + 35):
         (person,) = injected.update(frame * STEP_NS, [see(walk.points[frame])], CAMERA)
@@ -299,22 +295,15 @@ def test_work_ends_where_its_track_is_not_what_it_was(
         assert idle.schedule.check_count == (2 if is_check else 0)
 
 
-def walk_on(track: Track, *, stops: bool) -> None:
-    """Let the track be one of a walk, at its cadence or with other poses in the newest 0.3 s."""
-    theta = track.solved.theta
-    phase = 2 * np.pi * WALK.cadence * np.arange(len(theta))[:, None] * STEP_NS / S
-    theta = np.sin(phase + np.arange(theta.shape[1]))
-    if stops:
-        theta[-9:] = 3.0
-    track.solution = replace(track.solved, theta=theta)
-    track.schedule.classification = Classification(WALK, 'walk')
-
-
 @pytest.mark.parametrize('stops', [False, True])
 def test_periodic_motion_ends_when_the_newest_poses_do_not_repeat_the_last_cycle(
     idle: Track, checker: HypothesisChecker, stops: bool
 ) -> None:
-    walk_on(idle, stops=stops)
+    phase = 2 * np.pi * WALK.cadence * np.arange(FRAMES)[:, None] * STEP_NS / S
+    theta = np.sin(phase + np.arange(idle.solved.theta.shape[1]))
+    theta[-9:] = 3.0 if stops else theta[-9:]
+    idle.solution = replace(idle.solved, theta=theta)
+    idle.schedule.classification = Classification(WALK, 'walk')
     make_work(IdleChecker(checker.models, CONFIG)).advance([idle], NOW)
     found = idle.schedule.classification
     assert (found.motion.kind is MotionKind.NON_PERIODIC) == stops

@@ -18,7 +18,7 @@ from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.joint import JointReconstruction
 from mocap_ros.solvers.observed_window import ObservedWindow
-from mocap_ros.solvers.window import Array, SolverStatus
+from mocap_ros.solvers.window import SolverStatus
 from mocap_ros.tracking.refinement import EXTRAPOLATION_SHARE, MAX_EXTRAPOLATION_STEPS, collect_newest_frames
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
@@ -150,24 +150,19 @@ def collect(track: Track, fixed_frames: int = FIXED) -> NewestFrames:
     return collect_newest_frames([track], [(FIRST, fixed_frames)], track.solved.model)
 
 
-def predict(track: Track) -> tuple[Array, Array, float]:
-    """Return theta (K,), rotation (3, 3) and depth in m that are predicted for the newest frame."""
-    found = collect_newest_frames([track], [(len(track.solved.theta), 0)], track.solved.model)
-    rotation = track.observed.virtual_camera.rotation.T @ found.rotation[-1]
-    return found.theta[-1], rotation, float(CAMERA.focal / (found.units[0] * np.exp(found.log_scale[-1])))
-
-
 @pytest.mark.parametrize('step', [0.5, 1.0, 1.5, 5.0])
 def test_a_new_frame_starts_where_the_last_movement_leads(
     step: float, truth: TrackSolution, model: BasePoses, track: Track
 ) -> None:
     track.stamps_ns = *track.stamps_ns[:-1], track.stamps_ns[-2] + round(step * STEP_NS)
-    theta, rotation, depth = predict(track)
+    found = collect_newest_frames([track], [(len(track.solved.theta), 0)], track.solved.model)
+    to_virtual = track.observed.virtual_camera.rotation
+    depth = float(CAMERA.focal / (found.units[0] * np.exp(found.log_scale[-1])))
     share = EXTRAPOLATION_SHARE * min(step, MAX_EXTRAPOLATION_STEPS)
     root = truth.roots[-2] + share * np.array([0.02, 0.01, 0.05])
-    assert theta == pytest.approx(truth.theta[-2] + share * 0.1 * model.std, abs=1e-8)
-    assert depth == pytest.approx(track.observed.virtual_camera.rotation[2] @ root)
-    turned = Rotation.from_matrix(rotation @ truth.rotation[-2].T).as_rotvec()
+    assert found.theta[-1] == pytest.approx(truth.theta[-2] + share * 0.1 * model.std, abs=1e-8)
+    assert depth == pytest.approx(to_virtual[2] @ root)
+    turned = Rotation.from_matrix(to_virtual.T @ found.rotation[-1] @ truth.rotation[-2].T).as_rotvec()
     assert turned == pytest.approx(share * np.array([0.01, 0.04, 0.0]), abs=1e-8)
 
 
