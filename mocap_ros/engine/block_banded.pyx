@@ -148,62 +148,32 @@ cdef void solve_backward(Factor* f, double* remaining, double* out) noexcept nog
         multiply_vector_transposed(n, n, 1, f.inverse + t * n * n, remaining + t * n, 0, out + t * n)
 
 
-cdef class BlockCholesky:
-    """Cholesky factor L of one matrix B, for Python; the joint solver calls the functions above.
+def log_determinant(blocks, const double[:, :, ::1] diagonal, const double[:, :, :, ::1] corners):
+    """Return log det B.
 
     Args:
         blocks: (F, n, n) blocks on the diagonal; their lower triangles are read.
         diagonal: (F, D, n) diagonals of the blocks in the rows of frame t + d + 1 and the columns of frame t.
         corners: (F, D, c, c) what is added to the last c rows and columns of these blocks.
-        is_free: (F,) False for frames that are held; None if none is.
 
     Raises:
         LinAlgError: B is not positive definite.
     """
-
-    cdef Factor factor
-    cdef double[:, :, ::1] inverse
-    cdef double[:, :, :, ::1] below
-    cdef char[:, ::1] is_coupled
-    cdef const unsigned char[::1] is_free
-
-    def __init__(self, blocks, const double[:, :, ::1] diagonal, const double[:, :, :, ::1] corners, is_free=None):
-        cdef double[:, :, ::1] work = np.array(blocks, np.float64, order='C')
-        cdef Py_ssize_t frames = work.shape[0], n = work.shape[1], distances = diagonal.shape[1]
-        cdef double[:, ::1] scratch = np.empty((n, n))
-        self.inverse, self.below = np.empty((frames, n, n)), np.empty((frames, distances, n, n))
-        self.is_coupled = np.empty((frames, distances), np.int8)
-        self.is_free = np.ones(frames, np.uint8) if is_free is None else np.asarray(is_free).view(np.uint8)
-        self.factor = Factor(
-            frames, n, distances, corners.shape[2], &self.inverse[0, 0, 0], &self.below[0, 0, 0, 0],
-            &self.is_coupled[0, 0], &self.is_free[0],
-        )
-        if not factorise_blocks(
-            &self.factor, &work[0, 0, 0], &diagonal[0, 0, 0], &corners[0, 0, 0, 0], &scratch[0, 0]
-        ):
-            raise np.linalg.LinAlgError('the matrix is not positive definite')
-
-    def solve_lower(self, double[:, :, ::1] right):
-        """Return L^-1 times R right-hand sides, (F, n, R), which are overwritten; 0 in frames that are held."""
-        out = np.empty((right.shape[0], right.shape[1], right.shape[2]))
-        cdef double[:, :, ::1] view = out
-        solve_forward(&self.factor, right.shape[2], &right[0, 0, 0], &view[0, 0, 0])
-        return out
-
-    def solve_lower_transposed(self, right):
-        """Return L^-T times one right-hand side, (F, n); 0 in frames that are held."""
-        cdef double[:, ::1] remaining = np.array(right, np.float64, order='C')
-        out = np.empty(right.shape)
-        cdef double[:, ::1] view = out
-        solve_backward(&self.factor, &remaining[0, 0], &view[0, 0])
-        return out
-
-    def log_determinant(self):
-        """Return log det B of the frames that are not held."""
-        cdef double total = 0
-        cdef int t, i
-        for t in range(self.factor.frames):
-            if self.is_free[t]:
-                for i in range(self.factor.n):
-                    total -= 2 * log(self.inverse[t, i, i])
-        return total
+    cdef double[:, :, ::1] work = np.array(blocks, np.float64, order='C')
+    cdef Py_ssize_t frames = work.shape[0], n = work.shape[1], distances = diagonal.shape[1], t, i
+    cdef double[:, :, ::1] inverse = np.empty((frames, n, n))
+    cdef double[:, :, :, ::1] below = np.empty((frames, distances, n, n))
+    cdef char[:, ::1] is_coupled = np.empty((frames, distances), np.int8)
+    cdef double[:, ::1] scratch = np.empty((n, n))
+    cdef const unsigned char[::1] is_free = np.ones(frames, np.uint8)
+    cdef double total = 0
+    cdef Factor factor = Factor(
+        frames, n, distances, corners.shape[2], &inverse[0, 0, 0], &below[0, 0, 0, 0], &is_coupled[0, 0],
+        &is_free[0],
+    )
+    if not factorise_blocks(&factor, &work[0, 0, 0], &diagonal[0, 0, 0], &corners[0, 0, 0, 0], &scratch[0, 0]):
+        raise np.linalg.LinAlgError('the matrix is not positive definite')
+    for t in range(frames):
+        for i in range(n):
+            total -= 2 * log(inverse[t, i, i])
+    return total

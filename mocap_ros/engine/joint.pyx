@@ -118,11 +118,7 @@ cdef int write_rows(
 ) noexcept nogil:
     """Write L^T J (3, n) of one joint, and return the number of rows: 2 where the third is 0.
 
-    Args:
-        m: its L.
-        camera: (3, 3) s R.
-        q: (3,) scaled position.
-        basis: (3, K) change of the joint with the weights, body frame.
+    `camera` (3, 3) is s R; `basis` (3, K) the change of the joint with the weights, body frame.
     """
     cdef int row, i, n = k + CAMERA, rows = 3 if m.l22 > 0 else 2
     cdef double a, b, c, x = q[0], y = q[1], z = q[2], of_own, of_depth
@@ -389,12 +385,9 @@ cdef class JointProblem:
         return self.robust_scale * max(self.noise_ratio[p], 1.0)
 
     cdef double measure(self, int p, double* point, double settle_scale) noexcept nogil:
-        """Write what follows from the unknowns of a sequence at a point, and return its objective in m^2.
+        """Write what follows from the unknowns of a sequence at a point (N, width); return its objective in m^2.
 
-        Args:
-            p: the sequence.
-            point: (N, width).
-            settle_scale: m, c under which the translations settle by one step; 0 keeps them.
+        `settle_scale` m is the c under which the translations settle by one step; 0 keeps them.
         """
         cdef int start = self.starts[p], count = self.counts[p], J = self.joints, B = self.bones_count
         cdef int t, i, j, b, row, K = self.components
@@ -498,14 +491,9 @@ cdef class JointProblem:
     cdef double write_joint_rows(
         self, int p, int t, Frame* f, bint with_lifted, int* rows, double* out
     ) noexcept nogil:
-        """Write the rows of all joints, and keep sum_j J_j^T (m_j, U_j) in `by_weights` and `by_camera`.
+        """Write the rows (rows, n) of all joints, and their number; return w of the translation.
 
-        Args:
-            rows: set to the number of rows.
-            out: (rows, n), overwritten.
-
-        Returns:
-            w of the translation.
+        Kept are sum_j J_j^T (m_j, U_j), in `by_weights` and `by_camera`.
         """
         cdef int j, i, a, J = self.joints, K = self.components, n = self.unknowns
         cdef double w = 0, scale = exp(f.log_scale[0])
@@ -880,9 +868,7 @@ cdef class JointProblem:
     def start(self, theta, rotation, log_scale, translation, int settle_steps=0, bint at_reference=False):
         """Set the point: theta (N, K), rotation (N, 3, 3), log_scale (N,), translation (N, 2).
 
-        Args:
-            settle_steps: number of steps of the robust fit by which the translations settle.
-            at_reference: whether they settle under the robust scale of the reference noise.
+        Translations settle by some steps of the robust fit, `at_reference` under the scale of the reference noise.
         """
         cdef int p, i, K = self.components, first = K + FEATURES
         cdef double c

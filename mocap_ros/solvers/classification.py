@@ -34,8 +34,8 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint, periodic
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
 from mocap_ros.solvers.joint.solver import JointReconstruction
+from mocap_ros.solvers.levenberg_marquardt import Stepwise, run_to_end
 from mocap_ros.solvers.periodic.solver import EstimatedPoses, PeriodicReconstruction
-from mocap_ros.solvers.stepwise import Stepwise, run_to_end
 from mocap_ros.solvers.window import InitialValues, Window
 
 Array = NDArray[np.float64]

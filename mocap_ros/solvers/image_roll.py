@@ -69,19 +69,26 @@ def find_sides(points: Array, weight: Array) -> tuple[NDArray[np.bool_], NDArray
 
     Both (N,) are False where too little is seen. Points (N, J, 2) are those of `CMU15`, with weights (N, J).
     """
-    is_seen = weight > 0
-    parts = _PARTS * is_seen[:, None]
-    counts = parts.sum(axis=2)
-    means = (parts @ points) / np.maximum(counts, 1.0)[..., None]
+    means, counts = _find_parts(points, weight)
     is_known = (counts[:, 0] > 0) & (counts[:, 1] + counts[:, 2] > 0)
     up = means[:, 0] - np.where(counts[:, 1:2] > 0, means[:, 1], means[:, 2])
     up = np.where(is_known[:, None], up, 0.0)
     length = np.hypot(up[:, 0], up[:, 1])
-    along = (points[:, _HANDS] - means[:, :1]) @ up[..., None] / np.maximum(length, 1e-9)[:, None, None]
-    is_beyond = is_seen[:, _HANDS] & (along[..., 0] > HEAD_SHARE * length[:, None])
-    has_hands_down = is_seen[:, _HANDS].any(axis=1) & ~is_beyond.any(axis=1)
     limit = math.cos(math.radians(MAX_TILT_DEG)) * length
-    return (-up[:, 1] > limit), (up[:, 1] > limit) & has_hands_down
+    is_upside_down = up[:, 1] > limit
+    if is_upside_down.any():
+        is_seen = weight[:, _HANDS] > 0
+        along = (points[:, _HANDS] - means[:, :1]) @ up[..., None] / np.maximum(length, 1e-9)[:, None, None]
+        is_beyond = is_seen & (along[..., 0] > HEAD_SHARE * length[:, None])
+        is_upside_down &= is_seen.any(axis=1) & ~is_beyond.any(axis=1)
+    return (-up[:, 1] > limit), is_upside_down
+
+
+def _find_parts(points: Array, weight: Array) -> tuple[Array, Array]:
+    """Return the means (N, 3, 2) of the seen joints of the `_PARTS`, and the numbers (N, 3) of these joints."""
+    parts = _PARTS * (weight > 0)[:, None]
+    counts = parts.sum(axis=2)
+    return (parts @ points) / np.maximum(counts, 1.0)[..., None], counts
 
 
 def find_camera_roll(points: Array, weight: Array, times: Array) -> float:
@@ -109,9 +116,8 @@ def measure_travel(points: Array, weight: Array) -> float:
 
     Points (F, J, 2) and weights (F, J) are those of `find_sides`.
     """
-    parts = _PARTS * (weight > 0)[:, None]
-    counts = parts.sum(axis=2)
-    upper, legs, hips = np.moveaxis((parts @ points) / np.maximum(counts, 1.0)[..., None], 1, 0)
+    means, counts = _find_parts(points, weight)
+    upper, legs, hips = np.moveaxis(means, 1, 0)
     length = np.linalg.norm(upper - hips, axis=1) + np.linalg.norm(hips - legs, axis=1)
     is_whole = (counts > 0).all(axis=1) & (length > 0)
     if not is_whole.any():

@@ -5,19 +5,25 @@
 
 A step x solves (A + mu diag(A)) x = -g. It is taken where it lowers the objective of its sequence, whose damping
 mu is then divided by five; elsewhere it is multiplied by ten and the step is tried again.
+
+Solvers can be interrupted: a stepwise function is a generator, which yields None after each piece of its work (one
+step, or something that takes about as long) and returns the result at its end.
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Generator
+from typing import Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.engine import joint as engine
-from mocap_ros.solvers.stepwise import Stepwise
 
 Array = NDArray[np.float64]
+Result = TypeVar('Result')
+
+Stepwise: TypeAlias = Generator[None, None, Result]
 
 MIN_DAMPING, MAX_DAMPING, DAMPING_AFTER_SUCCESS, DAMPING_AFTER_FAILURE = engine.DAMPINGS  # explained there
 
@@ -60,3 +66,23 @@ def minimise_stepwise(problem: Problem, max_iterations: int, tolerance: float, d
             break
         is_outdated = taken > 0
     return np.array(history)
+
+
+def run_to_end(work: Stepwise[Result]) -> Result:
+    """Do all pieces of the work, and return its result."""
+    try:
+        while True:
+            next(work)
+    except StopIteration as end:
+        return end.value
+
+
+def ignore_overflow(work: Stepwise[Result]) -> Stepwise[Result]:
+    """Do the work without NumPy's warnings of overflow and the like; between its pieces they are as before."""
+    while True:
+        with np.errstate(all='ignore'):
+            try:
+                next(work)
+            except StopIteration as end:
+                return end.value
+        yield

@@ -17,7 +17,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint, periodic
 from mocap_ros.solvers.alternation import reconstruct
-from mocap_ros.solvers.stepwise import Stepwise, ignore_overflow, run_to_end
+from mocap_ros.solvers.levenberg_marquardt import Stepwise, ignore_overflow, run_to_end
 from mocap_ros.solvers.window import Reconstruction, SolverStatus, Window, choose_initial_values
 from tests.support.synthetic_walk import make_walk, mpjpe_mm
 

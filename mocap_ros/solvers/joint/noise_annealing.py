@@ -41,8 +41,7 @@ from mocap_ros.engine import joint as engine
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.joint.batch import Batch, State
 from mocap_ros.solvers.joint.objective import JointObjective, measure_activities, read_state, weigh_motion
-from mocap_ros.solvers.levenberg_marquardt import minimise_stepwise
-from mocap_ros.solvers.stepwise import Stepwise
+from mocap_ros.solvers.levenberg_marquardt import Stepwise, minimise_stepwise
 from mocap_ros.solvers.window import Window
 
 Array = NDArray[np.float64]

@@ -31,8 +31,7 @@ from mocap_ros.solvers.joint.noise_annealing import (
     get_given_noise,
 )
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, JointObjective, measure_activities, read_state
-from mocap_ros.solvers.levenberg_marquardt import minimise_stepwise
-from mocap_ros.solvers.stepwise import Stepwise, run_to_end
+from mocap_ros.solvers.levenberg_marquardt import Stepwise, minimise_stepwise, run_to_end
 from mocap_ros.solvers.window import (
     Reconstruction,
     SolverStatus,

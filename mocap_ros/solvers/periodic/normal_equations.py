@@ -113,7 +113,7 @@ class PeriodicEquations:
         definite = diagonal + MIN_CAMERA_INFORMATION * np.eye(CAMERA_UNKNOWNS)
         none = np.zeros((len(diagonal), COUPLED_FRAMES, CAMERA_UNKNOWNS))
         try:
-            return block_banded.BlockCholesky(definite, none, self.camera_coupling).log_determinant()
+            return block_banded.log_determinant(definite, none, self.camera_coupling)
         except LinAlgError:
             return np.inf
 

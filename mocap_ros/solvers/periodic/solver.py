@@ -41,12 +41,14 @@ from mocap_ros.solvers.levenberg_marquardt import (
     DAMPING_AFTER_SUCCESS,
     MAX_DAMPING,
     MIN_DAMPING,
+    Stepwise,
+    ignore_overflow,
     minimise_stepwise,
+    run_to_end,
 )
 from mocap_ros.solvers.periodic.fourier import FourierSeries, fit_initial_series
 from mocap_ros.solvers.periodic.normal_equations import PeriodicEquations
 from mocap_ros.solvers.periodic.objective import PeriodicObjective, Point, rotations_about_vertical
-from mocap_ros.solvers.stepwise import Stepwise, ignore_overflow, run_to_end
 from mocap_ros.solvers.window import InitialValues, Reconstruction, SolverStatus, Window
 
 Array = NDArray[np.float64]
