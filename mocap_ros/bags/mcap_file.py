@@ -70,14 +70,11 @@ class McapFile:
 
     Messages are collected in chunks. A chunk is closed when it reaches the configured size, or by `flush`.
     Every method may raise OSError where the disk is full or fails.
-
-    Attributes:
-        statistics: Number and times of the messages written so far.
     """
 
     def __init__(self, path: Path, config: RecorderConfig) -> None:
         self.path = path
-        self.statistics = MessageStatistics()
+        self.statistics = MessageStatistics()  # of the messages written so far
         self._channels: dict[str, int] = {}  # ids by topic
         self._schemas: dict[str, int] = {}  # ids by message type
         self._max_chunk_bytes = config.chunk_bytes

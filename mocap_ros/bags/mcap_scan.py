@@ -67,16 +67,11 @@ Item = ScannedMessage | Attachment | Metadata
 
 
 class McapScan:
-    """An iterable of everything that can be read of an MCAP file, in the order of the file.
-
-    Attributes:
-        losses: Sentences about what could not be read, as far as the scan has advanced.
-        position: Number of the bytes scanned so far.
-    """
+    """An iterable of everything that can be read of an MCAP file, in the order of the file."""
 
     def __init__(self, path: Path) -> None:
-        self.losses: list[str] = []
-        self.position = 0
+        self.losses: list[str] = []  # sentences about what could not be read so far
+        self.position = 0  # bytes scanned so far
         self._size = path.stat().st_size
         self._path = path
         self._channels: dict[int, Channel] = {}

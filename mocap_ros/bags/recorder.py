@@ -175,7 +175,7 @@ class Recorder:
                 f'{self.folder}: topic {topic.name} has the type {declared.type}, not {topic.type}'
             )
         if topic.name not in self.topics:
-            with self._writing() as file:
+            with self.writing() as file:
                 file.add_topic(topic)
             self.topics[topic.name] = topic
 
@@ -185,19 +185,9 @@ class Recorder:
 
     def begin_file(self) -> None:
         """Continue the bag in a further file, which repeats no messages, where the current one holds messages."""
-        with self._writing() as file:
+        with self.writing() as file:
             if file.statistics.first_ns >= 0:
                 self._begin_next_file(file)
-
-    def add_attachment(self, attachment: Attachment, time_ns: int) -> None:
-        """Attach a file to the current file of the bag."""
-        with self._writing() as file:
-            file.add_attachments([attachment], time_ns)
-
-    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a metadata record to the current file of the bag."""
-        with self._writing() as file:
-            file.add_metadata(name, values)
 
     def write(
         self,
@@ -221,7 +211,7 @@ class Recorder:
         """
         if topic not in self.topics or self.topics[topic].type != msgtype:
             self.declare_topic(topic, msgtype)
-        with self._writing() as file:
+        with self.writing() as file:
             file = self._select_file(file, log_time_ns, may_begin=may_begin_file)  # noqa: PLW2901
             file.write(topic, data, log_time_ns, publish_time_ns)
         if repeat_keys or (repeat_keys is not None and self.topics[topic].is_latched):
@@ -237,14 +227,14 @@ class Recorder:
     def flush(self) -> None:
         """Close the chunk, hand the data to the operating system, and check the file and the free disk space."""
         self._chunk_start_ns = -1
-        with self._writing() as file:
+        with self.writing() as file:
             file.check_place()
             file.flush()
             self._check_space()
 
     def start_sync(self) -> None:
         """Begin to make the disk hold what was flushed; do nothing while `MAX_SYNCS` are going on."""
-        with self._writing() as file:
+        with self.writing() as file:
             done = [sync for sync in self._syncs if sync.done()]
             self._syncs = [sync for sync in self._syncs if sync not in done]
             for sync in done:
@@ -347,7 +337,7 @@ class Recorder:
             )
 
     @contextmanager
-    def _writing(self) -> Iterator[McapFile]:
+    def writing(self) -> Iterator[McapFile]:
         """Provide the current file; finish the bag and raise RecordingError when the block raises OSError."""
         if self._file is None:
             raise RecordingError(f'{self.folder}: the recording is closed')

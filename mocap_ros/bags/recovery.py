@@ -165,11 +165,13 @@ class _FileCopy:
         if isinstance(item, AttachmentRecord):
             self._begin_file()
             attachment = Attachment(item.name, item.media_type, item.data, item.create_time)
-            self._recorder.add_attachment(attachment, item.log_time)
+            with self._recorder.writing() as file:
+                file.add_attachments([attachment], item.log_time)
         elif isinstance(item, MetadataRecord):
             if item.name != ROSBAG2:
                 self._begin_file()
-                self._recorder.add_metadata(item.name, item.metadata)
+                with self._recorder.writing() as file:
+                    file.add_metadata(item.name, item.metadata)
         elif item.schema is None or item.channel.message_encoding != 'cdr':
             self._rejected[item.channel.topic, 'they are no messages of ROS 2'] += 1
         else:

@@ -66,11 +66,10 @@ def make_topic(
     qos: Sequence[Mapping[str, Any]] = (),
     definition: TypeDefinition | None = None,
 ) -> Topic:
-    """Describe a topic.
+    """Describe a topic; the definition of its type is by default this package's.
 
-    - `qos`: QoS profiles that the publishers offer, of which equal ones are held once. If there is none, or none
-      that is transient local for a latched topic, one reliable profile takes their place.
-    - `definition`: Definition of the message type; by default, this package's.
+    Of equal QoS profiles one is held. If there is none, or none that is transient local for a latched topic, one
+    reliable profile takes their place.
     """
     text, type_hash = definition or _generate_definition(msgtype)
     profiles = tuple(q for i, q in enumerate(qos) if q not in qos[:i])

@@ -104,12 +104,10 @@ def parse_body_id(topic: str) -> str:
 
 
 def find_people_topics(bag: Bag, name: str | None = None) -> dict[str, Source]:
-    """Find the topics of 2D keypoints in a bag.
+    """Find the topics of 2D keypoints in a bag, of which `name` chooses where it holds several.
 
     Keypoints come either on one topic for all people or, from ROS4HRI, on one topic for each body beside the topic
-    that lists the tracked bodies.
-
-    - `name`: Topic to choose where the bag holds several; for ROS4HRI, the topic that lists the tracked bodies.
+    that lists the tracked bodies, which is the one to name.
     """
     groups = {topic: {topic: Source.KEYPOINTS} for topic in bag.topics_of_type(KEYPOINT_TYPES)}
     tracked_topics = [t for t in bag.topics_of_type([HRI_IDS]) if t == name or t.endswith(TRACKED_SUFFIX)]

@@ -15,10 +15,7 @@ DESCRIPTION = (
     'Prints the parameters that many users set, with meanings, ranges and values, as a ROS parameter file. Pass '
     'the file to `mocap_node --ros-args --params-file` or to the option `--config` of the other commands.'
 )
-OPTIONS: Options = {
-    '--all': 'print every parameter (default: those that many users set)',
-    **CONFIG_OPTIONS,
-}
+OPTIONS: Options = {'--all': 'print every parameter (default: those that many users set)', **CONFIG_OPTIONS}
 
 
 def run(args: argparse.Namespace) -> int:

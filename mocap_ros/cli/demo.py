@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     """Play the recording to the node, and draw and print the result."""
     if find_spec('rclpy') is None:
         raise MocapError('the demo needs ROS 2 (rclpy): run `make demo`, or source a ROS 2 workspace first')
-    from mocap_ros.ros.player import PlaybackOptions, Player
+    from mocap_ros.ros.player import Player
 
     recording = Path(str(files('mocap_ros') / 'demo' / 'demo.npz'))
     sequence = load_sequence_file(recording)
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         f'Step 1 of 3: start the node (3 s), play {recording.name} to it ({duration_s:.0f} s)', flush=True
     )
     with reserve_domain() as domain, _use_environment(domain), _run_node(args.output) as node:
-        player = Player(Playback(recording), PlaybackOptions(args.rate, START_TIMEOUT_S))
+        player = Player(Playback(recording), args.rate, START_TIMEOUT_S)
         player.play(lambda messages, total: show_progress(messages, 'play', total))
         if node.poll() is not None:
             raise MocapError(f'the node stopped during the playback (exit code {node.returncode})')

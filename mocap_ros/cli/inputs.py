@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -21,7 +21,6 @@ from mocap_ros.errors import InputError, MocapError, name_errors
 from mocap_ros.formats.detections import HFOV_RANGE_DEG, Video
 from mocap_ros.formats.mocap.trials import MANIFEST_NAME, list_files
 from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX, KeypointSequence
-from mocap_ros.formats.video import VideoImage
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models, load_prior_lifter
 from mocap_ros.runtime.load_keypoints import InputOptions, load_people
@@ -52,7 +51,7 @@ def _parse_image_size(text: str) -> tuple[int, int]:
 
 MODEL_OPTIONS: Options = {
     '--model NAME': 'base poses: the name of a shipped model, a model file, or auto for the most likely shipped '
-    'model (default: the parameter tracker.model)',
+    'model (default: the parameter tracker.model)'
 }
 TOPIC_OPTIONS: Options = {
     '--topic NAME': 'topic of the keypoints in a bag (default: the only one in the bag)',
@@ -122,7 +121,8 @@ def read_video_options(args: argparse.Namespace) -> Video:
 def read_input_options(args: argparse.Namespace, config: Config) -> InputOptions:
     """Return what the options of `INPUT_OPTIONS` state."""
     video, topics = read_video_options(args), (args.topic, args.camera_info)
-    return InputOptions(video, config.node, args.person, *topics, show_detection_progress, config.tracker)
+    show = lambda images, count: show_progress(images, 'detect', count)  # noqa: E731
+    return InputOptions(video, config.node, args.person, *topics, show, config.tracker)
 
 
 def load_sequences(
@@ -136,11 +136,6 @@ def load_sequences(
     for line in lines:
         print_note(line)
     return sequences
-
-
-def show_detection_progress(images: Iterable[VideoImage], count: int | None) -> Iterable[VideoImage]:
-    """Show how many of the images of a video the detector has seen."""
-    return show_progress(images, 'detect', count)
 
 
 def load_models(args: argparse.Namespace, config: Config) -> dict[str, BasePoses]:

@@ -94,9 +94,7 @@ CONFIG_OPTIONS: Options = {
         default=[],
     ),
 }
-STRICT_OPTIONS: Options = {
-    '--strict': 'exit with 1 if the input turns out to be wrong (default: with 0)',
-}
+STRICT_OPTIONS: Options = {'--strict': 'exit with 1 if the input turns out to be wrong (default: with 0)'}
 
 
 def add_options(parser: argparse.ArgumentParser, options: Options) -> None:

@@ -45,7 +45,7 @@ OPTIONS: Options = {
 def run(args: argparse.Namespace) -> int:
     """Play the input and print how many messages were published."""
     try:
-        from mocap_ros.ros.player import PlaybackOptions, Player, find_name_fault
+        from mocap_ros.ros.player import Player, find_name_fault
     except ImportError as error:
         raise MocapError(
             f'play needs ROS 2, which this Python does not have ({error}); `make setup` installs it'
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     if args.topic and kind is InputKind.SEQUENCE:
         raise MocapError(f'--topic: a sequence file has no topics; --to {args.topic} publishes on this one')
     playback = Playback(args.input, args.topic, args.to, args.all, args.camera_info)
-    player = Player(playback, PlaybackOptions(args.rate, args.wait, args.loop, args.clock or 0.0))
+    player = Player(playback, args.rate, args.wait, args.clock or 0.0, loop=args.loop)
     with suppress(*([KeyboardInterrupt] if args.loop else [])):  # an interrupt is the only way to end a loop
         player.play(
             lambda messages, total: show_progress(messages, 'play', total),

@@ -32,11 +32,7 @@ from mocap_ros.geometry.level import average_vertical
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.keyframes.taylor import DepthChoice, parse_depth_choices
-from mocap_ros.offline.whole_sequence import (
-    Report,
-    SequenceResult,
-    describe_height_faults,
-)
+from mocap_ros.offline.whole_sequence import Report, SequenceResult, describe_height_faults
 from mocap_ros.runtime import save_results
 from mocap_ros.runtime.summary import summarise
 from mocap_ros.runtime.whole_recording import reconstruct_people, reconstruct_whole
@@ -97,7 +93,9 @@ def run(args: argparse.Namespace) -> int:
         for note in notes:
             print_note(f'{args.input}: {note}')
         found, results = [person.sequence for person in people], [person.result for person in people]
-        _describe_height(args, results)
+        height = 'tracker.camera_height' if args.floor_height is None else '--floor-height'
+        for fault in describe_height_faults(results):
+            print_note(f'{args.input}: {height} {fault}')
         for place, sequence, person_id, result in people:
             summary = summarise([sequence], [result], config)
             reconstructed = save_results.ReconstructedSequence(sequence, result, summary)
@@ -111,12 +109,6 @@ def run(args: argparse.Namespace) -> int:
     if len(found) > 1:
         summary = summarise(found, results, config)
     return finish(args.input, summary, is_strict=args.strict) or int(not is_all_saved)
-
-
-def _describe_height(args: argparse.Namespace, results: Sequence[SequenceResult]) -> None:
-    name = 'tracker.camera_height' if args.floor_height is None else '--floor-height'
-    for fault in describe_height_faults(results):
-        print_note(f'{args.input}: {name} {fault}')
 
 
 def _check_options(args: argparse.Namespace, outputs: Sequence[Path], sources: Sequence[Path]) -> None:

@@ -120,13 +120,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check_times(
-    scene: Scene,
-    images: Iterable[StampedImage],
-    path: Path,
-    notes: list[str],
-    report: Report,
-    *,
-    is_given: bool,
+    scene: Scene, images: Iterable[StampedImage], path: Path, notes: list[str], report: Report, *, is_given: bool
 ) -> Iterator[StampedImage]:
     """Yield the images; `notes` gets a line if they seem to be of another recording."""
     size, frames = scene.image_size, len(scene.stamps_ns)

@@ -129,11 +129,7 @@ def _concatenate_motions(tables: list[Array]) -> Array:
 
 
 def _place_in_world(body: Array, height: Array, speed: Array) -> Array:
-    """Move the body (F, 15, 3) anticlockwise along the circle.
-
-    Returns:
-        The joints (F, 15, 3) in m in a world frame with x right, y away from the camera and z up.
-    """
+    """Move the body (F, 15, 3) in m anticlockwise along the circle; x right, y away from the camera, z up."""
     distance = np.cumsum(speed) / FRAME_RATE_HZ
     angle = np.radians(-150) + distance / CIRCLE_RADIUS_M
     heading = angle + np.pi / 2

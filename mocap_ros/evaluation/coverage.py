@@ -25,12 +25,7 @@ HIPS = ('lhip', 'rhip')  # between which the root is
 
 
 def compute_coverage(
-    joints: Array,
-    std: Array,
-    root_covariance: Array,
-    skeleton: Skeleton,
-    truth: Array,
-    truth_names: Sequence[str],
+    joints: Array, std: Array, root_covariance: Array, skeleton: Skeleton, truth: Array, truth_names: Sequence[str]
 ) -> dict[str, float]:
     """Return the shares of true errors within the ellipsoids of `SHARES`, as `joints68`, `roots95` and so on.
 

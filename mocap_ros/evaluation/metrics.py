@@ -54,11 +54,7 @@ def scale_to_reference(poses: Array, reference: Array) -> Array:
 
 
 def compute_errors(
-    predicted: Array,
-    truth: Array,
-    fps: float,
-    frames: NDArray[np.bool_] | None = None,
-    times: Array | None = None,
+    predicted: Array, truth: Array, fps: float, frames: NDArray[np.bool_] | None = None, times: Array | None = None
 ) -> dict[str, float]:
     """Return all errors of a sequence, named as in `Evaluation`; only the counts if every compared frame failed.
 
@@ -69,11 +65,7 @@ def compute_errors(
     compared = np.flatnonzero(np.ones(len(truth), bool) if frames is None else frames)
     predicted, truth = predicted[compared], truth[compared]
     has_prediction = np.isfinite(predicted).all(axis=(1, 2))
-    counts = {
-        'joints': truth.shape[1],
-        'frames': len(compared),
-        'failed_frames': int((~has_prediction).sum()),
-    }
+    counts = {'joints': truth.shape[1], 'frames': len(compared), 'failed_frames': int((~has_prediction).sum())}
     if not has_prediction.any():
         return {**counts}
     predicted, truth, index = predicted[has_prediction], truth[has_prediction], compared[has_prediction]

@@ -128,11 +128,7 @@ class KeypointSequence:
         return Person2D(person_id, self.joint_names, keypoints[:, :2], keypoints[:, 2])
 
     def intrinsics(self, focal_in_sides: float) -> Intrinsics:
-        """Return the intrinsics of the camera.
-
-        Args:
-            focal_in_sides: focal length in longer sides of the image that is assumed where the camera is unknown.
-        """
+        """Return the intrinsics; an unknown camera has this focal length in longer sides of the image."""
         if self.calibration is not None:
             return self.calibration
         return create_intrinsics(self.image_size, self.camera_matrix, self.distortion, focal_in_sides)

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Conversion between message objects and CDR bytes, and the parts that all messages share."""
+"""Message objects from CDR bytes, and the parts that all messages share."""
 
 from __future__ import annotations
 
@@ -61,20 +61,6 @@ def typestore() -> Typestore:
     return store
 
 
-def create_message(msgtype: str, **values: Any) -> Any:
-    """Create a message object of which the values of all fields are given."""
-    return typestore().types[msgtype](**values)
-
-
-def encode(message: Any, msgtype: str) -> bytes:
-    """Encode a message object as CDR.
-
-    The bytes are padded to a multiple of `CDR_ALIGNMENT_BYTES`, as DDS pads them, so that a recorded message is
-    identical to the received one.
-    """
-    return pad(bytes(typestore().serialize_cdr(message, msgtype)))
-
-
 def pad(content: bytes) -> bytes:
     """Append zeros up to a multiple of `CDR_ALIGNMENT_BYTES`."""
     return content + bytes(-len(content) % CDR_ALIGNMENT_BYTES)
@@ -131,10 +117,3 @@ def validate_text(text: str, field: str, limits: NodeConfig) -> str:
     if len(text) > limits.max_text:
         raise InputError(f'{field}: {len(text)} characters, more than {limits.max_text}')
     return text
-
-
-def create_header(header: Header) -> Any:
-    """Create a std_msgs/Header object."""
-    seconds, nanoseconds = divmod(header.stamp_ns, NS_PER_S)
-    stamp = create_message('builtin_interfaces/msg/Time', sec=seconds, nanosec=nanoseconds)
-    return create_message('std_msgs/msg/Header', stamp=stamp, frame_id=header.frame_id)

@@ -12,7 +12,6 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,14 +32,6 @@ Pixels = NDArray[np.uint8]  # (H, W, 3) red, green, blue
 
 # Contributions of the two differences of colour to red, green and blue (ITU-R BT.601, full range).
 RED_BY_V, GREEN_BY_U, GREEN_BY_V, BLUE_BY_U = 1.402, -0.344136, -0.714136, 1.772
-
-
-class _Encoding(NamedTuple):
-    """How the pixels of an encoding are stored, and the function that makes red, green and blue of them."""
-
-    number: type[np.generic]
-    channels: int
-    convert: Callable[[Numbers], Numbers]
 
 
 def _pick(*channels: int) -> Callable[[Numbers], Numbers]:
@@ -94,24 +85,24 @@ _UYVY, _YUYV = _convert_yuv(1, 0, 2), _convert_yuv(0, 1, 3)  # places of y, u an
 # Row and column of red and of blue in the square of each Bayer pattern.
 _BAYER = {'rggb': ((0, 0), (1, 1)), 'bggr': ((1, 1), (0, 0)), 'gbrg': ((1, 0), (0, 1)), 'grbg': ((0, 1), (1, 0))}
 # Of each encoding the bytes and channels of a pixel, and what makes red, green and blue of them.
-_ENCODINGS = {
-    'rgb8': _Encoding(np.uint8, 3, _RGB),
-    'rgba8': _Encoding(np.uint8, 4, _RGB),
-    'bgr8': _Encoding(np.uint8, 3, _BGR),
-    'bgra8': _Encoding(np.uint8, 4, _BGR),
-    '8UC3': _Encoding(np.uint8, 3, _BGR),  # OpenCV's order
-    '8UC4': _Encoding(np.uint8, 4, _BGR),
-    'rgb16': _Encoding(np.uint16, 3, _pick_high_bytes(0, 1, 2)),
-    'bgr16': _Encoding(np.uint16, 3, _pick_high_bytes(2, 1, 0)),
-    'mono8': _Encoding(np.uint8, 1, _GREY),
-    '8UC1': _Encoding(np.uint8, 1, _GREY),
-    'mono16': _Encoding(np.uint16, 1, _stretch_grey),
-    '16UC1': _Encoding(np.uint16, 1, _stretch_grey),
-    'yuv422': _Encoding(np.uint8, 2, _UYVY),
-    'uyvy': _Encoding(np.uint8, 2, _UYVY),
-    'yuv422_yuy2': _Encoding(np.uint8, 2, _YUYV),
-    'yuyv': _Encoding(np.uint8, 2, _YUYV),
-    **{f'bayer_{name}8': _Encoding(np.uint8, 1, _demosaic(*places)) for name, places in _BAYER.items()},
+_ENCODINGS: dict[str, tuple[type[np.generic], int, Callable[[Numbers], Numbers]]] = {
+    'rgb8': (np.uint8, 3, _RGB),
+    'rgba8': (np.uint8, 4, _RGB),
+    'bgr8': (np.uint8, 3, _BGR),
+    'bgra8': (np.uint8, 4, _BGR),
+    '8UC3': (np.uint8, 3, _BGR),  # OpenCV's order
+    '8UC4': (np.uint8, 4, _BGR),
+    'rgb16': (np.uint16, 3, _pick_high_bytes(0, 1, 2)),
+    'bgr16': (np.uint16, 3, _pick_high_bytes(2, 1, 0)),
+    'mono8': (np.uint8, 1, _GREY),
+    '8UC1': (np.uint8, 1, _GREY),
+    'mono16': (np.uint16, 1, _stretch_grey),
+    '16UC1': (np.uint16, 1, _stretch_grey),
+    'yuv422': (np.uint8, 2, _UYVY),
+    'uyvy': (np.uint8, 2, _UYVY),
+    'yuv422_yuy2': (np.uint8, 2, _YUYV),
+    'yuyv': (np.uint8, 2, _YUYV),
+    **{f'bayer_{name}8': (np.uint8, 1, _demosaic(*places)) for name, places in _BAYER.items()},
 }
 ENCODINGS = tuple(_ENCODINGS)  # names of the encodings that are read
 
@@ -124,18 +115,18 @@ def decode_image(raw: bytes, msgtype: str, limits: NodeConfig) -> tuple[Header, 
         return header, _decompress(message.data.tobytes())
     if message.encoding not in _ENCODINGS:
         raise InputError(f'encoding: {message.encoding!r}, expected one of {", ".join(ENCODINGS)}')
-    encoding = _ENCODINGS[message.encoding]
-    number = np.dtype(encoding.number).newbyteorder('>' if message.is_bigendian else '<')
+    number_type, channels, convert = _ENCODINGS[message.encoding]
+    number = np.dtype(number_type).newbyteorder('>' if message.is_bigendian else '<')
     height, width, step = int(message.height), int(message.width), int(message.step)
-    row_bytes = width * encoding.channels * number.itemsize
+    row_bytes = width * channels * number.itemsize
     _check_size(width, height)
     if step < row_bytes:
         raise InputError(f'step: {step} bytes, less than a row of {width} pixels in {message.encoding}')
     if len(message.data) < step * (height - 1) + row_bytes:
         raise InputError(f'data: {len(message.data)} bytes, expected {step * height}')
     rows = np.lib.stride_tricks.as_strided(message.data, (height, row_bytes), (step, 1), writeable=False)
-    numbers = np.ascontiguousarray(rows).view(number).reshape(height, width, encoding.channels)
-    return header, np.ascontiguousarray(encoding.convert(numbers).astype(np.uint8))
+    numbers = np.ascontiguousarray(rows).view(number).reshape(height, width, channels)
+    return header, np.ascontiguousarray(convert(numbers).astype(np.uint8))
 
 
 def _check_size(width: int, height: int) -> None:

@@ -29,13 +29,7 @@ from mocap_ros.messages.foreign_types import (
     ZED_OBJECTS,
     find_current_type,
 )
-from mocap_ros.messages.keypoints import (
-    KEYPOINTS,
-    KeypointsFrame,
-    decode_keypoints,
-    read_people,
-    validate_person,
-)
+from mocap_ros.messages.keypoints import KEYPOINTS, KeypointsFrame, decode_keypoints, read_people, validate_person
 from mocap_ros.skeleton import keypoint_layout
 
 KEYPOINT_TYPES = (KEYPOINTS, YOLO_DETECTIONS, ZED_OBJECTS, OPENPOSE_POSES)

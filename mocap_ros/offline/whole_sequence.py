@@ -67,12 +67,7 @@ from mocap_ros.solvers.image_roll import find_camera_roll, find_roll, lift_turne
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, explains_as_well, let_base_poses_lead
 from mocap_ros.solvers.observed_window import ObservedWindow, observe_sequence
-from mocap_ros.solvers.vertical import (
-    AUTO,
-    Vertical,
-    find_vertical,
-    read_given_vertical,
-)
+from mocap_ros.solvers.vertical import AUTO, Vertical, find_vertical, read_given_vertical
 from mocap_ros.solvers.window import Reconstruction, Window
 
 Report = Callable[[float], None]  # gets the share, 0 to 1, of the work that is done
@@ -216,10 +211,7 @@ def reconstruct_window(
 
 
 def _reconstruct(
-    observed: ObservedWindow,
-    models: Mapping[str, BasePoses],
-    config: Config,
-    report: Report = lambda _: None,
+    observed: ObservedWindow, models: Mapping[str, BasePoses], config: Config, report: Report = lambda _: None
 ) -> tuple[SequenceResult, ObservedWindow]:
     """Return the result of `reconstruct_window`, and the window with the lifted poses, if there is a lifter."""
     body_height = config.tracker.body_height
@@ -234,7 +226,7 @@ def _reconstruct(
             models = {ALL_MOTIONS: models[ALL_MOTIONS]}
         lifted, vertical = _lift(observed, lifter, config.tracker)
         observed = observed.append_lifted(lifted)
-        report(SHARES.lifted)
+        report(LIFTED_SHARE)
         category, solution = _solve_with_lifter(observed, vertical, lifter, models, config, report)
     camera = observed.virtual_camera
     root = camera.root_positions(solution.cameras, solution.translation)
@@ -421,10 +413,7 @@ def _repeat_vertical(given: Vertical, frames: int) -> Verticals:
 
 
 def _lift(
-    observed: ObservedWindow,
-    lifter: Lifter,
-    config: TrackerConfig,
-    known: Verticals | None = None,
+    observed: ObservedWindow, lifter: Lifter, config: TrackerConfig, known: Verticals | None = None
 ) -> tuple[LiftedPoses, Verticals]:
     """Return lifted poses that are turned towards the vertical, in the virtual cameras' axes, and the vertical.
 
@@ -459,13 +448,13 @@ def _solve_with_lifter(
     """
     window = observed.build_solver_window()
     _, solution = _solve(window, models, config.solver)
-    report(SHARES.solved)
+    report(SOLVED_SHARE)
     believed = hide_unexplained_points(observed, window, solution)
     if believed is not observed:
         lifted, _ = _lift(replace(believed, lifted=None), lifter, config.tracker, vertical)
         observed = replace(observed, lifted=None).append_lifted(lifted)
         _, solution = _solve(observed.build_solver_window(), models, config.solver)
-    report(SHARES.solved_again)
+    report(SOLVED_AGAIN_SHARE)
     again, _ = _lift(draw_points(believed, solution), lifter, config.tracker, vertical)
     observed = replace(observed, lifted=None).append_lifted(turn_like(again, solution.joints))
     return _solve(observed.build_solver_window(), models, config.solver)
@@ -487,15 +476,9 @@ def _solve(window: Window, models: Mapping[str, BasePoses], config: SolverConfig
     return name, led if explains_as_well(led.misfit, solution.misfit) else solution
 
 
-class Shares(NamedTuple):
-    """Shares of the time of a reconstruction after which its stages end."""
-
-    lifted: float
-    solved: float
-    solved_again: float
-
-
-SHARES = Shares(0.07, 0.4, 0.68)  # measured with 3,120 frames; almost all sequences are solved three times
+# 1; shares of the time after which the stages of a reconstruction end, measured with 3,120 frames; almost all
+# sequences are solved three times
+LIFTED_SHARE, SOLVED_SHARE, SOLVED_AGAIN_SHARE = 0.07, 0.4, 0.68
 MIN_TILT_STD = 1e-3  # rad; a smaller deviation of a vertical is not believed
 FOUND_TILT_FACTOR = 1.5  # 1; by which a vertical counts less that people show, who share its errors
 USUAL_SIZES = 0.75, 1.2  # 1; three standard deviations of the size of adults

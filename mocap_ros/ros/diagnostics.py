@@ -12,14 +12,13 @@ from enum import IntEnum
 
 import numpy as np
 
-from mocap_ros.messages.cdr import Header, create_header, create_message, encode
+from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.plain import encode_plain
 from mocap_ros.ros.throttled_log import make_printable
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.units import NS_PER_S
 
 DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'  # message type
-STATUS = 'diagnostic_msgs/msg/DiagnosticStatus'  # message type
-KEY_VALUE = 'diagnostic_msgs/msg/KeyValue'  # message type
 MAX_REMEMBERED_FRAMES = 300  # frames; 10 s at 30 Hz, enough for a 99th percentile
 RATE_WINDOW_S = 2.0  # s; long enough for a steady figure, short enough to show a change soon
 UNUSABLE_DETECTIONS = (
@@ -38,20 +37,14 @@ class Level(IntEnum):
 
 
 class RunStatistics:
-    """What a run counts and measures besides the pipeline's counters.
-
-    Attributes:
-        received: Number of messages of people so far that arrived.
-        lost: Number of messages so far that were sent but did not arrive.
-        removed: Number of messages so far, of all topics, that left the queue unseen because too many waited.
-        reason: Why the newest message was refused that was; empty once it has been reported.
-        solve_seconds: How long the processing of each of the last `MAX_REMEMBERED_FRAMES` images took.
-    """
+    """What a run counts and measures besides the pipeline's counters."""
 
     def __init__(self) -> None:
-        self.received = self.lost = self.removed = 0
-        self.reason = ''
-        self.solve_seconds: deque[float] = deque(maxlen=MAX_REMEMBERED_FRAMES)
+        self.received = 0  # messages of people so far that arrived
+        self.lost = 0  # messages so far that were sent but did not arrive
+        self.removed = 0  # messages so far, of all topics, that left the queue unseen because too many waited
+        self.reason = ''  # why the newest message was refused that was; empty once it has been reported
+        self.solve_seconds: deque[float] = deque(maxlen=MAX_REMEMBERED_FRAMES)  # of the newest images
         self._received: deque[float] = deque(maxlen=MAX_REMEMBERED_FRAMES)  # s, steady clock
 
     def record_receipt(self) -> None:
@@ -120,16 +113,13 @@ class DiagnosticsReporter:
             problems.insert(0, (Level.STALE, 'no input'))
         elif refusals := _describe_refusals(new, reason):
             problems.insert(0, refusals)
-        status = create_message(
-            STATUS,
-            level=int(max((level for level, _ in problems), default=Level.OK)),
-            name=self._name,
-            message='; '.join(message for _, message in problems) or f'{len(people)} people',
-            hardware_id='',
-            values=[create_message(KEY_VALUE, key=key, value=str(value)) for key, value in values.items()],
-        )
-        header = create_header(Header(now_ns, ''))
-        return encode(create_message(DIAGNOSTICS, header=header, status=[status]), DIAGNOSTICS)
+        status = {
+            'level': max((level for level, _ in problems), default=Level.OK),
+            'name': self._name,
+            'message': '; '.join(message for _, message in problems) or f'{len(people)} people',
+            'values': [(key, str(value)) for key, value in values.items()],
+        }
+        return encode_plain({'header': Header(now_ns, ''), 'status': [status]}, DIAGNOSTICS)
 
     def _count(self) -> Counter[str]:
         counters, statistics = self._pipeline.counters, self._statistics

@@ -58,14 +58,10 @@ class _Topic:
 
 
 class InputQueue:
-    """Messages that wait, in the order of their receipt. Any thread may call any method.
-
-    Attributes:
-        is_behind: Whether too many images were waiting and some message still is.
-    """
+    """Messages that wait, in the order of their receipt. Any thread may call any method."""
 
     def __init__(self) -> None:
-        self.is_behind = False
+        self.is_behind = False  # whether too many images were waiting and some message still is
         self._changed = threading.Condition()
         self._is_closed = False
         self._waiting: OrderedDict[tuple[str, int], ReceivedMessage] = OrderedDict()  # by topic and number

@@ -23,11 +23,10 @@ from mocap_ros.messages.keypoints import KEYPOINTS, KeypointsFrame, decode_keypo
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.topics import subscribe
-from mocap_ros.runtime.load_scene import PERSON_FIELDS, average_core, recover_intrinsics
+from mocap_ros.runtime.load_scene import average_core, make_scene_person, recover_intrinsics
 from mocap_ros.skeleton import BODY26, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.live_page import LiveScene, PageServer, make_nobody
-from mocap_ros.viewing.scene import ScenePerson
 
 # Only the newest messages count: a page that is late must not fall behind.
 NEWEST_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -93,15 +92,7 @@ class LiveView(Node):
             self._size = resolve_image_size(stated=(frame.image_width, frame.image_height), configured=self._size)
         people = make_nobody(len(skeleton.joints), intrinsics)
         if array.people:
-            people = ScenePerson(
-                id='',
-                frames=np.arange(len(array.people)),
-                intrinsics=intrinsics,
-                **{
-                    name: np.array([getattr(p, name) for p in array.people], t)
-                    for name, t in PERSON_FIELDS.items()
-                },
-            )
+            people = make_scene_person('', np.arange(len(array.people)), array.people, intrinsics)
         found = [] if frame is None else frame.people
         self._scene.publish(
             array.stamp_ns,

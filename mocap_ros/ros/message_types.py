@@ -38,16 +38,12 @@ def load_interface_class(kind: str) -> Any:
 
 
 class MessageVersions:
-    """The installed versions of message types, and the conversion between them and this package's versions.
-
-    Attributes:
-        definitions: Definition of each type whose installed version differs from this package's, by its name.
-    """
+    """The installed versions of message types, and the conversion between them and this package's versions."""
 
     def __init__(self) -> None:
         self._readers: dict[str, Convert] = {}  # by message type; none where the versions are equal
         self._writers: dict[str, Convert] = {}  # likewise
-        self.definitions: dict[str, TypeDefinition] = {}
+        self.definitions: dict[str, TypeDefinition] = {}  # of the types whose installed versions differ, by name
 
     def add_input(self, kind: str) -> None:
         """Add a type of messages to receive."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import Any
 
 import rclpy
@@ -48,16 +47,6 @@ def find_name_fault(topic: str) -> str:
     return ''
 
 
-@dataclass(frozen=True)
-class PlaybackOptions:
-    """Options of the player."""
-
-    rate: float = 1.0  # factor of the recorded rate; infinity for as fast as possible
-    wait: float = 10.0  # seconds to wait for a subscriber before the first message
-    loop: bool = False  # whether to start again at the end, until interrupted
-    clock: float = 0.0  # hz; rate at which to publish the recorded time on /clock; 0 for no /clock
-
-
 class Player:
     """Publisher of recorded messages with the QoS with which they were recorded.
 
@@ -65,10 +54,17 @@ class Player:
     for `SETTLE_SECONDS` before the first message: a best-effort subscriber misses those that are sent before it
     has discovered the publisher. `skipped_topics` has a line for each topic whose name is not valid, or whose
     message type is not installed or cannot hold the messages.
+
+    The rate is a factor of the recorded one, infinity for as fast as possible. The player waits so long for a
+    subscriber, and with `loop` starts again at the end, until interrupted. With a rate in Hz, the recorded time is
+    published on /clock.
     """
 
-    def __init__(self, playback: Playback, options: PlaybackOptions) -> None:
-        self._playback, self._options = playback, options
+    def __init__(
+        self, playback: Playback, rate: float, wait_s: float = 10.0, clock_hz: float = 0.0, *, loop: bool = False
+    ) -> None:
+        self._playback, self._loop = playback, loop
+        self._rate, self._wait_s, self._clock_hz = rate, wait_s, clock_hz
         self._publishers: dict[int, Any] = {}  # by index of the topic in the playback
         self._versions = MessageVersions()
         self._clock: Any = None  # publisher of /clock
@@ -95,7 +91,7 @@ class Player:
             self._wait_for_subscriber(announce)
             while True:
                 self._publish_once(progress(self._playback, self._playback.count))
-                if not self._options.loop:
+                if not self._loop:
                     break
             for publisher in self._publishers.values():
                 publisher.wait_for_all_acked(Duration(seconds=MAX_ACKNOWLEDGEMENT_SECONDS))
@@ -118,7 +114,7 @@ class Player:
             self._publishers[index] = node.create_publisher(message_class, topic.name, profile)
         if not self._publishers:
             raise MocapError(f'nothing to play: {self.skipped_topics[0] if self.skipped_topics else "no topics"}')
-        if self._options.clock:
+        if self._clock_hz:
             qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
             self._clock = node.create_publisher(load_interface_class(CLOCK), '/clock', qos)
 
@@ -127,11 +123,11 @@ class Player:
         awaited = [p for i, p in self._publishers.items() if self._playback.topics[i].type != CAMERA_INFO]
         awaited = awaited or [*self._publishers.values()]
         names = ', '.join(p.topic_name for p in awaited)
-        announce(f'waiting for a subscriber to {names}, for at most {self._options.wait:g} s')
-        deadline = time.monotonic() + self._options.wait
+        announce(f'waiting for a subscriber to {names}, for at most {self._wait_s:g} s')
+        deadline = time.monotonic() + self._wait_s
         while not any(p.get_subscription_count() for p in awaited):
             if time.monotonic() > deadline:
-                raise MocapError(f'no subscriber to {names} appeared within {self._options.wait:g} s')
+                raise MocapError(f'no subscriber to {names} appeared within {self._wait_s:g} s')
             time.sleep(DISCOVERY_POLL_SECONDS)
         time.sleep(SETTLE_SECONDS)
 
@@ -139,7 +135,7 @@ class Player:
         start, first_ns = time.monotonic(), -1
         for message in messages:
             first_ns = message.due_ns if first_ns < 0 else first_ns
-            elapsed_s = (message.due_ns - first_ns) / NS_PER_S / self._options.rate
+            elapsed_s = (message.due_ns - first_ns) / NS_PER_S / self._rate
             self._sleep_until(start + elapsed_s, message.due_ns)
             publisher = self._publishers.get(message.topic)
             if publisher is not None:
@@ -151,8 +147,8 @@ class Player:
         """Sleep until `end` (s, steady clock), which is `end_ns` in the recording; publish /clock meanwhile."""
         while (remaining := end - time.monotonic()) > 0:
             if self._clock is not None:
-                self._publish_clock(end_ns - round(remaining * self._options.rate * NS_PER_S))
-                remaining = min(remaining, 1 / self._options.clock)
+                self._publish_clock(end_ns - round(remaining * self._rate * NS_PER_S))
+                remaining = min(remaining, 1 / self._clock_hz)
             time.sleep(remaining)
         if self._clock is not None:
             self._publish_clock(end_ns)
@@ -160,7 +156,7 @@ class Player:
     def _publish_clock(self, time_ns: int) -> None:
         now = time.monotonic()
         if now >= self._next_clock_s:
-            self._next_clock_s = now + 1 / self._options.clock
+            self._next_clock_s = now + 1 / self._clock_hz
             message = load_interface_class(CLOCK)()
             message.clock.sec, message.clock.nanosec = divmod(time_ns, NS_PER_S)
             self._clock.publish(message)

@@ -19,13 +19,7 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.topics import Source, find_people_topics, find_people_type
 from mocap_ros.config import NodeConfig, TrackerConfig
 from mocap_ros.errors import FrameDropped, InputError, naming
-from mocap_ros.formats.detections import (
-    Detections,
-    Video,
-    arrange_people,
-    associate_people,
-    select_person,
-)
+from mocap_ros.formats.detections import Detections, Video, arrange_people, associate_people, select_person
 from mocap_ros.formats.detector_json import load_json_file, load_json_folder
 from mocap_ros.formats.sequence_file import KeypointSequence, find_longest_gap, load_sequence
 from mocap_ros.formats.sports2d import load_pixel_files
@@ -139,12 +133,16 @@ def _finish(
                 outside = outside or check_places(keypoints[..., :2], keypoints[..., 2], size)
         if kind is InputKind.VIDEO and sequences[0].is_camera_known:
             sequences = [replace(s, focal_source=FROM_VIDEO) for s in sequences]
-        sequences, lens_lines = give_focal_length(sequences, video)
+        focal, is_known = video.find_focal_length(size[0]), sequences[0].is_camera_known
+        if focal is not None and not is_known:  # the principal point is in the middle, and nothing is distorted
+            matrix = np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1]])
+            sequences = [replace(s, camera_matrix=matrix, focal_source=GIVEN) for s in sequences]
+    unused = 'has a calibrated camera; --hfov and --focal are not used' if focal is not None and is_known else ''
     # Any focal length will do, because only cameras that are known have a distortion.
     lens = describe_unusable_distortion(sequences[0].intrinsics(1.0))
     gaps = map(_describe_gap, sequences)
     misspelt = describe_misspelt_joint(sequences[0].joint_names)
-    lines = (*lines, misspelt, outside and f'image size: {outside}', *lens_lines, lens, *gaps)
+    lines = (*lines, misspelt, outside and f'image size: {outside}', unused, lens, *gaps)
     return sequences, [f'{path}: {line}' for line in lines if line]
 
 
@@ -185,21 +183,6 @@ def _refuse_options(path: Path, kind: InputKind, options: InputOptions) -> None:
     unused = [name for name, value in given.items() if value and name not in OPTIONS_BY_KIND[kind]]
     if unused:
         raise InputError(f'{path}: {kind.value}, to which {", ".join(unused)} does not apply')
-
-
-def give_focal_length(sequences: list[KeypointSequence], video: Video) -> tuple[list[KeypointSequence], list[str]]:
-    """Return the sequences of a camera with the focal length of `video` or, if they have another, with a line.
-
-    The principal point is then in the middle of the image, and the lens has no distortion.
-    """
-    width, height = sequences[0].image_size
-    focal = video.find_focal_length(width)
-    if focal is None:
-        return sequences, []
-    if sequences[0].is_camera_known:
-        return sequences, ['has a calibrated camera; --hfov and --focal are not used']
-    matrix = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-    return [replace(s, camera_matrix=matrix, focal_source=GIVEN) for s in sequences], []
 
 
 def load_sequence_file(path: str | Path) -> KeypointSequence:

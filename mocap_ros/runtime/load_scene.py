@@ -27,19 +27,20 @@ from mocap_ros.config import Config, NodeConfig
 from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.formats.detections import Detections
 from mocap_ros.formats.npz_arrays import ArrayReader, iterate_arrays
-from mocap_ros.formats.sequence_file import KeypointSequence, load_result_file
+from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.formats.video import VideoReader
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import average_vertical
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.messages.images import IMAGE_TYPES, decode_image
+from mocap_ros.messages.skeletons import RecordedPerson
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.whole_sequence import Report, describe_height_faults
 from mocap_ros.people import MotionKind
 from mocap_ros.runtime.frame_assembly import is_stamp_missing
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, find_input_kind, require_kind
 from mocap_ros.runtime.load_keypoints import InputOptions, load_bag, load_people
-from mocap_ros.runtime.load_results import RecordedPeople, find_skeletons_topic, holds_result
+from mocap_ros.runtime.load_results import RecordedPeople, find_skeletons_topic, holds_result, load_result
 from mocap_ros.runtime.summary import Summary, summarise
 from mocap_ros.runtime.whole_recording import reconstruct_people, reconstruct_whole
 from mocap_ros.skeleton import CMU15, Skeleton, skeleton_from_joints
@@ -54,15 +55,8 @@ VIEWED_FORMATS = f'{KEYPOINT_FORMATS}, or a result (.npz, .mcap)'
 VIEWED_KINDS = (*KEYPOINT_KINDS, InputKind.RESULT)
 # of a result file; older ones have no contacts and no floor
 CAMERA_KEYS = (
-    'scale',
-    'translation',
-    'vertical',
-    'vertical_std',
-    'scale_known',
-    'contact',
-    'world_from_camera',
-    'floor_std',
-)
+    'scale', 'translation', 'vertical', 'vertical_std', 'scale_known', 'contact', 'world_from_camera', 'floor_std',
+)  # fmt: skip
 # Fields of a `RecordedPerson` that a `ScenePerson` has as well, with their types there.
 PERSON_FIELDS = {
     'joints': np.float32,
@@ -115,11 +109,7 @@ def load_scene(
 
 
 def _reconstruct_people(
-    path: Path,
-    sequences: Sequence[KeypointSequence],
-    options: SceneOptions,
-    report: Report,
-    lines: list[str],
+    path: Path, sequences: Sequence[KeypointSequence], options: SceneOptions, report: Report, lines: list[str]
 ) -> tuple[Scene, Summary]:
     """Return the scene of some people, and what they rest on; `lines` gets one for each who fails."""
     config = options.config
@@ -206,11 +196,7 @@ def _make_person(
 
 def _load_result_scene(path: Path, person: str | None) -> Scene:
     """Load the scene of a result file; in one without camera, the cameras of the frames give its intrinsics."""
-    if person is not None:
-        raise InputError('--person does not apply to a result of reconstruct')
-    result = load_result_file(path)
-    if not np.isfinite(result.joints).all(axis=(1, 2)).any():
-        raise InputError('no frame has a skeleton')
+    result, _ = load_result(path, person)
     arrays, count = (
         ArrayReader(dict(iterate_arrays(path, CAMERA_KEYS, 'a result of reconstruct'))),
         len(result.times),
@@ -314,16 +300,7 @@ def _build_bag_scene(
     roots = average_core(np.array([row.joints for row in rows]), skeleton)
     intrinsics, implied_size = recover_intrinsics(roots, scale, translation)
     intrinsics = detections.intrinsics or intrinsics
-    people = [
-        ScenePerson(
-            i,
-            frames,
-            intrinsics=intrinsics,
-            **{name: np.array([getattr(row, name) for row in own], t) for name, t in PERSON_FIELDS.items()},
-        )
-        for i, (frames, own) in found.items()
-        if own
-    ]
+    people = [make_scene_person(i, frames, own, intrinsics) for i, (frames, own) in found.items() if own]
     points: dict[tuple[str, ...], list[tuple[int, Array]]] = {}  # stamps in ns and points by joints
     for stamp_ns, seen in zip(detections.stamps_ns, detections.people, strict=True):
         for person in seen:
@@ -343,6 +320,16 @@ def _build_bag_scene(
         marks=tuple(Mark(t, why) for t, (_, why) in zip(times, drops, strict=True)),
         skeleton=skeleton,
     )
+
+
+def make_scene_person(
+    person_id: str, frames: NDArray[np.intp], rows: Sequence[RecordedPerson], intrinsics: Intrinsics
+) -> ScenePerson:
+    """Return recorded people, one or more, as the frames of one person."""
+    fields: dict[str, Any] = {
+        name: np.array([getattr(row, name) for row in rows], t) for name, t in PERSON_FIELDS.items()
+    }
+    return ScenePerson(person_id, frames, intrinsics=intrinsics, **fields)
 
 
 def _sort(rows: Iterable[tuple[int, Row]], stamps: NDArray[np.int64]) -> tuple[NDArray[np.intp], list[Row]]:

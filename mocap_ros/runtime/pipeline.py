@@ -31,14 +31,7 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Person3D
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
-from mocap_ros.runtime.input_camera import (
-    GIVEN,
-    KNOWN,
-    NOMINAL,
-    CalibrationWait,
-    FocalSource,
-    InputCamera,
-)
+from mocap_ros.runtime.input_camera import GIVEN, KNOWN, NOMINAL, CalibrationWait, FocalSource, InputCamera
 from mocap_ros.runtime.input_checks import InputChecks
 from mocap_ros.runtime.output_frame import OutputFrame
 from mocap_ros.runtime.outputs import OutputEncoder

@@ -15,13 +15,7 @@ from PIL import Image, ImageDraw
 
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.plots import INFERRED_COLOUR
-from mocap_ros.viewing.scene import (
-    PALE_COLOUR,
-    Scene,
-    SceneImages,
-    choose_joint_colours,
-    choose_person_colour,
-)
+from mocap_ros.viewing.scene import PALE_COLOUR, Scene, SceneImages, choose_joint_colours, choose_person_colour
 
 Pixels = NDArray[np.uint8]  # (H, W, 3) red, green, blue
 Points = NDArray[np.float32]  # (J, 2) px

@@ -239,7 +239,6 @@ def check_picture_format(path: Path, *others: str) -> None:
 
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure in the picture format that the suffix of `path` names."""
-    check_picture_format(path)
     with warnings.catch_warnings():
         # a title may hold a file name in any script, and the font may lack its glyphs
         warnings.filterwarnings('ignore', 'Glyph .* missing from', UserWarning)

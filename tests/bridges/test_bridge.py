@@ -30,7 +30,7 @@ from mocap_ros.bridges.ros4hri import (
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.messages.camera_placement import CameraPlacement
-from mocap_ros.messages.cdr import Header, OutputMessage, decode, encode
+from mocap_ros.messages.cdr import Header, OutputMessage, decode
 from mocap_ros.messages.foreign_types import HRI_IDS
 from mocap_ros.messages.markers import DELETE
 from mocap_ros.messages.skeletons import (
@@ -44,6 +44,7 @@ from mocap_ros.messages.transforms import TRANSFORMS, FrameNames
 from mocap_ros.people import Person3D, PredictedPerson
 from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton
+from tests.support.message_objects import encode
 from tests.support.people import make_person_3d, make_standing_person
 from tests.support.swinging_body import STANDING
 

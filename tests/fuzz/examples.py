@@ -31,7 +31,7 @@ from mocap_ros.demo.scene import make_recording
 from mocap_ros.formats.bvh import save_bvh
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import Header, encode, typestore
+from mocap_ros.messages.cdr import Header, typestore
 from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON, OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS
 from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE
 from mocap_ros.messages.keypoints import KEYPOINTS
@@ -44,6 +44,7 @@ from tests.fuzz.targets import FILE_SEPARATOR, IMAGE_SIZE, MESSAGE_READERS
 from tests.support.bag_writing import START_NS, STEP_NS, make_keypoints
 from tests.support.camera_infos import camera_info, encode_ros1_camera_info, make_transforms
 from tests.support.foreign_messages import create_blank_message, make_inputs
+from tests.support.message_objects import encode
 from tests.support.motion_files import Z_UP_TO_Y_UP, make_bvh, make_poses
 from tests.support.people import make_person_3d
 

@@ -19,7 +19,7 @@ from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.geometry.rigid_transform import RigidTransform, parse_camera_pose
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.camera_placement import CameraPlacement
-from mocap_ros.messages.cdr import Header, decode, encode, typestore
+from mocap_ros.messages.cdr import Header, decode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
 from mocap_ros.messages.markers import MARKERS, POINT_DTYPE, POINTS, MarkerEncoder, encode_points
 from mocap_ros.messages.plain import decode_plain
@@ -39,6 +39,7 @@ from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
 from mocap_ros.people import Motion, MotionKind, Person3D, PredictedPerson
 from mocap_ros.runtime.outputs import SWITCHED_OUTPUTS, OutputEncoder
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton, keypoint_layout
+from tests.support.message_objects import encode
 from tests.support.people import make_person_3d, make_standing_person
 from tests.support.swinging_body import STANDING
 

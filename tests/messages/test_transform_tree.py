@@ -13,10 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rigid_transform import RigidTransform
-from mocap_ros.messages.cdr import Header, decode, encode
+from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.transform_tree import HISTORY_S, MAX_FRAMES, TransformTree, is_of_people_only
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
 from tests.support.camera_infos import SECOND_NS, make_transforms
+from tests.support.message_objects import encode
 from tests.support.people import make_standing_person
 
 CAMERA = np.array([0.1, 0.0, 0.4])  # m, of the camera in base

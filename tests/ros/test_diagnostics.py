@@ -11,12 +11,13 @@ import pytest
 
 from mocap_ros.bags.topics import Source
 from mocap_ros.config import with_values
-from mocap_ros.messages.cdr import decode, encode
+from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.ros.diagnostics import DIAGNOSTICS, DiagnosticsReporter, Level, RunStatistics
 from mocap_ros.ros.throttled_log import MAX_KINDS, MAX_REASONS, ThrottledLog
 from mocap_ros.runtime.pipeline import Pipeline
 from tests.support.camera_infos import make_transforms
+from tests.support.message_objects import encode
 from tests.support.pipeline_inputs import FAST_CONFIG, LineLog, encode_demo_frames, process, with_stamp
 
 GOOD, NO_PEOPLE = (Level.OK, '1 people'), (Level.OK, '0 people')

@@ -30,7 +30,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION, encode_skeleton_definition
 from mocap_ros.ros import player
 from mocap_ros.ros.message_types import load_interface_class
-from mocap_ros.ros.player import PlaybackOptions, Player
+from mocap_ros.ros.player import Player
 from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.runtime.playback import PlaybackMessage, PlayedTopic, encode_sequence
 from mocap_ros.skeleton import CMU15
@@ -216,7 +216,7 @@ def test_the_rate_divides_the_times_between_messages(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(player, 'time', SimpleNamespace(monotonic=lambda: now_s[0], sleep=sleep))
     types = POINT, 'nowhere/msg/Unknown', POINT
     topics = [PlayedTopic(f'/topic{i}', msgtype) for i, msgtype in enumerate(types)]
-    tested = Player(cast(Any, SimpleNamespace(topics=topics, count=0)), PlaybackOptions(rate))
+    tested = Player(cast(Any, SimpleNamespace(topics=topics, count=0)), rate)
     tested._create_publishers(SimpleNamespace(create_publisher=create_publisher))
     raw = bytes(typestore().serialize_cdr(typestore().types[POINT](1.0, 2.0, 3.0), POINT))
     due = [(0.0, 2), (0.5, 0), (0.6, 1), (3.0, 2)]  # s and topic

@@ -17,13 +17,14 @@ from mocap_ros.errors import InputError
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.messages.camera_info import CameraInfo, encode_camera_info
-from mocap_ros.messages.cdr import Header, decode, encode
+from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.runtime.input_camera import SILENCE_S, InputCamera
 from mocap_ros.runtime.input_checks import describe_misspelt_joint
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.skeleton import KEYPOINT_LAYOUTS, keypoint_layout
 from tests.support.camera_infos import camera_info
+from tests.support.message_objects import encode
 from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, with_stamp
 
 STEP_S = 0.2  # between the frames

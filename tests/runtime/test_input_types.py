@@ -20,7 +20,7 @@ from mocap_ros.errors import InputError, RecordingError
 from mocap_ros.formats.detections import Video
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.cdr import decode, encode
+from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.foreign_types import HRI_SKELETON, OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS
 from mocap_ros.messages.input_types import ZED38, decode_body, decode_frame
 from mocap_ros.messages.keypoints import KEYPOINTS
@@ -44,6 +44,7 @@ from tests.support.foreign_messages import (
     make_inputs,
     make_people,
 )
+from tests.support.message_objects import encode
 from tests.support.pipeline_inputs import read_messages
 
 FRAMES = 10

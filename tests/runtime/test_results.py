@@ -21,7 +21,7 @@ from mocap_ros.formats.mocap.joint_maps import map_to_model
 from mocap_ros.formats.mocap.trials import load_trials
 from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
-from mocap_ros.messages.cdr import Header, decode, encode
+from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.messages.skeletons import CAMERAS, SKELETONS, encode_skeletons
 from mocap_ros.models.base_poses import BasePoses
@@ -36,6 +36,7 @@ from mocap_ros.runtime.playback import DEFAULT_FRAME_ID
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import BODY26, CMU15
 from tests.support.keypoint_files import FRAMES, make_walker
+from tests.support.message_objects import encode
 from tests.support.motion_files import Z_UP_TO_Y_UP
 from tests.support.pipeline_inputs import FAST_CONFIG
 

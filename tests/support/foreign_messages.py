@@ -13,11 +13,12 @@ from mocap_ros.bags.topics import Source, make_body_topic
 from mocap_ros.config import Config, with_values
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.cdr import Header, create_header, create_message, decode, encode, typestore
+from mocap_ros.messages.cdr import Header, decode, typestore
 from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON, OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS
 from mocap_ros.messages.input_types import COCO17, HRI18, ZED38
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
+from tests.support.message_objects import create_header, create_message, encode
 
 IMAGE_SIZE = 640, 480  # px
 STEP_NS = 33_333_333  # ns; 30 Hz

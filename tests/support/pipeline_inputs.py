@@ -15,11 +15,12 @@ from mocap_ros.bags.topics import Source
 from mocap_ros.config import Config, RecorderConfig, with_values
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import Header, OutputMessage, create_header, decode, encode
+from mocap_ros.messages.cdr import Header, OutputMessage, decode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.playback import encode_sequence
+from tests.support.message_objects import create_header, encode
 
 STEP_NS = 33_333_333  # between two frames of the demo; 30 Hz
 FAST_VALUES = {

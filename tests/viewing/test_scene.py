@@ -18,7 +18,6 @@ from mocap_ros.config import NodeConfig, RecorderConfig
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
 from mocap_ros.formats.video import VideoReader
-from mocap_ros.messages.cdr import encode
 from mocap_ros.messages.images import IMAGE
 from mocap_ros.runtime.load_scene import read_images
 from mocap_ros.skeleton import CMU15
@@ -38,6 +37,7 @@ from tests.support.blob_people import write_video
 from tests.support.foreign_messages import create_blank_message
 from tests.support.image_messages import encode_pixels
 from tests.support.keypoint_files import QUICK_OPTIONS
+from tests.support.message_objects import encode
 from tests.support.scenes import INTRINSICS, make_keypoints, make_scene, make_scene_person, write_and_open
 from tests.support.swinging_body import make_swinging_body
 

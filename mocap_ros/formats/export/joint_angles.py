@@ -97,10 +97,7 @@ def compute_joint_angles(joints: Array, fps: float) -> Array:
     angles['lumbar_rotation'] = np.unwrap(np.arctan2(right[:, 0], right[:, 2]))
     head = _normalise(torso.inv().apply(at['head'] - at['neck']))
     angles['neck_extension'], angles['neck_bending'] = _split_direction(-head, fps)
-    limbs = (
-        (pelvis, ('hip', 'knee', 'ankle'), LEG, -1.0),
-        (torso, ('shoulder', 'elbow', 'wrist'), ARM, 1.0),
-    )
+    limbs = ((pelvis, ('hip', 'knee', 'ankle'), LEG, -1.0), (torso, ('shoulder', 'elbow', 'wrist'), ARM, 1.0))
     for side, sign in SIDES.items():
         for parent, chain, names, bend in limbs:
             begin, middle, end = (at[side + joint] for joint in chain)
