@@ -68,12 +68,7 @@ def name_errors(place: object, kind: type[MocapError] = MocapError) -> Iterator[
 def naming(place: object, expected: str = '') -> Iterator[None]:
     """Put a place in the content of a file in front of the errors of a block, which become an `InputError`.
 
-    Args:
-        place: the place.
-        expected: what was expected there, for content of another form; empty if its reader says that itself.
-
-    Raises:
-        InputError: the block raised an `InputError`, a `SkeletonError` or, with `expected`, one of `MALFORMED`.
+    These are `InputError`, `SkeletonError` and, if it says what was expected there, those of `MALFORMED`.
     """
     try:
         yield

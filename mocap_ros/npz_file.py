@@ -32,19 +32,11 @@ _HEADER_READERS = {
 
 @contextmanager
 def open_npz(file: str | Path | IO[bytes], max_bytes: int) -> Iterator[NpzFile]:
-    """Open an .npz file for reading.
+    """Open an .npz file for reading, of at most so many bytes unpacked.
 
-    Args:
-        file: path or open file.
-        max_bytes: largest size in bytes of all arrays together, unpacked.
-
-    Raises:
-        InputError: The file is cut off, or holds a single array, arrays larger than `max_bytes` or much larger
-            than the file, arrays that state another size than they have, or a compression that NumPy does not
-            write.
-        OSError: The path is not that of a file, or the file cannot be opened.
-        Exception: NumPy's zip and array readers raise almost any exception on malformed bytes, also inside the
-            `with` block.
+    InputError where it is cut off, or holds a single array, larger arrays or much larger ones than the file,
+    arrays that state another size than they have, or a compression that NumPy does not write. NumPy's zip and
+    array readers raise almost any exception on malformed bytes, also inside the `with` block.
     """
     with ExitStack() as stack:
         stream = stack.enter_context(open_input_file(file)) if isinstance(file, (str, Path)) else file

@@ -12,9 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.skeleton import CMU15, CORE_COUNT, Skeleton
-
-Array = NDArray[np.float64]
 
 HIPS = CMU15.index('lhip'), CMU15.index('rhip')  # joints between which the root is
 

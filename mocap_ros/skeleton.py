@@ -17,9 +17,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import SkeletonError, suggest
-
-Array = NDArray[np.float64]
 
 # 1; stature = this factor * (legs + trunk + neck and head), 1.131 to 1.139 over the subjects of the CMU database
 STATURE_PER_BONE_LENGTH = 1.135
@@ -27,17 +26,11 @@ STATURE_PER_BONE_LENGTH = 1.135
 
 @dataclass(frozen=True)
 class Skeleton:
-    """A keypoint layout: named joints in a fixed order, and the bones between them.
+    """A keypoint layout: named joints in a fixed order, and the bones between them."""
 
-    Attributes:
-        name: name of the layout, as used in messages and files.
-        joints: joint names, in the order of the data.
-        parents: index of each joint's parent, -1 for a root. A layout may have several roots.
-    """
-
-    name: str
-    joints: tuple[str, ...]
-    parents: tuple[int, ...]
+    name: str  # as in messages and files
+    joints: tuple[str, ...]  # names in the order of the data
+    parents: tuple[int, ...]  # index of each joint's parent, -1 for a root, of which there may be several
 
     def __hash__(self) -> int:  # that of all fields would take longer than what is looked up with it
         return hash(self.name)
@@ -289,17 +282,9 @@ _STATURE_BONES = (
 
 
 def estimate_stature(poses: Array, skeleton: Skeleton) -> float:
-    """Estimate stature = 1.135 * (mean leg length + trunk length + neck length).
+    """Return the mean stature in m of poses (..., J, 3) in m: 1.135 (mean leg + trunk + neck length).
 
-    Args:
-        poses: (..., J, 3) m.
-        skeleton: joints of the poses, which include those of legs, trunk and head.
-
-    Returns:
-        Mean stature of the people in the poses, in m.
-
-    Raises:
-        SkeletonError: The skeleton lacks one of the joints.
+    SkeletonError if the skeleton lacks one of these joints.
     """
     parents = [skeleton.index(parent) for parent, _, _ in _STATURE_BONES]
     children = [skeleton.index(child) for _, child, _ in _STATURE_BONES]

@@ -20,7 +20,6 @@ from mocap_ros.runtime.save_results import SUFFIXES
 if TYPE_CHECKING:
     from mocap_ros.batch.job import Outcome, Settings
 
-
 DESCRIPTION = (
     'Replays every bag, or reconstructs or summarises every recording, that a folder, a pattern or a list '
     'names. Each is a task of Dask, which uses the cores of this machine or the workers of a running '

@@ -44,7 +44,6 @@ FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250  # network ports of the domains, as the
 START_TIMEOUT_S = 60.0  # s; far above what the node takes to start
 STOP_TIMEOUT_S = 10.0  # s; guards against a node that does not stop after an interrupt, which takes it under 1 s
 
-
 DESCRIPTION = (
     'Starts the node in a process of its own, plays the embedded synthetic recording to it over ROS 2 topics at '
     'the recorded pace, records the outputs in a bag, and draws the result beside the input and the truth, as a '

@@ -29,7 +29,6 @@ from mocap_ros.units import NS_PER_S
 BAG_SUFFIX = '.mcap'
 SUFFIXES = ('.npz', BAG_SUFFIX)  # of the files that the command writes
 
-
 DESCRIPTION = (
     'Finds the keypoints of people in a video or in the images of a camera and writes them to a file that '
     '`mocap-ros reconstruct` and the other commands read: a sequence file (.npz) of one person, or a bag '

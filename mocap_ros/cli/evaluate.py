@@ -62,7 +62,6 @@ MAX_TIME_DIFFERENCE_NS = 1_000_000  # ns; between equal times of two files, of w
 ACCEPTED_KINDS = (InputKind.SEQUENCE, InputKind.RESULT, InputKind.BAG)
 ACCEPTED_FORMATS = 'a result of reconstruct (.npz, .mcap), a bag of skeletons, or a sequence file (.npz)'
 
-
 DESCRIPTION = (
     'Compares results of `reconstruct` (.npz or .mcap), or the skeletons in bags, with the truth in the '
     'sequence file that --truth names, at the times that both have; skeletons that were predicted through a '

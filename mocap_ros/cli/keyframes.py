@@ -23,7 +23,6 @@ from mocap_ros.viewing.keyframe_plots import draw_distances_figure, draw_keyfram
 
 MAX_PRINTED_SPANS = 6  # spans of a keyframe in its line of the table, so that the line fits a wide terminal
 
-
 DESCRIPTION = (
     'Finds the poses that recur in the motion of one person (Loy et al. 2004), separately for the upper and the '
     'lower body. Prints a table of these keyframes and saves them with two pictures: the keyframes with the times '

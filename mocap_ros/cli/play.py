@@ -17,7 +17,6 @@ from mocap_ros.runtime.playback import Playback
 
 CLOCK_HZ = 40.0  # Hz, the default rate of /clock, that of `ros2 bag play --clock`
 
-
 DESCRIPTION = (
     'Publishes the keypoints of a bag, of any type that the node takes, or the frames of a sequence file, on the '
     'topic `keypoints`, and the CameraInfo messages of a bag on `camera_info`. The messages keep their stamps and '

@@ -40,7 +40,6 @@ from mocap_ros.runtime.whole_recording import reconstruct_people, reconstruct_wh
 MAX_ENDING = 64  # characters of a person's id in the name of a file
 MAX_CHOICES_BYTES = 16 << 20  # bytes; guards against parsing a huge file as keyframes
 
-
 DESCRIPTION = (
     'Reconstructs one person over a whole sequence, so that every frame supports the others. The input is a '
     'sequence file, a bag, OpenPose JSON, COCO keypoints or a video. The ending of the output file selects its '

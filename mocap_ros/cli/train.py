@@ -35,7 +35,6 @@ LIFTER_OPTIONS = ('steps', 'checkpoint', 'start_from', 'seed', 'without')  # opt
 DEFAULT_STEPS = 60000  # optimiser steps; more gain more
 MAX_SEED = 2**63 - 1  # the largest that PyTorch takes for sure
 
-
 DESCRIPTION = (
     'Trains base poses from motion capture: folders or files of ASF/AMC, BVH and C3D, or .npz. '
     'An .npz file holds an (F, J, 3) array in mm with y up for each trial, and under the key _joints the J '

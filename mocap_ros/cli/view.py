@@ -43,7 +43,6 @@ RECONSTRUCTION_OPTIONS = 'fps', 'image_size', 'layout', 'hfov', 'focal', 'detect
 BAG_OPTIONS = 'topic', 'camera_info', 'config', 'set'
 POSES = 8  # frames in a picture; many more would be too small to see
 
-
 DESCRIPTION = (
     'Shows skeletons in 3D beside the 2D input, and over time residual, cadence, kind of motion, undone swaps of '
     'left and right, predicted frames and dropped inputs, on a page: one file that opens in any browser, offline. '

@@ -28,7 +28,6 @@ from mocap_ros.formats.text_files import check_position_count, quote_line, read_
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-
 END_SUFFIX = '_end'  # follows the joint's name in the name of its end site, which has no name in a file
 POSITION_CHANNELS = ('Xposition', 'Yposition', 'Zposition')
 ROTATION_CHANNELS = ('Zrotation', 'Yrotation', 'Xrotation')  # in the order in which BVH files are written

@@ -35,7 +35,6 @@ MAX_MISSING_S = 1.0  # s; the sound of a video may be longer than its images by 
 POLL_S = 0.1  # s; bounds how long the decoder outlives a reader who has gone, and how long an end goes unnoticed
 JOIN_S = 0.5  # s; the decoder of a camera that gives no more images is left after this, far above an image's time
 
-
 # Ends of the names under which telephones write their focal length, on film of 35 mm, without underscores.
 FOCAL_TAGS = ('focallength.35mmequivalent', 'focallengthin35mmfilm', 'focallengthin35mmformat')
 FOCAL_RANGE_MM = 5.0, 500.0  # on film of 35 mm; anything else is damaged

@@ -16,9 +16,8 @@ The first two rows are the derivatives of the image point under weak perspective
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mocap_ros.arrays import Array
 
 CAMERA_UNKNOWNS = 4  # of a frame: rotation vector (3) and logarithm of the scale, the last axis of all results
 

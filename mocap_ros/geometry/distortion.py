@@ -20,12 +20,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.engine import rays as engine
 from mocap_ros.errors import InputError
-
-Array = NDArray[np.float64]
 
 MAX_PLUMB_BOB_COEFFICIENTS = 5  # OpenCV's k1, k2, p1, p2, k3; with more coefficients the model is rational
 # Accepted numbers of coefficients of each distortion model.

@@ -8,9 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.geometry.rotations import rotation_from_vector, vector_from_rotation
-
-Array = NDArray[np.float64]
 
 MAX_STEP_S = 0.2  # s; over a longer gap between two frames a limb may have swung to and fro
 

@@ -13,12 +13,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.distortion import NO_DISTORTION, Distortion
-
-Array = NDArray[np.float64]
 
 # px; focal lengths and principal points of a CameraInfo beyond it are refused, far above those of any real camera
 MAX_INTRINSIC_PX = 1e6

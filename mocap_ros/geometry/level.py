@@ -15,14 +15,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.geometry.rotations import MIN_SINE, rotation_from_vector
 from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CMU15
-
-Array = NDArray[np.float64]
 
 LEVEL_UP = np.array([0.0, -1.0, 0.0])  # upwards in the optical frame of a level camera
 MAX_CERTAIN_STD = math.radians(10.0)  # rad; no person is turned by a vertical that is less certain

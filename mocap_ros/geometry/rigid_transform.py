@@ -17,12 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.geometry.rotations import quaternion_from_rotation, rotation_from_vector
 
-Array = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]  # x, y, z, w, of unit length
 
 NO_ROTATION: Quaternion = (0.0, 0.0, 0.0, 1.0)  # unit quaternion of no rotation

@@ -8,9 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mocap_ros.arrays import Array
 
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # axes of the factors in a cross product
 MIN_ANGLE = 1e-30  # rad; guards the division by an angle of zero

@@ -18,11 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.engine import rays as engine
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
-
-Array = NDArray[np.float64]
 
 MIN_TOTAL_WEIGHT = 1e-12  # 1; guards the division by the sum of confidence scores in frames without seen joints
 MIN_FRAME_WEIGHT = 1e-12  # 1; lets distant frames define the direction where no near frame has a seen joint

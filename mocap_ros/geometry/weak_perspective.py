@@ -17,10 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.geometry.camera_jacobian import camera_jacobian
 from mocap_ros.geometry.rotations import nearest_rotation, rotation_from_vector
-
-Array = NDArray[np.float64]
 
 # 1, share of the body's second moments; keeps the closed form regular for poses that are nearly planar
 RELATIVE_RIDGE = 1e-3

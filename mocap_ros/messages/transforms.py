@@ -61,7 +61,6 @@ def _list_links(skeleton: Skeleton) -> tuple[tuple[str, ...], NDArray[np.intp]]:
 _TORSO_SEGMENT = CMU15.index('neck')  # joint about which the torso turns (`solvers.body_segments`)
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])  # factors of a quaternion's components for the opposite rotation
 
-
 CHILD_LINKS = _list_links(BODY26)[0]  # all links besides `body` that any skeleton has
 
 

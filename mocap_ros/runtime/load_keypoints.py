@@ -49,7 +49,6 @@ OPTIONS_BY_KIND = {
     InputKind.SPORTS2D: ('--person', '--image-size'),
 }
 
-
 LOADERS = {
     InputKind.OPENPOSE: load_json_folder, InputKind.JSON: load_json_file, InputKind.SPORTS2D: load_pixel_files,
 }  # fmt: skip

@@ -42,7 +42,6 @@ MAX_CENTRE_DISTANCE = 1.0  # extents of a person's image; a detection whose cent
 MIN_DEPTH_M = 0.1  # m; nearer joints have no image point that could be drawn
 MIN_PART_JOINTS = 2  # pairs of joints of a part that must be seen on both sides; one alone may be an outlier
 
-
 STANDING_COLOUR = '#222222'  # of the disc under a foot that stands
 STANDS = 0.5  # 1; probability from which a foot is drawn as one that stands
 DROP_NAME, DROP_COLOUR = 'input dropped', '#d62728'  # of marks on the time line; red

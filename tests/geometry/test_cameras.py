@@ -11,6 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, camera_jacobian
 from mocap_ros.geometry.distortion import Distortion
@@ -19,7 +20,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import LEVEL_UP, average_vertical, rotation_to_level
 from mocap_ros.geometry.rigid_transform import RigidTransform, interpolate, parse_camera_pose
 from mocap_ros.geometry.rotations import quaternion_from_rotation, rotation_from_vector, vector_from_rotation
-from mocap_ros.geometry.virtual_camera import Array, VirtualCamera, rotate_rays, rotation_to_optical_axis
+from mocap_ros.geometry.virtual_camera import VirtualCamera, rotate_rays, rotation_to_optical_axis
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.skeleton import CMU15
 from tests.support.swinging_body import make_swinging_body

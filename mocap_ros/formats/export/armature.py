@@ -35,7 +35,6 @@ from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-
 CM_PER_M = 100.0  # a BVH file names no unit; files are written in cm, which most programs for animation expect
 SHORT_BONE_M = 0.01  # m, of a bone without a second joint; can be seen in Blender, and hardly turns a limb
 TINY = np.finfo(float).tiny  # guards divisions by the length of a vector

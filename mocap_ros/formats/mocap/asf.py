@@ -25,7 +25,6 @@ from mocap_ros.formats.text_files import check_position_count, quote_line, read_
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-
 ROOT = 'root'  # name of the root in both files
 ROTATIONS = ('rx', 'ry', 'rz')  # degrees of freedom of a bone
 TRANSLATIONS = ('tx', 'ty', 'tz')  # degrees of freedom of the root

@@ -25,7 +25,6 @@ from mocap_ros.arrays import Array, Mask
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-
 FILTER_REACH = 3.5  # standard deviations; frames further away would weigh less than 0.3 % of the frame itself
 MIN_SECONDS = 1e-9  # s; guards divisions by a width or a time difference of zero
 
