@@ -17,7 +17,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.evaluation import metrics
 from mocap_ros.skeleton import Skeleton
 
-MIN_PERSON_SIZE_M = 0.01  # m; a smaller truth is a single place, against which no pose can be compared
+MIN_PERSON_SIZE_M = 0.01  # m; a smaller truth is a single point, against which no pose can be compared
 MAX_PERSON_SIZE_M = 10.0  # m; a larger truth is probably in mm
 
 
@@ -133,10 +133,10 @@ def measure_person_size(joints: Array) -> float:
 
 
 def check_person_size(field: str, joints: Array) -> None:
-    """Raise an InputError if the complete frames of joints (F, J, 3) in m show a single place."""
+    """Raise an InputError if the complete frames of joints (F, J, 3) in m show a single point."""
     is_any_complete = np.isfinite(joints).all(axis=(1, 2)).any()
     if is_any_complete and measure_person_size(joints) < MIN_PERSON_SIZE_M:
-        raise InputError(f'{field}: all joints at one place')
+        raise InputError(f'{field}: all joints at one point')
 
 
 def estimate_frame_rate(times: Array) -> float:

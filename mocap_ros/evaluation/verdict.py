@@ -216,7 +216,7 @@ class Walk:
     def __init__(self) -> None:
         self.walked = self.ahead = 0.0
         self.person = ''
-        # stamp in ns, place of the hips, from the right ankle to the left, direction ahead
+        # stamp in ns, position of the hips, from the right ankle to the left, direction ahead
         self._past: deque[tuple[int, Array, Array, Array]] = deque()
 
     @property
@@ -236,13 +236,13 @@ class Walk:
             self._past.clear()
             return
         hips, shoulders = joints[_HIPS], joints[_SHOULDERS]
-        place, across = hips.mean(axis=0), hips[0] - hips[1] + shoulders[0] - shoulders[1]
-        facing = np.cross(across, shoulders.mean(axis=0) - place)
+        position, across = hips.mean(axis=0), hips[0] - hips[1] + shoulders[0] - shoulders[1]
+        facing = np.cross(across, shoulders.mean(axis=0) - position)
         ahead = facing / max(float(np.linalg.norm(facing)), 1e-9)
         left, right = joints[_ANKLES]
-        self._past.append((stamp_ns, place, left - right, ahead))
+        self._past.append((stamp_ns, position, left - right, ahead))
         if stamp_ns - self._past[0][0] >= WALK_S * NS_PER_S:
-            step = place - self._past[0][1]
+            step = position - self._past[0][1]
             length, share = float(np.linalg.norm(step)), (stamp_ns - last_ns) / NS_PER_S / WALK_S
             has_strides = np.ptp([apart @ step for *_, apart, _ in self._past]) >= MIN_STRIDE_M * length
             if length >= WALK_M and share < MAX_GAP_SHARE and has_strides:

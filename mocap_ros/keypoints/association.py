@@ -34,7 +34,7 @@ MIN_VELOCITY_SPAN_S = 0.05  # s; over a shorter time image noise, divided by the
 MIN_SHARED_JOINTS = 4  # joints; a median of fewer is that of one limb, which may be anywhere
 RADIUS_OFFSET = 0.1  # person sizes; the radius of a few joints that lie close together is mostly image noise
 MIN_SIZE = 1e-9  # in the units of the points; guards the divisions by a size when all joints coincide
-# rays, 0.5 px at a focal length of 500 px; a detection that is no larger has all its joints in one place
+# rays, 0.5 px at a focal length of 500 px; a detection that is no larger has all its joints at one position
 MIN_DETECTION_SIZE = 1e-3
 
 
@@ -54,7 +54,7 @@ def measure_sizes(points: Array, weight: Array) -> Array:
 
 
 def show_people(sizes: Array) -> Mask:
-    """Return which detections of sizes (N,) in rays do not have all their seen joints in one place."""
+    """Return which detections of sizes (N,) in rays do not have all their seen joints at one position."""
     return np.asarray(sizes > MIN_DETECTION_SIZE)
 
 

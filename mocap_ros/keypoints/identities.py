@@ -59,11 +59,11 @@ def find_absence(settings: TrackerConfig) -> float:
 
 
 class _Lost(NamedTuple):
-    """A person who was forgotten: name, stamp of the last frame in ns, position in it, and the gate there."""
+    """A person who was forgotten: name, stamp of the last frame in ns, the person expected in it, and the gate."""
 
     name: str
     stamp_ns: int
-    place: ExpectedPerson
+    expected: ExpectedPerson
     gate: float
 
 
@@ -105,8 +105,8 @@ class Identities(Generic[P]):
                 lost.append(person)
                 if not (person.is_tentative and was_missed):
                     gate = GATE + GATE_GROWTH_PER_S * self._settings.forget_after
-                    place = expect_known(person, person.stamps_ns[-1])
-                    self._lost.append(_Lost(person.id, person.stamps_ns[-1], place, gate))
+                    expected = expect_known(person, person.stamps_ns[-1])
+                    self._lost.append(_Lost(person.id, person.stamps_ns[-1], expected, gate))
         return lost
 
     def match(self, stamp_ns: int, people: Sequence[P], detections: Sequence[Detection]) -> Matches[P]:
@@ -137,7 +137,7 @@ class Identities(Generic[P]):
         name = detection.given_id
         if self._lost and name not in self._names:
             seen = [(detection.rays, detection.weight)]
-            distances = measure_distances([p.place for p in self._lost], seen, MIRROR)[0][0]
+            distances = measure_distances([p.expected for p in self._lost], seen, MIRROR)[0][0]
             shares = distances / [p.gate for p in self._lost]
             if shares.min() < 1:
                 name = self._lost[int(shares.argmin())].name

@@ -163,7 +163,7 @@ def _describe(time_s: float, points: Array, weight: Array, body_size: float, sid
 def find_swapped_parts(times: Array, points: Array, weight: Array, sides: BodySides) -> NDArray[np.bool_]:
     """Return the parts (F, 3) of the body whose left and right are swapped in the frames of a sequence.
 
-    A frame with all its points (J, 2), in rays or px, in one place does not count.
+    A frame with all its points (J, 2), in rays or px, at one position does not count.
     """
     is_swapped = np.zeros((len(times), len(PARTS)), bool)
     sizes = measure_sizes(points, weight)

@@ -27,7 +27,7 @@ MAX_LOGIT = 30.0  # 1; beyond it, the probability is 0 or 1
 TRANSPOSED = 'width and height look transposed'
 # Other sizes of images: factors of the side itself and of the other one
 OTHER_SIZES = ((0.0, 1.0), (0.5, 0.0), (1.5, 0.0))
-MIDDLE, SPREAD = np.array([0.5, 0.47]), np.array([0.17, 0.12])  # 1; of the places of people, in width and height
+MIDDLE, SPREAD = np.array([0.5, 0.47]), np.array([0.17, 0.12])  # 1; of positions of people, in width and height
 MIN_EVIDENCE = 2.5  # 1, log likelihood; people who stay in a corner for a whole recording are rare
 BEYOND_EVIDENCE = 1.5  # 1, of points beyond the image, which detectors give of people whom it cuts off
 MIN_SHARE_BEYOND = 0.02  # 1; share of points beyond the image that counts
@@ -99,7 +99,7 @@ def describe_other_unit(points: Array, score: Array, image_width: int) -> str:
 class PointPlaces:
     """Where the points of people lie over many images of one size, which shows whether it is their size.
 
-    People are mostly in the middle of an image: with m the mean place of their points,
+    People are mostly in the middle of an image: with m the mean position of their points,
 
         d(width, height) = ((m_x / width - MIDDLE_x) / SPREAD_x)^2 + ((m_y / height - MIDDLE_y) / SPREAD_y)^2
 
