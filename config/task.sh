@@ -59,7 +59,7 @@ models() {
     mocap-ros train "${of_motion[@]}" -o mocap_ros/models/shipped/all.npz
     # first usual postures, then all of them from there on, so that usual ones keep their accuracy
     mocap-ros train --lifter "${of_motion[@]}" -o build/lifter.npz --checkpoint build/lifter.pt --steps 40000 \
-        --without chair floor lie bridge handstand hang arms
+        --without chair floor lie bridge handstand hang
     mocap-ros train --lifter "${of_motion[@]}" -o mocap_ros/models/shipped/lifter.npz --start-from build/lifter.npz \
         --steps 4096 --seed 1
     python benchmarks/motion_predictor.py

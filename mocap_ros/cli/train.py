@@ -29,7 +29,7 @@ from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.models import model_file
 from mocap_ros.training.fit_base_poses import fit_base_poses
 from mocap_ros.training.motion_library import balance_trials
-from mocap_ros.training.synthesis import KINDS as EXAMPLE_KINDS
+from mocap_ros.training.postures import KINDS
 
 LIFTER_OPTIONS = ('steps', 'checkpoint', 'start_from', 'seed', 'without')  # options with --lifter only
 DEFAULT_STEPS = 60000  # optimiser steps; more gain more
@@ -78,10 +78,10 @@ OPTIONS: Options = {
         type=partial(parse_count, low=0, high=MAX_SEED),
     ),
     '--without KIND': option(
-        'with --lifter, leave out synthesised postures or variations, to measure what they are good for: '
-        f'{", ".join(EXAMPLE_KINDS)} (default: none)',
+        'with --lifter, leave out kinds of synthesised postures, to measure what they are good for: '
+        f'{", ".join(KINDS)} (default: none)',
         nargs='+',
-        choices=EXAMPLE_KINDS,
+        choices=KINDS,
     ),
 }
 

@@ -66,7 +66,7 @@ class TrainingSettings:
     average: float = 0.998  # decay per step of the running average of the weights, which becomes the lifter
     seed: int = 0  # seed of the examples and the initial weights
     precision: str = 'float32'  # number format of the network's products, `float32` or `bfloat16`
-    without: tuple[str, ...] = ()  # kinds of `synthesis.KINDS` that are left out of the examples
+    without: tuple[str, ...] = ()  # kinds of `postures.KINDS` that are left out of the examples
 
 
 class LifterNetwork(nn.Module):  # type: ignore[misc, unused-ignore]

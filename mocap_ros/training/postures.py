@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Postures that motion capture hardly holds: seated, kneeling, lying, on the hands, and arms held in many ways.
+"""Postures that motion capture hardly holds: seated, kneeling, lying, on the hands, with arms held in many ways.
 
     thigh, shank: (cos d sin a, +-sin d, -cos d cos a)
     elbow: S + e u + sqrt(l^2 - e^2) n,    u = (W - S) / |W - S|,    e = (l^2 - m^2 + |W - S|^2) / 2 |W - S|
@@ -92,13 +92,11 @@ PLACES = """
 name      joint     forward     outwards    up          elbow        hand      axes
 own       shoulder  0           0           0           0,0,0        -         trunk
 hip       hip       -0.1:0.15   0.15:0.3    0.15:0.4    -0.5,1,0     -         trunk
-back      hip       -0.45:-0.3  -0.35:0.05  0.1:0.5     -0.4,1,-0.2  -         trunk
 head      head      -0.3:0.2    0.2:0.35    -0.2:0.2    0.4,1,0.2    -         trunk
 ear       head      0:0.2       0.22:0.35   -0.35:-0.1  0.5,0.5,-1   -         trunk
 chin      head      0.25:0.45   -0.05:0.25  -0.45:-0.2  0.4,0.5,-1   -         trunk
 chest     shoulder  0.35:0.5    -0.8:-0.4   -0.75:-0.4  0,0.9,-1     -         trunk
 ahead     shoulder  0.5:1       -0.4:0.4    -0.6:0.2    0,0.7,-1     -         trunk
-aside     shoulder  -0.2:0.4    0.6:1       -0.4:0.3    -0.3,0.2,-1  -         trunk
 up        shoulder  -0.2:0.3    -0.2:0.5    0.75:1.05   0.5,1,0      -         trunk
 beside    shoulder  -0.05:0.15  0.05:0.35   -1:-0.8     -0.4,1,0     -         trunk
 pillow    shoulder  -0.05:0.15  -0.2:0.5    0.2:0.9     0,1,-0.2     -         trunk
@@ -148,9 +146,7 @@ _ARMS = {
     'SEATED': 'own,knee,knee,lap,lap,chest,ahead,chin,ear,head,beside',
     'FLOOR': 'own,behind,lap,knee,knee,chest',
     'LYING': 'beside,beside,pillow,chest,up,ahead',
-    'STANDING': 'hip,back,head,ear,chin,chest,ahead,aside,up',  # of people in none of the postures
 }
-ARMS_SHARE = 0.12  # share of these people whose arms are posed; left out as `arms`
 
 SYMMETRIC_SHARE = 0.5  # share of the examples with both legs, or both hands, in the same position
 SIDE_STD_RAD = 0.08  # rad, standard deviation of each angle by which the two sides differ even then
@@ -215,14 +211,12 @@ _IS_LEVEL = np.array([a == 'level' for a in _PLACE['axes']])
 
 
 def _share_places() -> Array:
-    """Return the cumulative shares (P + 1, places) of the places in each posture, and in none of them."""
-    out = np.zeros((_COUNT + 1, len(_PLACE['name'])), np.float32)
-    for row, arms in zip(out, [*_POSTURE['arms'], 'STANDING'], strict=True):
+    """Return the cumulative shares (P, places) of the places in each posture."""
+    out = np.zeros((_COUNT, len(_PLACE['name'])), np.float32)
+    for row, arms in zip(out, _POSTURE['arms'], strict=True):
         names = ','.join(_ARMS.get(a, a) for a in arms.split(',')).split(',')
         for name in names:
             row[_PLACE['name'].index(name)] += 1 / len(names)
-    out[-1] *= ARMS_SHARE
-    out[-1, 0] = 1 - ARMS_SHARE
     out = out.cumsum(axis=1)
     out[:, -1] = 1  # despite rounding
     return out
@@ -238,12 +232,12 @@ _AGO = HISTORY_SLOTS_S.astype(np.float32)
 
 
 def take_postures(vectors: Array, random: RandomArrays, without: Collection[str] = ()) -> Array:
-    """Take the postures of `POSTURES`, and hold the arms of others elsewhere, in their shares of the examples.
+    """Take the postures of `POSTURES` in their shares of the examples.
 
     Args:
         vectors: (N, T, J, 3) m, bone vectors of bodies that face +x.
         random: source of the random numbers.
-        without: kinds of postures that are left out; `arms` of people in none of them.
+        without: kinds of postures that are left out.
 
     Returns:
         (N, T, J, 3) m, bone vectors.
@@ -251,24 +245,19 @@ def take_postures(vectors: Array, random: RandomArrays, without: Collection[str]
     count = len(vectors)
     shares = np.where(np.isin(_POSTURE['kind'], list(without)), 0, _SHARES)
     number = np.searchsorted(shares.cumsum(), random.rng.random(count), side='right')
-    places = (random.uniform(0, 1, count, 2, 1) > _PLACE_SHARES[number][:, None]).sum(axis=-1)
-    places = np.where(random.chance(count, SYMMETRIC_SHARE, axes=1), places[:, :1], places)
-    places[(number == _COUNT) & ('arms' in without)] = 0
-    changed = np.flatnonzero((number < _COUNT) | places.any(axis=1))
-    posed, number_of, places = vectors[changed], number[changed], places[changed]
-    is_posture = number_of < _COUNT
-    kinds = number_of[is_posture]
+    changed = np.flatnonzero(number < _COUNT)
+    kinds = number[changed]
+    places = (random.uniform(0, 1, count, 2, 1)[changed] > _PLACE_SHARES[kinds][:, None]).sum(axis=-1)
+    places = np.where(random.chance(count, SYMMETRIC_SHARE, axes=1)[changed], places[:, :1], places)
     is_moving = random.chance(len(kinds), MOVING_SHARE, axes=3)
     body = _draw_angles(_BODY_RANGES[kinds][:, None], random, is_moving)[:, 0]
     body[:, 3] *= random.choose(len(kinds), 0.5, 1, -1, axes=1)
-    posed[is_posture] = _bend(posed[is_posture], kinds, body, is_moving, random)
-    posed = _place_hands(posed, places, random)
-    laid, levelling = _lay_down(posed[is_posture], kinds, body)
-    posed[is_posture] = laid
-    is_good = _check_limbs(add_bones(posed[:, 0]))
-    is_good[is_posture] &= _check_ground(add_bones(laid[:, 0]), kinds) & (levelling < MAX_LEVELLING_RAD)
+    posed = _place_hands(_bend(vectors[changed], kinds, body, is_moving, random), places, random)
+    laid, levelling = _lay_down(posed, kinds, body)
+    joints = add_bones(laid[:, 0])
+    is_good = _check_limbs(joints) & _check_ground(joints, kinds) & (levelling < MAX_LEVELLING_RAD)
     out = vectors.copy()
-    out[changed[is_good]] = posed[is_good]
+    out[changed[is_good]] = laid[is_good]
     return out
 
 

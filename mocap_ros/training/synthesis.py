@@ -42,7 +42,6 @@ from mocap_ros.training.example_arrays import (
 )
 from mocap_ros.training.motion_library import FPS, MotionLibrary
 from mocap_ros.training.postures import FACE, LIMBS, joint_indices, limb_indices, take_postures
-from mocap_ros.training.postures import KINDS as POSTURE_KINDS
 
 # Bodies and poses: the library has few people and motions, and the lifter meets many.
 MIRRORED_SHARE = 0.5  # share; people are left- and right-handed alike
@@ -92,8 +91,6 @@ _FRAMES_AGO = np.round(HISTORY_SLOTS_S * FPS).astype(int)  # frames from each sl
 _SAME_FACTOR = np.minimum(np.arange(JOINT_COUNT), MIRROR_PERMUTATION)
 _SAME_FACTOR[joint_indices(*FACE)] = BODY26.index(FACE[0])
 _RIGHT = [right for _, right in BODY26.left_right_pairs]
-# What can be left out of the examples.
-KINDS = (*POSTURE_KINDS, 'arms')
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +107,7 @@ class ExampleBatch:
 class ExampleSynthesiser:
     """An endless stream of training examples; the same arguments give the same examples.
 
-    Without some of `KINDS`, these are left out, to measure what they are good for.
+    Without some of `postures.KINDS`, these are left out, to measure what they are good for.
     """
 
     def __init__(self, library: MotionLibrary, seed: int, without: Collection[str] = ()) -> None:
