@@ -125,10 +125,11 @@ def solve_step(
 ):
     """Return dx (G,) and dz (N, 4), or None if a matrix is not positive definite.
 
-    With a row more, Cholesky's factor U also solves:
+    With S = A - V^T V and s = a - V^T v, one factorisation of a matrix that has a row and a column more, with any
+    large r, also gives y = U^-T s:
 
-        [ A - V^T V    a - V^T v ]         T         [ U  y ] [dx]   [ 0 ]
-        [ (a - V^T v)^T     .    ]  =  U'  U' ,      [    r ] [ 1] = [ r ],    U' = ( U y; r ) with any large r
+        [ S    s ]   [ U^T    ] [ U  y ]        [ U  y ] [ dx ]   [ 0 ]
+        [ s^T  . ] = [ y^T  r ] [    r ],       [    r ] [ 1  ] = [ r ]
 
     Large matrices are upper triangles, whose factorisation is faster than that of lower ones.
 
