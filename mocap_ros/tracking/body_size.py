@@ -20,10 +20,11 @@ x of frames in which the lower foot neither rises nor sinks are averaged, robust
     ln r = x_0 + g (m - x_0),    s^2 = min(Q^2 g s_m^2, s_0^2)
 
 with x_0 = 0, or the logarithm of a height that is known of the person, over the assumed one. The covariance of the
-root is that of its joints, of the size s along the line of sight u at the distance d, and of the focal length, of
-the relative deviation t, along the optical axis e at the depth z (std that of the hips, F = `ROOT_FACTOR`):
+root is that of the hips about the body's origin, of the image, for a detector puts both hips off the same way, of
+the size s along the line of sight u at the distance d, and of the focal length, of the relative deviation t, along
+the optical axis e at the depth z:
 
-    C = (F std)^2 (I / 6 + u u^T / 2) + (s d)^2 u u^T + (t z)^2 e e^T    (the first term: `models/joint_std.py`)
+    C = std^2 (I / 6 + u u^T / 2) + noise^2 I + (s d)^2 u u^T + (t z)^2 e e^T    (first: `models/joint_std.py`)
 """
 
 from __future__ import annotations
@@ -65,7 +66,6 @@ FORGOTTEN_COMMA = re.compile(r'=\s*[\d.]+[\s;]')  # in what should be an id: a h
 # 1; H, so that as many distances of training persons of known height are within as should be, by posture alike
 HIDDEN_FACTOR = 2.3
 MIN_HIDDEN_SHARE = 1e-6  # 1; less is rounding: without a lifter nothing says what is hidden
-ROOT_FACTOR = 1.2  # 1; detectors put both hips off the same way; chosen by the errors of training persons' roots
 ANKLES = CMU15.index('lankle'), CMU15.index('rankle')
 
 
@@ -168,12 +168,16 @@ def assume_size(
     return BodySize(height / config.body_height, share, 0.0 if is_focal_known else FOCAL_SHARE)
 
 
-def estimate_root_covariance(joints: Array, std: Array, sizes: Sequence[BodySize]) -> Array:
-    """Return the covariances (P, 3, 3) m^2 of roots, of joints (P, J, 3) m of the assumed size."""
+def estimate_root_covariance(joints: Array, std: Array, noise: Array, sizes: Sequence[BodySize]) -> Array:
+    """Return the covariances (P, 3, 3) m^2 of roots, of joints (P, J, 3) m of the assumed size.
+
+    `std` (P, J) m is that of the joints, `noise` (P,) m that of the image at the body.
+    """
     ratio, share, focal_share = np.array(sizes).T
     hips = list(HIPS)
     roots = joints[:, hips].mean(axis=1)
-    covariance = compute_joint_covariance(ROOT_FACTOR * std[:, hips].mean(axis=1), roots)
+    covariance = compute_joint_covariance(std[:, hips].mean(axis=1), roots)
+    covariance += noise[:, None, None] ** 2 * np.eye(3)
     of_size = share[:, None] * roots
     covariance += of_size[:, :, None] * of_size[:, None]
     covariance[:, 2, 2] += (focal_share * roots[:, 2]) ** 2

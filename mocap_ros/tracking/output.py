@@ -201,7 +201,8 @@ def find_root_covariance(tracks: Sequence[Track], joints: Array, std: Array, siz
     Where inertia and feet contradict the image, either may be wrong.
     """
     shift = find_shifts(tracks) * np.array([[size.ratio] for size in sizes])
-    return estimate_root_covariance(joints, std, sizes) + shift[:, :, None] * shift[:, None]
+    noise = np.array([t.solved.noise / t.solved.stature_ratio for t in tracks])
+    return estimate_root_covariance(joints, std, noise, sizes) + shift[:, :, None] * shift[:, None]
 
 
 def collect_seen(shown: Shown, core: Array) -> ExtremityEvidence:

@@ -15,7 +15,7 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
-from mocap_ros.tracking.body_size import ROOT_FACTOR, BodySize, estimate_root_covariance
+from mocap_ros.tracking.body_size import BodySize, estimate_root_covariance
 from mocap_ros.tracking.motion_filter import UNFILTERED
 from mocap_ros.tracking.prediction import MIN_CLEARANCE_M, predict_people
 from mocap_ros.tracking.track import Track
@@ -77,10 +77,12 @@ def test_with_a_lag_velocities_are_those_of_the_smooth_solution_without_deviatio
 def test_the_position_of_a_body_is_least_certain_along_the_line_of_sight() -> None:
     root, share, ratios = np.array([1.0, -0.5, 4.0]), 0.06, (1.0, 1.0, 0.7)
     sizes = [BodySize(ratio, share, focal) for ratio, focal in zip(ratios, (0.0, 0.2, 0.0), strict=True)]
-    covariance, wider, small = estimate_root_covariance(np.tile(root, (3, 15, 1)), np.full((3, 15), 0.06), sizes)
+    joints, std, noise = np.tile(root, (3, 15, 1)), np.full((3, 15), 0.06), np.full(3, 0.02)
+    covariance, wider, small = estimate_root_covariance(joints, std, noise, sizes)
     variances, axes = np.linalg.eigh(covariance)
-    own = (ROOT_FACTOR * 0.06) ** 2
-    np.testing.assert_allclose(variances, [own / 6, own / 6, own * 2 / 3 + share**2 * root @ root], rtol=1e-9)
+    own, both = 0.06**2, 0.02**2
+    expected = [own / 6 + both, own / 6 + both, own * 2 / 3 + both + share**2 * root @ root]
+    np.testing.assert_allclose(variances, expected, rtol=1e-9)
     assert abs(axes[:, 2] @ root) == pytest.approx(np.linalg.norm(root))
     np.testing.assert_allclose(wider - covariance, np.diag([0, 0, (0.2 * root[2]) ** 2]), atol=1e-12)
     np.testing.assert_allclose(small, 0.7**2 * covariance, rtol=1e-12)
