@@ -63,8 +63,8 @@ MAX_STEP_S = 0.2  # s; longest time that one frame stands for
 LEAST, LARGEST = map(math.log, SIZE_RANGE)  # range of ln r
 MIN_DROP_SHARE = 0.1  # of the camera's height; a foot that seems higher than this below the camera shows nothing
 FORGOTTEN_COMMA = re.compile(r'=\s*[\d.]+[\s;]')  # in what should be an id: a height is in it
-# 1; H, so that as many distances of training persons of known height are within as should be, by posture alike
-HIDDEN_FACTOR = 2.3
+# 1; H, so that 96 of 100 roots of training persons of known height are within the ellipsoids of 95
+HIDDEN_FACTOR = 1.8
 MIN_HIDDEN_SHARE = 1e-6  # 1; less is rounding: without a lifter nothing says what is hidden
 ANKLES = CMU15.index('lankle'), CMU15.index('rankle')
 
