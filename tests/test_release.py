@@ -146,10 +146,8 @@ keypoints, times = demo.keypoints[:60], demo.timestamps[:60]
 truth = mocap_ros.GroundTruth(demo.truth.joints[:60], demo.truth.joint_names)
 result = mocap_ros.reconstruct(keypoints, demo.joint_names, times, image_size=demo.image_size)
 whole = mocap_ros.evaluate(result, truth)
-print(demo, result, whole, sep='\\n')
+print(whole)
 assert whole.mpjpe_mm < 60
-tracker = mocap_ros.Tracker('coco17', image_size=demo.image_size)
-assert all(len(tracker.update(t, [k])) == 1 for t, k in zip(times, keypoints))
 for suffix in ('npz', 'csv', 'mcap', 'bvh', 'trc'):
     mocap_ros.write(f'demo_3d.{suffix}', result)
 again = mocap_ros.read('demo_3d.mcap')

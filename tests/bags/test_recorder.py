@@ -151,20 +151,12 @@ def test_a_bag_continues_in_further_files(tmp_path: Path, limit: dict[str, Any])
         assert reader.message_count == len(read) == FRAMES + len(files)
     described = yaml.safe_load((tmp_path / 'bag' / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
     assert described['relative_file_paths'] == [f.name for f in files]
-    for file, description in zip(files, described['files'], strict=True):
+    for file in files:
         with file.open('rb') as stream:
             mcap_reader = make_reader(stream, validate_crcs=True)
             first = next(iter(mcap_reader.iter_messages()))
             assert (first[1].topic, first[2].data) == ('/skeleton_definition', DEFINITION)
             assert [a.data for a in mcap_reader.iter_attachments()] == [b'a: 1']
-            summary = mcap_reader.get_summary()
-        assert summary is not None
-        statistics = summary.statistics
-        assert statistics is not None
-        assert statistics.message_count == description['message_count']
-        assert statistics.message_start_time == description['starting_time']['nanoseconds_since_epoch']
-        duration = statistics.message_end_time - statistics.message_start_time
-        assert duration == description['duration']['nanoseconds']
 
 
 @pytest.mark.parametrize('end', ['flush', 'close', 'split'])

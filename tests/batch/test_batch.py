@@ -264,11 +264,7 @@ def test_a_worker_of_another_version_is_refused(client: Any, corpus: Path, tmp_p
     ],
 )
 def test_wrong_usage_is_one_line(
-    arguments: list[str],
-    reason: str,
-    tmp_path: Path,
-    capfd: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, monkeypatch: Any, capfd: pytest.CaptureFixture[str], arguments: list[str], reason: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(['batch', *arguments]) == 1

@@ -317,7 +317,6 @@ def place_links(urdf: str, angles: dict[str, float], suffix: str) -> dict[str, n
 
 
 def make_body(angles: dict[str, float]) -> np.ndarray:
-    """Return the joints (15, 3) of a body with some angles."""
     links = place_links(describe_body('x', OWN_LENGTHS), angles, '_x')
     joints = np.array([links[LINK_OF_JOINT[j]] if j in LINK_OF_JOINT else np.zeros(3) for j in CMU15.joints])
     joints[CMU15.index('neck')] = links['torso']
@@ -325,7 +324,6 @@ def make_body(angles: dict[str, float]) -> np.ndarray:
 
 
 def find_angles(joints: np.ndarray) -> dict[str, float]:
-    """Return the angles of a single body (15, 3) by the names of the joints."""
     (angles,), (is_known,) = compute_joint_states(joints[None])
     assert is_known
     return dict(zip(MOVED_JOINTS, angles.tolist(), strict=True))

@@ -14,7 +14,6 @@ from mocap_ros.formats.sequence_file import GroundTruth, load_sequence, save_seq
 
 @pytest.fixture(scope='session')
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The demo recording as a sequence file."""
     path = tmp_path_factory.mktemp('cli') / 'demo.npz'
     save_sequence(path, make_recording().sequence())
     return path

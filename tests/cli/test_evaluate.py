@@ -17,10 +17,8 @@ from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig, with_values
 from mocap_ros.formats.sequence_file import GroundTruth, load_sequence, save_sequence
 from mocap_ros.messages.skeletons import SKELETONS
-from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.playback import encode_sequence
-from tests.support.camera_infos import camera_info
-from tests.support.pipeline_inputs import FAST_CONFIG
+from tests.support.pipeline_inputs import FAST_CONFIG, make_calibrated
 
 
 def test_evaluate_prints_a_table_and_writes_json(
@@ -115,8 +113,7 @@ def test_covariances_in_any_frame(recording: Path, tmp_path: Path, capsys: pytes
         ('camera', {}),
         ('map', {'node.output_frame': 'map', 'node.camera_pose': '3 2 1.5 0.1 0.2 0.7'}),
     ):
-        pipeline = Pipeline(with_values(FAST_CONFIG, {'tracker.vertical': 'none', **values}))  # map would tell one
-        pipeline.set_camera_info(camera_info())
+        pipeline = make_calibrated(with_values(FAST_CONFIG, {'tracker.vertical': 'none', **values}))  # map has one
         with Recorder(tmp_path / name, RecorderConfig()) as recorder:
             for frame in frames:
                 (skeletons,) = (

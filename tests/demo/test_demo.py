@@ -21,8 +21,6 @@ FRAMES = 12
 @pytest.mark.ros
 @pytest.mark.slow
 def test_the_demo_writes_a_bag_and_a_picture(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip('rclpy')
-    pytest.importorskip('mocap_ros_msgs')
     assert main(['demo', '-o', str(tmp_path), '--rate', '2']) == 0
     output = capfd.readouterr().out
     report = re.search(

@@ -62,7 +62,6 @@ def test_round_trip(tmp_path: Path, sequence: KeypointSequence) -> None:
 
 
 def set_element(arrays: dict[str, Any], key: str, index: Any, value: float) -> None:
-    """Set an element of a copy of an array."""
     arrays[key] = arrays[key].copy()
     arrays[key][index] = value
 
@@ -113,9 +112,8 @@ def test_invalid_content_is_refused_by_file_key_and_frame(
         arrays = dict(archive)
     edit(arrays)
     np.savez(path, **arrays)
-    with pytest.raises(InputError, match=rf'walk\.npz: {message}') as caught:
+    with pytest.raises(InputError, match=rf'walk\.npz: {message}'):
         load_sequence(path)
-    assert '\n' not in str(caught.value)
 
 
 @pytest.mark.parametrize(

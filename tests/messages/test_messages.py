@@ -86,8 +86,6 @@ def set_element(field: str, index: int, value: float) -> Callable[[Any], None]:
 
 
 def set_fields(**fields: Any) -> Callable[[Any], None]:
-    """Return an edit of fields of the second person."""
-
     def edit(message: Any) -> None:
         for field, value in fields.items():
             setattr(message.people[1], field, value)
@@ -120,9 +118,8 @@ INVALID = {
 @pytest.mark.parametrize('case', INVALID)
 def test_invalid_keypoints_are_refused_by_field_and_person(case: str) -> None:
     edit, message = INVALID[case]
-    with pytest.raises(InputError, match=f'^{message}') as caught:
+    with pytest.raises(InputError, match=f'^{message}'):
         decode_keypoints(edit_keypoints(edit), LIMITS)
-    assert '\n' not in str(caught.value)
 
 
 VALID = encode_keypoints(HEADER, SIZE, [make_person_2d('a'), make_person_2d('b')])
@@ -203,7 +200,6 @@ def test_people_keep_number_and_colour_and_markers_of_others_are_deleted() -> No
 
 @pytest.mark.ros
 def test_rclpy_reads_and_writes_the_same_bytes() -> None:
-    pytest.importorskip('rclpy')
     from rclpy.serialization import deserialize_message, serialize_message
 
     from mocap_ros.ros.message_types import load_interface_class
@@ -364,7 +360,6 @@ def test_all_outputs_are_as_the_library_writes_them(header: Header, people: list
 
 
 def check_plain(plain: Any, decoded: Any) -> None:
-    """Check that plain values are those of a message object."""
     if isinstance(plain, SimpleNamespace):
         for name, value in vars(plain).items():
             check_plain(value, getattr(decoded, name))
@@ -376,7 +371,6 @@ def check_plain(plain: Any, decoded: Any) -> None:
 
 
 def list_numbers(value: Any) -> Any:
-    """Return the numbers of which a message or messages consist."""
     if isinstance(value, list):
         return [list_numbers(element) for element in value]
     if not hasattr(value, '__msgtype__'):

@@ -8,13 +8,13 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
 
 from mocap_ros.cli.demo import reserve_domain
-from tests.support.launch_file import load_launch_file
+from tests.support.paths import ROOT, load_module
 from tests.support.ros_node import FAST_PARAMETERS, RELIABLE_INPUT, Peer, Process, StartNode, StartProgram
 
 
@@ -62,6 +62,27 @@ def start_node(start: StartProgram) -> StartNode:
     return start_with
 
 
+class Recorded(SimpleNamespace):
+    """What a class of `launch` was created with; it substitutes for all of them."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(args=args, **options)
+
+    def perform(self, context: dict[str, str]) -> str:
+        return context[self.args[0]]
+
+
+class RecordingModule(ModuleType):
+    """A module that has every class."""
+
+    def __getattr__(self, name: str) -> type[Recorded]:
+        return Recorded
+
+
 @pytest.fixture
 def launch_file(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    return load_launch_file(monkeypatch)
+    """Return the launch file, with substitutes for the packages that it imports."""
+    for part in ('', '.actions', '.conditions', '.substitutions', '.parameter_descriptions'):
+        for package in ('launch', 'launch_ros'):
+            monkeypatch.setitem(sys.modules, package + part, RecordingModule(package + part))
+    return load_module(ROOT / 'config' / 'launch' / 'mocap.launch.py')

@@ -6,9 +6,10 @@
 import json
 import re
 import sys
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 import yaml
@@ -26,10 +27,37 @@ from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.runtime.outputs import OUTPUTS, SWITCHED_OUTPUTS
 from tests.support.camera_infos import camera_info
-from tests.support.launch_file import Permissions, read_permissions
 from tests.support.paths import ROOT
 from tests.support.people import make_person_3d
 from tests.support.ros_node import Peer, StartNode, StartProgram, keypoints_at
+
+POLICY_PATH = ROOT / 'config' / 'mocap_ros.policy.xml'
+
+
+class Permissions(NamedTuple):
+    """Names of topics and services, as the policies write them, that a node may use."""
+
+    publish: frozenset[str]
+    subscribe: frozenset[str]
+    reply: frozenset[str]
+    request: frozenset[str]
+
+
+def read_permissions(node: str) -> Permissions:
+    profile = ET.parse(POLICY_PATH).find(f'.//profile[@node="{node}"]')
+    assert profile is not None
+
+    def names(kind: str, permission: str) -> frozenset[str]:
+        lists = profile.findall(f'{kind}s[@{permission}="ALLOW"]/{kind}')
+        return frozenset(element.text or '' for element in lists)
+
+    return Permissions(
+        publish=names('topic', 'publish'),
+        subscribe=names('topic', 'subscribe'),
+        reply=names('service', 'reply'),
+        request=names('service', 'request'),
+    )
+
 
 BODIES = '/humans/bodies/*'  # topics of single bodies, with types that are not installed
 OF_EVERY_NODE = {'/parameter_events'}  # rclpy subscribes to it only where the time of a simulation is used

@@ -53,18 +53,10 @@ class Run:
         return status.level, status.message
 
 
-def flood(run: Run) -> None:
-    run.statistics.removed += 7
-
-
 def refuse(run: Run) -> None:
     run.feed(next(run.frames)[:50])
     run.pipeline.note_backlog()
     run.process()
-
-
-def fail(run: Run) -> None:
-    run.pipeline.counters.dropped['internal error'] += 2
 
 
 def refuse_camera_info(run: Run) -> None:
@@ -94,9 +86,9 @@ def warn_of_input(run: Run) -> None:
 
 
 PROBLEMS = [
-    (flood, Level.WARN, '7 removed from a full queue in the last second'),
+    (lambda run: vars(run.statistics).update(removed=7), Level.WARN, '7 removed from a full queue'),
     (refuse, Level.WARN, '1 invalid, 1 skipped because of a backlog in the last second'),
-    (fail, Level.ERROR, '2 internal errors in the last second; see the log'),
+    (lambda run: run.pipeline.counters.dropped.update({'internal error': 2}), Level.ERROR, '2 internal errors'),
     (refuse_camera_info, Level.WARN, '1 invalid in the last second'),
     (repeat_a_stamp, Level.WARN, '2 dropped for their stamps in the last second'),
     (refuse_all, Level.ERROR, 'no message was accepted: 3 invalid in the last second'),
@@ -145,7 +137,7 @@ def test_the_values_are_those_of_the_run() -> None:
     assert run.report() == NO_PEOPLE
     assert run.values['age of newest frame (s)'] == 'nan'
     process(run.pipeline, with_stamp(next(run.frames), 400_000_000))
-    flood(run)
+    run.statistics.removed += 7
     for milliseconds in range(1, 101):
         run.statistics.record_receipt()
         run.statistics.solve_seconds.append(milliseconds / 1e3)

@@ -112,9 +112,7 @@ def test_an_example_acts_on_a_person_far_away_and_is_safe_when_nothing_is_heard_
     peer.wait_until(lambda: name == 'people_layer' or not is_free(received[-1]))
 
 
-def test_the_documented_recipe_runs(
-    peer: Peer, start: StartProgram, start_node: StartNode, tmp_path: Path
-) -> None:
+def test_the_recipe_of_docs_runs(peer: Peer, start: StartProgram, start_node: StartNode, tmp_path: Path) -> None:
     from sensor_msgs.msg import Image
 
     text = (ROOT / 'docs' / 'detectors.md').read_text()

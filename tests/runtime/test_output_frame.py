@@ -21,7 +21,8 @@ from mocap_ros.config import Config, with_values
 from mocap_ros.errors import ConfigError
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import decode
-from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS, decode_skeletons
+from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS
+from mocap_ros.messages.skeletons import decode_skeletons as read_skeletons
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.people import CameraVertical
 from mocap_ros.runtime.output_frame import LiveWorld
@@ -35,13 +36,14 @@ from tests.support.people import make_person_3d
 from tests.support.pipeline_inputs import (
     FAST_CONFIG,
     STEP_NS,
+    decode_skeletons,
     encode_demo_frames,
+    make_calibrated,
     process,
     read_messages,
     with_stamp,
     write_keypoints_bag,
 )
-from tests.support.pipeline_inputs import decode_skeletons as decode_outputs
 
 FRAMES = 12
 START_NS = 1_700_000_000_000_000_000  # since the epoch
@@ -66,13 +68,8 @@ def long_stream() -> list[bytes]:
 @pytest.fixture(scope='module')
 def in_camera(stream: list[bytes]) -> list[Any]:
     """Return the skeletons of each frame in the camera's optical frame."""
-    pipeline = Pipeline(PLAIN_CONFIG)
-    pipeline.set_camera_info(camera_info())
-    return [find_skeletons(process(pipeline, raw)) for raw in stream]
-
-
-def find_skeletons(outputs: Any) -> Any:
-    return decode({o.topic: o for o in outputs}['skeletons'].data, SKELETONS)
+    pipeline = make_calibrated(PLAIN_CONFIG)
+    return [decode_skeletons(process(pipeline, raw)) for raw in stream]
 
 
 def stack(array: Any, field: str = 'joints') -> np.ndarray:
@@ -94,8 +91,7 @@ def feed_transforms(pipeline: Pipeline, source: Source, raw: bytes) -> None:
 
 def test_a_camera_that_stands_still_by_parameter(stream: list[bytes], in_camera: list[Any]) -> None:
     config = with_values(MAP_CONFIG, {'node.camera_pose': '0.2 0 1.5 0 0 0', 'node.publish_tf': True})
-    pipeline = Pipeline(config)
-    pipeline.set_camera_info(camera_info())
+    pipeline = make_calibrated(config)
     for raw, own in zip(stream, in_camera, strict=True):
         outputs = {o.topic: o for o in process(pipeline, raw)}
         placed = decode(outputs['skeletons'].data, SKELETONS)
@@ -113,7 +109,7 @@ def test_a_camera_that_stands_still_by_parameter(stream: list[bytes], in_camera:
         for field in ('root_covariance', 'root_velocity_covariance'):
             before, after = (getattr(s.people[0], field).reshape(3, 3) for s in (own, placed))
             np.testing.assert_allclose(after, matrix @ before @ matrix.T, atol=1e-9)
-        (person,) = decode_skeletons(outputs['skeletons'].data).people
+        (person,) = read_skeletons(outputs['skeletons'].data).people
         np.testing.assert_allclose(person.joints, stack(own)[0], atol=1e-9)
         for topic in ('markers', 'points', '/tf'):
             message = decode(outputs[topic].data, (OUTPUTS | {'/tf': TRANSFORMS})[topic])
@@ -125,8 +121,7 @@ def test_a_camera_that_stands_still_by_parameter(stream: list[bytes], in_camera:
 @pytest.mark.parametrize('late_ns', [0, 2 * STEP_NS])
 def test_velocities_from_a_driving_robot(stream: list[bytes], in_camera: list[Any], late_ns: int) -> None:
     """The robot turns at 0.5 rad/s about its axis and drives along x of map; transforms may come late."""
-    pipeline = Pipeline(MAP_CONFIG)
-    pipeline.set_camera_info(camera_info())
+    pipeline = make_calibrated(MAP_CONFIG)
     feed_transforms(pipeline, Source.STATIC_TRANSFORMS, static_transforms())
     first_ns = stamp_of(in_camera[0])
 
@@ -144,7 +139,7 @@ def test_velocities_from_a_driving_robot(stream: list[bytes], in_camera: list[An
         origin, turn = pose_at(newest_ns)
         transform = make_transforms(('map', 'base', newest_ns, tuple(origin), turn.as_quat()))
         feed_transforms(pipeline, Source.TRANSFORMS, transform)
-        placed = find_skeletons(process(pipeline, raw))
+        placed = decode_skeletons(process(pipeline, raw))
         if newest_ns < first_ns + SECOND_NS // 10:  # the transforms show no motion yet
             continue
         joints, velocity, step_s = stack(own)[0], stack(own, 'joint_velocity')[0], 1e-3
@@ -157,12 +152,11 @@ def test_velocities_from_a_driving_robot(stream: list[bytes], in_camera: list[An
 
 
 def test_without_transforms_people_are_in_the_camera_frame(stream: list[bytes], in_camera: list[Any]) -> None:
-    pipeline = Pipeline(MAP_CONFIG)
-    pipeline.set_camera_info(camera_info())
+    pipeline = make_calibrated(MAP_CONFIG)
     result = pipeline.feed(Source.KEYPOINTS, stream[0])
     assert result.verdict is Verdict.ACCEPTED
     assert result.reason.startswith("no transform from 'camera' to 'map': ")
-    skeletons = find_skeletons(result.outputs)
+    skeletons = decode_skeletons(result.outputs)
     assert skeletons.header.frame_id == skeletons.camera_frame_id == 'camera'
     np.testing.assert_array_equal(stack(skeletons), stack(in_camera[0]))
 
@@ -198,15 +192,14 @@ def test_parameters_that_cannot_be_used_are_refused(values: dict[str, object], m
 def test_predictions_are_in_the_output_frame_also_in_a_replay(tmp_path: Path, long_stream: list[bytes]) -> None:
     values = {'node.publish_predictions': True, 'node.prediction_times': '0.1 0.5'}
     config = with_values(MAP_CONFIG, {**values, 'node.camera_pose': '0 0 1.5 0 0.1 0'})
-    stream, pipeline = long_stream[:20], Pipeline(config)
-    pipeline.set_camera_info(camera_info())
+    stream, pipeline = long_stream[:20], make_calibrated(config)
     write_keypoints_bag(tmp_path / 'bag', stream, camera_info())
     live = []
     for raw in stream:
         outputs = process(pipeline, raw)
         live.append({o.topic: bytes(o.data) for o in outputs}['predictions'])
         pipeline.run_deferred_work()
-    message, now = decode(live[-1], PREDICTIONS), find_skeletons(outputs)
+    message, now = decode(live[-1], PREDICTIONS), decode_skeletons(outputs)
     (person,) = now.people
     assert (message.header.frame_id, message.header.stamp) == ('map', now.header.stamp)
     assert [t.ahead for t in message.times] == pytest.approx([0.1, 0.5])
@@ -228,7 +221,6 @@ LEVEL_CAMERA = make_transforms(('map', 'camera', 0, (0.0, 0.0, 1.5), OPTICAL.as_
 
 
 def track_joints(pipeline: Pipeline, long_stream: list[bytes]) -> Any:
-    """Return the joints (F, 15, 3) of the person in each frame, in map."""
     pipeline.set_camera_info(camera_info())
     found = []
     for raw in long_stream:
@@ -262,7 +254,6 @@ def test_people_are_as_large_as_their_feet_on_the_floor_show(long_stream: list[b
 
 
 def list_reasons(pipeline: Pipeline, long_stream: list[bytes]) -> list[str]:
-    """Return the problem of each frame, after transforms of a level camera in map."""
     pipeline.feed(Source.STATIC_TRANSFORMS, LEVEL_CAMERA)
     return [pipeline.feed(Source.KEYPOINTS, raw).reason for raw in long_stream]
 
@@ -277,7 +268,7 @@ def list_reasons(pipeline: Pipeline, long_stream: list[bytes]) -> list[str]:
         ({'tracker.camera_height': 1.5}, True, r'tracker\.camera_height = 1\.5 is not used: node\.output_frame'),
     ],
 )
-def test_a_floor_that_cannot_be_used_is_named_once(
+def test_an_unusable_floor_is_named_once(
     long_stream: list[bytes], values: dict[str, object], has_camera_info: bool, reason: str
 ) -> None:
     pipeline = Pipeline(with_values(FAST_CONFIG, {'node.output_frame': 'map', **values}))
@@ -303,8 +294,7 @@ def test_a_floor_that_cannot_be_used_is_named_once(
     ],
 )
 def test_a_wrong_vertical_is_named(long_stream: list[bytes], values: dict[str, object], problem: str) -> None:
-    pipeline = Pipeline(with_values(FAST_CONFIG, values))
-    pipeline.set_camera_info(camera_info())
+    pipeline = make_calibrated(with_values(FAST_CONFIG, values))
     hanging = make_transforms(('odom', 'camera', 0, (0.0, 0.0, 1.5), (1.0, 0.0, 0.0, 0.0)))
     if problem or 'none' in values.values():  # x to the right, y up, z backwards, and then turned: upside down
         turned = Rotation.from_matrix([[0, 0, 1], [1, 0, 0], [0, 1, 0]]).as_quat()
@@ -322,8 +312,7 @@ def test_a_wrong_vertical_is_named(long_stream: list[bytes], values: dict[str, o
 @pytest.mark.parametrize('values', [{}, FLOOR_POSE, {**FLOOR_POSE, 'node.floor_height': '0.1'}])
 def test_the_world_on_tf_is_level(tmp_path: Path, long_stream: list[bytes], values: dict[str, str]) -> None:
     config = with_values(FAST_CONFIG, {**values, 'node.publish_tf': True, 'node.frame_prefix': 'left_'})
-    pipeline = Pipeline(config)
-    pipeline.set_camera_info(camera_info())
+    pipeline = make_calibrated(config)
     write_keypoints_bag(tmp_path / 'bag', long_stream, camera_info())
     live, worlds = [], []
     for raw in long_stream:
@@ -335,7 +324,7 @@ def test_the_world_on_tf_is_level(tmp_path: Path, long_stream: list[bytes], valu
             assert frame.header.frame_id == (values.get('node.output_frame') or 'camera')
             place, turn = frame.transform.translation, frame.transform.rotation
             world = np.array([place.x, place.y, place.z]), Rotation.from_quat([turn.x, turn.y, turn.z, turn.w])
-            worlds.append((find_skeletons(outputs), *world))
+            worlds.append((decode_skeletons(outputs), *world))
     assert 5 < len(worlds) < len(long_stream)  # the vertical takes a second to be found
     for (_, place, turn), (_, next_place, next_turn) in pairwise(worlds):
         assert np.linalg.norm(next_place - place) < 0.01
@@ -355,9 +344,8 @@ def test_the_world_on_tf_is_level(tmp_path: Path, long_stream: list[bytes], valu
 
 def test_a_frame_whose_name_says_that_z_is_up_gives_the_vertical_without_a_floor(long_stream: list[bytes]) -> None:
     for frame, is_known in (('odom', True), ('robot_1/map', True), ('base_link', False)):
-        pipeline = Pipeline(with_values(FAST_CONFIG, {**FLOOR_POSE, 'node.output_frame': frame}))
-        pipeline.set_camera_info(camera_info())
-        skeletons = [decode_outputs(process(pipeline, raw)) for raw in long_stream[:6]][-1]
+        pipeline = make_calibrated(with_values(FAST_CONFIG, {**FLOOR_POSE, 'node.output_frame': frame}))
+        skeletons = [decode_skeletons(process(pipeline, raw)) for raw in long_stream[:6]][-1]
         assert (skeletons.vertical_std < math.radians(1.5)) == is_known
         if is_known:
             v = skeletons.vertical
@@ -365,8 +353,7 @@ def test_a_frame_whose_name_says_that_z_is_up_gives_the_vertical_without_a_floor
 
 
 def test_a_world_begins_anew_where_tracking_does(long_stream: list[bytes]) -> None:
-    pipeline = Pipeline(with_values(FAST_CONFIG, {'node.publish_tf': True}))
-    pipeline.set_camera_info(camera_info())
+    pipeline = make_calibrated(with_values(FAST_CONFIG, {'node.publish_tf': True}))
 
     def find_transforms(raw: bytes) -> bytes:
         return next(bytes(o.data) for o in process(pipeline, raw) if o.topic == '/tf')

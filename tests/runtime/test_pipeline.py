@@ -26,6 +26,7 @@ from tests.support.pipeline_inputs import (
     FAST_CONFIG,
     decode_skeletons,
     encode_demo_frames,
+    make_calibrated,
     process,
     reject,
     with_stamp,
@@ -189,8 +190,7 @@ def test_stamps_that_stand_still_are_told_while_waiting(stream: list[bytes], sta
 
 
 def test_tentative_people_are_flagged_and_have_no_transforms(stream: list[bytes]) -> None:
-    pipeline = Pipeline(with_values(FAST_CONFIG, {'node.publish_tf': True}))
-    pipeline.set_camera_info(camera_info())
+    pipeline = make_calibrated(with_values(FAST_CONFIG, {'node.publish_tf': True}))
     shown = []
     for raw in stream:
         outputs = {o.topic: decode(o.data, o.type) for o in process(pipeline, raw)}

@@ -179,6 +179,15 @@ CHANGED_AFTER = 6  # inputs after which it was given others
 CHANGED = {**RECORDED, 'tracker.lag': 0.0, 'tracker.min_score': 0.2}
 
 
+def write_started_run(folder: Path, stream: list[bytes], parameters: dict[str, Value]) -> None:
+    """Write a bag of a run that began with these parameters, or of none where there are none."""
+    with Recorder(folder, RecorderConfig()) as recorder:
+        if parameters:
+            recorder.write(*Journal('/mocap_node/journal').make_parameters_record(parameters, START_NS))
+        for number, raw in enumerate(stream):
+            recorder.write('/keypoints', KEYPOINTS, raw, START_NS + number, START_NS + number)
+
+
 def write_recorded_run(folder: Path, stream: list[bytes], recorded: dict[str, object]) -> Path:
     """Write a bag with the journal of a run that began with some parameters and went on with `CHANGED`."""
     journal = Journal('/mocap_node/journal')
@@ -195,7 +204,6 @@ def write_recorded_run(folder: Path, stream: list[bytes], recorded: dict[str, ob
 
 
 def read_parameters(path: Path) -> list[dict[str, Value]]:
-    """Return the parameters at the start of a run, and those after each change."""
     with Bag(path) as bag:
         recorded_run = read_run(bag)
     return [recorded_run.parameters, *(dict(e.parameters) for e in recorded_run.events.get(CHANGED_AFTER, ()))]
@@ -221,13 +229,9 @@ def test_set_changes_parameters_of_the_recorded_run(tmp_path: Path, stream: list
 
 
 def test_parameters_that_no_longer_exist_are_named_once(tmp_path: Path, stream: list[bytes]) -> None:
-    journal = Journal('/mocap_node/journal')
     gone: dict[str, Value] = {'tracker.refine': 0.2, 'solver.norm': 'squared'}
     parameters = values(with_values(Config(), RECORDED))
-    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        recorder.write(*journal.make_parameters_record({**parameters, **gone}, START_NS))
-        for number, raw in enumerate(stream[:5]):
-            recorder.write('/keypoints', KEYPOINTS, raw, START_NS + number, START_NS + number)
+    write_started_run(tmp_path / 'bag', stream[:5], {**parameters, **gone})
     with Bag(tmp_path / 'bag') as bag:
         result = replay(bag, tmp_path / 'out')
     assert sum('solver.norm = squared, tracker.refine = 0.2' in line for line in result.notes) == 1
@@ -241,11 +245,7 @@ def test_a_replay_waits_for_a_calibration_as_live(tmp_path: Path, stream: list[b
     results = [live.feed(Source.KEYPOINTS, raw) for raw in stream]
     expected = [o.data for result in results for o in result.outputs if o.topic == 'skeletons']
     parameters = {k: v for k, v in values(config).items() if version == 'this' or k != wait}
-    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        if version != 'unrecorded':
-            recorder.write(*Journal('/mocap_node/journal').make_parameters_record(parameters, START_NS))
-        for number, raw in enumerate(stream):
-            recorder.write('/keypoints', KEYPOINTS, raw, START_NS + number, START_NS + number)
+    write_started_run(tmp_path / 'bag', stream, {} if version == 'unrecorded' else parameters)
     options = ReplayOptions(config if version == 'unrecorded' else None)
     assert len(expected) == FRAMES - 3 * (version == 'this')
     assert replay_skeletons(tmp_path / 'bag', tmp_path / 'out', options) == expected

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Results in every format agree, are read again from files and bags, and are drawn as they were recorded."""
+"""Results in every format agree, are read again from files and bags, and are drawn; who was seen, and when."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -29,12 +29,14 @@ from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.people import Motion, MotionKind, Person3D
 from mocap_ros.runtime import save_results
+from mocap_ros.runtime.appearances import AppearanceLog
 from mocap_ros.runtime.load_keypoints import InputOptions
 from mocap_ros.runtime.load_results import holds_result, load_result
 from mocap_ros.runtime.load_scene import SceneOptions, load_scene
 from mocap_ros.runtime.playback import DEFAULT_FRAME_ID
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import BODY26, CMU15
+from mocap_ros.units import NS_PER_S
 from tests.support.keypoint_files import FRAMES, make_walker
 from tests.support.message_objects import encode
 from tests.support.motion_files import Z_UP_TO_Y_UP
@@ -42,7 +44,6 @@ from tests.support.pipeline_inputs import FAST_CONFIG
 
 
 def make_person(name: str, height: float) -> Person3D:
-    """Return a person whose joints are all at one point."""
     return Person3D(
         id=name,
         joints=np.full((15, 3), height),
@@ -170,7 +171,6 @@ def results(tmp_path_factory: pytest.TempPathFactory, walker: KeypointSequence) 
 
 
 def reconstruct(folder: Path, sequence: KeypointSequence, iterations: int, *suffixes: str, **values: str) -> Path:
-    """Write a sequence and its reconstruction into a folder, and return the folder."""
     save_sequence(folder / 'walk.npz', sequence)
     outputs = [option for suffix in suffixes for option in ('-o', str(folder / f'r.{suffix}'))]
     settings = {'solver.max_iterations': iterations, **{f'tracker.{k}': v for k, v in values.items()}}
@@ -445,3 +445,34 @@ def test_what_shows_no_person_is_refused(sequence: KeypointSequence, tmp_path: P
         replay(recorded, tmp_path / 'replayed', ReplayOptions(FAST_CONFIG))
     with pytest.raises(InputError, match='replayed: no person is in any message'):
         load_scene(tmp_path / 'replayed', OPTIONS)
+
+
+NAN = float('nan')
+WALK = Motion(MotionKind.PERIODIC, 'walk', 0.01, 0.9)
+OTHER = Motion(MotionKind.NON_PERIODIC, 'all', 0.1, NAN)
+STRANGE = Motion(MotionKind.UNKNOWN, '', NAN, NAN)
+
+
+def appear(name: str, motion: Motion = WALK, residual: float = 2.0, is_predicted: bool = False) -> Person3D:
+    return replace(make_person(name, 10 * residual), motion=motion, predicted=is_predicted)
+
+
+def test_times_motions_cadence_and_residual_are_added_up() -> None:
+    log = AppearanceLog(absence_s=5, gap_s=4)
+    for second, motion in enumerate([STRANGE, WALK, WALK, OTHER]):
+        log.add(second * NS_PER_S, [appear('ann', motion, residual=1.0 + second)])
+    log.add(4 * NS_PER_S, [appear('ann', OTHER, NAN, is_predicted=True)])
+    (ann,) = log.list_all()
+    assert (ann.person, ann.from_ns, ann.to_ns) == ('ann', 0, 4 * NS_PER_S)
+    assert ann.seconds == {'unknown': 0.0, 'periodic': 2.0, 'non_periodic': 2.0}
+    assert (ann.cadence, ann.residual) == (0.9, 2.5)
+
+
+def test_who_was_away_for_long_appears_anew() -> None:
+    log = AppearanceLog(absence_s=5, gap_s=4)
+    for second in (0, 4, 10, 11):
+        log.add(second * NS_PER_S, [appear('ann'), replace(appear('ghost'), tentative=True)])
+    log.add(12 * NS_PER_S, [appear('ben', STRANGE, NAN)])
+    assert log.list_all()[0].seconds['periodic'] == 4.0, 'the time away is no motion'
+    spans = [(a.person, a.from_ns // NS_PER_S, a.to_ns // NS_PER_S) for a in log.list_all()]
+    assert spans == [('ann', 0, 4), ('ann', 10, 11), ('ben', 12, 12)]

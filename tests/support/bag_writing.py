@@ -33,7 +33,6 @@ def make_keypoints(frame: int) -> bytes:
 
 
 def record_keypoints(recorder: Recorder, frames: int, first: int = 0) -> None:
-    """Record the keypoints messages of consecutive frames on /keypoints."""
     for i in range(first, first + frames):
         recorder.write('/keypoints', KEYPOINTS, make_keypoints(i), START_NS + i * STEP_NS, START_NS)
 

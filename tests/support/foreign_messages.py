@@ -19,21 +19,11 @@ from mocap_ros.messages.input_types import COCO17, HRI18, ZED38
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from tests.support.message_objects import create_header, create_message, encode
+from tests.support.pipeline_inputs import FAST_CONFIG, STEP_NS
 
 IMAGE_SIZE = 640, 480  # px
-STEP_NS = 33_333_333  # ns; 30 Hz
 HRI_IDS_TOPIC = '/humans/bodies/tracked'
-BASE_CONFIG = with_values(
-    Config(),
-    {
-        'tracker.model': 'walk',
-        'tracker.components': 8,
-        'tracker.iterations': 1,
-        'node.camera_info_wait': 0.0,
-        'node.image_width': IMAGE_SIZE[0],
-        'node.image_height': IMAGE_SIZE[1],
-    },
-)
+BASE_CONFIG = with_values(FAST_CONFIG, {'node.image_width': IMAGE_SIZE[0], 'node.image_height': IMAGE_SIZE[1]})
 LIMITS = BASE_CONFIG.node
 Input = tuple[Source, bytes, str]  # where a message comes from, the message, and its topic
 INPUT_TYPES = (YOLO_DETECTIONS, HRI_SKELETON, ZED_OBJECTS, OPENPOSE_POSES, KEYPOINTS)
@@ -185,7 +175,6 @@ def make_inputs(msgtype: str, frame: int) -> list[Input]:
 
 
 def edit_message(msgtype: str, edit: Callable[[Any], None]) -> bytes:
-    """Return the message of the first frame after an edit."""
     message = decode(make_inputs(msgtype, 0)[0][1], msgtype)
     edit(message)
     return encode(message, msgtype)

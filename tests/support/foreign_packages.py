@@ -18,35 +18,31 @@ from tests.support.paths import ROOT
 PREFIX = ROOT / 'build' / 'foreign'
 SITE = f'lib/python{sys.version_info[0]}.{sys.version_info[1]}/site-packages'
 PACKAGES = ('yolo_msgs', 'hri_msgs', 'tf2_msgs')
-# Of the outputs for robots. moveit_msgs is not among them: it needs shape_msgs, which the wheels have apart.
-ROBOT_PACKAGES = ('people_msgs', 'nav2_dynamic_msgs', 'vision_msgs')
 TEXTS: Mapping[str, str] = {**DEFINITIONS, 'tf2_msgs/msg/TFMessage': 'geometry_msgs/TransformStamped[] transforms'}
 
 
-def environment(env: dict[str, str], prefix: Path = PREFIX) -> dict[str, str]:
-    """The same with the packages in it."""
-
+def environment(env: dict[str, str]) -> dict[str, str]:
     def before(name: str, folder: Path) -> dict[str, str]:
         return {name: os.pathsep.join([str(folder), *filter(None, [env.get(name)])])}
 
     return {
         **env,
-        **before('PYTHONPATH', prefix / SITE),
-        **before('LD_LIBRARY_PATH', prefix / 'lib'),
-        **before('AMENT_PREFIX_PATH', prefix),
+        **before('PYTHONPATH', PREFIX / SITE),
+        **before('LD_LIBRARY_PATH', PREFIX / 'lib'),
+        **before('AMENT_PREFIX_PATH', PREFIX),
     }
 
 
-def build(packages: Sequence[str] = PACKAGES, all_texts: Mapping[str, str] = TEXTS, prefix: Path = PREFIX) -> None:
+def build(packages: Sequence[str] = PACKAGES) -> None:
     """Build what is not there yet."""
     env = {**os.environ, 'AMENT_PREFIX_PATH': os.environ.get('AMENT_PREFIX_PATH', sys.prefix)}
     for package in packages:
-        texts = {n.rpartition('/')[2]: t for n, t in all_texts.items() if n.startswith(f'{package}/')}
+        texts = {n.rpartition('/')[2]: t for n, t in TEXTS.items() if n.startswith(f'{package}/')}
         key = hashlib.sha256(repr(sorted(texts.items())).encode()).hexdigest()
-        done = prefix / f'{package}.done'
+        done = PREFIX / f'{package}.done'
         if done.is_file() and done.read_text() == key:
             continue
-        source = prefix / 'src' / package
+        source = PREFIX / 'src' / package
         shutil.rmtree(source, ignore_errors=True)
         (source / 'msg').mkdir(parents=True)
         for name, text in texts.items():
@@ -56,8 +52,8 @@ def build(packages: Sequence[str] = PACKAGES, all_texts: Mapping[str, str] = TEX
             (source / file).write_text(add_dependencies(text, package, texts))
         options = [
             '-DBUILD_TESTING=OFF',
-            f'-DCMAKE_INSTALL_PREFIX={prefix}',
-            f'-DCMAKE_PREFIX_PATH={prefix};{env["AMENT_PREFIX_PATH"].replace(":", ";")}',
+            f'-DCMAKE_INSTALL_PREFIX={PREFIX}',
+            f'-DCMAKE_PREFIX_PATH={PREFIX};{env["AMENT_PREFIX_PATH"].replace(":", ";")}',
             f'-DPYTHON_INSTALL_DIR={SITE}',
             f'-DPython3_EXECUTABLE={sys.executable}',
         ]
@@ -81,7 +77,3 @@ def add_dependencies(text: str, package: str, definitions: Mapping[str, str]) ->
         )
         text = text.replace('DEPENDENCIES geometry_msgs', f'DEPENDENCIES {name} geometry_msgs')
     return text
-
-
-if __name__ == '__main__':
-    build((*PACKAGES, *ROBOT_PACKAGES))

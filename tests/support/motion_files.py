@@ -6,6 +6,7 @@
 from collections.abc import Callable
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mocap_ros.models.model_file import load_base_poses
 
@@ -21,13 +22,7 @@ def make_poses() -> np.ndarray:
 
 
 def rotation_matrix(axis: str, degrees: float) -> np.ndarray:
-    """Return the (3, 3) rotation about the axis x, y or z."""
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    return np.array({
-        'x': [[1, 0, 0], [0, c, -s], [0, s, c]],
-        'y': [[c, 0, s], [0, 1, 0], [-s, 0, c]],
-        'z': [[c, -s, 0], [s, c, 0], [0, 0, 1]],
-    }[axis])  # fmt: skip
+    return Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
 
 
 # A skeleton of two bones, and a motion of two frames.
@@ -84,7 +79,6 @@ lower 0
 
 
 def make_bvh(change: Callable[[str], str]) -> str:
-    """Return a BVH file of one joint and one frame after a change."""
     return change(
         'HIERARCHY\nROOT Hips\n{\nOFFSET 0 0 0\nCHANNELS 3 Zrotation Xrotation Yrotation\nEnd Site\n{\n'
         'OFFSET 0 1 0\n}\n}\nMOTION\nFrames: 1\nFrame Time: 0.1\n1 2 3\n'

@@ -20,6 +20,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.playback import encode_sequence
+from tests.support.camera_infos import camera_info
 from tests.support.message_objects import create_header, encode
 
 STEP_NS = 33_333_333  # between two frames of the demo; 30 Hz
@@ -38,7 +39,6 @@ def encode_demo_frames(count: int) -> list[bytes]:
 
 
 def with_stamp(raw: bytes, stamp_ns: int) -> bytes:
-    """Return a keypoints message with another stamp."""
     message = decode(raw, KEYPOINTS)
     message.header = create_header(Header(stamp_ns, 'camera'))
     return encode(message, KEYPOINTS)
@@ -56,9 +56,15 @@ def write_keypoints_bag(folder: Path, stream: Sequence[bytes], info: bytes = b''
 
 
 def read_messages(bag_path: Path, topic: str) -> list[bytes]:
-    """Return the messages of a topic of a bag."""
     with Bag(bag_path) as bag:
         return [m.raw for m in bag.messages([topic])]
+
+
+def make_calibrated(config: Config = FAST_CONFIG) -> Pipeline:
+    """Return a pipeline that has the CameraInfo."""
+    pipeline = Pipeline(config)
+    pipeline.set_camera_info(camera_info())
+    return pipeline
 
 
 def process(pipeline: Pipeline, raw: bytes) -> tuple[OutputMessage, ...]:
@@ -76,7 +82,6 @@ def reject(pipeline: Pipeline, raw: bytes, verdict: Verdict) -> str:
 
 
 def decode_skeletons(outputs: tuple[OutputMessage, ...]) -> Any:
-    """Return the Skeleton3DArray among the outputs of one frame."""
     return decode({o.topic: o for o in outputs}['skeletons'].data, SKELETONS)
 
 

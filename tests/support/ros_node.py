@@ -153,7 +153,6 @@ class Peer:
         return future.result()
 
     def set_parameter(self, name: str, value: Any) -> Any:
-        """Set a parameter of the node and return the result, which says whether this was successful."""
         from rcl_interfaces.srv import SetParameters
         from rclpy.parameter import Parameter
 
@@ -182,7 +181,6 @@ class Peer:
             assert answer.success
 
     def are_markers_deleted(self) -> bool:
-        """Return whether the last markers delete all markers."""
         return bool(decode(self.received['markers'][-1], MARKERS).markers[0].action == DELETE_ALL)
 
     def wait_for_end(self) -> None:
@@ -222,5 +220,4 @@ def stack_joints(skeletons: Sequence[bytes]) -> np.ndarray:
 
 
 def keypoints_at(seconds: float) -> bytes:
-    """Return the keypoints of a person with this stamp."""
     return with_stamp(encode_demo_frames(1)[0], round(seconds * 1e9))

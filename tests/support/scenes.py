@@ -42,7 +42,6 @@ def make_scene_person(person_id: str, frames: Sequence[int], place: Sequence[flo
 
 
 def make_keypoints(people: Sequence[ScenePerson]) -> SceneKeypoints:
-    """Return keypoints that agree with the people."""
     frames = np.concatenate([person.frames for person in people])
     order = np.argsort(frames, kind='stable')
     points = np.concatenate([person.image for person in people])[order]

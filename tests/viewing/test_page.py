@@ -50,7 +50,6 @@ class ReadPage:
         self._bytes = np.frombuffer(gzip.decompress(base64.b64decode(read_element(page, 'data'))), np.uint8)
 
     def read(self, layout: dict[str, int]) -> np.ndarray:
-        """Return an array (rows, columns) of integers."""
         offset, rows, columns, size = (layout[key] for key in ('offset', 'rows', 'columns', 'size'))
         planes = self._bytes[offset : offset + rows * columns * size].reshape(size, columns, rows)
         steps = sum(planes[plane].astype(np.int64) << 8 * plane for plane in range(size))
