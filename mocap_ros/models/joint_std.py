@@ -53,13 +53,16 @@ def estimate_joint_std(posterior_std: Array, weight: Array, lifter_std: Array, n
     """
     joints = posterior_std.shape[1]
     is_seen, std = weight[:, :joints] > 0, lifter_std[:, :joints]
-    posterior = posterior_std * np.where(is_seen, POSTERIOR_FACTOR_SEEN, POSTERIOR_FACTOR_INFERRED)
     along = LIFTER_FACTOR_SEEN / math.sqrt(VARIANCE_ALONG) * std[..., 2]
     length = np.sqrt((std * std).sum(axis=-1))
     lifted = np.where(
         is_seen, np.hypot(along, NOISE_FACTOR_SEEN * noise[:, None]), LIFTER_FACTOR_INFERRED * length
     )
-    return np.where(np.isfinite(length), lifted, np.hypot(posterior, POSTERIOR_FLOOR_M))
+    is_lifted = np.isfinite(length)
+    if is_lifted.all():
+        return lifted
+    posterior = posterior_std * np.where(is_seen, POSTERIOR_FACTOR_SEEN, POSTERIOR_FACTOR_INFERRED)
+    return np.where(is_lifted, lifted, np.hypot(posterior, POSTERIOR_FLOOR_M))
 
 
 def expect_stature(lengths: Array, skeleton: Skeleton, lifted: LiftedPoses | None, depth: Array) -> float:

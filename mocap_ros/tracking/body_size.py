@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import ConfigError
 from mocap_ros.geometry.level import Floor
-from mocap_ros.models.joint_std import compute_joint_covariance
+from mocap_ros.models.joint_std import VARIANCE_ACROSS, VARIANCE_ALONG
 from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.floor import POSE_SHARE, SIZE_RANGE
@@ -67,6 +67,7 @@ FORGOTTEN_COMMA = re.compile(r'=\s*[\d.]+[\s;]')  # in what should be an id: a h
 HIDDEN_FACTOR = 1.8
 MIN_HIDDEN_SHARE = 1e-6  # 1; less is rounding: without a lifter nothing says what is hidden
 ANKLES = CMU15.index('lankle'), CMU15.index('rankle')
+_IDENTITY = np.eye(3)
 
 
 class BodySize(NamedTuple):
@@ -173,12 +174,11 @@ def estimate_root_covariance(joints: Array, std: Array, noise: Array, sizes: Seq
 
     `std` (P, J) m is that of the joints, `noise` (P,) m that of the image at the body.
     """
-    ratio, share, focal_share = np.array(sizes).T
-    hips = list(HIPS)
-    roots = joints[:, hips].mean(axis=1)
-    covariance = compute_joint_covariance(std[:, hips].mean(axis=1), roots)
-    covariance += noise[:, None, None] ** 2 * np.eye(3)
-    of_size = share[:, None] * roots
-    covariance += of_size[:, :, None] * of_size[:, None]
+    (left, right), (ratio, share, focal_share) = HIPS, np.array(sizes).T
+    roots = (joints[:, left] + joints[:, right]) / 2
+    variance = ((std[:, left] + std[:, right]) / 2) ** 2
+    along = variance * (VARIANCE_ALONG - VARIANCE_ACROSS) / (roots * roots).sum(axis=1) + share * share
+    covariance = along[:, None, None] * (roots[:, :, None] * roots[:, None])
+    covariance += (VARIANCE_ACROSS * variance + noise * noise)[:, None, None] * _IDENTITY
     covariance[:, 2, 2] += (focal_share * roots[:, 2]) ** 2
     return np.asarray(ratio[:, None, None] ** 2 * covariance)
