@@ -21,7 +21,15 @@ def add_frame(
     standing: Array,
 ) -> tuple[Array, float, float, float, float, float]: ...
 def turn_poses(
-    joints: Array, std: Array, upward: Array, vertical: Array, vertical_std: Array, standing: Array, core: int
+    joints: Array,
+    std: Array,
+    upward: Array,
+    vertical: Array,
+    vertical_std: Array,
+    standing: Array,
+    core: int,
+    level_deg: float,
+    last_level_deg: float,
 ) -> Array: ...
 def find_upward(
     joints: Array,
@@ -38,6 +46,9 @@ def find_standing(
     neck: int,
     pelvis: int,
     min_length: float,
+    hands: NDArray[np.int64],
+    head: int,
+    hanging_share: float,
     standing_deg: float,
     seated_deg: float,
 ) -> Array: ...

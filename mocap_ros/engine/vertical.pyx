@@ -61,14 +61,15 @@ def add_frame(
 
 
 def turn_poses(
-    Stack joints, Stack std, Rows upward, Rows vertical, Vector vertical_std, Vector standing, Py_ssize_t core
+    Stack joints, Stack std, Rows upward, Rows vertical, Vector vertical_std, Vector standing, Py_ssize_t core,
+    double level_deg, double last_level_deg,
 ):
     """Return poses (F, J, 3) turned towards the vertical about the horizontal axes of their virtual cameras.
 
-    `std` (F, J, 3); u and v (F, 3) in the same axes; s_v (F,) rad; p (F,).
+    `std` (F, J, 3); u and v (F, 3) in the same axes; s_v (F,) rad; p (F,), which falls to 0 with the angle between.
     """
     cdef Py_ssize_t t, j
-    cdef double angle, spread, radius, lean, turn, cosine, sine
+    cdef double angle, spread, radius, lean, turn, cosine, sine, stands
     result = np.array(joints)
     cdef double[:, :, ::1] out = result
     for t in range(joints.shape[0]):
@@ -83,7 +84,9 @@ def turn_poses(
         lean = LEAN_PER_DEPTH * LEAN_PER_DEPTH * spread / max(radius, 1e-300)
         spread = lean + (BALANCE_STD_DEG * DEGREE) * (BALANCE_STD_DEG * DEGREE) + vertical_std[t] * vertical_std[t]
         turn = angle / (MAX_TURN_DEG * DEGREE)
-        turn = standing[t] * lean / spread * angle / (1 + turn * turn)
+        stands = acos(min(max(dot(&upward[t, 0], &vertical[t, 0]), -1.0), 1.0)) / DEGREE
+        stands = standing[t] * fall(stands, level_deg, last_level_deg)
+        turn = stands * lean / spread * angle / (1 + turn * turn)
         if not isfinite(turn):
             continue
         cosine, sine = cos(turn), sin(turn)
@@ -137,20 +140,25 @@ def find_upward(Stack joints, Vector masses, const long long[:, ::1] sides, Py_s
 
 def find_standing(
     Stack joints, const long long[:, ::1] sides, Py_ssize_t neck, Py_ssize_t pelvis, double min_length,
-    double standing_deg, double seated_deg,
+    const long long[::1] hands, Py_ssize_t head, double hanging_share, double standing_deg, double seated_deg,
 ):
     """Return the shares (N,) to which poses stand.
 
-    PHI_0 and PHI_1 are in degrees; the others are those of `find_upward`.
+    H is `hanging_share`, by the wrists `hands` (2,) and the `head`; PHI_0 and PHI_1 are in degrees; the others are
+    those of `find_upward`.
     """
     cdef Py_ssize_t n, s
-    cdef double[3] trunk, thigh, shank
+    cdef int over
+    cdef double[3] trunk, thigh, shank, reach
     cdef double cosine, of_knee, straighter = 0
     result = np.empty(joints.shape[0])
     cdef double[::1] out = result
     for n in range(joints.shape[0]):
         subtract(joints[n], neck, pelvis, trunk)
+        over = 0
         for s in range(2):
+            subtract(joints[n], hands[s], head, reach)
+            over += dot(reach, trunk) > hanging_share * dot(trunk, trunk)
             subtract(joints[n], sides[s, 1], sides[s, 2], thigh)
             subtract(joints[n], sides[s, 2], sides[s, 3], shank)
             cosine = dot(trunk, thigh) / max(sqrt(dot(trunk, trunk)) * sqrt(dot(thigh, thigh)), min_length)
@@ -159,5 +167,5 @@ def find_standing(
             straighter = cosine if s == 0 or not cosine <= straighter else straighter  # NaN stays
         out[n] = NAN
         if straighter == straighter:
-            out[n] = fall(acos(min(max(straighter, -1.0), 1.0)) / DEGREE, standing_deg, seated_deg)
+            out[n] = fall(acos(min(max(straighter, -1.0), 1.0)) / DEGREE, standing_deg, seated_deg) * (over < 2)
     return result

@@ -13,6 +13,8 @@ of its hip or its knee, whichever is more bent:
 
     share = (PHI_1 - phi) / (PHI_1 - PHI_0), between 0 and 1
 
+Who has both wrists above the head by more than H lengths of the trunk, along it, may hang, and does not stand.
+
 Over the motion capture of training persons half of the angles between u and the vertical are below 3.2 degrees,
 two thirds below 5, and 3 % above 27 (lying, sitting, tumbling).
 """
@@ -43,6 +45,8 @@ _LIMB_SEGMENTS = (
 # PHI_0 and PHI_1, degrees: of those who walk or run, 95 of 100 frames are below the first; on a chair, hips are
 # bent by 70 to 110, of which lifted poses show some 20 less where the thighs point towards the camera.
 STANDING_FLEXION_DEG, SEATED_FLEXION_DEG = 40.0, 60.0
+# 1; H: all who hang have their hands there, and 2 of 100 standing people of training persons
+HANGING_SHARE = 0.3
 MIN_LENGTH = 1e-9  # guards divisions by lengths, far below those of bodies in any unit
 
 
@@ -57,6 +61,8 @@ def _share_masses() -> Array:
 
 MASSES = _share_masses()  # (J,) of all joints of `CMU15`
 _NECK, _PELVIS = (CMU15.joints.index(name) for name in ('neck', 'pelvis'))
+_HEAD = CMU15.joints.index('head')
+_WRISTS = np.array([CMU15.joints.index(side + 'wrist') for side in 'lr'])
 # (2, 4) indices of the joints of the left and of the right side
 _SIDES = np.array([[CMU15.joints.index(s + n) for n in ('shoulder', 'hip', 'knee', 'ankle')] for s in 'lr'])
 
@@ -68,9 +74,13 @@ def find_upward(joints: Array) -> Array:
 
 
 def find_standing(joints: Array) -> Array:
-    """Return the shares (N,) to which poses stand: 1 with a straight leg, 0 if both are bent as on a chair."""
-    poses, limits_deg = np.ascontiguousarray(joints), (STANDING_FLEXION_DEG, SEATED_FLEXION_DEG)
-    return engine.find_standing(poses, _SIDES, _NECK, _PELVIS, MIN_LENGTH, *limits_deg)
+    """Return the shares (N,) to which poses stand.
+
+    It is 1 with a straight leg, 0 if both are bent as on a chair, and 0 if both hands are high above the head.
+    """
+    body = np.ascontiguousarray(joints), _SIDES, _NECK, _PELVIS, MIN_LENGTH
+    hands = _WRISTS, _HEAD, HANGING_SHARE
+    return engine.find_standing(*body, *hands, STANDING_FLEXION_DEG, SEATED_FLEXION_DEG)
 
 
 class Stances(NamedTuple):

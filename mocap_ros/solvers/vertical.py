@@ -29,6 +29,7 @@ Each lifted pose y is then turned about the horizontal axis of its virtual camer
 
     y' = R_x(p g phi / (1 + (phi / B)^2)) y,    g = s_y^2 / (s_y^2 + s_u^2 + s_v^2)
 
+with a p that falls to 0 with the angle between u and v as above, for who lies does not lean.
 s_y = KAPPA sigma_z / r is the standard deviation of the lean of a lifted pose of radius r and depths sigma_z, and
 s_u that of the angle from u to the vertical in true poses. The lifter gets a vertical that is given as well, to
 the share p, but none that was found, which rests on its own poses and makes left-out persons 1 mm worse (the
@@ -220,6 +221,7 @@ def turn_towards_vertical(
         np.ascontiguousarray(std),
         standing,
         CORE_COUNT,
+        *LEVEL_DEG,
     )
     return LiftedPoses(joints, lifted.std)
 

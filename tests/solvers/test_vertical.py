@@ -141,10 +141,13 @@ POSES = {'standing': make_pose((0.4, 0.0), (0.8, 0.0)), 'seated': make_pose((0.0
 def test_thighs_and_trunk_show_who_stands() -> None:
     walking = POSES['standing'].copy()
     walking[CMU15.joints.index('lknee')] = POSES['seated'][CMU15.joints.index('lknee')]  # one leg is raised
-    unknown = np.full((15, 3), np.nan)
-    shares = find_standing(np.stack([*POSES.values(), walking, unknown]))
-    assert shares[:3].tolist() == [1, 0, 1]
-    assert np.isnan(shares[3])
+    unknown, waving = np.full((15, 3), np.nan), POSES['standing'].copy()
+    waving[CMU15.joints.index('lwrist'), 1] = -1.0
+    hanging = waving.copy()
+    hanging[CMU15.joints.index('rwrist'), 1] = -1.0
+    shares = find_standing(np.stack([*POSES.values(), walking, waving, hanging, unknown]))
+    assert shares[:5].tolist() == [1, 0, 1, 1, 0]
+    assert np.isnan(shares[5])
 
 
 def test_the_lifter_gets_a_vertical_for_those_who_stand_alone(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -177,6 +180,8 @@ def test_poses_are_turned_towards_the_vertical_by_how_uncertain_their_depths_are
     assert (turned[0] > 0).all()
     assert (turned[0] < 0.3).all()
     assert ((turned[1] > 0.5) & (turned[1] < 1)).all()
+    lying = Rotation.from_rotvec([1.2, 0, 0]).apply(find_upward(lifted.joints))
+    assert turn_towards_vertical(lifted, lying, np.full(2, 0.03)).joints == pytest.approx(lifted.joints)
 
 
 def test_a_given_vertical_is_never_changed_by_what_people_do(rng: np.random.Generator) -> None:
