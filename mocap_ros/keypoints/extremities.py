@@ -10,13 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.engine import rays as engine
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.left_right import BodySides, exchange_sides
 from mocap_ros.keypoints.rays import convert_to_rays
 from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT
-
-Array = NDArray[np.float64]
 
 _BODY_SIDES = BodySides.of(BODY26)
 

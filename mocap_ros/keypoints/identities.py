@@ -23,8 +23,9 @@ from typing import Generic, NamedTuple
 
 import numpy as np
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
-from mocap_ros.keypoints.association import VELOCITY_SPAN_S, Array, ExpectedPerson, measure_distances
+from mocap_ros.keypoints.association import VELOCITY_SPAN_S, ExpectedPerson, measure_distances
 from mocap_ros.keypoints.matching import (
     GATE,
     GATE_GROWTH_PER_S,

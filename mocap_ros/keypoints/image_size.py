@@ -6,9 +6,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mocap_ros.arrays import Array
+
 ImageSize = tuple[int, int]  # (width, height) in px, (0, 0) where unknown
 
 UNKNOWN_SIZE: ImageSize = (0, 0)  # px

@@ -17,11 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.engine import rays as engine
 from mocap_ros.errors import SkeletonError
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton, canonical_joint_names
-
-Array = NDArray[np.float64]
 
 MIN_TARGET_JOINTS = 4  # joints; the 2x4 camera matrix M has 8 unknowns, and each image point gives 2 equations
 MAX_NAMES_IN_ERROR = 5  # joint names; keeps the error message on one line for layouts with many keypoints

@@ -43,11 +43,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.engine import left_right as engine
 from mocap_ros.keypoints.association import measure_sizes, show_people
 from mocap_ros.skeleton import Skeleton
-
-Array = NDArray[np.float64]
 
 # Parts whose labels a state exchanges together, and the ends of the names of their joints; other joints that exist
 # on both sides, such as eyes, go with the shoulders.

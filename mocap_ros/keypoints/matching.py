@@ -28,11 +28,11 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.association import (
     MIN_SHARED_JOINTS,
     VELOCITY_SPAN_S,
-    Array,
     ExpectedPerson,
     choose_pairs,
     expect_person,

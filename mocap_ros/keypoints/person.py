@@ -7,10 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from mocap_ros.arrays import Array
 
 # Classes of COCO and of pose models for animals, hands, faces and vehicles, whose detections may have keypoints.
 OTHER_CLASSES = frozenset((

@@ -6,14 +6,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.engine import rays as engine
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.skeleton import CMU15, Skeleton
-
-Array = NDArray[np.float64]
 
 
 def convert_to_rays(

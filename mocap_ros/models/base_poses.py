@@ -17,9 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.skeleton import Skeleton
-
-Array = NDArray[np.float64]
 
 ALL_MOTIONS = 'all'  # name of the model that is trained on all motion categories together
 MAX_MODELS = 16  # models whose arrays are kept: the shipped ones, some of them truncated

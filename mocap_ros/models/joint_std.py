@@ -25,12 +25,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.skeleton import Skeleton
-
-Array = NDArray[np.float64]
 
 LIFTER_FACTOR_SEEN = 0.65  # 1, f: factor on the lifter's standard deviations of seen joints, tuned as described
 NOISE_FACTOR_SEEN = 0.9  # 1, n: factor on the image noise for seen joints, tuned likewise

@@ -24,13 +24,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.engine import lifter as engine
 from mocap_ros.models.lifter_input import JOINT_COUNT, MIRROR_PERMUTATION, encode_histories, sample_histories
 from mocap_ros.models.network import Layers, RoundedNetwork
 from mocap_ros.skeleton import CMU15, CORE_COUNT
-
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
 
 LOG_STD_RANGE = -7.0, 1.0  # log of the output unit; bounds standard deviations to 0.001 and 2.7 mean distances
 EPSILON = 1e-9  # guards divisions by sums of weights and logarithms of bone lengths

@@ -21,11 +21,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array, Array32
 from mocap_ros.engine import lifter as engine
 from mocap_ros.skeleton import BODY26, CORE_COUNT
-
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
 
 # s before the newest frame at which a history is sampled; dense for recent frames, sparse for older ones. A lifter
 # can only be used with the slots that it was trained with.

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import ModelError, describe_read_error, suggest
 from mocap_ros.input_file import open_input_file
 from mocap_ros.models.base_poses import BasePoses
@@ -28,9 +28,6 @@ from mocap_ros.models.network import Layers
 from mocap_ros.models.velocity_correction import VelocityCorrection
 from mocap_ros.npz_file import open_npz, write_npz
 from mocap_ros.skeleton import CMU15, Skeleton, keypoint_layout
-
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
 
 AUTO = 'auto'  # value of `tracker.model` that selects all shipped base-pose models
 LEARNED = 'learned'  # value of `solver.prior` that selects the shipped lifter

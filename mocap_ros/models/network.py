@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array32
 from mocap_ros.engine import lifter as engine
 
-Array32 = NDArray[np.float32]
 Codes = NDArray[Any]  # of 8 or 16 bits
 Floats = NDArray[np.floating[Any]]
 Layers = Sequence[tuple[Floats, Floats]]  # weights (in, out) and biases (out,) of layers, one after the other

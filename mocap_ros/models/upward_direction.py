@@ -26,10 +26,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.engine import vertical as engine
 from mocap_ros.skeleton import CMU15
-
-Array = NDArray[np.float64]
 
 # 1; b: how far ahead of the ankles the feet carry the body, over the length of a leg and the trunk: 7 cm at a
 # stature of 1.7 m. 5 and 9 cm are worse on the training persons.

@@ -27,14 +27,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array, Array32
 from mocap_ros.engine import motion as engine
 from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CMU15
-
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
 
 SPANS_S = (1 / 30, 0.1, 0.2, 0.4, 0.8)  # s; over which mean velocities are taken
 # s; one of the `SPANS_S`, of a person's past without which nothing is corrected; training has hardly less

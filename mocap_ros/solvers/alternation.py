@@ -31,6 +31,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import SolverConfig
 from mocap_ros.geometry.weak_perspective import (
     CameraStepObjective,
@@ -46,8 +47,6 @@ from mocap_ros.solvers.window import (
     choose_initial_values,
     interpolate_unseen,
 )
-
-Array = NDArray[np.float64]
 
 MIN_TIME_STEP_S = 1e-4  # s; guards the division by dt; far below the period of any camera
 MIN_BONE_LENGTH_M = 1e-9  # m; guards the division by the length of a bone

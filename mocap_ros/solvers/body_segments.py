@@ -30,11 +30,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.skeleton import CMU15
-
-Array = NDArray[np.float64]
 
 SEGMENT_COUNT = len(CMU15.joints)  # segments, in the order of the core joints at which they begin
 PART_SEGMENTS = np.array(

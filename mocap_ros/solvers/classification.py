@@ -27,8 +27,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import ClassifierConfig, SolverConfig
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint, periodic
@@ -37,8 +37,6 @@ from mocap_ros.solvers.joint.solver import JointReconstruction
 from mocap_ros.solvers.levenberg_marquardt import Stepwise, run_to_end
 from mocap_ros.solvers.periodic.solver import EstimatedPoses, PeriodicReconstruction
 from mocap_ros.solvers.window import InitialValues, Window
-
-Array = NDArray[np.float64]
 
 # Names of the models whose motion can be periodic.
 PERIODIC_CATEGORIES = ('walk', 'run')

@@ -23,13 +23,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.engine import footing as engine
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 from mocap_ros.solvers.observed_window import ObservedWindow
-
-Array = NDArray[np.float64]
 
 HEELS_AND_TOES = tuple(BODY26.index(joint) for joint in ('lheel', 'ltoe', 'rheel', 'rtoe'))
 ANKLES = tuple(BODY26.index(joint) for joint in ('lankle', 'lankle', 'rankle', 'rankle'))  # of these points

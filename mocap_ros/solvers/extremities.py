@@ -50,6 +50,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.engine import extremities as engine
 from mocap_ros.geometry.rotations import rotation_from_vector, vector_from_rotation
 from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT
@@ -57,7 +58,6 @@ from mocap_ros.solvers import body_segments as segments
 from mocap_ros.solvers.body_segments import PART_SEGMENTS, SEGMENT_COUNT, rotation_about
 from mocap_ros.solvers.observed_window import ObservedWindow
 
-Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 EXTREMITIES = BODY26.joints[CORE_COUNT:]

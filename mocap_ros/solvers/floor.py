@@ -30,13 +30,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.geometry.level import MAX_CERTAIN_STD, Floor
 from mocap_ros.models.upward_direction import find_standing
 from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.solvers.contacts import ANKLES, HEELS_AND_TOES
-
-Array = NDArray[np.float64]
 
 # m; h of heels, toes and ankles of training persons where they seem to stand, which is too early and too late
 HEEL_M, TOE_M, ANKLE_M = 0.027, 0.042, 0.083

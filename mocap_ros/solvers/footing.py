@@ -37,15 +37,13 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.engine import footing as engine
 from mocap_ros.keypoints.extremities import join_body
 from mocap_ros.solvers.contacts import FEET, HEELS_AND_TOES, LEGS, NO_ODDS, find_contacts, follow_contacts
 from mocap_ros.solvers.extremities import attach
 from mocap_ros.solvers.observed_window import ObservedWindow
-
-Array = NDArray[np.float64]
 
 ERROR_M, ERROR_PER_NOISE = (0.03, 0.004), (0.5, 0.3)  # m and 1; C_0 and C_1, along the line of sight and across it
 # m and 1; A_0 and A_1, but for tilts; with more, feet slide less and knees are worse

@@ -25,14 +25,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.upward_direction import Stances, find_standing
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import RAY_FOCAL
 from mocap_ros.solvers.vertical import MAX_STEP_S, MEMORY_S, turn_towards_vertical
 from mocap_ros.units import NS_PER_S
-
-Array = NDArray[np.float64]
 
 LOOK_S = 0.1  # s, after which a tracker looks again
 MAX_TILT_DEG = 45.0  # degrees from up or down in the image, within which a body is upright or upside down

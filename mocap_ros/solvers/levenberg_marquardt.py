@@ -16,11 +16,10 @@ from collections.abc import Generator
 from typing import Protocol, TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.engine import joint as engine
 
-Array = NDArray[np.float64]
 Result = TypeVar('Result')
 
 Stepwise: TypeAlias = Generator[None, None, Result]

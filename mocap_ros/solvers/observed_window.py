@@ -21,6 +21,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -49,8 +50,6 @@ from mocap_ros.solvers.window import (
     Window,
     require_camera_frame,
 )
-
-Array = NDArray[np.float64]
 
 # s; the virtual cameras' directions are averaged over it, so that they follow a walk, but not the joints that come
 # and go in single frames

@@ -43,8 +43,8 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
 from mocap_ros.engine import vertical as engine
 from mocap_ros.errors import ConfigError
@@ -52,8 +52,6 @@ from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.models.upward_direction import Stances
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.units import NS_PER_S
-
-Array = NDArray[np.float64]
 
 AUTO, NONE = 'auto', 'none'  # values of `tracker.vertical` besides three numbers
 # Constants of the formulas above; angles in degrees. All were measured on training persons seen by the protocol's

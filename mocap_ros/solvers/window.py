@@ -23,15 +23,13 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.interpolation import find_nearest, interpolate_linearly
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras, fit_cameras_closed_form
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
-
-Array = NDArray[np.float64]
 
 # Four points in general position determine an affine camera: 8 unknowns, 2 equations a point.
 MIN_JOINTS_FOR_CAMERA = 4

@@ -37,8 +37,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import ConfigError
 from mocap_ros.geometry.level import Floor
@@ -47,8 +47,6 @@ from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.floor import POSE_SHARE, SIZE_RANGE
 from mocap_ros.units import NS_PER_S
-
-Array = NDArray[np.float64]
 
 FOCAL_SHARE = 0.2  # 1; usual focal lengths are 0.6 to 0.9 of the longer side of the image, the nominal one is 0.75
 KNOWN_HEIGHT_STD_M = 0.02  # m; of a height that a user stated, shoes and posture included

@@ -35,13 +35,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.engine import motion as engine
 from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CORE_COUNT
-
-Array = NDArray[np.float64]
 
 # State of the filter of a person, of the joints about their centre and of the centre.
 FILTER = np.dtype(

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.geometry.interpolation import central_velocity
 from mocap_ros.models.joint_std import estimate_joint_std
 from mocap_ros.models.model_file import load_velocity_correction
@@ -39,8 +39,6 @@ from mocap_ros.tracking.body_size import BodySize, estimate_root_covariance
 from mocap_ros.tracking.motion_filter import CoreMotion, filter_motion, read_motion
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
-
-Array = NDArray[np.float64]
 
 CORRECTED_STD = 0.7  # 1; f, for two thirds of the errors to be within, of persons in no training as well
 CORRECTION_STD = 0.7  # 1; g, chosen likewise

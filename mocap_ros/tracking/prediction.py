@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.models.model_file import load_motion_predictor
 from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past
 from mocap_ros.people import Person3D, PredictedPerson
@@ -35,8 +35,6 @@ from mocap_ros.tracking.output import (
 )
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
-
-Array = NDArray[np.float64]
 
 VELOCITY_SPAN_S = 0.05  # s; over which the velocity in a gap is a difference: short, and far above rounding
 VELOCITY_STD_M_S = 0.5  # m/s; what the velocity may have changed by in a gap

@@ -25,7 +25,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint
@@ -38,8 +37,6 @@ from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
 from mocap_ros.solvers.joint.solver import WARM_DAMPING, continue_from
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
-
-Array = NDArray[np.float64]
 
 EXTRAPOLATION_SHARE = 0.7  # no unit; share of the last step that is repeated; less than 1 to amplify less noise
 MAX_EXTRAPOLATION_STEPS = 2.0  # steps; limits the extrapolation after missing frames

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.keypoints.extremities import Extremities, exchange_body_sides
@@ -33,8 +34,6 @@ from mocap_ros.tracking.motion_filter import UNFILTERED
 from mocap_ros.tracking.schedule import CheckSchedule
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.units import NS_PER_S
-
-Array = NDArray[np.float64]
 
 
 @dataclass(eq=False)

@@ -20,8 +20,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import Config
 from mocap_ros.errors import FrameDropped
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -51,8 +51,6 @@ from mocap_ros.tracking.refinement import Refinement, refine
 from mocap_ros.tracking.schedule import MIN_CHECK_INTERVAL_S
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
-
-Array = NDArray[np.float64]
 
 CHECK_INTERVAL_S = 0.5  # s; longest interval between checks without a lifter, where models take turns
 # s; shortest `tracker.lag` with which accelerations are limited. The velocity of a frame whose future is unknown

@@ -14,15 +14,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import ModelError
 from mocap_ros.geometry.rotations import centre_poses, fit_heading_rotation, fit_rotation
 from mocap_ros.models.base_poses import BasePoses, mirror_poses
 from mocap_ros.models.model_file import STATURE_RANGE_M
 from mocap_ros.skeleton import CMU15, Skeleton, estimate_stature
-
-Array = NDArray[np.float64]
 
 MAX_ALIGNMENT_PASSES = 50  # passes over the poses in `align_to_mean`; CMU motions need 8 to 16
 ALIGNMENT_TOLERANCE_M = 1e-7  # m; the alignment ends when every coordinate of the mean changes by less

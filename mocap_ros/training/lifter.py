@@ -19,17 +19,15 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import MocapError
 from mocap_ros.models.lifter import LOG_STD_RANGE, OUTPUT_COUNT, Lifter
 from mocap_ros.models.lifter_input import FEATURE_COUNT, JOINT_COUNT
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.training.motion_library import MotionLibrary
 from mocap_ros.training.synthesis import ExampleBatch, ExampleSynthesiser
-
-Array = NDArray[np.float64]
 
 WARM_UP_SHARE = 0.02  # 1, share of the steps in which the learning rate rises
 DECAY_SHARE = 0.25  # 1, share of the steps in which the learning rate falls to zero

@@ -12,11 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import Config
 from mocap_ros.formats.detections import Detections, associate_people, create_person
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints import association
-from mocap_ros.keypoints.association import Array, ExpectedPerson, choose_pairs, measure_distances, measure_sizes
+from mocap_ros.keypoints.association import ExpectedPerson, choose_pairs, measure_distances, measure_sizes
 from mocap_ros.keypoints.identities import EXCHANGED_IDS
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
 from mocap_ros.models import lifter, model_file
 from mocap_ros.models.base_poses import BasePoses
@@ -32,7 +33,7 @@ def shipped() -> Lifter:
 
 
 @pytest.fixture
-def walk(rng: np.random.Generator) -> tuple[lifter.Array, lifter.Array, lifter.Array, lifter.Array]:
+def walk(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
     """Return poses (F, J, 3) in m in the camera's frame, image points in px, weights and times of a motion."""
     walk_model = model_file.load_base_poses('walk')
     t = np.arange(40) / 30
@@ -44,7 +45,7 @@ def walk(rng: np.random.Generator) -> tuple[lifter.Array, lifter.Array, lifter.A
     return poses, PX_PER_M * poses[..., :2] + [400, 300], np.ones(poses.shape[:2]), t
 
 
-def test_lifted_poses_are_accurate(shipped: Lifter, walk: tuple[lifter.Array, ...]) -> None:
+def test_lifted_poses_are_accurate(shipped: Lifter, walk: tuple[Array, ...]) -> None:
     poses, points, weight, times = walk
     lifted = shipped.lift_sequence(points, weight, times)
     core, truth = lifted.select_core(), centre_poses(poses)
@@ -71,7 +72,7 @@ def test_lifted_poses_agree_with_the_formula(shipped: Lifter, rng: np.random.Gen
     assert np.isnan(lifted.joints[1]).all()
 
 
-def test_scale_to_metres_uses_the_bone_lengths(walk: tuple[lifter.Array, ...]) -> None:
+def test_scale_to_metres_uses_the_bone_lengths(walk: tuple[Array, ...]) -> None:
     poses, _, _, times = walk
     nearer = np.exp(times)[:, None, None]
     joints = np.pad(500 * nearer * centre_poses(poses), [(0, 0), (0, JOINT_COUNT - CORE_COUNT), (0, 0)])
@@ -92,7 +93,7 @@ coordinates = st.floats(width=64) | st.sampled_from([0.0, np.nan, np.inf, -np.in
 @given(
     arrays(float, (5, JOINT_COUNT, 2), elements=coordinates), arrays(float, (5, JOINT_COUNT), elements=coordinates)
 )
-def test_any_input_gives_finite_poses_or_nan(points: lifter.Array, weight: lifter.Array) -> None:
+def test_any_input_gives_finite_poses_or_nan(points: Array, weight: Array) -> None:
     with np.errstate(all='ignore'):
         lifted = model_file.load_shipped_lifter().lift_sequence(points, weight, np.arange(5) / 30)
     finite = np.isfinite(lifted.joints).all(axis=(1, 2))
@@ -121,9 +122,6 @@ def test_numpy_and_pytorch_agree(walk_model: BasePoses, rng: np.random.Generator
     other.start_from(folded)
     with torch.no_grad():
         assert other(torch.from_numpy(batch.features)).numpy() == pytest.approx(expected, abs=1e-4)
-
-
-Array = NDArray[np.float64]
 
 
 def make_sequence(

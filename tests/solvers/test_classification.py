@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import ClassifierConfig, Config, SolverConfig
 from mocap_ros.demo.motions import load_motions
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -21,7 +22,7 @@ from mocap_ros.solvers.classification import PeriodicFit, fit_periodic_stepwise,
 from mocap_ros.solvers.leading_prior import MAX_NOISE, MAX_NOISE_RATIO, NEGLIGIBLE_NOISE, explains_as_well
 from mocap_ros.solvers.levenberg_marquardt import run_to_end
 from mocap_ros.solvers.periodic.solver import EstimatedPoses
-from mocap_ros.solvers.window import Array, Window
+from mocap_ros.solvers.window import Window
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.training.fit_base_poses import fit_base_poses
 from tests.support.synthetic_walk import BODY_TO_OPTICAL, make_walk, mpjpe_mm, with_scores

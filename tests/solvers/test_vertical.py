@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import Config, TrackerConfig, with_values
 from mocap_ros.errors import ConfigError
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -23,7 +24,6 @@ from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers import vertical as module
 from mocap_ros.solvers.image_roll import CameraSide, find_camera_roll, find_sides, lift_turned
 from mocap_ros.solvers.vertical import Vertical, find_vertical, read_given_vertical, turn_towards_vertical
-from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.synthetic_walk import make_walk, with_scores
 from tests.support.tracks import CAMERA, STEP_NS, feed

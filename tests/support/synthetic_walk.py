@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mocap_ros.arrays import Array
 from mocap_ros.evaluation.metrics import scale_to_reference
 from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.window import Array, Window
+from mocap_ros.solvers.window import Window
 
 # Rotation from the body frame (x forward, z up) to the optical frame of a camera that looks along x.
 BODY_TO_OPTICAL = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0.0]])

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import Config
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.left_right import BodySides, SwapFilter
@@ -16,7 +17,6 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
-from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.track import Track
 from mocap_ros.tracking.tracker import Tracker
 

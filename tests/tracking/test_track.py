@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mocap_ros.arrays import Array
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.matching import NEW_ID_GATE, NEW_ID_GATE_GROWTH_PER_S, Detection, match_detections
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.models.model_file import load_base_poses
-from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
 from tests.support.synthetic_walk import make_walk

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mocap_ros.tracking.tracker as tracker_module
+from mocap_ros.arrays import Array
 from mocap_ros.config import Config, with_settings
 from mocap_ros.errors import FrameDropped, SkeletonError
 from mocap_ros.geometry.distortion import Distortion
@@ -20,7 +21,6 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CORE_COUNT
-from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.delayed_output import find_delayed_frame, find_oldest_needed_ns
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.synthetic_walk import Walk, make_walk, mpjpe_mm

@@ -17,14 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rotations import rotation_from_vector, vector_from_rotation
 from mocap_ros.models.base_poses import BasePoses, arrange_model
 from mocap_ros.models.lifter import concatenate_lifted
 from mocap_ros.solvers.joint.differences import MIN_TIME_STEP_S
 from mocap_ros.solvers.window import InitialValues, Window
-
-Array = NDArray[np.float64]
 
 MIN_STD_M = 0.01  # m; a smaller standard deviation of the lifter is not believed: its poses are no better
 MIN_TOTAL_WEIGHT = 1e-12  # guards the division by the weights of a frame in which no joint is seen

@@ -29,12 +29,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from mocap_ros.arrays import Array
 
 if TYPE_CHECKING:
     from mocap_ros.solvers.joint.batch import Batch, State
 
-Array = NDArray[np.float64]
 
 CAMERA_FEATURES = 13  # s R[:2], R[:2] and log s
 VERTICAL_FEATURES = (8, 11)  # of the camera: the image of the body's z axis

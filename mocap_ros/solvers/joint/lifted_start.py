@@ -13,16 +13,14 @@ weights are found in turn, `ALTERNATIONS` times.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.engine import joint as engine
 from mocap_ros.geometry.interpolation import find_nearest
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses, arrange_model
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.window import InitialValues
-
-Array = NDArray[np.float64]
 
 ALTERNATIONS = 4  # rounds of cameras and weights; two give the same results, six no better ones (training persons)
 

@@ -36,6 +36,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint as engine
 from mocap_ros.models.base_poses import BasePoses
@@ -43,8 +44,6 @@ from mocap_ros.solvers.joint.batch import Batch, State
 from mocap_ros.solvers.joint.objective import JointObjective, measure_activities, read_state, weigh_motion
 from mocap_ros.solvers.levenberg_marquardt import Stepwise, minimise_stepwise
 from mocap_ros.solvers.window import Window
-
-Array = NDArray[np.float64]
 
 # m, least noise of each round; each about half the one before, so that the residual can follow
 COARSE_NOISE_M = (0.05, 0.025, 0.012)  # rounds on some frames and base poses

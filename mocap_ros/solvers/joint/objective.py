@@ -17,8 +17,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint as engine
 from mocap_ros.models.base_poses import MAX_MODELS, BasePoses, arrange_model
@@ -35,8 +35,6 @@ from mocap_ros.solvers.joint.differences import (
     measure_activity,
     weigh_velocity_change,
 )
-
-Array = NDArray[np.float64]
 
 NOISE_REFERENCE = 0.01  # m; image noise at the body for which the weights in the configuration are given
 LASTING_S = 1 / 30  # s; frames that are nearer have the same errors, for which weights were tuned at this rate

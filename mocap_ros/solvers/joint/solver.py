@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint as engine
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
@@ -40,8 +41,6 @@ from mocap_ros.solvers.window import (
     interpolate_unseen,
     reverse_depth,
 )
-
-Array = NDArray[np.float64]
 
 WARM_DAMPING = 1e-2  # first damping from the solution of the last frame; tuned on live walks and runs
 

@@ -17,11 +17,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import SolverConfig
-
-Array = NDArray[np.float64]
 
 MIN_CADENCE_HZ = 0.5  # Hz, full cycles; the slowest walk, as `ClassifierConfig.walk_cadence`
 MAX_CADENCE_HZ = 2.2  # Hz, full cycles; about that of a sprint

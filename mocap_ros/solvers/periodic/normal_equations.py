@@ -34,13 +34,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.linalg import LinAlgError
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.engine import block_banded, joint
 from mocap_ros.engine import periodic as engine
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
-
-Array = NDArray[np.float64]
 
 COUPLED_FRAMES = 2  # next frames with which each camera is coupled: acceleration compares three
 # Added to diagonals that are factorised; both are far below the information of a single seen joint.

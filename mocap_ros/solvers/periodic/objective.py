@@ -21,8 +21,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint as engine
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, fill_camera_jacobian
@@ -38,8 +38,6 @@ from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.periodic.fourier import FourierSeries, variance_shares
 from mocap_ros.solvers.periodic.normal_equations import PeriodicEquations, Step
 from mocap_ros.solvers.window import Window
-
-Array = NDArray[np.float64]
 
 # Properties of walks and runs.
 MODEL_ERROR = 0.01  # m; error of a coordinate from what a periodic motion cannot explain, added to the image noise

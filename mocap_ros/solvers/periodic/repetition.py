@@ -18,12 +18,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.geometry.interpolation import interpolate_linearly
 from mocap_ros.solvers.periodic.fourier import MAX_CADENCE_HZ, MIN_CADENCE_HZ, MIN_CYCLES
-
-Array = NDArray[np.float64]
 
 NEWEST_S = 0.4  # s; most of a step of a walk: half of it shows that something else has begun
 SAMPLE_STEP_S = 1 / 15  # s; at which a motion is compared, often enough for a run

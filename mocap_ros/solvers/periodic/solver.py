@@ -26,8 +26,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.linalg import LinAlgError
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import SolverConfig
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rotations import fit_rotation
@@ -50,8 +50,6 @@ from mocap_ros.solvers.periodic.fourier import FourierSeries, fit_initial_series
 from mocap_ros.solvers.periodic.normal_equations import PeriodicEquations
 from mocap_ros.solvers.periodic.objective import PeriodicObjective, Point, rotations_about_vertical
 from mocap_ros.solvers.window import InitialValues, Reconstruction, SolverStatus, Window
-
-Array = NDArray[np.float64]
 
 MAX_INITIAL_ITERATIONS = 12  # steps of the joint solver for initial values; a coarse result is sufficient
 NOISE_ROUNDS = 2  # estimates of the image noise, each after a minimisation under the last estimate
