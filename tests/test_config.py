@@ -16,9 +16,8 @@ SHIPPED = Path(__file__).parents[1] / 'config' / 'mocap_ros.yaml'
 
 
 def test_shipped_parameter_file_holds_the_defaults() -> None:
-    assert SHIPPED.read_text(encoding='utf-8') == to_yaml(Config(), shows_all=False), (
-        'run: mocap-ros config > config/mocap_ros.yaml'
-    )
+    shipped = SHIPPED.read_text(encoding='utf-8')
+    assert shipped == to_yaml(Config(), shows_all=False), 'run: mocap-ros config > config/mocap_ros.yaml'
 
 
 def test_every_parameter_is_described_and_its_default_is_valid() -> None:

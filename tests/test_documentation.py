@@ -71,6 +71,5 @@ def test_every_number_among_the_constants_has_a_comment(module: Path) -> None:
             continue
         inside = any('#' in line for line in lines[node.lineno - 1 : node.end_lineno])
         block = '\n'.join(lines[: node.lineno - 1]).rpartition('\n\n')[2]
-        assert inside or block.startswith('#') or lines[node.lineno - 2].startswith('#'), (
-            f'{module.name}:{node.lineno}: {names[0]} has neither unit nor reason'
-        )
+        is_commented = inside or block.startswith('#') or lines[node.lineno - 2].startswith('#')
+        assert is_commented, f'{module.name}:{node.lineno}: {names[0]} has neither unit nor reason'

@@ -114,9 +114,7 @@ def test_the_source_distribution_is_enough_to_set_up_the_package(distributions: 
     (sdist,) = distributions.glob('*.tar.gz')
     with tarfile.open(sdist) as archive:
         held = {name.partition('/')[2] for name in archive.getnames()}
-    needed = [
-        path for folder in ('msg_defs', 'config/env') for path in (ROOT / folder).rglob('*') if path.is_file()
-    ]
+    needed = [p for folder in ('msg_defs', 'config/env') for p in (ROOT / folder).rglob('*') if p.is_file()]
     assert {path.relative_to(ROOT).as_posix() for path in needed} - held == set()
     assert {'Makefile', 'CHANGELOG.md', 'LICENSE', 'colcon_defaults.yaml'} <= held
 
@@ -194,10 +192,8 @@ def test_both_packages_have_the_same_version() -> None:
 @pytest.mark.parametrize('message', MESSAGES, ids=lambda path: path.stem)
 def test_every_message_field_is_commented(message: Path) -> None:
     lines = ['', *message.read_text(encoding='utf-8').splitlines()]
-    uncommented = [
-        line for above, line in pairwise(lines) if line and '#' not in line and not above.startswith('#')
-    ]
-    assert not uncommented
+    bare = [line for above, line in pairwise(lines) if line and '#' not in line and not above.startswith('#')]
+    assert not bare
 
 
 def test_message_definitions_in_the_package_link_to_their_only_home() -> None:

@@ -13,7 +13,6 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mocap_ros.bags.journal import Entry, Verdict, decode_entry, encode_entry
@@ -118,9 +117,8 @@ def test_paths_that_are_no_bags_are_refused(tmp_path: Path) -> None:
 def test_the_files_say_how_a_bag_is_stored(tmp_path: Path, storage: StoragePlugin, identifier: str) -> None:
     write_foreign(tmp_path / 'bag', 'yolo_msgs', storage)
     metadata = tmp_path / 'bag' / METADATA
-    metadata.write_text(
-        re.sub(r'storage_identifier: .*', f'storage_identifier: {identifier}', metadata.read_text())
-    )
+    text = re.sub(r'storage_identifier: .*', f'storage_identifier: {identifier}', metadata.read_text())
+    metadata.write_text(text)
     with Bag(tmp_path / 'bag') as bag:
         assert len(list(bag.messages(bag.topics))) == 3
 
@@ -133,7 +131,7 @@ def write_foreign(
     msgtype = YOLO_DETECTIONS.replace('yolo_msgs', package)
     text = typestore().generate_msgdef(YOLO_DETECTIONS)[0].replace('yolo_msgs', package).replace(*edit)
     store.register(get_types_from_msg(text, msgtype))
-    with Rosbag2Writer(folder, version=9, storage_plugin=storage) as writer:
+    with Writer(folder, version=9, storage_plugin=storage) as writer:
         connection = writer.add_connection('/yolo/tracking', msgtype, typestore=store)
         for frame in range(3):
             raw = make_converter(typestore(), store, YOLO_DETECTIONS, msgtype)(encode_yolo(frame))
@@ -167,11 +165,8 @@ def test_a_bag_of_several_detectors_requires_a_choice(tmp_path: Path) -> None:
     other_topic = '/other/bodies/tracked'
     other_inputs = [(source, raw, topic.replace('/humans', '/other')) for source, raw, topic in make_hri_inputs(0)]
     with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        for msgtype, inputs in (
-            (YOLO_DETECTIONS, make_inputs(YOLO_DETECTIONS, 0)),
-            (HRI_SKELETON, make_hri_inputs(0)),
-            (HRI_SKELETON, other_inputs),
-        ):
+        yolo = make_inputs(YOLO_DETECTIONS, 0)
+        for msgtype, inputs in ((YOLO_DETECTIONS, yolo), (HRI_SKELETON, make_hri_inputs(0) + other_inputs)):
             for source, raw, topic in inputs:
                 recorder.write(topic, list_input_types(msgtype)[source], raw, 1, 1)
     with Bag(tmp_path / 'bag') as bag:
@@ -179,9 +174,8 @@ def test_a_bag_of_several_detectors_requires_a_choice(tmp_path: Path) -> None:
             find_people_topics(bag)
         assert find_people_topics(bag, '/keypoints') == {'/keypoints': Source.KEYPOINTS}
         assert find_people_topics(bag, other_topic) == {topic: source for source, _, topic in other_inputs}
-        with pytest.raises(
-            InputError, match=r'no topic /yolo of .*hri_msgs/msg/Skeleton2D; the bag has /keypoints'
-        ):
+        reason = r'no topic /yolo of .*hri_msgs/msg/Skeleton2D; the bag has /keypoints'
+        with pytest.raises(InputError, match=reason):
             find_people_topics(bag, '/yolo')
 
 
@@ -202,32 +196,23 @@ def test_an_unknown_type_is_refused() -> None:
 
 
 def test_journal_entries_round_trip() -> None:
-    parameters: dict[str, Value] = {
-        'solver.components': 20,
-        'tracker.model': 'all',
-        'solver.tolerance': 1e-05,
-        'x': True,
-    }
-    for entry in (
-        Entry('input', 3, Verdict.BACKLOG, 'late', '/keypoints'),
-        Entry('parameters', 0, parameters=parameters),
-    ):
+    parameters: dict[str, Value] = {'a.components': 20, 'tracker.model': 'all', 'a.tolerance': 1e-05, 'x': True}
+    backlog = Entry('input', 3, Verdict.BACKLOG, 'late', '/keypoints')
+    for entry in (backlog, Entry('parameters', 0, parameters=parameters)):
         assert decode_entry(encode_entry(entry)) == entry
 
 
 FRAMES = 120  # enough for several chunks and, with a limit of 1 s, several files
 CHUNK_SECONDS = 0.25  # s, time after which a chunk is closed
 MAX_FRAMES_PER_CHUNK = 9  # frames in `CHUNK_SECONDS`
-MESSAGES = [  # one message for each frame
-    encode_keypoints(Header(i * STEP_NS, f'frame {i}'), (640, 480), []) for i in range(FRAMES)
-]
+MESSAGES = [encode_keypoints(Header(i * STEP_NS, f'frame {i}'), (640, 480), []) for i in range(FRAMES)]
+ATTACHMENT = Attachment('a.txt', 'text/plain', b'kept')
 
 
 def write_chunks(folder: Path, compression: str = 'zstd') -> bytes:
     """Write a bag with all messages and an attachment; return the content of its file."""
-    attachment = Attachment('a.txt', 'text/plain', b'kept')
     config = RecorderConfig(compression=compression, chunk_seconds=CHUNK_SECONDS)
-    with Recorder(folder, config, [attachment]) as recorder:
+    with Recorder(folder, config, [ATTACHMENT]) as recorder:
         for i, raw in enumerate(MESSAGES):
             recorder.write('/keypoints', KEYPOINTS, raw, i * STEP_NS + 1, i * STEP_NS)
     return (folder / f'{folder.name}_0.mcap').read_bytes()
@@ -298,16 +283,13 @@ def test_a_flipped_bit_loses_at_most_a_chunk_and_is_always_reported(tmp_path: Pa
         assert len(missing) <= MAX_FRAMES_PER_CHUNK
         assert missing == list(range(missing[0], missing[-1] + 1) if missing else [])
         counted = [loss for loss in losses if loss.endswith('messages are missing')]
-        assert [loss.rpartition(': ')[2] for loss in counted] == (
-            [f'{len(missing)} of {FRAMES} messages are missing'] if missing else []
-        )
+        expected = [f'{len(missing)} of {FRAMES} messages are missing'] if missing else []
+        assert [loss.rpartition(': ')[2] for loss in counted] == expected
 
 
 def test_attachments_and_qos_are_recovered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bag = tmp_path / 'bag'
-    with Recorder(
-        bag, RecorderConfig(split_seconds=1.0), [Attachment('a.txt', 'text/plain', b'kept')]
-    ) as recorder:
+    with Recorder(bag, RecorderConfig(split_seconds=1.0), [ATTACHMENT]) as recorder:
         recorder.declare_topic('/keypoints', KEYPOINTS, latched=True)
         for i, raw in enumerate(MESSAGES):
             recorder.write('/keypoints', KEYPOINTS, raw, i * STEP_NS + 1, i * STEP_NS)
@@ -347,8 +329,7 @@ def read_files(bag: Path) -> list[tuple[list[tuple[str, int, int, bytes]], list[
 @pytest.mark.parametrize('split_seconds', [0.0, 1800.0])
 def test_a_recovered_bag_has_the_files_and_messages_of_the_other(tmp_path: Path, split_seconds: float) -> None:
     """Also of a long recording, and with messages of a latched topic that further files repeat by their keys."""
-    attachment = Attachment('a.txt', 'text/plain', b'kept')
-    with Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=split_seconds), [attachment]) as recorder:
+    with Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=split_seconds), [ATTACHMENT]) as recorder:
         recorder.declare_topic('/latched', SKELETON_DEFINITION, latched=True)
         for key in 'ab':
             recorder.write('/latched', SKELETON_DEFINITION, key.encode(), 0, 0, frozenset(key))
@@ -367,14 +348,8 @@ def test_every_chunk_behind_a_damaged_start_is_recovered(tmp_path: Path, is_cut:
     first_chunk = find_chunks(tmp_path / 'bag')[0][0]
     if is_cut:
         data = data[: find_chunks(tmp_path / 'bag')[-1][1]]
-    for number, damaged in enumerate(
-        (
-            bytes([data[0], data[1] ^ 1]) + data[2:],
-            bytes(first_chunk) + data[first_chunk:],
-            data[first_chunk:],
-            data[first_chunk - 4 :],
-        )
-    ):
+    flipped, zeroed = bytes([data[0], data[1] ^ 1]) + data[2:], bytes(first_chunk) + data[first_chunk:]
+    for number, damaged in enumerate((flipped, zeroed, data[first_chunk:], data[first_chunk - 4 :])):
         frames, losses = recover_frames(damaged, tmp_path / str(number))
         assert frames == list(range(FRAMES))
         assert any(loss.endswith(': its first 8 bytes are not those of an MCAP file') for loss in losses)
@@ -446,17 +421,13 @@ def test_nothing_is_recovered_into_the_damaged_bag(tmp_path: Path, *, has_metada
 def test_paths_without_messages_are_refused_and_leave_no_bag(tmp_path: Path) -> None:
     (tmp_path / 'empty').mkdir()
     os.mkfifo(tmp_path / 'pipe.mcap')
-    (tmp_path / 'x.mcap').write_bytes(b'')
-    (tmp_path / 'y.mcap').write_bytes(MAGIC + bytes(500))
-    (tmp_path / 'z.mcap').write_bytes(random.Random(4).randbytes(1_000_000))
-    for name, reason in {
-        'empty': 'no bag folder',
-        'none.mcap': 'No such file',
-        'x.mcap': 'no MCAP',
-        'y.mcap': 'cut off at byte 8: 500 bytes are no complete record',
-        'z.mcap': 'no MCAP file',
-        'pipe.mcap': 'not a file',
-    }.items():
+    contents = {'x': b'', 'y': MAGIC + bytes(500), 'z': random.Random(4).randbytes(1_000_000)}
+    for name, content in contents.items():
+        (tmp_path / f'{name}.mcap').write_bytes(content)
+    reasons = {'empty': 'no bag folder', 'none.mcap': 'No such file', 'pipe.mcap': 'not a file'}
+    reasons |= {'y.mcap': 'cut off at byte 8: 500 bytes are no complete record', 'z.mcap': 'no MCAP file'}
+    reasons['x.mcap'] = 'no MCAP'
+    for name, reason in reasons.items():
         with pytest.raises(InputError, match=f'{name}.*{reason}'):
             recover(tmp_path / name, tmp_path / 'out')
         assert not list(tmp_path.glob('out*'))
@@ -465,9 +436,7 @@ def test_paths_without_messages_are_refused_and_leave_no_bag(tmp_path: Path) -> 
 @pytest.mark.parametrize('storage', [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 @pytest.mark.parametrize('mode', [CompressionMode.MESSAGE, CompressionMode.FILE])
 @pytest.mark.parametrize('is_killed', [False, True])
-def test_bags_that_rosbag2_compressed_are_recovered(
-    tmp_path: Path, storage: StoragePlugin, mode: CompressionMode, is_killed: bool
-) -> None:
+def test_compressed_bags(tmp_path: Path, storage: StoragePlugin, mode: CompressionMode, is_killed: bool) -> None:
     writer = Writer(tmp_path / 'bag', version=9, storage_plugin=storage)
     writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer:

@@ -36,6 +36,7 @@ from mocap_ros.messages.skeletons import SKELETON_DEFINITION
 from mocap_ros.units import NS_PER_S
 from tests.support.bag_writing import DEFINITION, FRAMES, START_NS, STEP_NS, Message, make_keypoints, write_bag
 from tests.support.paths import ROOT
+from tests.support.pipeline_inputs import read_messages
 
 # Imports of the code that `run_in_subprocess` runs.
 PRELUDE = """
@@ -66,13 +67,11 @@ def test_a_killed_recording_loses_no_more_than_a_chunk(tmp_path: Path) -> None:
     bag = tmp_path / 'bag'
     max_lost = RecorderConfig().chunk_seconds * 1e9 / STEP_NS + 1
     for path in (bag, bag / 'bag_0.mcap'):
-        with pytest.raises(
-            InputError, match=rf'{path.name}: the recording was cut off .*`mocap-ros recover {path}`'
-        ):
+        message = rf'{path.name}: the recording was cut off .*`mocap-ros recover {path}`'
+        with pytest.raises(InputError, match=message):
             Bag(path)
         report = recover(path, tmp_path / f'{path.name}_whole')
-        with Bag(tmp_path / f'{path.name}_whole') as whole:
-            read = [m.raw for m in whole.messages(['/keypoints'])]
+        read = read_messages(tmp_path / f'{path.name}_whole', '/keypoints')
         assert FRAMES - max_lost <= len(read) == report.messages['/keypoints']
         assert read == [make_keypoints(i) for i in range(len(read))]
 
@@ -100,15 +99,13 @@ def test_a_full_disk_is_one_error_and_the_bag_is_readable(tmp_path: Path, limit:
     assert lines == [f'{bag}: File too large{advice}', f'{bag}: the recording is closed']
     assert completed.stderr == ''
     if is_finished:
-        with Bag(bag) as whole:
-            read = [m.raw for m in whole.messages(['/keypoints'])]
+        read = read_messages(bag, '/keypoints')
         with (bag / 'bag_0.mcap').open('rb') as file:
             reader = make_reader(file, validate_crcs=True)
             assert [m.data for _, _, m in reader.iter_messages()] == read
     else:  # the disk has no space for the index
         recover(bag, tmp_path / 'whole')
-        with Bag(tmp_path / 'whole') as whole:
-            read = [m.raw for m in whole.messages(['/keypoints'])]
+        read = read_messages(tmp_path / 'whole', '/keypoints')
     assert len(read) * 340 > limit - 5000
     assert read == [make_keypoints(i) for i in range(len(read))]
 
@@ -120,9 +117,8 @@ def test_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pyt
     recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS, START_NS)
     recorder.flush()
     recorder.write('/keypoints', KEYPOINTS, make_keypoints(1), START_NS, START_NS)
-    with pytest.raises(
-        RecordingError, match=r'bag: the disk has 199 MB left, less than recorder\.min_free_mb \(200\)'
-    ):
+    message = r'bag: the disk has 199 MB left, less than recorder\.min_free_mb \(200\)'
+    with pytest.raises(RecordingError, match=message):
         recorder.flush()
     with Bag(tmp_path / 'bag') as bag:
         assert bag.count(['/keypoints']) == 2
@@ -165,11 +161,8 @@ def test_a_removed_recording_is_an_error(tmp_path: Path, removed: str, end: str)
     recorder = Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=1.0))
     recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS, START_NS)
     message = ('/keypoints', KEYPOINTS, make_keypoints(1), START_NS + 10**9, START_NS)
-    ends: dict[str, Callable[[], None]] = {
-        'flush': recorder.flush,
-        'close': recorder.close,
-        'split': lambda: recorder.write(*message),
-    }
+    ends: dict[str, Callable[[], None]] = {'flush': recorder.flush, 'close': recorder.close}
+    ends['split'] = lambda: recorder.write(*message)
     shutil.move(tmp_path / removed, tmp_path / 'moved')
     with pytest.raises(RecordingError, match=r'bag_0\.mcap: the file was removed or moved while it was written$'):
         ends[end]()

@@ -56,12 +56,8 @@ def read_outputs(path: Path) -> list[BagMessage]:
 @pytest.fixture(scope='module')
 def client() -> Iterator[Any]:
     """A client of a cluster in this process, with two workers."""
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=':0'
-        ) as local,
-        distributed.Client(local) as connected,
-    ):
+    options = {'n_workers': 2, 'threads_per_worker': 1, 'processes': False, 'dashboard_address': ':0'}
+    with distributed.LocalCluster(**options) as local, distributed.Client(local) as connected:
         yield connected
 
 
@@ -135,8 +131,8 @@ def test_the_command_gives_the_bags_of_plain_replays_and_goes_on_where_it_stoppe
 def test_only_what_changed_is_done_again(client: Any, tmp_path: Path) -> None:
     """What decides is the content of the recording, the settings and whether the result is there; no time."""
     corpus, out = write_corpus(tmp_path / 'in', {'a': 8, 'b': 8, 'c': 8, 'd': 8}), tmp_path / 'out'
-    assert set(statuses(run(client, corpus, out)).values()) == {'done'}
-    assert set(statuses(run(client, corpus, out)).values()) == {'done before'}
+    for status in ('done', 'done before'):
+        assert set(statuses(run(client, corpus, out)).values()) == {status}
     for path in corpus.rglob('*'):
         os.utime(path, (0, 0))
     (name,) = (corpus / 'b').glob('*.mcap')
@@ -239,10 +235,8 @@ def test_a_worker_that_is_killed_costs_its_bags_one_more_try(tmp_path: Path) -> 
 
 def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, 'CONNECT_SECONDS', 0.5)
-    with (
-        pytest.raises(MocapError, match=r'^tcp://127.0.0.1:9: no scheduler answers'),
-        cluster.connect('tcp://127.0.0.1:9'),
-    ):
+    message = r'^tcp://127.0.0.1:9: no scheduler answers'
+    with pytest.raises(MocapError, match=message), cluster.connect('tcp://127.0.0.1:9'):
         pass
 
 

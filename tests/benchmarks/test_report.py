@@ -34,9 +34,7 @@ def test_records_are_grouped_and_crossed_in_the_order_in_which_they_appear() -> 
     assert cross([], 'detector', 'way', len) == (['detector'], [])
 
 
-def test_a_run_leaves_the_tables_of_pages_and_its_results(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_leaves_tables_of_pages_and_its_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     report = Report(argparse.Namespace(json=tmp_path / 'a' / 'found.json'), {'machine': 'm'})
     report.table(['a', 'b'], [[1, 0.5]], 'Title', page='page.one')
     report.rows('Rows', [{'x': 1}, {'y': None}])
@@ -108,13 +106,9 @@ def test_numbers_of_the_readme_are_those_of_a_cell(root: Path, monkeypatch: pyte
     figures.take_in(root)
     monkeypatch.setattr('common.ROOT', root)
     assert find_numbers('one', 'this project', 'fixed: walk') == [0.25, 5.0]
-    for cell in (
-        ('two', 'this project', 'fixed: walk'),
-        ('one', 'nobody', 'fixed: walk'),
-        ('one', 'another', 'fixed: walk'),
-    ):
-        with pytest.raises(ValueError, match=f'table {cell[0]}, row {cell[1]}'):
-            find_numbers(*cell)
+    for table, row in (('two', 'this project'), ('one', 'nobody'), ('one', 'another')):
+        with pytest.raises(ValueError, match=f'table {table}, row {row}'):
+            find_numbers(table, row, 'fixed: walk')
 
 
 def test_every_benchmark_has_a_file_and_every_table_a_command() -> None:
@@ -141,12 +135,10 @@ def test_bags_survive_kills_and_failing_disks(tmp_path: Path) -> None:
     """In a process of its own, because it forks."""
     found, bags = tmp_path / 'found.json', tmp_path / 'bags'
     bags.mkdir()
-    command = [sys.executable, '-c', CAMPAIGN, str(bags), str(found)]
-    completed = subprocess.run(
-        command, cwd=ROOT / 'benchmarks', capture_output=True, text=True, check=False, timeout=300
-    )
-    assert completed.returncode == 0, completed.stderr
+    words = [sys.executable, '-c', CAMPAIGN, str(bags), str(found)]
+    done = subprocess.run(words, cwd=ROOT / 'benchmarks', capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
     results = json.loads(found.read_text())
-    assert results['kills'] == [''] * 4, completed.stdout
+    assert results['kills'] == [''] * 4, done.stdout
     assert results['steps'] > 30
-    assert results['wrong'] == 0, completed.stdout
+    assert results['wrong'] == 0, done.stdout

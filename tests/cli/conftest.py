@@ -25,8 +25,6 @@ def short_recording(recording: Path, tmp_path: Path) -> Path:
     whole = load_sequence(recording)
     assert whole.truth is not None
     truth = GroundTruth(whole.truth.joints[:20], whole.truth.joint_names)
-    path = tmp_path / '$x^{_$.npz'
-    save_sequence(
-        path, replace(whole, keypoints=whole.keypoints[:20], timestamps=whole.timestamps[:20], truth=truth)
-    )
+    path, keypoints = tmp_path / '$x^{_$.npz', whole.keypoints[:20]
+    save_sequence(path, replace(whole, keypoints=keypoints, timestamps=whole.timestamps[:20], truth=truth))
     return path

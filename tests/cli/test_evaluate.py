@@ -21,9 +21,7 @@ from mocap_ros.runtime.playback import encode_sequence
 from tests.support.pipeline_inputs import FAST_CONFIG, make_calibrated
 
 
-def test_evaluate_prints_a_table_and_writes_json(
-    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_table_and_the_json(short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / 'e.json'
     assert main(['evaluate', str(short_recording), '--json', str(out)]) == 0
     (record,) = json.loads(out.read_text())
@@ -48,9 +46,8 @@ def test_results_are_compared(short_recording: Path, tmp_path: Path, capsys: pyt
     (solved,) = json.loads((tmp_path / 's.json').read_text())
     for record in json.loads((tmp_path / 'e.json').read_text()):
         assert 'seconds' not in record
-        assert {k: record[k] for k in record if k != 'file'} == pytest.approx(
-            {k: solved[k] for k in solved if k not in ('file', 'seconds')}, rel=1e-4, abs=1e-4
-        )
+        expected = {k: solved[k] for k in solved if k not in ('file', 'seconds')}
+        assert {k: record[k] for k in record if k != 'file'} == pytest.approx(expected, rel=1e-4, abs=1e-4)
     capsys.readouterr()
     for wrong, message in (
         ([names[0]], 'r.npz: holds no truth'),
@@ -66,10 +63,9 @@ def test_results_are_compared(short_recording: Path, tmp_path: Path, capsys: pyt
 def test_times_are_those_of_the_truth(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     whole = load_sequence(recording)
     assert whole.truth is not None
-    truth = GroundTruth(whole.truth.joints[20:60:2], whole.truth.joint_names)
-    part = replace(
-        whole, keypoints=whole.keypoints[20:60:2], timestamps=whole.timestamps[20:60:2] + 4e-4, truth=truth
-    )
+    rows = slice(20, 60, 2)
+    truth = GroundTruth(whole.truth.joints[rows], whole.truth.joint_names)
+    part = replace(whole, keypoints=whole.keypoints[rows], timestamps=whole.timestamps[rows] + 4e-4, truth=truth)
     save_sequence(tmp_path / 'part.npz', part)
     save_sequence(tmp_path / 'late.npz', replace(part, timestamps=part.timestamps + 99))
     np.savez(
@@ -81,10 +77,8 @@ def test_times_are_those_of_the_truth(recording: Path, tmp_path: Path, capsys: p
         residual_px=np.ones(390),
         theta=np.zeros((390, 1)),
     )
-    out = tmp_path / 'e.json'
-    assert (
-        main(['evaluate', str(tmp_path / 'r.npz'), '--truth', str(tmp_path / 'part.npz'), '--json', str(out)]) == 0
-    )
+    out, truth_file = tmp_path / 'e.json', tmp_path / 'part.npz'
+    assert main(['evaluate', str(tmp_path / 'r.npz'), '--truth', str(truth_file), '--json', str(out)]) == 0
     (record,) = json.loads(out.read_text())
     assert (record['frames'], record['failed_frames'], record['fps']) == (20, 5, pytest.approx(15))
     assert record['abs_mpjpe_mm'] == pytest.approx(0, abs=1e-3)
@@ -109,25 +103,19 @@ def test_covariances_in_any_frame(recording: Path, tmp_path: Path, capsys: pytes
     sequence = load_sequence(recording)
     frames = [*encode_sequence(sequence)][:60]
     found = {}
-    for name, values in (
-        ('camera', {}),
-        ('map', {'node.output_frame': 'map', 'node.camera_pose': '3 2 1.5 0.1 0.2 0.7'}),
-    ):
+    in_map = {'node.output_frame': 'map', 'node.camera_pose': '3 2 1.5 0.1 0.2 0.7'}
+    for name, values in (('camera', {}), ('map', in_map)):
         pipeline = make_calibrated(with_values(FAST_CONFIG, {'tracker.vertical': 'none', **values}))  # map has one
         with Recorder(tmp_path / name, RecorderConfig()) as recorder:
             for frame in frames:
-                (skeletons,) = (
-                    o for o in pipeline.feed(Source.KEYPOINTS, frame.raw).outputs if o.topic == 'skeletons'
-                )
+                outputs = pipeline.feed(Source.KEYPOINTS, frame.raw).outputs
+                (skeletons,) = (o for o in outputs if o.topic == 'skeletons')
                 recorder.write('/skeletons', SKELETONS, skeletons.data, frame.stamp_ns, frame.stamp_ns)
         out = tmp_path / f'{name}.json'
         assert main(['evaluate', str(tmp_path / name), '--truth', str(recording), '--json', str(out)]) == 0
         (record,) = json.loads(out.read_text())
         found[name] = {key: record[key] for key in ('joints68', 'joints95', 'roots68', 'roots95', 'mpjpe_mm')}
-        text = capsys.readouterr().out
-        assert (
-            f'{name}: covariances: {100 * record["joints68"]:.0f} and {100 * record["joints95"]:.0f} of 100'
-            in text
-        )
+        shares = [f'{100 * record[key]:.0f}' for key in ('joints68', 'joints95')]
+        assert f'{name}: covariances: {shares[0]} and {shares[1]} of 100' in capsys.readouterr().out
     assert found['map'] == pytest.approx(found['camera'], rel=1e-6)
     assert 0.5 < found['map']['roots95'] <= 1

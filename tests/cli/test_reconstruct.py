@@ -62,7 +62,7 @@ def test_several_files_of_one_reconstruction_agree(short_recording: Path, tmp_pa
     assert moved[0] == pytest.approx(moved[1], abs=1e-5)
 
 
-def test_the_summary_says_that_distances_are_nominal_unless_a_field_of_view_is_given(
+def test_a_summary_tells_the_scale(
     short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / 'r.npz'
@@ -124,9 +124,7 @@ def test_one_who_is_hardly_seen_stops_no_other(tmp_path: Path, capsys: pytest.Ca
     assert '12 detections left out, of which fewer than 6 joints are seen' in capsys.readouterr().err
 
 
-def test_an_option_that_does_nothing_to_a_result_is_refused(
-    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_useless_view_options(short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     result, page = tmp_path / 'result.npz', tmp_path / 'page.html'
     assert main(['reconstruct', str(short_recording), '-o', str(result), *QUICK_OPTIONS]) == 0
     capsys.readouterr()

@@ -82,24 +82,17 @@ def test_a_message_for_sonic_has_the_fields_of_the_protocol() -> None:
     turned = (forward * Rotation.from_quat(turns)).as_quat()
     fields = sonic.convert(joints @ forward.as_matrix().T, turned) | {'frame_index': np.array([7], '<i8')}
     message = sonic.pack(fields)
-    assert len(message) == 2080
-    assert message[:4] == b'pose'
+    assert (len(message), message[:4]) == (2080, b'pose')
     header = json.loads(message[4:1284].rstrip(b'\0'))
-    assert {f['name']: (f['dtype'], f['shape']) for f in header.pop('fields')} == {
-        'joint_pos': ('f32', [1, 29]),
-        'joint_vel': ('f32', [1, 29]),
-        'smpl_joints': ('f32', [1, 24, 3]),
-        'smpl_pose': ('f32', [1, 21, 3]),
-        'body_quat': ('f32', [1, 4]),
-        'frame_index': ('i64', [1]),
-    }
+    shapes = {'joint_pos': [1, 29], 'joint_vel': [1, 29], 'smpl_joints': [1, 24, 3], 'smpl_pose': [1, 21, 3]}
+    expected = {name: ('f32', shape) for name, shape in (shapes | {'body_quat': [1, 4]}).items()}
+    expected['frame_index'] = ('i64', [1])
+    assert {f['name']: (f['dtype'], f['shape']) for f in header.pop('fields')} == expected
     assert header == {'v': 3, 'endian': 'le', 'count': 1}
-    assert Rotation.from_quat(np.roll(fields['body_quat'][0], -1)).as_rotvec() == pytest.approx(
-        forward.as_rotvec()
-    )
-    assert fields['smpl_joints'][0, 15] == pytest.approx(
-        joints[JOINTS.index('head')] - joints[JOINTS.index('pelvis')]
-    )
+    found = Rotation.from_quat(np.roll(fields['body_quat'][0], -1))
+    assert found.as_rotvec() == pytest.approx(forward.as_rotvec())
+    head = joints[JOINTS.index('head')] - joints[JOINTS.index('pelvis')]
+    assert fields['smpl_joints'][0, 15] == pytest.approx(head)
     pose = np.zeros((21, 3))
     pose[15], pose[16] = (0, 0, -np.pi / 2), (0, 0, np.pi / 2)  # SMPL rests with its arms stretched to the sides
     assert fields['smpl_pose'][0] == pytest.approx(pose, abs=1e-6)

@@ -6,7 +6,7 @@
 import io
 import json
 import sqlite3
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -200,16 +200,11 @@ def make_mcaps() -> list[bytes]:
     topic = make_topic('/keypoints', KEYPOINTS)
     qos = {'offered_qos_profiles': encode_yaml([dict(q) for q in topic.qos])}
     plain, *others = CompressionType
-    return [
-        make_mcap(plain),
-        make_mcap(plain, OTHER_VERSION),
-        *(make_mcap(compression, topic.definition, qos) for compression in others),
-    ]
+    compressed = (make_mcap(compression, topic.definition, qos) for compression in others)
+    return [make_mcap(plain), make_mcap(plain, OTHER_VERSION), *compressed]
 
 
-def make_mcap(
-    compression: CompressionType, definition: str = '', metadata: Mapping[str, str] | None = None
-) -> bytes:
+def make_mcap(compression: CompressionType, definition: str = '', metadata: dict[str, str] | None = None) -> bytes:
     has_checksums = compression != CompressionType.NONE
     stream = io.BytesIO()
     writer = McapWriter(
@@ -217,12 +212,8 @@ def make_mcap(
         enable_data_crcs=has_checksums,
     )  # fmt: skip
     writer.start('ros2', 'fuzz')
-    channel = writer.register_channel(
-        '/keypoints',
-        'cdr',
-        writer.register_schema(KEYPOINTS, 'ros2msg', definition.encode()),
-        dict(metadata or {}),
-    )
+    schema = writer.register_schema(KEYPOINTS, 'ros2msg', definition.encode())
+    channel = writer.register_channel('/keypoints', 'cdr', schema, metadata or {})
     for i in range(FRAMES):
         writer.add_message(channel, START_NS + i * STEP_NS, make_keypoints(i), START_NS)
     writer.add_attachment(START_NS, START_NS, 'mocap_ros.yaml', 'text/yaml', b'a: 1')

@@ -116,15 +116,8 @@ def read_npz(data: bytes, folder: Path) -> None:
     """Read an .npz file as everything that it may be."""
     path = folder / 'a.npz'
     path.write_bytes(data)
-    _read_all(
-        (
-            lambda: load_sequence(path),
-            lambda: load_result_file(path),
-            lambda: load_trials(path),
-            lambda: decode_base_poses(data, 'a.npz'),
-            lambda: decode_lifter(data, 'a.npz'),
-        )
-    )
+    files = (partial(load, path) for load in (load_sequence, load_result_file, load_trials))
+    _read_all((*files, *(partial(decode, data, 'a.npz') for decode in (decode_base_poses, decode_lifter))))
 
 
 def read_yaml(data: bytes, folder: Path) -> None:
@@ -133,13 +126,8 @@ def read_yaml(data: bytes, folder: Path) -> None:
     (folder / 'a.yaml').write_text(text, encoding='utf-8', newline='')
     (folder / 'a.npz').write_bytes(b'')
     options = TrialOptions(manifest=folder / 'a.yaml')
-    _read_all(
-        (
-            lambda: from_yaml(text, 'a.yaml'),
-            lambda: load_marker_map(folder / 'a.yaml'),
-            lambda: load_trials(folder / 'a.npz', options),
-        )
-    )
+    files = partial(load_marker_map, folder / 'a.yaml'), partial(load_trials, folder / 'a.npz', options)
+    _read_all((partial(from_yaml, text, 'a.yaml'), *files))
 
 
 def _read_bag(path: Path) -> None:

@@ -141,9 +141,7 @@ def test_the_rotation_to_the_optical_axis_is_the_smallest(x: float, y: float) ->
 
 
 @given(slope, slope, st.floats(-0.6, 0.6), st.floats(-0.6, 0.6))
-def test_rays_of_points_in_front_are_rotated_as_the_points_are(
-    x: float, y: float, right: float, down: float
-) -> None:
+def test_rays_of_points_in_front_are_rotated_as_points_are(x: float, y: float, right: float, down: float) -> None:
     rotation = rotation_to_optical_axis(np.array([[x, y]]))
     ahead = np.array([[[right, down]]])  # in the rotated camera
     point = np.concatenate([ahead, np.ones((1, 1, 1))], axis=-1) @ rotation
@@ -293,9 +291,7 @@ def test_they_compose_and_invert_as_matrices_do(one: int, other: int) -> None:
 
 
 @given(st.integers(0, 2**31), st.integers(0, 2**31), st.floats(0, 1))
-def test_between_two_of_them_the_way_is_straight_and_the_arc_is_the_shortest(
-    one: int, two: int, share: float
-) -> None:
+def test_between_two_of_them_the_way_is_straight_and_the_arc_shortest(one: int, two: int, share: float) -> None:
     (a, a_matrix), (b, b_matrix) = make_transform(one), make_transform(two)
     found = interpolate(a, b, share)
     arc = Slerp([0, 1], Rotation.from_matrix([a_matrix[:3, :3], b_matrix[:3, :3]]))

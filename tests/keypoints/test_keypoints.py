@@ -7,8 +7,8 @@ import re
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import SkeletonError
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -19,8 +19,6 @@ from mocap_ros.keypoints.left_right import PARTS
 from mocap_ros.keypoints.rays import convert_to_rays
 from mocap_ros.keypoints.validation import PointPlaces, mark_unseen
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, LAYOUT_NAMES, keypoint_layout
-
-Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize('name', LAYOUT_NAMES)
@@ -121,9 +119,7 @@ def test_scores_of_a_person_are_divided_by_the_largest_of_those_seen_if_it_excee
         ((640, 340), (320, 180), '100% of the seen keypoints lie outside 320 x 180 px'),
     ],
 )
-def test_places_of_people_show_another_size_of_the_image(
-    place: tuple[float, float], size: tuple[int, int], fault: str
-) -> None:
+def test_people_show_another_size_of_image(place: tuple[float, float], size: tuple[int, int], fault: str) -> None:
     places, offsets = PointPlaces(), np.random.default_rng(0).uniform(-150, 150, (50, 17, 2)) * [0.5, 1.0]
     for points in place + offsets:
         places.add(points, np.ones(17), size)
@@ -218,9 +214,7 @@ PINHOLE = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
         ('shoulders', {'lshoulder', 'leye', 'lear'}),
     ],
 )
-def test_feet_go_with_legs_hands_with_arms_and_the_face_with_the_shoulders(
-    part: str, exchanged: set[str], rng: np.random.Generator
-) -> None:
+def test_feet_hands_and_face_go_with_their_limbs(part: str, exchanged: set[str], rng: np.random.Generator) -> None:
     points, weight = rng.normal(size=(3, 26, 2)), rng.uniform(0.1, 1, (3, 26))
     is_swapped = np.zeros((3, len(PARTS)), bool)
     is_swapped[1, PARTS.index(part)] = True

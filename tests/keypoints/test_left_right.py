@@ -57,9 +57,7 @@ def run_filter(swap_filter: SwapFilter, points: np.ndarray, weight: np.ndarray =
 
 @pytest.mark.parametrize('parts', [WHOLE, LEGS, ARMS])
 @pytest.mark.parametrize(('first', 'last'), [(20, 20), (30, 34), (86, 89)])
-def test_an_injected_swap_is_found_in_its_parts_and_undone(
-    walk: np.ndarray, first: int, last: int, parts: np.ndarray
-) -> None:
+def test_an_injected_swap_is_found_and_undone(walk: np.ndarray, first: int, last: int, parts: np.ndarray) -> None:
     is_swapped = swap_frames(np.arange(first, last + 1), parts)
     disturbed = swap(walk, is_swapped)
     found = find_swapped_parts(TIMES, disturbed, SEEN, SIDES)

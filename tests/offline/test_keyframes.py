@@ -12,8 +12,8 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.bags.reader import is_bag
 from mocap_ros.cli.main import main
 from mocap_ros.config import Config, TrackerConfig, with_settings
@@ -178,9 +178,7 @@ def test_taylors_method_recovers_a_pose(half: BodyHalf) -> None:
     ('forward', 'scale', 'hidden', 'message'),
     [({'lknee'}, None, 0, "'lknee'"), (set(), 1.0, 0, 'scale: 1 px/m .* neck'), (set(), None, 4, 'lwrist')],
 )
-def test_taylors_method_names_the_joint_that_it_refuses(
-    forward: set[str], scale: float | None, hidden: int, message: str
-) -> None:
+def test_taylors_method_names_the_joint(forward: set[str], scale: float | None, hidden: int, message: str) -> None:
     half = split_into_halves()[0]
     points = 100.0 * STANDING[:, :2]
     if hidden:
@@ -208,8 +206,6 @@ def test_malformed_depth_choices_are_refused(tree: object, place: str) -> None:
     with pytest.raises(InputError, match=place):
         parse_depth_choices(tree, 'c.yaml')
 
-
-Array = NDArray[np.float64]
 
 CAMERA = Intrinsics(900.0, (640.0, 360.0), is_focal_known=True)
 MIRROR = list(CMU15.mirror)

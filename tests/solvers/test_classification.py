@@ -40,27 +40,20 @@ def fit_periodic(
 @pytest.fixture(scope='module')
 def fits(walk_model: BasePoses) -> dict[str, PeriodicFit]:
     """A walk, as the periodic model of either category finds it."""
-    return {
-        name: fit_periodic(make_walk(walk_model).window, walk_model, category=name) for name in ('walk', 'run')
-    }
+    window = make_walk(walk_model).window
+    return {name: fit_periodic(window, walk_model, category=name) for name in ('walk', 'run')}
 
 
 @pytest.mark.parametrize('category', ['walk', 'run'])
 @pytest.mark.parametrize('threshold', ['residual', 'amplitude', 'cadence'])
-def test_hysteresis_loosens_every_threshold_of_periodic_motion_and_tightens_it_of_other(
-    fits: dict[str, PeriodicFit], category: str, threshold: str
-) -> None:
+def test_hysteresis_moves_every_threshold(fits: dict[str, PeriodicFit], category: str, threshold: str) -> None:
     fit, other = fits[category], 'run' if category == 'walk' else 'walk'
     limits: dict[str, Any] = {f'{category}_residual': 1.0, 'amplitude': 0.0, f'{category}_cadence': 0.0}
     limits |= {f'{other}_residual': 0.0, f'{other}_cadence': 5.0, 'hysteresis': 1.1}
     values = {'residual': fit.excess_residual, 'amplitude': fit.amplitude, 'cadence': fit.reconstruction.cadence}
     name, value = threshold if threshold == 'amplitude' else f'{category}_{threshold}', values[threshold]
-    for share, was_periodic, expected in (
-        (1.15, True, False),
-        (1.05, True, True),
-        (0.95, False, False),
-        (0.87, False, True),
-    ):
+    cases = (1.15, True, False), (1.05, True, True), (0.95, False, False), (0.87, False, True)
+    for share, was_periodic, expected in cases:
         limits[name] = value / share if threshold == 'residual' else value * share
         assert is_periodic(fit, ClassifierConfig(**limits), was_periodic=was_periodic) is expected
 
@@ -89,9 +82,7 @@ def test_what_a_periodic_motion_does_not_explain_counts(walk_model: BasePoses) -
     assert estimates[1] > 2 * ClassifierConfig().walk_residual
 
 
-def test_what_jitters_does_not_speak_against_a_periodic_motion(
-    walk_model: BasePoses, rng: np.random.Generator
-) -> None:
+def test_what_jitters_does_not_rule_out_a_periodic_motion(walk_model: BasePoses, rng: np.random.Generator) -> None:
     window = make_walk(walk_model).window
     exact = fit_periodic(window, walk_model).reconstruction
     jittering = exact.joints + rng.normal(0, 0.02, exact.joints.shape)
@@ -122,10 +113,8 @@ UNKNOWN = Intrinsics(20_000.0, (320.0, 240.0), is_focal_known=False)  # the scen
 def make_motion(name: str, times: Array = TIMES) -> tuple[Array, BasePoses, Array]:
     """Return poses (F, 15, 3) m of a motion of the demo in the camera's axes, its base poses and keypoints."""
     model, motions = load_motions()
-    base_poses = fit_base_poses(
-        [model.poses(motions[name].sample(TIMES)[:, :-2])], name='own', alignment='heading'
-    )
-    poses = model.poses(motions[name].sample(times)[:, :-2])
+    poses, own = (model.poses(motions[name].sample(t)[:, :-2]) for t in (times, TIMES))
+    base_poses = fit_base_poses([own], name='own', alignment='heading')
     truth = poses @ (BODY_TO_OPTICAL @ rotation_from_vector(np.array([0.0, 0.0, 0.8]))).T
     return truth, base_poses, 200 * truth[..., :2] + [320, 240]
 

@@ -7,17 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
 from mocap_ros.geometry.level import Floor, build_world
 from mocap_ros.offline.whole_sequence import SequenceResult, share_floor
 from mocap_ros.skeleton import BODY26
 from mocap_ros.solvers.floor import HEEL_M, SIZE_RANGE, TOE_M, FloorFit, Stander, fit_floor
 from tests.support.upright_body import UPRIGHT
-
-Array = NDArray[np.float64]
 
 FRAMES, CAMERA_HEIGHT_M = 240, 1.6
 TIMES = np.arange(FRAMES) / 30

@@ -92,9 +92,8 @@ def solve_densely(times: Array, core: Array, feet: Array, contact: Array, expect
 
 
 def check_displaced(core: Array, planted: Array, displacements: Array) -> None:
-    np.testing.assert_allclose(
-        planted[LEGS[:, 0]] - core[LEGS[:, 0]], displacements[:3][None].repeat(2, 0), atol=1e-9
-    )
+    of_hips = displacements[:3][None].repeat(2, 0)
+    np.testing.assert_allclose(planted[LEGS[:, 0]] - core[LEGS[:, 0]], of_hips, atol=1e-9)
     moved = displacements[:3] + displacements[3:].reshape(2, 3)
     np.testing.assert_allclose(planted[LEGS[:, 2]] - core[LEGS[:, 2]], moved, atol=1e-9)
     for leg in LEGS:
@@ -190,12 +189,8 @@ def walk(rate_hz: float = 30.0) -> tuple[Array, ...]:
         joints[:, BODY26.index(joint)] = np.stack([x + 0.6 * swung, 1.0 + lift, 0 * times + 4], axis=1)
     for joint, x in (('rankle', 0.3), ('rheel', 0.25), ('rtoe', 0.5)):
         joints[:, BODY26.index(joint)] = [x, 1.0, 4.0]
-    rays, swings, stands = (
-        joints[..., :2] / joints[..., 2:],
-        (phase > 0.2) & (phase < 0.8),
-        (time > 0.2) & (time < 0.8),
-    )
-    return joints, rays, np.ones(joints.shape[:2]), times, swings, stands
+    swings, stands = (phase > 0.2) & (phase < 0.8), (time > 0.2) & (time < 0.8)
+    return joints, joints[..., :2] / joints[..., 2:], np.ones(joints.shape[:2]), times, swings, stands
 
 
 @pytest.mark.parametrize(
@@ -225,8 +220,7 @@ def test_nothing_is_known_of_a_person_who_is_not_seen() -> None:
     joints, rays, weight, times, _, _ = walk()
     weight[10:, HEELS_AND_TOES[2:]] = 0  # behind a table from then on
     contact = find_contacts(rays, weight, joints, UPWARD, times)
-    assert np.isfinite(contact[:, :2]).all()
-    assert np.isfinite(contact[:30, 2:]).all()
+    assert np.isfinite(np.r_[contact[:, :2], contact[:30, 2:]]).all()
     assert np.isnan(contact[110:, 2:]).all()
     assert np.isnan(find_contacts(0 * rays, 0 * weight, joints * np.nan, UNKNOWN, times)).all()
     assert np.isnan(find_contacts(rays[:1], weight[:1] + 1, joints[:1], UPWARD, times[:1])).all(), 'one frame'
@@ -241,9 +235,8 @@ def test_what_is_known_live_is_what_the_newest_frame_shows(rate_hz: float) -> No
         until = slice(frame + 1)
         cut = rays[until], weight[until], times[until]
         others = Extremities(cut[0][:, 15:].copy(), cut[1][:, 15:].copy())
-        observed: Any = SimpleNamespace(
-            times=cut[2], rays=cut[0][:, :15].copy(), weight=cut[1][:, :15].copy(), extremities=others
-        )
+        seen, weights = (values[:, :15].copy() for values in cut[:2])
+        observed: Any = SimpleNamespace(times=cut[2], rays=seen, weight=weights, extremities=others)
         core = joints[frame, :15].copy()
         footing = Footing.advance(footing, time_s, core, offsets[frame], observed, frame, UPWARD, 0.01)
         found[frame] = footing.contact

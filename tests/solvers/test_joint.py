@@ -120,9 +120,7 @@ def make_dense(problem: engine.JointProblem, batch: Batch) -> np.ndarray:
 
 
 @pytest.mark.parametrize('focal', [math.inf, 300.0])
-def test_normal_matrix_is_that_of_the_residuals(
-    walk_model: BasePoses, rng: np.random.Generator, focal: float
-) -> None:
+def test_normal_matrix_is_that_of_residuals(walk_model: BasePoses, rng: np.random.Generator, focal: float) -> None:
     """J^T J with J by finite differences of every residual, translations eliminated.
 
     What the matrix holds beyond it, the curvature of bones, is positive semidefinite.
@@ -219,9 +217,7 @@ def test_activity_is_the_mean_square_acceleration_nearby(walk_model: BasePoses, 
     np.testing.assert_array_equal(measure_activity(np.ones((2, 3)), few, few), 0.0)
 
 
-def test_acceleration_is_the_second_derivative_at_any_times(
-    walk_model: BasePoses, rng: np.random.Generator
-) -> None:
+def test_acceleration_is_second_derivative_at_any_times(walk_model: BasePoses, rng: np.random.Generator) -> None:
     for times in (np.arange(12) / 10, np.arange(12) / 30, np.cumsum(rng.uniform(0.01, 0.2, 12))):
         factors = weigh_velocity_change(make_batch(walk_model, [times]))
         term = FiniteDifference(np.sqrt(3.0) * factors, np.ones(1))
@@ -289,9 +285,7 @@ def test_reaches_the_alternations_minimum_or_a_lower_one(walk_model: BasePoses) 
 
 
 @pytest.mark.parametrize('scale', [1e-3, 200.0])
-def test_lifted_poses_give_their_weights_and_cameras(
-    walk_model: BasePoses, rng: np.random.Generator, scale: float
-) -> None:
+def test_lifted_poses_give_the_start(walk_model: BasePoses, rng: np.random.Generator, scale: float) -> None:
     theta = 0.1 * walk_model.std * rng.normal(size=(30, len(walk_model.std)))
     rotation = Rotation.random(30, random_state=0).as_matrix()
     poses = scale * walk_model.poses(theta) @ np.swapaxes(rotation, -1, -2)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.distortion import Distortion
@@ -24,8 +24,6 @@ from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import RAY_FOCAL, ObservedWindow, observe_sequence
 from tests.support.swinging_body import make_swinging_body
 from tests.support.synthetic_walk import with_scores
-
-Array = NDArray[np.float64]
 
 FRAMES = 60
 CAMERA = Intrinsics(600.0, (320.0, 240.0), True, 1.05, Distortion('plumb_bob', (-0.1, 0.02, 0.001, -0.001, 0.0)))

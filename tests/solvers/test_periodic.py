@@ -132,9 +132,7 @@ def test_matrix_of_the_cameras_is_that_of_the_squares(walk_model: BasePoses, rng
 
 
 @pytest.mark.parametrize('damping', [0.0, 0.3])
-def test_step_solves_the_equations_in_which_the_cameras_are_not_eliminated(
-    seen: tuple[PeriodicObjective, Point], damping: float
-) -> None:
+def test_step_solves_the_equations_of_all_unknowns(seen: tuple[PeriodicObjective, Point], damping: float) -> None:
     objective, point = seen
     equations = objective.normal_equations(point)
     series, mixed, cameras, _ = dense_matrices(equations)
@@ -148,9 +146,7 @@ def test_step_solves_the_equations_in_which_the_cameras_are_not_eliminated(
     assert found == pytest.approx(expected, rel=1e-4, abs=1e-6 * np.abs(expected).max())
 
 
-def test_counts_and_determinants_are_those_of_the_dense_matrices(
-    seen: tuple[PeriodicObjective, Point],
-) -> None:
+def test_counts_and_determinants_are_those_of_the_dense_matrices(seen: tuple[PeriodicObjective, Point]) -> None:
     objective, point = seen
     equations = objective.normal_equations(point)
     series, _, cameras, prior = dense_matrices(equations)
@@ -172,7 +168,7 @@ def test_equations_that_are_not_positive_definite_have_no_step(seen: tuple[Perio
     assert equations.camera_log_determinant_ratio() == np.inf
 
 
-def test_equations_of_the_body_follow_from_those_of_the_joint_solver_by_the_chain_rule(
+def test_equations_of_the_body_follow_by_the_chain_rule(
     seen: tuple[PeriodicObjective, Point],
 ) -> None:
     objective, point = seen
@@ -233,9 +229,7 @@ def swing(times: np.ndarray, cadence: float = CADENCE) -> np.ndarray:
 
 
 @pytest.mark.parametrize('wrong', [1 - 0.9 * MAX_STRETCH, 1.0, 1 + 0.9 * MAX_STRETCH])
-def test_a_periodic_motion_repeats_itself_also_where_its_cadence_is_a_little_wrong(
-    rng: np.random.Generator, wrong: float
-) -> None:
+def test_a_periodic_motion_repeats_itself_also_at_a_wrong_cadence(rng: np.random.Generator, wrong: float) -> None:
     times = np.cumsum(rng.uniform(0.02, 0.05, 60))
     assert measure_repetition(times, swing(times), wrong * CADENCE) > 0.97
     noisy = swing(times) + rng.normal(0, 0.1, (60, 3))

@@ -84,9 +84,7 @@ def test_who_sits_hardly_counts(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize('sign', [1.0, -1.0])
 @pytest.mark.parametrize('lying', [(1.0, 0.1, 0.0), (0.1, -0.1, 0.99), (0.1, 0.99, -0.1)])
-def test_where_all_lie_or_stand_on_their_hands_a_level_camera_is_likeliest(
-    rng: np.random.Generator, lying: tuple[float, float, float], sign: float
-) -> None:
+def test_where_nobody_is_upright(rng: np.random.Generator, lying: tuple[float, float, float], sign: float) -> None:
     standing = np.full(90, float(sign > 0))  # where the image was turned, those with bent hips may lie as well
     stances = Stances(scatter(rng, 90, 4.0, np.array(lying) * [1, sign, 1]), standing)
     half_turn = np.array([sign, sign, 1.0])
@@ -265,9 +263,7 @@ def test_a_somersault_does_not_turn_a_camera_and_a_wrong_start_is_mended(points:
 
 @pytest.mark.parametrize('roll_deg', [90.0, -90.0])
 @pytest.mark.parametrize('lengths', [0.5, 2.0])
-def test_who_travels_across_the_body_stands_before_a_camera_on_its_side(
-    points: Array, roll_deg: float, lengths: float
-) -> None:
+def test_who_travels_across_the_body_shows_a_turned_camera(points: Array, roll_deg: float, lengths: float) -> None:
     body = points - CAMERA.center
     body = body - body.mean(axis=1, keepdims=True)
     height, along = np.ptp(body[0, :, 1]), np.linspace(0, 1, FRAMES)[:, None]
@@ -279,9 +275,7 @@ def test_who_travels_across_the_body_stands_before_a_camera_on_its_side(
 
 
 @pytest.mark.parametrize(('roll_deg', 'is_given'), [(180, True), (90, True), (-35, True), (180, False)])
-def test_people_before_a_turned_camera_are_those_before_an_upright_one_turned(
-    walk_model: BasePoses, points: Array, roll_deg: float, is_given: bool
-) -> None:
+def test_people_turn_with_a_camera(walk_model: BasePoses, points: Array, roll_deg: float, is_given: bool) -> None:
     """With the vertical given, and without for a camera that is upside down; whole and live."""
     roll = math.radians(roll_deg)
     rotation = Rotation.from_rotvec([0, 0, roll])

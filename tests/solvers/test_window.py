@@ -98,9 +98,7 @@ def test_objective_never_rises(
 
 
 @pytest.mark.parametrize(('kept', 'seen', 'message'), [(39, 1, 'do not fit'), (40, 0, 'nothing to reconstruct')])
-def test_windows_that_cannot_be_solved_are_refused(
-    walk_model: BasePoses, kept: int, seen: int, message: str
-) -> None:
+def test_unsolvable_windows_are_refused(walk_model: BasePoses, kept: int, seen: int, message: str) -> None:
     _, _, points, times = make_walk(walk_model)
     with pytest.raises(InputError, match=message):
         Window(points[:kept], np.full((40, 15), float(seen)), times)

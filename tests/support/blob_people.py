@@ -188,9 +188,8 @@ def save_yolo_pose(path: Path, *, one_each: bool = False, side: int = 640) -> Pa
     response = graph.respond(graph.add('Mul', 'image', graph.constant(255.0)))
     rows = []
     for number, (found, score) in enumerate(locate_in_halves(graph, response, side, side)):
-        y, x, seen = (
-            graph.add('Slice', found, *(graph.constant([v], np.int64) for v in (c, c + 1, 2))) for c in range(3)
-        )
+        places = ([graph.constant([v], np.int64) for v in (c, c + 1, 2)] for c in range(3))
+        y, x, seen = (graph.add('Slice', found, *place) for place in places)
         pixels = [graph.add('Mul', share, graph.constant(float(side))) for share in (x, y)]
         shape = graph.constant([1, 3 * KEYPOINTS], np.int64)
         numbers = graph.add('Reshape', graph.add('Concat', *pixels, seen, axis=2), shape)

@@ -70,9 +70,8 @@ def publish_camera() -> None:
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     static = node.create_publisher(TFMessage, '/tf_static', latched)
     moving = node.create_publisher(TFMessage, '/tf', 100)
-    wait_until(
-        lambda: static.get_subscription_count() and moving.get_subscription_count() > 1
-    )  # and this node's own
+    # One of those of /tf is this node's own.
+    wait_until(lambda: static.get_subscription_count() and moving.get_subscription_count() > 1)
     wait_until_discovered(node, executor, 'mocap_node')
     static.publish(TFMessage(transforms=[make_transform('base', 'camera', 0, 0.5)]))
     for stamp_ns in range(0, frames[-1][0] + 10**8, 5 * 10**7):

@@ -48,30 +48,24 @@ def make_header(frame: int) -> Header:
     return Header((frame + 1) * STEP_NS, 'camera')
 
 
+def encode_frame(msgtype: str, frame: int, **fields: object) -> bytes:
+    return encode(create_message(msgtype, header=create_header(make_header(frame)), **fields), msgtype)
+
+
 def encode_yolo(frame: int) -> bytes:
     """Encode a frame as yolo_ros does: ids start at 1 and unseen joints are absent. The order is reversed."""
     detections = []
     for person in make_people(frame):
-        data = [
-            create_message(
-                'yolo_msgs/msg/KeyPoint2D',
-                id=int(j) + 1,
-                point=create_message(
-                    'yolo_msgs/msg/Point2D', x=float(person.points[j, 0]), y=float(person.points[j, 1])
-                ),
-                score=float(person.score[j]),
-            )
-            for j in np.flatnonzero(person.score)[::-1]
-        ]
         detection = create_blank_message('yolo_msgs/msg/Detection')
         detection.id, detection.class_name = person.id, 'person'
-        detection.keypoints.data = data
+        for j in np.flatnonzero(person.score)[::-1].tolist():
+            x, y = person.points[j].tolist()
+            place, score = create_message('yolo_msgs/msg/Point2D', x=x, y=y), float(person.score[j])
+            keypoint = create_message('yolo_msgs/msg/KeyPoint2D', id=j + 1, point=place, score=score)
+            detection.keypoints.data.append(keypoint)
         detections.append(detection)
     detections.append(create_blank_message('yolo_msgs/msg/Detection'))  # an object without keypoints
-    return encode(
-        create_message(YOLO_DETECTIONS, header=create_header(make_header(frame)), detections=detections),
-        YOLO_DETECTIONS,
-    )
+    return encode_frame(YOLO_DETECTIONS, frame, detections=detections)
 
 
 def encode_zed(frame: int) -> bytes:
@@ -87,9 +81,7 @@ def encode_zed(frame: int) -> bytes:
             one.skeleton_keypoint_confidence[place] = 100 * person.score[COCO17.index(joint)]
             one.skeleton_2d.keypoints[place].kp = person.points[COCO17.index(joint)].astype('f4')
         objects.append(one)
-    return encode(
-        create_message(ZED_OBJECTS, header=create_header(make_header(frame)), objects=objects), ZED_OBJECTS
-    )
+    return encode_frame(ZED_OBJECTS, frame, objects=objects)
 
 
 def encode_openpose(frame: int) -> bytes:
@@ -103,10 +95,7 @@ def encode_openpose(frame: int) -> bytes:
         )
         for p in make_people(frame)
     ]
-    return encode(
-        create_message(OPENPOSE_POSES, header=create_header(make_header(frame)), pose_key_points_list=poses),
-        OPENPOSE_POSES,
-    )
+    return encode_frame(OPENPOSE_POSES, frame, pose_key_points_list=poses)
 
 
 def encode_body(person: Person2D, stamp: Header) -> bytes:
@@ -123,7 +112,7 @@ def encode_body(person: Person2D, stamp: Header) -> bytes:
 
 
 def encode_ids(frame: int, *names: str) -> bytes:
-    return encode(create_message(HRI_IDS, header=create_header(make_header(frame)), ids=list(names)), HRI_IDS)
+    return encode_frame(HRI_IDS, frame, ids=list(names))
 
 
 def make_hri_inputs(frame: int) -> list[Input]:
@@ -163,14 +152,10 @@ def create_zero(field: Any) -> Any:
 
 def make_inputs(msgtype: str, frame: int) -> list[Input]:
     """Return the messages of a frame in the order in which they arrive."""
-    encoders = {
-        YOLO_DETECTIONS: encode_yolo,
-        ZED_OBJECTS: encode_zed,
-        OPENPOSE_POSES: encode_openpose,
-        KEYPOINTS: encode_own,
-    }
     if msgtype == HRI_SKELETON:
         return make_hri_inputs(frame)
+    encoders = {YOLO_DETECTIONS: encode_yolo, ZED_OBJECTS: encode_zed, OPENPOSE_POSES: encode_openpose}
+    encoders[KEYPOINTS] = encode_own
     return [(Source.KEYPOINTS, encoders[msgtype](frame), '/keypoints')]
 
 

@@ -72,8 +72,7 @@ def add_dependencies(text: str, package: str, definitions: Mapping[str, str]) ->
     """Return a CMakeLists.txt with the packages whose types these definitions use besides the usual ones."""
     used = {name for d in definitions.values() for name in re.findall(r'^(\w+)/', d, re.MULTILINE)}
     for name in sorted(used - {package, 'geometry_msgs', 'std_msgs'}):
-        text = text.replace(
-            'find_package(std_msgs REQUIRED)', f'find_package({name} REQUIRED)\nfind_package(std_msgs REQUIRED)'
-        )
+        usual = 'find_package(std_msgs REQUIRED)'
+        text = text.replace(usual, f'find_package({name} REQUIRED)\n{usual}')
         text = text.replace('DEPENDENCIES geometry_msgs', f'DEPENDENCIES {name} geometry_msgs')
     return text

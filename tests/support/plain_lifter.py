@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.geometry.virtual_camera import rotate_rays, rotation_to_optical_axis
 from mocap_ros.models import lifter, lifter_input
 from mocap_ros.skeleton import BODY26, CORE_COUNT
 
-Array = NDArray[np.float64]
-
+Layers = Sequence[tuple[Any, Any]]
 MIRROR = list(BODY26.mirror)
 CORE = slice(CORE_COUNT)
 MAX_FEATURE = 5.0  # mean distances from the centroid
@@ -85,7 +85,7 @@ def face_newest_points(points: Array, weight: Array, focal: float) -> tuple[Arra
     return np.where(seen[..., None], focal * rotate_rays(clean, rotation), np.nan), rotation
 
 
-def round_layers(layers: Sequence[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
+def round_layers(layers: Layers) -> list[tuple[Any, Any]]:
     """Return layers with the weights of each input rounded to multiples: of 1/127 of the largest, or 1/32767."""
     rounded = []
     for number, (given, bias) in enumerate(layers):
@@ -96,7 +96,7 @@ def round_layers(layers: Sequence[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
     return rounded
 
 
-def evaluate(layers: Sequence[tuple[Any, Any]], features: NDArray[Any]) -> Array:
+def evaluate(layers: Layers, features: NDArray[Any]) -> Array:
     """Return the outputs (..., O) of the network for features (..., I)."""
     (first, bias), *hidden, (last, last_bias) = [(w.astype(float), b.astype(float)) for w, b in layers]
     h = np.maximum(features @ first + bias, 0)
@@ -106,11 +106,7 @@ def evaluate(layers: Sequence[tuple[Any, Any]], features: NDArray[Any]) -> Array
 
 
 def lift(
-    layers: Sequence[tuple[Any, Any]],
-    points: Array,
-    weight: Array,
-    focal: float,
-    vertical: tuple[Array, float] | None = None,
+    layers: Layers, points: Array, weight: Array, focal: float, vertical: tuple[Array, float] | None = None
 ) -> tuple[Array, Array]:
     """Return the lifted pose (J, 3) of one history and its standard deviations (J, 3)."""
     rotation = np.eye(3)

@@ -11,15 +11,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.models.base_poses import arrange_model
 from mocap_ros.solvers.joint.batch import State
 from mocap_ros.solvers.joint.differences import measure_features
 from mocap_ros.solvers.joint.objective import JointObjective
-
-Array = NDArray[np.float64]
 
 MIN_DEPTH = 0.1  # of that of the body's origin
 

@@ -137,9 +137,8 @@ class Peer:
 
         received: list[Any] = []
         subscription = self.node.create_subscription(DiagnosticArray, '/diagnostics', received.append, 10)
-        self.wait_until(
-            lambda: received and (key, value) in {(v.key, v.value) for v in received[-1].status[0].values}
-        )
+        wanted = (key, value)
+        self.wait_until(lambda: received and wanted in {(v.key, v.value) for v in received[-1].status[0].values})
         self.node.destroy_subscription(subscription)
 
     def call_service(self, service_class: Any, name: str, **request: object) -> Any:

@@ -77,9 +77,7 @@ def test_a_wrong_model_is_replaced_and_the_right_one_is_kept(track: Track, check
 
 
 @pytest.mark.parametrize(('std_ratio', 'is_replaced'), [(0.98, False), (0.93, True), (1.05, False)])
-def test_a_margin_keeps_the_choice_of_the_model(
-    track: Track, checker: HypothesisChecker, std_ratio: float, is_replaced: bool
-) -> None:
+def test_a_margin_is_needed(track: Track, checker: HypothesisChecker, std_ratio: float, is_replaced: bool) -> None:
     """A twin of the model with a slightly tighter prior is slightly more likely, which is not enough."""
     walk_model = checker.models['walk']
     twin = replace(walk_model, std=std_ratio * walk_model.std)
@@ -165,16 +163,14 @@ class IdleChecker(HypothesisChecker):
 @pytest.fixture
 def idle(track: Track) -> Track:
     """A track of which nothing is due."""
-    return with_schedule(track, 'ann', LATE, LATE)
+    return schedule(track, 'ann', LATE, LATE)
 
 
 def make_work(checker: HypothesisChecker, *names: str, max_interval_s: float = 0.5, **values: Any) -> DeferredWork:
     return DeferredWork(checker, names or ('jump', 'walk'), max_interval_s, **values)
 
 
-def with_schedule(
-    track: Track, name: str, check_ns: int, classification_ns: int, interval_s: float = 0.1
-) -> Track:
+def schedule(track: Track, name: str, check_ns: int, classification_ns: int, interval_s: float = 0.1) -> Track:
     schedule = CheckSchedule(check_ns, interval_s, next_classification_ns=classification_ns)
     return change(track, id=name, schedule=schedule)
 
@@ -185,11 +181,9 @@ def begin(work: DeferredWork, *tracks: Track) -> Work:
     return work.begun
 
 
-def test_the_work_that_is_latest_in_proportion_to_its_interval_begins(
-    track: Track, checker: HypothesisChecker
-) -> None:
+def test_the_work_latest_in_proportion_to_its_interval_begins(track: Track, checker: HypothesisChecker) -> None:
     def choose(*due: tuple[str, int, int, float]) -> tuple[str, bool]:
-        begun = begin(make_work(checker), *(with_schedule(track, *one) for one in due))
+        begun = begin(make_work(checker), *(schedule(track, *one) for one in due))
         assert begun.then.schedule.check_count == begun.track.schedule.check_count == int(begun.is_check)
         return begun.track.id, begun.is_check
 
@@ -198,14 +192,14 @@ def test_the_work_that_is_latest_in_proportion_to_its_interval_begins(
     assert choose(new, ('old', NOW - S, LATE, 2.0)) == ('new', True)
     assert choose(new, later) == ('old', True)
     assert choose(new, later, ('moving', LATE, NOW - S, 0.1)) == ('moving', False), 'two of half a second'
-    work, due = make_work(checker), with_schedule(track, 'b', 0, 0)
+    work, due = make_work(checker), schedule(track, 'b', 0, 0)
     work.advance([change(due, stamps_ns=(0, NOW - STEP_NS)), change(due, is_tentative=True)], NOW)
     assert work.begun is None, 'of certain people of the newest frame alone'
 
 
 def test_a_frame_is_followed_by_as_many_slices_as_the_budget_allows(track: Track) -> None:
     checker = IdleChecker({}, CONFIG)
-    work, due = make_work(checker, 'walk'), with_schedule(track, 'ann', 0, LATE)
+    work, due = make_work(checker, 'walk'), schedule(track, 'ann', 0, LATE)
     counts = [0]
     while counts == [0] or work.begun is not None:
         work.advance([due], NOW)
@@ -221,12 +215,12 @@ def test_no_person_waits_for_ever_and_new_people_come_first(track: Track) -> Non
     """Forty people want more than can be done; one of them is new."""
     checker = IdleChecker({}, CONFIG)
     work = make_work(checker, 'walk', max_interval_s=5.0)
-    people = [change(with_schedule(track, f'old {i}', NOW, NOW, 5.0), first_ns=-100 * S) for i in range(40)]
+    people = [change(schedule(track, f'old {i}', NOW, NOW, 5.0), first_ns=-100 * S) for i in range(40)]
     new_checks = 0
     for frame in range(1, 1500):
         now = NOW + frame * STEP_NS
         if frame == 900:
-            people.append(change(with_schedule(track, 'new', now + S // 10, now, 0.1), first_ns=now))
+            people.append(change(schedule(track, 'new', now + S // 10, now, 0.1), first_ns=now))
         for person in people:
             person.stamps_ns = (*person.stamps_ns[:-1], now)
         work.advance(people, now)
@@ -242,7 +236,7 @@ def test_no_person_waits_for_ever_and_new_people_come_first(track: Track) -> Non
 
 def test_work_that_fails_is_not_repeated_for_ever(track: Track, checker: HypothesisChecker) -> None:
     """The next check is that of the next model; here the first model of the two does not exist."""
-    work, due = make_work(checker, 'missing', 'walk'), with_schedule(track, 'ann', 0, LATE)
+    work, due = make_work(checker, 'missing', 'walk'), schedule(track, 'ann', 0, LATE)
     with pytest.raises(KeyError, match='missing'):
         work.advance([due], NOW)
     assert (work.begun, due.schedule.check_count) == (None, 1)
@@ -296,9 +290,7 @@ def test_work_ends_where_its_track_is_not_what_it_was(
 
 
 @pytest.mark.parametrize('stops', [False, True])
-def test_periodic_motion_ends_when_the_newest_poses_do_not_repeat_the_last_cycle(
-    idle: Track, checker: HypothesisChecker, stops: bool
-) -> None:
+def test_periodic_motion_ends_with_the_repetition(idle: Track, checker: HypothesisChecker, stops: bool) -> None:
     phase = 2 * np.pi * WALK.cadence * np.arange(FRAMES)[:, None] * STEP_NS / S
     theta = np.sin(phase + np.arange(idle.solved.theta.shape[1]))
     theta[-9:] = 3.0 if stops else theta[-9:]

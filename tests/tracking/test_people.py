@@ -49,7 +49,7 @@ def true_velocity() -> np.ndarray:
     return central_velocity(make_recording().timestamps, make_recording().truth)
 
 
-def test_velocities_of_the_live_output_are_better_than_its_differences_and_as_good_as_they_say(
+def test_live_velocities_are_better_than_differences_and_as_good_as_they_say(
     demo: dict[int, Person3D],
 ) -> None:
     truth = true_velocity()

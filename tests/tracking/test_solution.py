@@ -87,7 +87,7 @@ def assert_states(solution: TrackSolution, truth: TrackSolution, frames: slice =
 
 
 @pytest.mark.parametrize('frames', [[0, 8], [0, 3, 8], [4, 6, 8], list(range(9))])
-def test_a_first_solution_is_interpolated_in_the_real_camera_after_the_earlier_states(
+def test_a_first_solution_interpolates(
     truth: TrackSolution, model: BasePoses, track: Track, frames: list[int]
 ) -> None:
     observed, chosen = track.observed, np.array(frames)
@@ -151,9 +151,7 @@ def collect(track: Track, fixed_frames: int = FIXED) -> NewestFrames:
 
 
 @pytest.mark.parametrize('step', [0.5, 1.0, 1.5, 5.0])
-def test_a_new_frame_starts_where_the_last_movement_leads(
-    step: float, truth: TrackSolution, model: BasePoses, track: Track
-) -> None:
+def test_a_new_frame_continues_movement(step: float, truth: TrackSolution, model: BasePoses, track: Track) -> None:
     track.stamps_ns = *track.stamps_ns[:-1], track.stamps_ns[-2] + round(step * STEP_NS)
     found = collect_newest_frames([track], [(len(track.solved.theta), 0)], track.solved.model)
     to_virtual = track.observed.virtual_camera.rotation
@@ -187,9 +185,7 @@ def test_with_a_lifter_a_new_frame_starts_from_its_lifted_pose(model: BasePoses,
     assert (without.precision[-1, 3, 1], without.lifted[-1, 3, 1]) == (0, 0)
 
 
-def test_a_solver_gets_the_solution_in_the_virtual_camera(
-    truth: TrackSolution, model: BasePoses, track: Track
-) -> None:
+def test_a_solver_gets_the_solution_in_its_camera(truth: TrackSolution, model: BasePoses, track: Track) -> None:
     found, to_virtual, solved = collect(track), track.observed.virtual_camera.rotation, slice(FIRST, FRAMES - 1)
     roots = truth.roots @ to_virtual.T
     np.testing.assert_array_equal(found.theta[:-1], truth.theta[solved])

@@ -124,9 +124,7 @@ def test_the_best_seen_frame_of_each_step_is_selected(points: Array) -> None:
 # the frame in which a person is certain
 @pytest.mark.parametrize(('fps', 'frames'), [(5, 3), (10, 3), (25, 3), (30, 3), (60, 5), (100, 8)])
 @pytest.mark.parametrize('window_s', [2.0, 0.1])
-def test_a_new_track_is_tentative_until_it_has_been_seen_for_a_while(
-    points: Array, fps: int, frames: int, window_s: float
-) -> None:
+def test_a_new_track_is_tentative_for_a_while(points: Array, fps: int, frames: int, window_s: float) -> None:
     track = make_track(points[:1])
     tentative = [track.is_tentative]
     for frame in range(1, 12):

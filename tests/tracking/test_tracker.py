@@ -136,9 +136,7 @@ def test_lost_people_are_predicted_and_later_forgotten(walk_model: BasePoses, po
     assert tracker.update(200 * STEP_NS, [see(points[2] + [900.0, 0])], CAMERA)[0].id == 'person_2'
 
 
-def test_outputs_belong_to_the_caller_and_early_deferred_work_does_not_change_them(
-    walk_model: BasePoses, points: Array
-) -> None:
+def test_outputs_belong_to_the_caller_and_deferred_work_keeps_them(walk_model: BasePoses, points: Array) -> None:
     lazy, eager = make_tracker(walk_model), make_tracker(walk_model)
     for frame in range(30):
         seen = [see(points[frame])]
@@ -205,9 +203,7 @@ def test_stamps_never_go_back_and_delays_are_bounded(steps_ms: list[int], lag_s:
 
 
 @pytest.mark.parametrize('lens', [Distortion(), Distortion('plumb_bob', (-0.2, 0.05, 0.001, -0.002, 0.0))])
-def test_a_person_near_the_camera_and_off_its_axis_is_located(
-    walk_model: BasePoses, walk: Walk, lens: Distortion
-) -> None:
+def test_a_person_near_and_off_the_axis_is_located(walk_model: BasePoses, walk: Walk, lens: Distortion) -> None:
     camera = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True, distortion=lens)
     poses = walk.poses(walk_model)[:45] * Config().tracker.body_height / walk_model.stature
     joints = poses + [0.5, 0.1, 3.0] + 0.01 * np.arange(45)[:, None, None] * [1, 0, 0]

@@ -217,9 +217,7 @@ def test_a_share_counts_as_often_as_the_trial_were_there(walk_model: BasePoses, 
 
 
 @pytest.mark.parametrize('alignment', ['rotation', 'heading'])
-def test_fit_spans_the_poses_it_was_trained_on(
-    rng: np.random.Generator, walk_model: BasePoses, alignment: str
-) -> None:
+def test_fit_spans_the_training_poses(rng: np.random.Generator, walk_model: BasePoses, alignment: str) -> None:
     theta = rng.normal(size=(400, 3)) * walk_model.std[:3]
     turns = rotation_from_vector(rng.uniform(-3, 3, (400, 1)) * [0, 0, 1])
     poses = walk_model.poses(theta) @ np.swapaxes(turns, -1, -2) + rng.normal(size=(400, 1, 3))
