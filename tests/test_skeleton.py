@@ -9,15 +9,9 @@ import re
 import numpy as np
 import pytest
 
+from mocap_ros import skeleton as module
 from mocap_ros.errors import MAX_MESSAGE_CHARACTERS, InputError, SkeletonError
-from mocap_ros.skeleton import (
-    CMU15,
-    LAYOUT_NAMES,
-    canonical_joint_names,
-    estimate_stature,
-    keypoint_layout,
-    skeleton_from_joints,
-)
+from mocap_ros.skeleton import CMU15, LAYOUT_NAMES, canonical_joint_names, keypoint_layout
 
 
 @pytest.mark.parametrize('name', LAYOUT_NAMES)
@@ -71,9 +65,9 @@ def test_names_of_well_known_detectors_are_converted() -> None:
 def test_the_stature_follows_from_the_mean_lengths_of_the_bones(rng: np.random.Generator) -> None:
     poses = rng.normal(size=(20, 15, 3))
     mean_lengths = CMU15.bone_lengths(poses).mean(axis=0)
-    assert mean_lengths @ CMU15.stature_per_bone == pytest.approx(estimate_stature(poses, CMU15))
+    assert mean_lengths @ CMU15.stature_per_bone == pytest.approx(module.estimate_stature(poses, CMU15))
     with pytest.raises(SkeletonError, match="layout '' has no bone from lhip to lknee"):
-        _ = skeleton_from_joints(CMU15.joints[::-1]).stature_per_bone
+        _ = module.skeleton_from_joints(CMU15.joints[::-1]).stature_per_bone
 
 
 @pytest.mark.parametrize(

@@ -196,6 +196,7 @@ def test_arrays(data: st.DataObject, file: int) -> None:
     check('npz', stream.getvalue())
 
 
+pieces = st.binary(min_size=1, max_size=4) | st.sampled_from([b'\xff' * 4, b'\x7f' + b'\xff' * 7])
 DAMAGED = 'messages', 'json', 'bvh', 'npz', 'yaml', 'mcap', 'db3', 'ros1', 'recovery', 'folder'
 EXAMPLES_BY_SOURCE = {source: EXAMPLES[source]() for source in DAMAGED}
 
@@ -209,8 +210,6 @@ def test_damaged_bytes(source: str, data: st.DataObject) -> None:
     content = bytearray(examples[data.draw(st.integers(0, len(examples) - 1))])
     for _ in range(data.draw(st.integers(1, 4))):
         start = data.draw(st.integers(0, len(content) - 1))
-        piece = data.draw(
-            st.binary(min_size=1, max_size=4) | st.sampled_from([b'\xff' * 4, b'\x7f' + b'\xff' * 7])
-        )
+        piece = data.draw(pieces)
         content[start : start + len(piece)] = piece
     check(source, bytes(content[: data.draw(st.just(len(content)) | st.integers(0, len(content)))]))

@@ -48,9 +48,8 @@ def test_a_resized_camera_sees_the_points_where_the_resized_image_has_them() -> 
     matrix = np.array([[500.0, 0, 310], [0, 600, 250], [0, 0, 1]])
     camera = Intrinsics.from_matrix(matrix, image_size=(640, 480))
     points = np.array([[1.0, -2.0, 4.0], [0.2, 0.1, 1.0]])
-    doubled, cropped, unknown = (
-        Intrinsics(1.0, (0, 0), True, image_size=s) for s in ((1280, 960), (640, 360), None)
-    )
+    sizes = ((1280, 960), (640, 360), None)
+    doubled, cropped, unknown = (Intrinsics(1.0, (0, 0), True, image_size=size) for size in sizes)
     assert camera.resize_like(doubled).project(points) == pytest.approx(2 * camera.project(points))
     assert camera.resize_like(cropped).project(points) == pytest.approx(camera.project(points) - [0, 60])
     assert camera.resize_like(unknown) is camera
@@ -195,13 +194,11 @@ def test_the_direction_of_a_long_sequence_is_that_of_all_frames_at_once(rng: np.
 
 
 def test_rotations_as_vectors_and_quaternions() -> None:
-    turns = Rotation.random(200, random_state=0)
+    turns = Rotation.random(200, random_state=0).as_matrix()
     half = [np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1]), np.diag([-1.0, -1, 1])]
-    for matrix in [np.eye(3), *half, *turns.as_matrix()]:
+    for matrix in [np.eye(3), *half, *turns]:
         assert Rotation.from_quat(quaternion_from_rotation(matrix)).as_matrix() == pytest.approx(matrix, abs=1e-12)
-    assert rotation_from_vector(vector_from_rotation(turns.as_matrix())) == pytest.approx(
-        turns.as_matrix(), abs=1e-9
-    )
+    assert rotation_from_vector(vector_from_rotation(turns)) == pytest.approx(turns, abs=1e-9)
 
 
 STEP = 1e-6  # of the central differences; their error is about its square, that of rounding 1e-10

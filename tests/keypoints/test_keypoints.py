@@ -239,17 +239,13 @@ def test_detectors_name_feet_and_hands_differently(
     rays = dict(zip(BODY26.joints[CORE_COUNT:], found.rays, strict=True))
     seen = dict(zip(BODY26.joints[CORE_COUNT:], found.weight > 0, strict=True))
     assert rays['ltoe'] == pytest.approx((points[names.index(toe)] - [320, 240]) / 500)
-    assert seen['nose']
-    assert seen['rear']
-    assert seen['lhand'] == (hand is not None)
+    assert [seen[name] for name in ('nose', 'rear', 'lhand')] == [True, True, hand is not None]
     if hand is not None:
         middle = (points[names.index(hand[0])] + points[names.index(hand[1])]) / 2
         assert rays['lhand'] == pytest.approx((middle - [320, 240]) / 500)
 
 
-@pytest.mark.parametrize(
-    ('name', 'joint'), [('lbigtoe', 'ltoe'), ('rheel', 'rheel'), ('nose', 'nose'), ('lear', 'lear')]
-)
+@pytest.mark.parametrize(('name', 'joint'), [('lbigtoe', 'ltoe'), *((n, n) for n in ('rheel', 'nose', 'lear'))])
 def test_a_point_far_from_its_body_does_not_count_as_seen(name: str, joint: str, rng: np.random.Generator) -> None:
     names = keypoint_layout('body25').joints
     points = 300 + 10 * rng.standard_normal((len(names), 2))

@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from numpy.typing import NDArray
 
-from mocap_ros.arrays import Array
+from mocap_ros.arrays import Array, Array32
 from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
 from mocap_ros.models import lifter, model_file
 from mocap_ros.models.base_poses import BasePoses
@@ -90,9 +89,7 @@ coordinates = st.floats(width=64) | st.sampled_from([0.0, np.nan, np.inf, -np.in
 
 
 @settings(max_examples=25)
-@given(
-    arrays(float, (5, JOINT_COUNT, 2), elements=coordinates), arrays(float, (5, JOINT_COUNT), elements=coordinates)
-)
+@given(*(arrays(float, (5, JOINT_COUNT, *rest), elements=coordinates) for rest in ((2,), ())))
 def test_any_input_gives_finite_poses_or_nan(points: Array, weight: Array) -> None:
     with np.errstate(all='ignore'):
         lifted = model_file.load_shipped_lifter().lift_sequence(points, weight, np.arange(5) / 30)
@@ -149,7 +146,6 @@ def test_histories_agree_with_the_formula(rng: np.random.Generator, rate_hz: flo
     assert (weight > 0).any()
 
 
-Array32 = NDArray[np.float32]
 Layers = list[tuple[Array32, Array32]]
 
 

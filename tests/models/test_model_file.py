@@ -20,9 +20,8 @@ from mocap_ros.models.lifter import OUTPUT_COUNT, Lifter
 from mocap_ros.models.lifter_input import FEATURE_COUNT
 from mocap_ros.skeleton import CMU15
 
-SMALL_LIFTER = Lifter(
-    tuple((np.zeros(s, 'f4'), np.zeros(s[1], 'f4')) for s in ((FEATURE_COUNT, 2), (2, OUTPUT_COUNT))), {}
-)
+SHAPES = (FEATURE_COUNT, 2), (2, OUTPUT_COUNT)
+SMALL_LIFTER = Lifter(tuple((np.zeros(s, 'f4'), np.zeros(s[1], 'f4')) for s in SHAPES), {})
 
 
 def test_models_are_saved_and_read(tmp_path: Path, walk_model: BasePoses) -> None:

@@ -24,11 +24,9 @@ FORWARD = np.array([0.0, -1.0, 0.0])  # where the body then faces
 TIMES = np.array([0.2, 0.4, 0.6, 1.0])
 
 
-def make_past(
-    speed: float = 0.0, std: float = 0.02, position: tuple[float, float, float] = (3.0, 1.0, 0.0)
-) -> Past:
+def make_past(speed: float = 0.0, std: float = 0.02, place: tuple[float, float, float] = (3.0, 1.0, 0.0)) -> Past:
     """Return one upright person in a frame with z up who moves ahead at a speed in m/s, limbs at rest."""
-    joints = STANDING @ UPRIGHT.T + position
+    joints = STANDING @ UPRIGHT.T + place
     velocity = np.tile(speed * FORWARD, (15, 1))
     earlier = joints - np.array(PAST_S)[:, None, None] * velocity
     past = joints, velocity, np.full(15, std), earlier, FORWARD, UP
@@ -101,9 +99,8 @@ def make_velocity_past(seed: int, jitter_m: float = 0.02) -> VelocityPast:
 @settings(max_examples=30)
 def test_a_correction_turns_with_the_axes_of_the_camera(seed: int) -> None:
     past, turn = make_velocity_past(seed), Rotation.random(random_state=np.random.default_rng(seed)).as_matrix()
-    turned = VelocityPast(
-        past.velocity @ turn.T, past.std, past.joints @ turn.T, past.earlier @ turn.T, turn @ past.axes
-    )
+    joints, earlier = past.joints @ turn.T, past.earlier @ turn.T
+    turned = VelocityPast(past.velocity @ turn.T, past.std, joints, earlier, turn @ past.axes)
     one, other = (load_velocity_correction().correct(p) for p in (past, turned))
     assert np.abs(one).max() > 0
     np.testing.assert_allclose(one @ turn.T, other, atol=1e-4)

@@ -22,15 +22,9 @@ from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.model_file import load_base_pose_models
+from mocap_ros.offline.keyframes import half_poses
 from mocap_ros.offline.keyframes.alignment import AlignedMotion, align_motion
-from mocap_ros.offline.keyframes.half_poses import (
-    BodyHalf,
-    HalfPoses,
-    build_averaging_matrix,
-    compute_distances,
-    denoise_distances,
-    split_into_halves,
-)
+from mocap_ros.offline.keyframes.half_poses import BodyHalf, HalfPoses, split_into_halves
 from mocap_ros.offline.keyframes.image_points import find_outliers
 from mocap_ros.offline.keyframes.keyframe_method import observe_shots, reconstruct
 from mocap_ros.offline.keyframes.keyframe_set import estimate_frame_interval, find_interpolatable, select_keyframes
@@ -47,7 +41,7 @@ def test_distances_follow_the_formulas_of_sections_4_1_and_4_2(rng: np.random.Ge
     points, seen = rng.normal(size=(9, 6, 2)), rng.random((9, 6)) < 0.7
     seen[:, :2] = True
     poses = HalfPoses(np.arange(9), np.arange(9) / 30, points.astype('f4'), seen)
-    c, _ = compute_distances(poses, poses)
+    c, _ = half_poses.compute_distances(poses, poses)
     b, a = np.zeros((9, 9)), np.zeros((9, 9))
     for i in range(9):
         for j in range(9):
@@ -57,7 +51,7 @@ def test_distances_follow_the_formulas_of_sections_4_1_and_4_2(rng: np.random.Ge
             a[i, j] = both.sum() / (seen[i] | seen[j]).sum()
     assert c == pytest.approx(a * b + (1 - a) * b.max(), abs=1e-5)
     beta = float(np.median(c))
-    d = denoise_distances(c, build_averaging_matrix(c, beta))
+    d = half_poses.denoise_distances(c, half_poses.build_averaging_matrix(c, beta))
     near = [np.flatnonzero((c[i] < beta) | (np.arange(9) == i)) for i in range(9)]
     expected = [[c[np.ix_(near[i], near[j])].mean() for j in range(9)] for i in range(9)]
     assert d == pytest.approx(np.array(expected), abs=1e-5)

@@ -13,14 +13,9 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models, load_base_poses, load_shipped_lifter
+from mocap_ros.offline import whole_sequence
 from mocap_ros.offline.keyframes.keyframe_method import reconstruct
-from mocap_ros.offline.whole_sequence import (
-    SEEN_SHARE,
-    draw_points,
-    find_unexplained_points,
-    hide_unexplained_points,
-    reconstruct_sequence,
-)
+from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, estimate_stature
 from mocap_ros.solvers.observed_window import observe_sequence
 from mocap_ros.solvers.window import Reconstruction, SolverStatus
@@ -123,13 +118,13 @@ def test_points_are_drawn_to_where_the_solution_has_them(rng: np.random.Generato
         history=(0.0,),
         iterations=1,
     )
-    believed = hide_unexplained_points(observed, observed.build_solver_window(), truth)
-    corrected = draw_points(believed, truth)
+    believed = whole_sequence.hide_unexplained_points(observed, observed.build_solver_window(), truth)
+    corrected = whole_sequence.draw_points(believed, truth)
     is_hidden = observed.weight != corrected.weight
     assert np.argwhere(is_hidden).tolist() == [[4, 11]]
     seen = corrected.weight > 0
     before, after = ((r - joints[..., :2] / joints[..., 2:])[seen] for r in (observed.rays, corrected.rays))
-    np.testing.assert_allclose(after, SEEN_SHARE * before, atol=1e-9)
+    np.testing.assert_allclose(after, whole_sequence.SEEN_SHARE * before, atol=1e-9)
 
 
 def test_unexplained_points_stand_out_from_the_other_errors_of_the_sequence() -> None:
@@ -138,6 +133,6 @@ def test_unexplained_points_stand_out_from_the_other_errors_of_the_sequence() ->
     error[3:9, 4], error[7, 6], error[12, 2] = 0.3, 0.19, 0.3
     error[15, :3] = 0.3  # so many joints: the solution is wrong
     seen[12, 2] = False
-    found = find_unexplained_points(error, seen)
+    found = whole_sequence.find_unexplained_points(error, seen)
     assert set(zip(*np.nonzero(found), strict=True)) == {(frame, 4) for frame in range(3, 9)} | {(7, 6)}
-    assert not find_unexplained_points(error / 5, seen).any(), 'precise points are believed'
+    assert not whole_sequence.find_unexplained_points(error / 5, seen).any(), 'precise points are believed'

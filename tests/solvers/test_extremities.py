@@ -18,20 +18,9 @@ from mocap_ros.arrays import Array
 from mocap_ros.engine.extremities import sum_derivatives
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT
+from mocap_ros.solvers import extremities
 from mocap_ros.solvers.body_segments import FOOT_REST, HAND_REST, HEAD_REST, PART_SEGMENTS, SEGMENT_COUNT
-from mocap_ros.solvers.extremities import (
-    PART_OF,
-    PARTS,
-    SIZE_OF,
-    SIZE_STD,
-    START,
-    TEMPLATE,
-    ExtremityEvidence,
-    attach,
-    follow_extremities,
-    read_states,
-    smooth_extremities,
-)
+from mocap_ros.solvers.extremities import PART_OF, PARTS, SIZE_OF, SIZE_STD, TEMPLATE, ExtremityEvidence, attach
 from tests.support.upright_body import UPRIGHT, angles_deg
 
 STATURE_M = 1.75
@@ -76,12 +65,14 @@ def look_around(
 
 
 def follow(evidence: ExtremityEvidence, step_s: float = STEP_S, *, is_steady: bool = False) -> NDArray[Any]:
-    states = [START[None]]
+    states = [extremities.START[None]]
     for frame in range(len(evidence.core)):
         seen = ExtremityEvidence(*(np.ascontiguousarray(values[frame : frame + 1]) for values in evidence))
         step = np.array([step_s if frame else np.inf])
-        states.append(follow_extremities(states[-1], step, seen, np.array([STATURE_M]), is_steady=is_steady))
-    return read_states(np.concatenate(states[1:]))
+        states.append(
+            extremities.follow_extremities(states[-1], step, seen, np.array([STATURE_M]), is_steady=is_steady)
+        )
+    return extremities.read_states(np.concatenate(states[1:]))
 
 
 def hide(evidence: ExtremityEvidence, joints: list[int], frames: slice = slice(None)) -> ExtremityEvidence:
@@ -112,7 +103,7 @@ def test_head_and_feet_are_truer_and_steadier_than_the_lifted_pose() -> None:
     for seed in range(4):
         truth, evidence = look_around(seed)
         states = follow(evidence)
-        smooth = attach(evidence.core, smooth_extremities(TIMES, evidence, STATURE_M).offsets)
+        smooth = attach(evidence.core, extremities.smooth_extremities(TIMES, evidence, STATURE_M).offsets)
         found = (evidence.lifted, attach(evidence.core, states['offsets']), smooth)
         off.append([float(np.median(angles_deg(directions(j), directions(truth))[15:])) for j in found])
         jitter.append([jitter_deg(joints) for joints in found])

@@ -17,15 +17,9 @@ from mocap_ros.engine import joint as engine
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers import alternation, joint
+from mocap_ros.solvers.joint import differences
 from mocap_ros.solvers.joint.batch import Batch, State
-from mocap_ros.solvers.joint.differences import (
-    ACTIVITY_SPAN_S,
-    MAX_NOISE_RATIO,
-    FiniteDifference,
-    limit_acceleration,
-    measure_activity,
-    weigh_velocity_change,
-)
+from mocap_ros.solvers.joint.differences import ACTIVITY_SPAN_S, MAX_NOISE_RATIO, FiniteDifference
 from mocap_ros.solvers.joint.lifted_start import fit_lifted_poses
 from mocap_ros.solvers.joint.objective import JointObjective, read_state
 from mocap_ros.solvers.window import Reconstruction, Window, initialise_from_mean_pose, reverse_depth
@@ -171,7 +165,7 @@ def test_the_limit_of_accelerations_gives_way_to_fast_motion_and_holds_under_noi
     for noise_ratio, limit in ((1.0, 3.0), (0.5, 3.0), (1.5, 4.5), (20.0, 3 * MAX_NOISE_RATIO)):
         for acceleration in (0.0, 3.0, 9.0):
             given = np.array([acceleration**2]), np.array([noise_ratio])
-            share = (limit_acceleration(2.0, 3.0, change, *given) / change) ** 2
+            share = (differences.limit_acceleration(2.0, 3.0, change, *given) / change) ** 2
             np.testing.assert_allclose(share, 2 / (1 + (acceleration / limit) ** 4), rtol=1e-12)
 
 
@@ -206,7 +200,7 @@ def test_activity_is_the_mean_square_acceleration_nearby(walk_model: BasePoses, 
     values = np.concatenate([np.ones((40, 2)), np.stack([moved, np.zeros(41)], axis=1)])
     coarse = make_batch(walk_model, times)
     fine = make_batch(walk_model, [np.arange(120) / 30, np.arange(120) / 30])
-    found = measure_activity(values, coarse, fine)
+    found = differences.measure_activity(values, coarse, fine)
     np.testing.assert_allclose(found[:120], 0.0, atol=1e-12)
     later = fine.times[120:] > 2 + ACTIVITY_SPAN_S + 0.11
     earlier = fine.times[120:] < 2 - ACTIVITY_SPAN_S - 0.11
@@ -214,12 +208,12 @@ def test_activity_is_the_mean_square_acceleration_nearby(walk_model: BasePoses, 
     np.testing.assert_allclose(found[120:][inner], 4.0)
     np.testing.assert_allclose(found[120:][earlier], 0.0, atol=1e-12)
     few = make_batch(walk_model, [np.array([0.0, 0.1])])
-    np.testing.assert_array_equal(measure_activity(np.ones((2, 3)), few, few), 0.0)
+    np.testing.assert_array_equal(differences.measure_activity(np.ones((2, 3)), few, few), 0.0)
 
 
 def test_acceleration_is_second_derivative_at_any_times(walk_model: BasePoses, rng: np.random.Generator) -> None:
     for times in (np.arange(12) / 10, np.arange(12) / 30, np.cumsum(rng.uniform(0.01, 0.2, 12))):
-        factors = weigh_velocity_change(make_batch(walk_model, [times]))
+        factors = differences.weigh_velocity_change(make_batch(walk_model, [times]))
         term = FiniteDifference(np.sqrt(3.0) * factors, np.ones(1))
         assert np.abs(term.residuals(2.0 + times[:, None])).max() < 1e-9 / np.diff(times).min() ** 1.5
         squares = term.residuals(0.5 * times[:, None] ** 2) ** 2  # acceleration 1 m/s^2

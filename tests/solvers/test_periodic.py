@@ -17,15 +17,11 @@ from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import periodic
 from mocap_ros.solvers.joint.batch import State
+from mocap_ros.solvers.periodic import repetition
 from mocap_ros.solvers.periodic.fourier import FourierSeries
 from mocap_ros.solvers.periodic.normal_equations import MIN_CAMERA_INFORMATION, MIN_INFORMATION, PeriodicEquations
 from mocap_ros.solvers.periodic.objective import PeriodicObjective, Point, measure_matrices, move_cameras
-from mocap_ros.solvers.periodic.repetition import (
-    MAX_STRETCH,
-    NEWEST_S,
-    measure_best_repetition,
-    measure_repetition,
-)
+from mocap_ros.solvers.periodic.repetition import MAX_STRETCH, NEWEST_S, measure_repetition
 from mocap_ros.solvers.window import Window
 from tests.support.synthetic_walk import BODY_TO_OPTICAL, Walk, make_walk, mpjpe_mm
 
@@ -261,7 +257,10 @@ def test_what_is_too_short_or_does_not_move_is_not_known() -> None:
 @pytest.mark.parametrize('rate', [12.0, 30.0, 100.0])
 def test_the_best_repetition_needs_no_cadence(rng: np.random.Generator, cadence: float, rate: float) -> None:
     times = np.arange(0, 2.2, 1 / rate)
-    assert measure_best_repetition(times, swing(times, cadence)) > 0.9
+    assert repetition.measure_best_repetition(times, swing(times, cadence)) > 0.9
     drift = np.cumsum(1 + rng.normal(size=(len(times), 3)), axis=0)
-    assert measure_best_repetition(times, drift) < 0.2
-    assert measure_best_repetition(times, swing(times)) >= measure_repetition(times, swing(times), 1.0) - 0.01
+    assert repetition.measure_best_repetition(times, drift) < 0.2
+    assert (
+        repetition.measure_best_repetition(times, swing(times))
+        >= measure_repetition(times, swing(times), 1.0) - 0.01
+    )

@@ -121,11 +121,8 @@ def test_the_tracker_finds_people_of_their_own_size(walk_model: BasePoses, heigh
     without = Tracker(walk_model, with_settings(Config(), {'solver.components': 8}))
     with_parameters = Tracker(walk_model, with_settings(Config(), {'solver.components': 8, **parameters}))
     distances = {}
-    for name, tracker, known in (
-        ('parameters', with_parameters, None),
-        ('floor', without, floor),
-        ('nothing', without, None),
-    ):
+    cases = ('parameters', with_parameters, None), ('floor', without, floor), ('nothing', without, None)
+    for name, tracker, known in cases:
         tracker.reset()
         for frame, image in enumerate(CAMERA.project(joints)):
             (person,) = tracker.update(frame * STEP_NS, [see(image)], CAMERA, known)

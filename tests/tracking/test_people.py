@@ -116,10 +116,8 @@ def test_what_the_detector_gives_is_seen_and_the_rest_inferred(demo: dict[int, P
         assert (person.std[CORE_COUNT:] > 0).all()
         assert np.isfinite(person.velocity).all()
         assert np.linalg.norm(person.orientation, axis=1) == pytest.approx(np.ones(len(BODY26.joints)))
-    moved = np.linalg.norm(
-        (predicted.joints - predicted.core.mean(axis=0)) - (last.joints - last.core.mean(axis=0)), axis=1
-    )
-    assert moved.max() < 0.15  # m in one frame
+    before, after = (person.joints - person.core.mean(axis=0) for person in (last, predicted))
+    assert np.linalg.norm(after - before, axis=1).max() < 0.15  # m in one frame
 
 
 SEEN_FRAMES = 20
@@ -165,9 +163,8 @@ def test_a_person_who_reaches_the_camera_stays_there(walk_model: BasePoses) -> N
     solution = track.solved
     depth = solution.sample_joints(track.observed.times, SEEN_FRAMES - 1, np.zeros(1))[0, :, 2]
     nearer = [0.0, 0.0, depth.max() - 2 * depth.mean() + 0.6]  # m; then some of the way is left
-    near = change(
-        track, solution=replace(solution, roots=solution.roots + nearer), motion_filter=UNFILTERED, footing=None
-    )
+    moved = replace(solution, roots=solution.roots + nearer)
+    near = change(track, solution=moved, motion_filter=UNFILTERED, footing=None)
     predicted = [predict(near, (SEEN_FRAMES + gap) * STEP_NS) for gap in range(20)]
     depth = predicted[-1].joints[:CORE_COUNT, 2]
     assert 2 * depth.mean() - depth.max() == pytest.approx(MIN_CLEARANCE_M, abs=0.01)

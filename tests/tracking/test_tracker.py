@@ -158,9 +158,7 @@ def test_swapped_frames_are_undone_and_counted(walk_model: BasePoses, points: Ar
     assert (plain.swapped_frames, disturbed.swapped_frames) == (0, 3)
 
 
-@pytest.mark.parametrize(
-    ('lag', 'window', 'delay'), [(0.09, 2.0, 3), (0.22, 0.2, 7), (0.5, 2.0, 15), (2.0, 2.0, 60)]
-)
+@pytest.mark.parametrize(('lag', 'window', 'delay'), [(0.09, 2, 3), (0.22, 0.2, 7), (0.5, 2, 15), (2.0, 2, 60)])
 def test_with_a_lag_every_visit_is_output_once_in_order_to_its_end(
     walk_model: BasePoses, points: Array, lag: float, window: float, delay: int
 ) -> None:
@@ -207,9 +205,8 @@ def test_a_person_near_and_off_the_axis_is_located(walk_model: BasePoses, walk: 
     camera = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True, distortion=lens)
     poses = walk.poses(walk_model)[:45] * Config().tracker.body_height / walk_model.stature
     joints = poses + [0.5, 0.1, 3.0] + 0.01 * np.arange(45)[:, None, None] * [1, 0, 0]
-    tracker = Tracker(
-        walk_model, with_settings(Config(), {'solver.components': 8, 'tracker.steady_output': False})
-    )
+    config = with_settings(Config(), {'solver.components': 8, 'tracker.steady_output': False})
+    tracker = Tracker(walk_model, config)
     person = feed(tracker, camera.project(joints), camera=camera)[-1]
     assert np.linalg.norm(person.core - joints[-1], axis=-1).mean() < 1.1 * 0.0602  # m, measured
     reprojection_error = np.linalg.norm(camera.project(person.core) - camera.project(joints[-1]), axis=-1)
@@ -231,16 +228,13 @@ def test_hidden_joints_are_inferred_and_flagged(tracker: Tracker, points: Array)
 def test_arbitrary_keypoints_give_finite_output(walk_model: BasePoses, data: st.DataObject) -> None:
     tracker = make_tracker(walk_model)
     numbers = st.lists(st.sampled_from([np.nan, 1e200]) | st.floats(-1e7, 1e7), min_size=30, max_size=30)
+    names = st.sampled_from(['', 'a', 'b'])
     scores = st.lists(st.just(np.inf) | st.floats(0, 1), min_size=15, max_size=15)
     for frame in range(data.draw(st.integers(1, 5))):
-        seen = [
-            see(
-                np.reshape(data.draw(numbers), (15, 2)),
-                data.draw(st.sampled_from(['', 'a', 'b'])) if i == 0 else '',
-                data.draw(scores),
-            )
-            for i in range(data.draw(st.integers(0, 3)))
-        ]
+        seen = []
+        for i in range(data.draw(st.integers(0, 3))):
+            drawn, name = np.reshape(data.draw(numbers), (15, 2)), data.draw(names) if i == 0 else ''
+            seen.append(see(drawn, name, data.draw(scores)))
         for person in tracker.update(frame * STEP_NS, seen, CAMERA):
             assert np.isfinite(person.joints).all()
             assert person.rotation @ person.rotation.T == pytest.approx(np.eye(3), abs=1e-6)

@@ -122,9 +122,8 @@ def test_the_bundle_is_the_one_that_the_lock_file_makes() -> None:
     lock = json.loads((ROOT / 'config' / 'page' / 'package-lock.json').read_text(encoding='utf-8'))
     packages = {name: package for name, package in lock['packages'].items() if name}
     assert all(package['integrity'].startswith('sha512-') for package in packages.values())
-    assert f'"{packages["node_modules/three"]["version"].split(".")[1]}"' in (FILES / 'three.js').read_text(
-        'utf-8'
-    )
+    release = packages['node_modules/three']['version'].split('.')[1]
+    assert f'"{release}"' in (FILES / 'three.js').read_text('utf-8')
 
 
 def open_scene(page: Any, path: Path, scene: Scene) -> None:
@@ -194,13 +193,10 @@ def test_what_is_not_known_has_no_row_and_people_are_upright(scene: Scene, tmp_p
     anna, nan = scene.people[0], np.float32(np.nan)
     joints = (anna.joints @ turn.T).astype(np.float32)
     joints[:, 4] = nan
-    plain = replace(
-        anna, joints=joints, cadence=anna.cadence * nan, std=anna.std * nan, motion=np.zeros_like(anna.motion)
-    )
-    camera = replace(scene.intrinsics, is_focal_known=False)
-    tilted = replace(
-        scene, people=(plain,), keypoints=(), marks=(), vertical=turn @ [0.0, -1.0, 0.0], intrinsics=camera
-    )
+    unknown = {'cadence': anna.cadence * nan, 'std': anna.std * nan, 'motion': np.zeros_like(anna.motion)}
+    plain = replace(anna, joints=joints, **unknown)
+    camera, vertical = replace(scene.intrinsics, is_focal_known=False), turn @ [0.0, -1.0, 0.0]
+    tilted = replace(scene, people=(plain,), keypoints=(), marks=(), vertical=vertical, intrinsics=camera)
     open_scene(page, tmp_path / 'page.html', tilted)
     shown = page.evaluate('mocapPage.showTime(0)')
     assert not page.is_visible('#clouds')

@@ -23,16 +23,10 @@ from mocap_ros.runtime.load_scene import read_images
 from mocap_ros.skeleton import CMU15
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing import plots
+from mocap_ros.viewing import scene as scenes
 from mocap_ros.viewing.overlay import MAX_OFFSET_S, Overlay, StampedImage, find_frame, reduce_images
 from mocap_ros.viewing.page import build_page
-from mocap_ros.viewing.scene import (
-    Scene,
-    SceneKeypoints,
-    ScenePerson,
-    SidedPoints,
-    find_undone_swaps,
-    image_corners,
-)
+from mocap_ros.viewing.scene import Scene, SceneKeypoints, ScenePerson, SidedPoints
 from tests.support.blob_people import write_video
 from tests.support.foreign_messages import create_blank_message
 from tests.support.image_messages import encode_pixels
@@ -46,7 +40,7 @@ LEGS = [CMU15.index(side + joint) for side in 'lr' for joint in ('hip', 'knee', 
 
 
 def find_swaps(person: ScenePerson, *inputs: SceneKeypoints) -> np.ndarray:
-    return find_undone_swaps(person, SidedPoints.find(inputs))
+    return scenes.find_undone_swaps(person, SidedPoints.find(inputs))
 
 
 @pytest.mark.parametrize('joints', [list(range(15)), LEGS], ids=['whole body', 'legs'])
@@ -72,7 +66,7 @@ def test_a_swap_of_another_person_is_not_taken_for_the_persons() -> None:
 
 
 def test_the_space_holds_the_people() -> None:
-    corners = image_corners((640, 480), INTRINSICS)
+    corners = scenes.image_corners((640, 480), INTRINSICS)
     assert INTRINSICS.project(corners) == pytest.approx(np.array([[0, 0], [640, 0], [640, 480], [0, 480]]))
     scene = make_scene()
     assert scene.centre == pytest.approx([0, 0.1, 4.5], abs=0.5)
@@ -80,10 +74,7 @@ def test_the_space_holds_the_people() -> None:
     assert scene.floor_y == pytest.approx(0.95, abs=0.15)
     assert replace(scene, camera_height=1.3).floor_y == 1.3
     nameless = replace(scene.people[1], joints=np.full_like(scene.people[1].joints, np.nan))
-    alone, with_unknown = (
-        replace(scene, people=scene.people[:1]),
-        replace(scene, people=(scene.people[0], nameless)),
-    )
+    alone, with_unknown = (replace(scene, people=(scene.people[0], *more)) for more in ((), (nameless,)))
     assert (with_unknown.extent, with_unknown.floor_y) == (alone.extent, alone.floor_y)
     empty = replace(scene, people=())
     assert np.isfinite([*empty.centre, empty.extent, empty.floor_y]).all()
