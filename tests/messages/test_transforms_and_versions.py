@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 from mocap_ros.bags.reader import Bag
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.geometry.rigid_transform import RigidTransform
-from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import CDR_ALIGNMENT_BYTES, MOCAP_ROS_MSGS, Header, decode, typestore
 from mocap_ros.messages.foreign_types import OPENPOSE_POSES
 from mocap_ros.messages.markers import MARKERS, MarkerEncoder
@@ -30,7 +29,7 @@ from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
 from mocap_ros.messages.versions import compare_versions, make_converter
 from mocap_ros.ros import message_types
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
-from tests.support.camera_infos import SECOND_NS, camera_info, encode_ros1_camera_info, make_transforms
+from tests.support.camera_infos import SECOND_NS, make_transforms
 from tests.support.message_objects import encode
 from tests.support.people import make_person_3d, make_standing_person
 
@@ -41,11 +40,8 @@ TURN = Rotation.from_euler('z', 90, degrees=True)  # of odom in map
 def make_tree() -> TransformTree:
     """Return map -> odom (static, turned) -> base (drives along x at 1 m/s) -> camera, and map -> dock."""
     tree = TransformTree()
-    tree.add(
-        make_transforms(('map', 'odom', 0, (5, 0, 0), TURN.as_quat()), ('map', 'dock', 0, (0, 7, 0))),
-        is_static=True,
-    )
-    tree.add(make_transforms(('base', 'camera', 0, CAMERA)), is_static=True)
+    odom, dock = ('map', 'odom', 0, (5, 0, 0), TURN.as_quat()), ('map', 'dock', 0, (0, 7, 0))
+    tree.add(make_transforms(odom, dock, ('base', 'camera', 0, CAMERA)), is_static=True)
     for tenth in range(11):
         tree.add(make_transforms(('odom', 'base', tenth * SECOND_NS // 10, (tenth / 10, 0, 0))), is_static=False)
     return tree
@@ -163,6 +159,7 @@ def test_a_time_before_a_late_transform_is_that_before_the_newest_of_each_frame(
 
 BOX = 'test_msgs/msg/Box'
 ITEM = 'test_msgs/msg/Item'
+MARKER = 'visualization_msgs/msg/Marker'
 
 
 @pytest.mark.parametrize('contact', [[0.9, 0.25], [0.9, np.nan], [np.nan, np.nan]])
@@ -200,22 +197,12 @@ def test_markers_of_kilted_become_markers_of_foxy_with_the_same_content() -> Non
     assert len(converted) % CDR_ALIGNMENT_BYTES == 0
     before, after = decode(raw, MARKERS).markers, foxy.deserialize_cdr(converted, MARKERS).markers  # type: ignore[attr-defined]
     assert len(after) == 4
-    fields = [name for name, _ in foxy.fielddefs['visualization_msgs/msg/Marker'][1]]
+    fields = [name for name, _ in foxy.fielddefs[MARKER][1]]
     for old, new in zip(before, after, strict=True):
         assert {f: repr(getattr(new, f)) for f in fields} == {f: repr(getattr(old, f)) for f in fields}
-    left_out = [
-        f'visualization_msgs/msg/Marker.{field}'
-        for field in ('texture_resource', 'texture', 'uv_coordinates', 'mesh_file')
-    ]
+    left_out = [f'{MARKER}.{field}' for field in ('texture_resource', 'texture', 'uv_coordinates', 'mesh_file')]
     assert compare_versions(typestore(), foxy, MARKERS) == (left_out, [])
     assert compare_versions(foxy, typestore(), MARKERS) == ([], [])
-
-
-def test_a_camera_of_ros_1_is_that_of_ros_2() -> None:
-    raw = camera_info(1280, 960, 900.0, d=(0.1, -0.2, 0.0, 0.0, 0.0))
-    ros1 = get_typestore(Stores.ROS1_NOETIC)
-    convert_camera = make_converter(ros1, typestore(), CAMERA_INFO, is_ros1=True)
-    assert convert_camera(encode_ros1_camera_info(ros1, raw)) == raw
 
 
 def convert(source: Typestore, target: Typestore, **fields: Any) -> object:
@@ -234,10 +221,8 @@ def test_a_field_is_not_taken_for_another_of_the_same_type() -> None:
 
 
 def test_arrays_keep_their_numbers_and_others_are_zero() -> None:
-    source, target = (
-        make_store('float32[3] a\nuint8[<=5] b\nint32 c'),
-        make_store('float64[] a\nint32[4] b\nItem c'),
-    )
+    texts = 'float32[3] a\nuint8[<=5] b\nint32 c', 'float64[] a\nint32[4] b\nItem c'
+    source, target = map(make_store, texts)
     message = convert(source, target, a=np.array([1, 2, 3], 'f4'), b=np.array([255], 'u1'), c=3)
     assert (message.a.tolist(), message.b.tolist(), message.c.x) == ([1, 2, 3], [255, 0, 0, 0], 0)  # type: ignore[attr-defined]
 
@@ -257,9 +242,6 @@ def test_fields_that_another_version_does_not_have_are_named(
     source: str, target: str, item: str, differences: tuple[list[str], list[str]]
 ) -> None:
     assert compare_versions(make_store(source), make_store(target, item), BOX) == differences
-
-
-MARKER = 'visualization_msgs/msg/Marker'
 
 
 @pytest.fixture

@@ -117,9 +117,8 @@ def test_images_are_complete_when_all_tracked_bodies_have_arrived() -> None:
     first, second = make_people(0)
 
     def feed_body(person: Person2D, frame: int) -> ProcessingResult:
-        return pipeline.feed(
-            Source.BODY, encode_body(person, make_header(frame)), make_body_topic(HRI_IDS_TOPIC, person.id)
-        )
+        topic = make_body_topic(HRI_IDS_TOPIC, person.id)
+        return pipeline.feed(Source.BODY, encode_body(person, make_header(frame)), topic)
 
     assert pipeline.feed(Source.TRACKED_BODIES, encode_ids(0, 'b0', 'b1'), HRI_IDS_TOPIC).outputs == ()
     assert feed_body(first, 0).outputs == ()
@@ -134,22 +133,18 @@ def test_images_are_complete_when_all_tracked_bodies_have_arrived() -> None:
     assert pipeline.counters.dropped['stamp'] == 2
 
 
-def set_keypoint_id(value: int) -> Callable[[Any], None]:
-    return lambda m: setattr(m.detections[1].keypoints.data[2], 'id', value)
+def set_keypoint(**fields: float) -> Callable[[Any], None]:
+    return lambda m: vars(m.detections[1].keypoints.data[2]).update(fields)
 
 
 @pytest.mark.parametrize(
     ('msgtype', 'edit', 'error'),
     [
-        (YOLO_DETECTIONS, set_keypoint_id(0), r'detections\[1\].keypoints.data\[2\].id: 0, expected 1 to 17'),
-        (YOLO_DETECTIONS, set_keypoint_id(18), r'detections\[1\].keypoints.data\[2\].id: 18, expected'),
-        (YOLO_DETECTIONS, set_keypoint_id(17), r'detections\[1\].keypoints.data\[2\].id: 17 twice'),
+        (YOLO_DETECTIONS, set_keypoint(id=0), r'detections\[1\].keypoints.data\[2\].id: 0, expected 1 to 17'),
+        (YOLO_DETECTIONS, set_keypoint(id=18), r'detections\[1\].keypoints.data\[2\].id: 18, expected'),
+        (YOLO_DETECTIONS, set_keypoint(id=17), r'detections\[1\].keypoints.data\[2\].id: 17 twice'),
         (YOLO_DETECTIONS, lambda m: setattr(m.detections[1], 'id', 'b0'), "detections: id 'b0' twice"),
-        (
-            YOLO_DETECTIONS,
-            lambda m: setattr(m.detections[0].keypoints.data[0], 'score', np.inf),
-            r'detections\[0\].keypoints: score\[16\]: inf, expected',
-        ),
+        (YOLO_DETECTIONS, set_keypoint(score=np.inf), r'detections\[1\].keypoints: score\[14\]: inf, expected'),
         (ZED_OBJECTS, lambda m: setattr(m.objects[0], 'body_format', 4), r'objects\[0\].body_format: 4, expected'),
         (ZED_OBJECTS, lambda m: setattr(m.header.stamp, 'sec', -1), 'header.stamp: -1 s'),
         (
@@ -260,23 +255,16 @@ def edit_people(raw: bytes, edit: Callable[[Any], None]) -> bytes:
     return encode(message, KEYPOINTS)
 
 
-def reverse_joints(person: Any) -> None:
-    person.skeleton, person.joint_names = '', list(reversed(COCO17))
-
-
-def name_as_h36m(person: Any) -> None:
-    person.skeleton, person.joint_names = 'h36m17', []
+def name_joints(skeleton: str, *joints: str) -> Callable[[Any], None]:
+    return lambda person: vars(person).update(skeleton=skeleton, joint_names=[*joints])
 
 
 def move(change: Callable[[Any, Any], Any]) -> Callable[[Any], None]:
     """Return an edit of the points (x, y) of a person."""
-
-    def edit(person: Any) -> None:
-        person.x, person.y = change(person.x, person.y)
-
-    return edit
+    return lambda person: vars(person).update(zip('xy', change(person.x, person.y), strict=True))
 
 
+reverse_joints = name_joints('', *COCO17[::-1])
 turn_around = move(lambda x, y: (640 - x, 480 - y))
 
 
@@ -294,7 +282,7 @@ def list_reasons(pipeline: Pipeline, frames: list[bytes]) -> list[str]:
 @pytest.mark.parametrize(
     ('edit', 'problem'),
     [
-        (name_as_h36m, 'people: these look like coco17, not h36m17: use --layout coco17'),
+        (name_joints('h36m17'), 'people: these look like coco17, not h36m17: use --layout coco17'),
         (reverse_joints, 'people: these look like coco17, not the given joints'),
         (move(lambda x, y: (y, x)), 'people: (x and y look exchanged|people lie)'),
         (move(lambda x, y: (x / 2, y / 2)), 'people: all points lie in the upper left quarter'),
@@ -320,13 +308,10 @@ def test_a_mistake_is_kept_until_mended(stream: list[bytes], edit: Callable[[Any
     assert pipeline.checks.warnings == ()
 
 
-def test_nothing_is_reported_on_right_points(stream: list[bytes]) -> None:
-    assert not any(list_reasons(Pipeline(FAST_CONFIG), stream))
-
-
 @pytest.mark.parametrize(
     ('edit', 'step_s', 'values', 'problem'),
     [
+        (lambda _: None, STEP_S, {}, ''),
         (reverse_joints, 0.5, {}, 'people: the points do not fit'),  # too slow for the lifter
         (turn_around, STEP_S, {}, 'people: people lie or are upside down'),
         (turn_around, STEP_S, {'node.output_frame': 'map', 'node.camera_pose': '0 0 1 3.1416 0 0'}, ''),

@@ -8,10 +8,10 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -75,11 +75,7 @@ def add_other_camera(images: list[Shot]) -> list[Shot]:
     [
         (lambda i: [(0, *i[0][1:]), *i[1:]], False, '1 messages left out; /k: header.stamp '),
         (lambda i: [i[0], *i], False, '1 messages left out; /k: message 2: its stamp '),
-        (
-            lambda i: [*i[:-10], *((*m[:2], (320, 240), m[3]) for m in i[-10:])],
-            False,
-            '10 messages left out; /k: ',
-        ),
+        (lambda i: i[:-10] + [(*m[:2], (320, 240), m[3]) for m in i[-10:]], False, '10 messages left out; /k: '),
         (lambda i: [(*i[0][:2], (1280, 960), 0), *i[1:]], True, '/k: message 1: image_width, image_height: '),
         (add_other_camera, False, "40 messages left out; /k: message 2: header.frame_id: 'right', but the images"),
     ],
@@ -172,20 +168,11 @@ def test_kinds_by_name_and_content(tmp_path: Path) -> None:
     save_sequence(tmp_path / 'walk.npz', make_walker())
     (tmp_path / 'walk.dat').write_bytes((tmp_path / 'walk.npz').read_bytes())
     np.savez(tmp_path / 'result.npz', joints3d=np.zeros(1), theta=np.zeros(1), residual_px=np.zeros(1))
-    for place in (
-        'bag/bag_0.mcap',
-        'bag.npz/metadata.yaml',
-        'openpose/a_0_keypoints.json',
-        'images/1.PNG',
-        'folder/a.txt',
-    ):
-        (tmp_path / place).parent.mkdir()
+    in_folders = 'bag/bag_0.mcap bag.npz/metadata.yaml openpose/a_0_keypoints.json images/1.PNG folder/a.txt'
+    alone = 'a.mcap a.db3 a.bag a.json a.JSON a.MP4 a.gif a.jpeg a.csv a.xyz bad.npz'
+    for place in f'{in_folders} {alone}'.split():
+        (tmp_path / place).parent.mkdir(exist_ok=True)
         (tmp_path / place).write_bytes(b'content')
-    for name in (
-        *(f'a.{s}' for s in ['mcap', 'db3', 'bag', 'json', 'JSON', 'MP4', 'gif', 'jpeg', 'csv', 'xyz']),
-        'bad.npz',
-    ):
-        (tmp_path / name).write_bytes(b'content')
     (tmp_path / 'empty.mp4').touch()
     os.mkfifo(tmp_path / 'pipe.npz')
     os.mkfifo(tmp_path / 'pipe.mcap')
@@ -257,9 +244,8 @@ def test_a_bag_without_a_clock_is_refused(tmp_path: Path, edit: Edit, reason: st
 def test_the_live_pipeline_names_a_jump_once(jump_s: float) -> None:
     pipeline = Pipeline(FAST_CONFIG)
     stamps = [t + round(jump_s * 1e9) * (n >= 5) for n, t in enumerate(REGULAR[:10])]
-    results = [
-        pipeline.feed(Source.KEYPOINTS, encode_image((t, 'cam', (640, 480), n))) for n, t in enumerate(stamps)
-    ]
+    images = [(t, 'cam', (640, 480), n) for n, t in enumerate(stamps)]
+    results = [pipeline.feed(Source.KEYPOINTS, encode_image(image)) for image in images]
     assert [n for n, result in enumerate(results) if 'the ' in result.reason and ' s' in result.reason] == [5]
     expected = 'went back by 3600.0 s' if jump_s < 0 else f'gap of {jump_s:.1f} s before this stamp'
     assert expected in results[5].reason
@@ -296,9 +282,6 @@ def test_frames_in_a_long_gap_of_a_person_are_out_of_sight() -> None:
     expected = np.isin(np.arange(300), [*range(5, 21), *range(200, 211)])
     np.testing.assert_array_equal(find_frames_in_sight(seen, np.arange(300) / 30), expected)
 
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 TURN = 12  # images of each person
 
@@ -341,23 +324,14 @@ def test_people_in_turn_are_distinguished(shift_px: list[float | None], names: s
     assert sum(line.count(' from ') for line in lines) == changes
 
 
+@dataclass
 class BreakingCamera:
-    """Images of a walker, and then an end of them that a camera may have."""
+    """Images, and then an end of them that a camera may have."""
 
-    image_count = None
+    images: Sequence[Image]
+    error: InputError | None
+    image_count = focal_mm = None
     left_out = 0
-    focal_mm = None
-    images: Sequence[Image] = ()
-    error: InputError | None = None
-
-    def __init__(self, *_: object, **__: object) -> None:
-        pass
-
-    def __enter__(self) -> 'Self':
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
 
     def __iter__(self) -> Iterator[VideoImage]:
         yield from (VideoImage(image, i / 25) for i, image in enumerate(self.images))
@@ -366,28 +340,27 @@ class BreakingCamera:
 
 
 @pytest.mark.parametrize(
-    ('fault', 'reason'),
-    [('unplugged', r'the camera has gone'), ('resized', r'the size of the images changes .* at 0\.240 s')],
+    ('error', 'reason'),
+    [
+        (InputError('the camera has gone'), 'the camera has gone'),
+        (None, r'size of the images changes .* at 0\.240 s'),
+    ],
 )
 def test_what_a_camera_showed_is_kept_when_it_breaks_off(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, reason: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: InputError | None, reason: str
 ) -> None:
     path, model = Path('/dev/video0'), save_movenet(tmp_path / 'movenet.onnx')
     seen = [draw([person]) for person in walk(6)]
-    further = {'unplugged': [], 'resized': [seen[0][::2, ::2]]}
-
-    monkeypatch.setattr(detection, 'VideoReader', BreakingCamera)
-    monkeypatch.setattr(BreakingCamera, 'images', [*seen, *further[fault]])
-    monkeypatch.setattr(
-        BreakingCamera, 'error', InputError('the camera has gone') if fault == 'unplugged' else None
-    )
+    resized = [] if error else [seen[0][::2, ::2]]
+    camera = BreakingCamera([*seen, *resized], error)
+    monkeypatch.setattr(detection, 'VideoReader', lambda *_, **__: nullcontext(camera))
     found = detect_in_video(path, model, is_camera=True)
     assert [[person.id for person in people] for people in found.people] == [['person_1']] * 6
     assert found.stamps_ns == [STEP_NS * i for i in range(6)]
     assert re.search(f'ended early: .*{reason}', found.notes[1])
     with pytest.raises(InputError, match=reason):
         detect_in_video(path, model)
-    monkeypatch.setattr(BreakingCamera, 'images', [draw([])] * 6 + further[fault])
+    camera.images = [draw([])] * 6 + resized
     with pytest.raises(InputError, match=reason):
         detect_in_video(path, model, is_camera=True)
 

@@ -45,7 +45,6 @@ from tests.support.pipeline_inputs import (
     write_keypoints_bag,
 )
 
-FRAMES = 12
 START_NS = 1_700_000_000_000_000_000  # since the epoch
 SPEED_M_S = 2.0  # of the robot along x of map
 # The camera on the robot looks along the robot's x, with z of the robot up.
@@ -56,13 +55,13 @@ MAP_CONFIG = with_values(PLAIN_CONFIG, {'node.output_frame': 'map'})
 
 
 @pytest.fixture(scope='module')
-def stream() -> list[bytes]:
-    return encode_demo_frames(FRAMES)
+def long_stream() -> list[bytes]:
+    return encode_demo_frames(45)
 
 
 @pytest.fixture(scope='module')
-def long_stream() -> list[bytes]:
-    return encode_demo_frames(45)
+def stream(long_stream: list[bytes]) -> list[bytes]:
+    return long_stream[:12]
 
 
 @pytest.fixture(scope='module')
@@ -78,10 +77,6 @@ def stack(array: Any, field: str = 'joints') -> np.ndarray:
 
 def stamp_of(array: Any) -> int:
     return int(array.header.stamp.sec * SECOND_NS + array.header.stamp.nanosec)
-
-
-def static_transforms() -> bytes:
-    return make_transforms(('base', 'camera', 0, CAMERA, OPTICAL.as_quat()))
 
 
 def feed_transforms(pipeline: Pipeline, source: Source, raw: bytes) -> None:
@@ -100,11 +95,9 @@ def test_a_camera_that_stands_still_by_parameter(stream: list[bytes], in_camera:
         assert (placed.header.frame_id, placed.camera_frame_id) == ('map', 'camera')
         velocity = OPTICAL.apply(stack(own, 'joint_velocity').reshape(-1, 3))
         np.testing.assert_allclose(stack(placed, 'joint_velocity').reshape(-1, 3), velocity, atol=1e-9)
-        turned = [
-            Rotation.from_quat([(q.x, q.y, q.z, q.w) for q in s.people[0].joint_orientation])
-            for s in (own, placed)
-        ]
-        assert (turned[1].inv() * OPTICAL * turned[0]).magnitude().max() < 1e-6
+        quaternions = ([(q.x, q.y, q.z, q.w) for q in s.people[0].joint_orientation] for s in (own, placed))
+        before, after = map(Rotation.from_quat, quaternions)
+        assert (after.inv() * OPTICAL * before).magnitude().max() < 1e-6
         matrix = OPTICAL.as_matrix()
         for field in ('root_covariance', 'root_velocity_covariance'):
             before, after = (getattr(s.people[0], field).reshape(3, 3) for s in (own, placed))
@@ -122,7 +115,8 @@ def test_a_camera_that_stands_still_by_parameter(stream: list[bytes], in_camera:
 def test_velocities_from_a_driving_robot(stream: list[bytes], in_camera: list[Any], late_ns: int) -> None:
     """The robot turns at 0.5 rad/s about its axis and drives along x of map; transforms may come late."""
     pipeline = make_calibrated(MAP_CONFIG)
-    feed_transforms(pipeline, Source.STATIC_TRANSFORMS, static_transforms())
+    mounted = make_transforms(('base', 'camera', 0, CAMERA, OPTICAL.as_quat()))
+    feed_transforms(pipeline, Source.STATIC_TRANSFORMS, mounted)
     first_ns = stamp_of(in_camera[0])
 
     def pose_at(stamp_ns: int) -> tuple[np.ndarray, Rotation]:
@@ -171,10 +165,7 @@ def test_without_transforms_people_are_in_the_camera_frame(stream: list[bytes], 
         ({'node.camera_pose': '0 0 1 0 90 0', 'node.output_frame': 'map'}, r'angles are in rad, not in degrees'),
         ({'node.camera_pose': '2e7 0 1 0 0 0', 'node.output_frame': 'map'}, r'more than 10000 km away'),
         ({'node.floor_height': '0'}, r'node\.floor_height: needs node\.output_frame'),
-        (
-            {'node.floor_height': 'low', 'node.output_frame': 'map'},
-            r"node\.floor_height = 'low': expected a number",
-        ),
+        ({'node.floor_height': 'x', 'node.output_frame': 'map'}, r"node\.floor_height = 'x': expected a number"),
         ({'node.floor_height': 'nan', 'node.output_frame': 'map'}, r'such as 0'),
         ({'node.hfov': 60.0, 'node.focal': 600.0}, r'node\.focal: node\.hfov is given as well'),
         ({'node.prediction_times': '2', 'node.publish_predictions': True}, r'node\.prediction_times'),
@@ -284,10 +275,7 @@ def test_an_unusable_floor_is_named_once(
 @pytest.mark.parametrize(
     ('values', 'problem'),
     [
-        (
-            {'tracker.vertical': '0 1 0'},
-            r"tracker\.vertical = '0 1 0': people seem to stand at 1[5-8]\d degrees to it",
-        ),
+        ({'tracker.vertical': '0 1 0'}, r"tracker\.vertical = '0 1 0': people seem .* at 1[5-8]\d degrees to it"),
         ({'node.output_frame': 'odom'}, r"node\.output_frame = 'odom', whose z axis .* at 1[5-8]\d degrees to it"),
         ({'tracker.vertical': '0 -1 0'}, ''),
         ({'tracker.vertical': 'none', 'node.output_frame': 'odom'}, ''),
@@ -300,10 +288,8 @@ def test_a_wrong_vertical_is_named(long_stream: list[bytes], values: dict[str, o
         turned = Rotation.from_matrix([[0, 0, 1], [1, 0, 0], [0, 1, 0]]).as_quat()
         hanging = make_transforms(('odom', 'camera', 0, (0.0, 0.0, 1.5), turned))
     pipeline.feed(Source.STATIC_TRANSFORMS, hanging)
-    reasons = [
-        pipeline.feed(Source.KEYPOINTS, with_stamp(raw, (1 + i) * 200_000_000)).reason
-        for i, raw in enumerate(long_stream)
-    ]
+    slow = [with_stamp(raw, (1 + i) * 200_000_000) for i, raw in enumerate(long_stream)]
+    reasons = [pipeline.feed(Source.KEYPOINTS, raw).reason for raw in slow]
     made = [r for r in reasons if r]
     assert [bool(re.match(problem, r)) for r in made] == [True] * bool(problem)
     assert not any(reasons[:20]), 'not before people have been seen for some seconds'

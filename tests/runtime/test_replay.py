@@ -106,7 +106,7 @@ def test_bags_of_every_storage_and_version_give_the_same_skeletons(
 
 def test_a_bag_of_ros_1_gives_the_same(tmp_path: Path, stream: list[bytes], skeletons: list[bytes]) -> None:
     """The bag has the header and the CameraInfo of ROS 1, which differ from those of ROS 2."""
-    store = get_typestore(Stores.ROS1_NOETIC)
+    info, store = camera_info(p=(600.0, 0, 320, 1, 0, 600, 240, 2, 0, 0, 1, 3)), get_typestore(Stores.ROS1_NOETIC)
     own: dict[str, Any] = {}
     for file in (Path(cdr.__file__).parent / 'msg').glob('Keypoints*.msg'):
         own |= get_types_from_msg(file.read_text(), f'mocap_ros_msgs/msg/{file.stem}')
@@ -115,12 +115,13 @@ def test_a_bag_of_ros_1_gives_the_same(tmp_path: Path, stream: list[bytes], skel
     with writer:
         camera = writer.add_connection('/camera_info', CAMERA_INFO, typestore=store)
         points = writer.add_connection('/keypoints', KEYPOINTS, typestore=store)
-        writer.write(camera, START_NS, encode_ros1_camera_info(store))
+        writer.write(camera, START_NS, encode_ros1_camera_info(store, info))
         for i, raw in enumerate(stream):
             message = decode(raw, KEYPOINTS)
             message.header = make_ros1_header(store, message.header)
             writer.write(points, START_NS + i * STEP_NS, store.serialize_ros1(message, KEYPOINTS))
     assert replay_skeletons(tmp_path / 'old.bag', tmp_path / 'out') == skeletons
+    assert read_messages(tmp_path / 'out', '/camera_info') == [info]
 
 
 def test_a_split_bag_and_its_files_replay(tmp_path: Path, stream: list[bytes], skeletons: list[bytes]) -> None:
@@ -169,12 +170,8 @@ def test_a_bag_that_fails_does_not_stop_the_others(
         assert read_messages(tmp_path / 'out' / name, '/skeletons') == skeletons
 
 
-RECORDED = {
-    **FAST_VALUES,
-    'tracker.window': 1.2,
-    'tracker.lag': 0.1,
-    'node.hfov': 60.0,
-}  # parameters of a recorded run
+# Parameters of a recorded run.
+RECORDED = {**FAST_VALUES, 'tracker.window': 1.2, 'tracker.lag': 0.1, 'node.hfov': 60.0}
 CHANGED_AFTER = 6  # inputs after which it was given others
 CHANGED = {**RECORDED, 'tracker.lag': 0.0, 'tracker.min_score': 0.2}
 
@@ -318,30 +315,21 @@ def test_a_bag_names_versions_models_and_parameters(tmp_path: Path) -> None:
     assert len(bytes.fromhex(provenance['lifter']['sha256'])) == hashlib.sha256().digest_size
 
 
-PLAYED_FRAMES = 4
-
-
-@pytest.fixture
-def played_bag(tmp_path: Path) -> Path:
-    """Return a bag of keypoints and CameraInfo in a namespace, and of another topic."""
+def test_keypoints_and_their_camera_are_played_on_the_topics_of_the_node(tmp_path: Path, stream: Any) -> None:
     with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
         recorder.declare_topic('/unused', KEYPOINTS)
         recorder.write('/left/camera_info', CAMERA_INFO, camera_info(), 1, 1)
         recorder.write('/skeleton_definition', SKELETON_DEFINITION, DEFINITION, 2, 2)
-        for frame, raw in enumerate(encode_demo_frames(PLAYED_FRAMES)):
+        for frame, raw in enumerate(stream):
             recorder.write('/left/keypoints', KEYPOINTS, raw, 10 + frame, 10)
-    return tmp_path / 'bag'
-
-
-def test_keypoints_and_their_camera_are_played_on_the_topics_of_the_node(played_bag: Path) -> None:
-    playback = Playback(played_bag, to='people')
+    playback = Playback(tmp_path / 'bag', to='people')
     assert {t.recorded: (t.name, t.type) for t in playback.topics} == {
         '/left/keypoints': ('people', KEYPOINTS),
         '/left/camera_info': ('camera_info', CAMERA_INFO),
     }
-    assert playback.count == PLAYED_FRAMES + 1
+    assert playback.count == FRAMES + 1
     expected = [(1, '/left/camera_info', camera_info())]
-    expected += [(10 + i, '/left/keypoints', raw) for i, raw in enumerate(encode_demo_frames(PLAYED_FRAMES))]
+    expected += [(10 + i, '/left/keypoints', raw) for i, raw in enumerate(stream)]
     for _ in range(2):  # a playback can be repeated
         assert [(m.due_ns, playback.topics[m.topic].recorded, m.raw) for m in playback] == expected
 

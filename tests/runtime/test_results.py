@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from mocap_ros.formats.bvh import load_bvh
 from mocap_ros.formats.mocap.joint_maps import map_to_model
 from mocap_ros.formats.mocap.trials import load_trials
 from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
+from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
@@ -40,23 +42,12 @@ from mocap_ros.units import NS_PER_S
 from tests.support.keypoint_files import FRAMES, make_walker
 from tests.support.message_objects import encode
 from tests.support.motion_files import Z_UP_TO_Y_UP
+from tests.support.people import make_person_3d
 from tests.support.pipeline_inputs import FAST_CONFIG
 
 
 def make_person(name: str, height: float) -> Person3D:
-    return Person3D(
-        id=name,
-        joints=np.full((15, 3), height),
-        std=np.full(15, np.nan),
-        inferred=np.arange(15) == 3,
-        scale=1.0,
-        rotation=np.eye(3),
-        translation=np.zeros(2),
-        motion=Motion(MotionKind.UNKNOWN, '', np.nan, np.nan),
-        residual=height / 10,
-        scale_known=False,
-        predicted=False,
-    )
+    return replace(make_person_3d(name), joints=np.full((15, 3), height), residual=height / 10)
 
 
 def test_a_result_file_and_a_bag_hold_the_same(results: Path) -> None:
@@ -79,14 +70,9 @@ def test_a_result_file_and_a_bag_hold_the_same(results: Path) -> None:
 
 
 def test_the_person_with_most_skeletons_is_read_from_a_bag(tmp_path: Path) -> None:
-    people_by_frame = [
-        [make_person('b', 1.0)],
-        [make_person('a', 2.0), make_person('b', 3.0)],
-        [],
-        [make_person('b', 4.0)],
-    ]
+    a, *b = (make_person(name, height) for name, height in (('a', 2.0), ('b', 1.0), ('b', 3.0), ('b', 4.0)))
     with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
-        for frame, people in enumerate(people_by_frame):
+        for frame, people in enumerate(([b[0]], [a, b[1]], [], [b[2]])):
             stamp = 10**9 * (frame + 1) + 1
             recorder.write('/skeletons', SKELETONS, encode_skeletons(Header(stamp, 'c'), people), stamp, stamp)
     result, person = load_result(tmp_path / 'bag')
@@ -96,7 +82,7 @@ def test_the_person_with_most_skeletons_is_read_from_a_bag(tmp_path: Path) -> No
     assert result.joints[:, 0, 0] == pytest.approx([1, 3, np.nan, 4], nan_ok=True)
     assert result.residual == pytest.approx([0.1, 0.3, np.nan, 0.4], nan_ok=True)
     assert result.seen.sum(axis=1).tolist() == [14, 14, 0, 14]
-    assert not result.seen[:, 3].any()
+    assert not result.seen[:, 2].any()
     other, person = load_result(tmp_path / 'bag', 'a')
     assert (person, np.isfinite(other.joints).all(axis=(1, 2)).tolist()) == ('a', [False, True, False, False])
     with pytest.raises(InputError, match=r"bag: no person 'c'; there are b \(3\), a \(1\)"):
@@ -134,10 +120,7 @@ def test_skeletons_that_do_not_fit_together_are_refused(
         ({'seen': np.ones((3, 26), bool)}, r'seen: shape \(3, 26\), expected \(40, 26\)'),
         ({'joints3d': np.full((FRAMES, 26, 3), np.nan)}, 'no frame has a skeleton'),
         ({'timestamps': np.zeros(FRAMES)}, 'timestamps: expected increasing times in s'),
-        (
-            {'joint_names': np.array([f'j{i}' for i in range(26)])},
-            'joint_names: j0, .*: not those of a known skeleton',
-        ),
+        ({'joint_names': np.arange(26).astype(str)}, 'joint_names: 0, 1, .*: not those of a known skeleton'),
     ],
 )
 def test_a_damaged_result_is_refused_by_file_and_key(
@@ -225,17 +208,13 @@ def test_trc_has_the_header_of_opensim(results: Path) -> None:
 
 
 SCALE_KNOWN = 1  # the value of Skeleton3D
-LENSES = {  # distortion coefficients of sequence files, by the name of their model in a CameraInfo
-    'plumb_bob': (0.1, -0.05, 0.001, -0.002),
-    '': (),
-}
 
 
-@pytest.mark.parametrize('lens', LENSES)
-def test_a_bag_holds_the_camera_of_the_sequence(tmp_path: Path, walker: KeypointSequence, lens: str) -> None:
+@pytest.mark.parametrize('lens', [(0.1, -0.05, 0.001, -0.002), ()])
+def test_a_bag_holds_the_camera_of_the_sequence(tmp_path: Path, walker: KeypointSequence, lens: Any) -> None:
     """The bag is an input again, with the same focal length, principal point and lens."""
     matrix = np.array([[910.0, 0.0, 331.0], [0.0, 905.0, 236.0], [0.0, 0.0, 1.0]])
-    known = replace(walker, camera_matrix=matrix, distortion=np.array(LENSES[lens]) if lens else None)
+    known = replace(walker, camera_matrix=matrix, distortion=np.array(lens) if lens else None)
     file = reconstruct(tmp_path, known, 2, 'mcap') / 'r.mcap'
     with Bag(file) as bag:
         messages = list(bag.messages(['/camera_info', '/keypoints']))
@@ -246,8 +225,7 @@ def test_a_bag_holds_the_camera_of_the_sequence(tmp_path: Path, walker: Keypoint
     assert camera.size == walker.image_size
     assert camera.intrinsics.focal_lengths == pytest.approx([910.0, 905.0])
     assert camera.intrinsics.center == (331.0, 236.0)
-    assert camera.intrinsics.distortion.coefficients == LENSES[lens]
-    assert camera.intrinsics.distortion.model == (lens or 'plumb_bob')
+    assert camera.intrinsics.distortion == Distortion('plumb_bob', lens)
     rectified = decode_camera_info(messages[0].raw, rectified=True).intrinsics
     assert rectified.focal_lengths == pytest.approx([910.0, 905.0])
     again = read(file).intrinsics(1.0)
@@ -400,8 +378,7 @@ def test_a_sequence_file_and_its_results_look_the_same(
     sequence: KeypointSequence, tmp_path: Path, *, is_calibrated: bool
 ) -> None:
     if is_calibrated:
-        matrix = np.array([[480.0, 0, 320], [0, 480, 240], [0, 0, 1]])
-        sequence = replace(sequence, camera_matrix=matrix)
+        sequence = replace(sequence, camera_matrix=np.array([[480.0, 0, 320], [0, 480, 240], [0, 0, 1]]))
     save_sequence(tmp_path / 'in.npz', sequence)
     whole, _, summary = load_scene(tmp_path / 'in.npz', OPTIONS)
     assert summary is not None
