@@ -67,9 +67,8 @@ def test_the_camera_of_a_bag_is_written_but_for_a_fisheye(
 ) -> None:
     lens = Distortion.from_coefficients(model, (0.1, -0.05, 0.001, 0.002))
     camera = Intrinsics.from_matrix(np.array([[610.0, 0, 330], [0, 590, 235], [0, 0, 1]]), lens)
-    mocap_ros.write(
-        tmp_path / 'own.npz', replace(sequence, camera_matrix=None, distortion=None, calibration=camera)
-    )
+    calibrated = replace(sequence, camera_matrix=None, distortion=None, calibration=camera)
+    mocap_ros.write(tmp_path / 'own.npz', calibrated)
     read = mocap_ros.read(tmp_path / 'own.npz').intrinsics(1.0)
     if model == 'equidistant':
         assert not read.is_focal_known

@@ -76,9 +76,8 @@ def test_signatures_are_those_of_this_list(name: str) -> None:
 
 def test_type_checkers_know_the_same_names_from_the_same_modules() -> None:
     tree = ast.parse(Path(mocap_ros.__file__).read_text(encoding='utf-8'))
-    (block,) = (
-        node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == 'TYPE_CHECKING'
-    )
+    conditional = [node for node in tree.body if isinstance(node, ast.If)]
+    (block,) = (node for node in conditional if ast.unparse(node.test) == 'TYPE_CHECKING')
     imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
     assert {node.module: tuple(alias.name for alias in node.names) for node in imports} == mocap_ros._MODULES
 
@@ -112,10 +111,7 @@ def split_figures(text: str) -> tuple[list[str], list[str]]:
 
 
 def find_differences(printed: str, expected: str) -> list[str]:
-    """Return what differs between printed text and that of the page; figures may differ a little.
-
-    A figure may differ by `TOLERANCE` of the expected one, or by one in its last digit where that is more.
-    """
+    """Return what differs; a figure may by `TOLERANCE` of the expected one, or by one in its last digit."""
     (lines, figures), (expected_lines, expected_figures) = split_figures(printed), split_figures(expected)
     if lines != expected_lines:
         return [f'printed {lines}, the page has {expected_lines}']

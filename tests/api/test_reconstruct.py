@@ -67,11 +67,8 @@ def test_a_sequence_is_the_same_as_its_arrays(sequence: mocap_ros.KeypointSequen
 
 
 def test_the_camera_is_used(sequence: mocap_ros.KeypointSequence) -> None:
-    twice = {
-        **arguments_of(sequence),
-        'camera_matrix': MATRIX * [[2], [2], [1]] - [[0, 0, 320], [0, 0, 240], [0, 0, 0]],
-    }
-    near, far = (mocap_ros.reconstruct(**a) for a in ({**twice, 'camera_matrix': MATRIX}, twice))
+    twice = MATRIX * [[2], [2], [1]] - [[0, 0, 320], [0, 0, 240], [0, 0, 0]]
+    near, far = (mocap_ros.reconstruct(**arguments_of(sequence), camera_matrix=m) for m in (MATRIX, twice))
     assert near.is_scale_known
     assert not mocap_ros.reconstruct(**arguments_of(sequence)).is_scale_known
     assert far.joints[..., 2].mean() == pytest.approx(2 * near.joints[..., 2].mean(), rel=0.05)
@@ -252,11 +249,8 @@ def trial(sequence: mocap_ros.KeypointSequence) -> np.ndarray:
 def test_fitting_is_the_training_with_joints_in_any_order(trial: np.ndarray) -> None:
     expected = fit_base_poses([trial, trial[:20]], name='demo', components=5, mirror=True)
     names = mocap_ros.BasePoses.load('walk').joint_names
-    order = np.arange(15)[::-1]
-    shuffled = [t[:, order].tolist() for t in (trial, trial[:20])]
-    fitted = mocap_ros.BasePoses.fit(
-        shuffled, name='demo', joint_names=[names[i] for i in order], components=5, mirror=True
-    )
+    shuffled = [t[:, ::-1].tolist() for t in (trial, trial[:20])]
+    fitted = mocap_ros.BasePoses.fit(shuffled, name='demo', joint_names=names[::-1], components=5, mirror=True)
     for array in ('mean', 'components', 'std', 'explained'):
         np.testing.assert_array_equal(getattr(fitted, array), getattr(expected, array))
 

@@ -88,9 +88,8 @@ def convert(name: str, *people: Person3D) -> Any:
 
 
 def test_people_for_costmaps() -> None:
-    lost = replace(
-        make_walker('bob', (5, 0, 0)), predicted=True, unseen_for=0.5, velocity=np.full((15, 3), np.nan)
-    )
+    unknown = np.full((15, 3), np.nan)
+    lost = replace(make_walker('bob', (5, 0, 0)), predicted=True, unseen_for=0.5, velocity=unknown)
     message = convert('people', make_walker(), lost)
     assert (message.header.frame_id, message.header.stamp.nanosec) == ('map', 345_678_901)
     anna, bob = message.people
@@ -111,11 +110,8 @@ def test_detections_hold_pose_covariance_and_box() -> None:
     hips = person.joints[[CMU15.index('lhip'), CMU15.index('rhip')]]
     breadth = np.linalg.norm(hips[0] - hips[1])
     np.testing.assert_allclose(covariance[3:, 3:], np.eye(3) * 4 / 3 * (0.03 / breadth) ** 2, rtol=1e-6)
-    low, high = (
-        np.array(xyz(found.bbox.center.position)) + s * np.array(xyz(found.bbox.size)) / 2 for s in (-1, 1)
-    )
-    assert (low + 0.09 < person.joints).all()
-    assert (high - 0.09 > person.joints).all()
+    center, size = (np.array(xyz(v)) for v in (found.bbox.center.position, found.bbox.size))
+    assert (np.abs(person.joints - center) < size / 2 - 0.09).all()
     unknown = replace(person, std=np.full(15, np.nan))
     (found,) = convert('detections', unknown).detections
     np.testing.assert_allclose(found.results[0].pose.covariance[-1], np.pi**2 / 3)

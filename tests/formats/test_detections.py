@@ -40,9 +40,8 @@ def test_people_without_ids_are_associated_by_position() -> None:
     on_right = [make_standing_person(400 - f) for f in range(30)]
     people = [[a, b] if f % 2 else [b, a] for f, (a, b) in enumerate(zip(on_left, on_right, strict=True))]
     people[10:15] = [[a] for a in on_left[10:15]]
-    left, right = sorted(
-        associate_people(make_detections(people))[0], key=lambda t: t.detection_by_frame[0].points[0, 0]
-    )
+    tracks, _ = associate_people(make_detections(people))
+    left, right = sorted(tracks, key=lambda t: t.detection_by_frame[0].points[0, 0])
     assert (len(left.detection_by_frame), len(right.detection_by_frame)) == (30, 25)
     assert [p.points[0, 0] for p in left.detection_by_frame.values()] == list(range(100, 130))
     sequence, lines = select_person(make_detections(people))

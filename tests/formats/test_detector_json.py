@@ -19,24 +19,14 @@ from mocap_ros.formats.detector_json import MIN_PERSON_SCORE, load_json_file, lo
 from mocap_ros.formats.export.trc import save_trc
 from mocap_ros.runtime.load_keypoints import InputOptions, load_input, load_people
 from mocap_ros.skeleton import keypoint_layout
-from tests.support.keypoint_files import (
-    FPS,
-    FRAMES,
-    LIMITS,
-    VIDEO,
-    check_same_keypoints,
-    flatten_keypoints,
-    make_walker,
-)
+from tests.support.keypoint_files import FPS, FRAMES, VIDEO, check_same_keypoints, flatten_keypoints, make_walker
 
 COCO17 = keypoint_layout('coco17').joints
 BODY = [100.0, 100.0, 0.9] * 25
 Frames = list[list[float]]  # x, y, score of each joint, in each frame
 
 WALKER = make_walker()
-
 DOG = {'image_id': 0, 'category_id': 18, 'keypoints': [50.0, 60.0, 0.9] * 17, 'score': 0.9}
-
 PERSON = {**DOG, 'category_id': 1}
 
 
@@ -74,9 +64,8 @@ def set_unseen(keypoints: list[float], point: tuple[float, float], score: float 
 
 def make_annotations(frames: Frames) -> dict[str, Any]:
     """Return COCO annotations of people and a dog, with image ids in reverse order."""
-    images = [
-        {'id': 900 - f, 'file_name': f'cam1/{f:05d}.png', 'width': 640, 'height': 480} for f in range(len(frames))
-    ]
+    size = {'width': 640, 'height': 480}
+    images = [{'id': 900 - f, 'file_name': f'cam1/{f:05d}.png', **size} for f in range(len(frames))]
     names = [n.replace('l', 'left_', 1) if n[0] == 'l' else n for n in COCO17]
     people = [{'image_id': 900 - f, 'category_id': 7, 'keypoints': k} for f, k in enumerate(frames)]
     dog, person = {'id': 18, 'name': 'dog', 'keypoints': ['nose']}, {'id': 7, 'name': 'person', 'keypoints': names}
@@ -151,15 +140,13 @@ def test_every_form_gives_the_same_keypoints(tmp_path: Path, form: str) -> None:
 @pytest.mark.parametrize('tool', FOLDERS)
 def test_every_folder_gives_the_same_keypoints(tmp_path: Path, tool: str) -> None:
     write_folder(tmp_path, FOLDERS[tool](flatten_keypoints(WALKER)))
-    sequence, _ = load_input(tmp_path, InputOptions(VIDEO, LIMITS))
+    sequence, _ = load_input(tmp_path, InputOptions(VIDEO))
     assert sequence.keypoints == pytest.approx(WALKER.keypoints, nan_ok=True, abs=1e-4)
 
 
 def test_images_whose_names_are_times_need_no_frame_rate(tmp_path: Path) -> None:
-    results = [
-        {'image_id': f'{1305031102 + f / FPS:.6f}.png', 'keypoints': k}
-        for f, k in enumerate(flatten_keypoints(WALKER))
-    ]
+    names = [f'{1305031102 + f / FPS:.6f}.png' for f in range(FRAMES)]
+    results = [{'image_id': n, 'keypoints': k} for n, k in zip(names, flatten_keypoints(WALKER), strict=True)]
     sequence, _ = select_person(load(tmp_path, results, Video(image_size=(640, 480))))
     assert np.diff(sequence.timestamps) == pytest.approx(1 / FPS, abs=1e-5)
     assert sequence.timestamps[0] == 1305031102
@@ -181,9 +168,6 @@ HALPE = [
 SWAPPED_COCO = [n.replace('left', '?').replace('right', 'left').replace('?', 'right') for n in HALPE[:17]]
 
 
-NAMED_IN = ['keypoint_id2name', 'keypoint_name2id', 'keypoint_info', 'categories', 'keypoint_names', 'person']
-
-
 @pytest.mark.parametrize(
     ('names', 'expected'),
     [
@@ -194,13 +178,11 @@ NAMED_IN = ['keypoint_id2name', 'keypoint_name2id', 'keypoint_info', 'categories
         ([f'left_hip {i}' if i == 1 else n for i, n in enumerate(H36M)], ('pelvis', 'lhip1', 'rknee', 'rankle')),
     ],
 )
-@pytest.mark.parametrize('place', NAMED_IN)
+@pytest.mark.parametrize(
+    'place', ['keypoint_id2name', 'keypoint_name2id', 'keypoint_info', 'categories', 'keypoint_names', 'person']
+)
 def test_the_file_names_joints(tmp_path: Path, place: str, names: list[str], expected: tuple[str, ...]) -> None:
-    person: dict[str, Any] = {
-        'image_id': 0,
-        'category_id': 5,
-        'keypoints': BODY[: 3 * len(names)] + BODY[:3] * max(0, len(names) - 25),
-    }
+    person: dict[str, Any] = {'image_id': 0, 'category_id': 5, 'keypoints': (2 * BODY)[: 3 * len(names)]}
     content: Any = {'annotations': [person]}
     if place in ('keypoint_id2name', 'keypoint_name2id', 'keypoint_info'):
         by_index: dict[str, Any] = {str(i): n for i, n in enumerate(names)}
@@ -236,10 +218,8 @@ def test_an_id_that_two_people_of_one_frame_have_is_none(tmp_path: Path) -> None
 
 
 def test_people_with_a_low_score_are_left_out(tmp_path: Path) -> None:
-    scores = [MIN_PERSON_SCORE, 0.99 * MIN_PERSON_SCORE, 0.3]
-    people = [
-        {'image_id': 1, 'keypoints': [100.0 * (i + 1), 50.0, 1.0] * 17, 'score': s} for i, s in enumerate(scores)
-    ]
+    scores = {100: MIN_PERSON_SCORE, 200: 0.99 * MIN_PERSON_SCORE, 300: 0.3}
+    people = [{'image_id': 1, 'keypoints': [x, 50, 1] * 17, 'score': score} for x, score in scores.items()]
     ((first, second),) = load(tmp_path, people).people
     assert [first.points[0, 0], second.points[0, 0]] == [100, 300]
 
@@ -259,13 +239,8 @@ def test_annotations_give_size_and_visibility(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ('given', 'person_id'),
     [({'person_id': ids}, name) for ids, name in (([3], '3'), ([0], '0'), ([-1], ''), ([3, 4], ''), (3, ''))]
-    + [
-        ({'track_id': 5}, '5'),
-        ({'track_id': 'anna', 'idx': 3}, 'anna'),
-        ({'idx': [[3.0]]}, '3'),
-        ({'idx': 0}, '0'),
-    ]
-    + [({'idx': 3.5}, ''), ({'idx': []}, ''), ({'idx': None}, ''), ({'id': 7}, '')],
+    + [({'track_id': 5}, '5'), ({'track_id': 'anna', 'idx': 3}, 'anna'), ({'idx': [[3.0]]}, '3')]
+    + [({'idx': 0}, '0'), ({'idx': 3.5}, ''), ({'idx': []}, ''), ({'idx': None}, ''), ({'id': 7}, '')],
 )
 def test_people_have_the_ids_of_a_tracker(tmp_path: Path, given: dict[str, Any], person_id: str) -> None:
     ((person,),) = load(tmp_path, [{'image_id': 1, 'keypoints': BODY[:51], **given}]).people
@@ -332,7 +307,7 @@ def test_invalid_json_is_refused_in_one_line(tmp_path: Path, content: Any, place
     path = tmp_path / 'people.json'
     path.write_bytes(content if isinstance(content, bytes) else json.dumps(content).encode())
     with pytest.raises(InputError, match=rf'people\.json: .*{place}'):
-        load_input(path, InputOptions(VIDEO, LIMITS))
+        load_input(path, InputOptions(VIDEO))
 
 
 @pytest.mark.parametrize(
@@ -344,10 +319,7 @@ def test_invalid_json_is_refused_in_one_line(tmp_path: Path, content: Any, place
         ({'1': {'people': [{'pose_keypoints_2d': BODY}, {}]}}, r'people\[1\]: no pose_keypoints_2d'),
         ({'1': {'people': [3]}}, r'people\[0\]: expected a person'),
         ({'1': {'people': [{'pose_keypoints_2d': [1.0, 2.0]}]}}, r'people\[0\]: keypoints: expected x, y'),
-        (
-            {'1': {'people': [{'pose_keypoints_2d': [1.0, 2.0, 0.5]}]}},
-            r'people\[0\]: 1 keypoints: no layout known',
-        ),
+        ({'1': {'people': [{'pose_keypoints_2d': [1, 2, 0.5]}]}}, r'people\[0\]: 1 keypoints: no layout known'),
     ],
 )
 def test_an_invalid_folder_is_refused_in_one_line(tmp_path: Path, contents: dict[str, Any], place: str) -> None:
@@ -357,9 +329,8 @@ def test_an_invalid_folder_is_refused_in_one_line(tmp_path: Path, contents: dict
 
 
 WALK = make_recording().sequence()
-NAMES = [
-    n[0].upper() + n[1:2].upper() + n[2:] if n[0] in 'lr' else n.title() for n in WALK.joint_names
-]  # LShoulder
+# Such as LShoulder.
+NAMES = [n[:2].upper() + n[2:] if n[0] in 'lr' else n.title() for n in WALK.joint_names]
 OPTIONS = InputOptions(Video(image_size=WALK.image_size))
 
 
@@ -395,10 +366,7 @@ def test_other_files_are_refused_by_line(tmp_path: Path) -> None:
     write(tmp_path / 'walk_m_person00.trc', depth=0.1)
     damaged = write(tmp_path / 'walk_px_person00.trc')
     damaged.write_text(damaged.read_text() + '3\tlater\n')
-    for name, problem in (
-        ('own', '3D markers'),
-        ('walk_m_person00', '3D'),
-        ('walk_px_person00', r'line \d+: expec'),
-    ):
+    problems = {'own': '3D markers', 'walk_m_person00': '3D', 'walk_px_person00': r'line \d+: expec'}
+    for name, problem in problems.items():
         with pytest.raises(InputError, match=rf'{re.escape(name)}\.trc: .*{problem}'):
             load_input(tmp_path / f'{name}.trc', OPTIONS)

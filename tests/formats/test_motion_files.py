@@ -121,9 +121,7 @@ def test_a_trial_has_the_subject_and_category_of_its_name_or_manifest(tmp_path: 
 )
 def test_clean_trials_are_selected(poses: np.ndarray, options: dict[str, Any], selected: list[str]) -> None:
     names = '1_walk', '1_run', '2_walk', '2_run', '3_walk', '3_jump'
-    trials = [
-        Trial(name, subject=name[0], category=name[2:], clean=name != '2_run', poses=poses) for name in names
-    ]
+    trials = [Trial(n, subject=n[0], category=n[2:], clean=n != '2_run', poses=poses) for n in names]
     assert [t.name for t in select_trials(trials, **options)] == selected
 
 
@@ -333,13 +331,9 @@ def compute_joints(values: np.ndarray, places: dict[str, Any]) -> np.ndarray:
 FPS = 30.0
 # m; the hips of `STANDING` lie below the pelvis at the angle by which joint angles take a pelvis as upright
 HIP_DROP = np.hypot(*STANDING['rhip'][:2])
-PLACES = {
-    **STANDING,
-    'rhip': (HIP_DROP * np.sin(np.radians(UPRIGHT_DEG)), -HIP_DROP * np.cos(np.radians(UPRIGHT_DEG)), 0.1),
-    'lhip': (HIP_DROP * np.sin(np.radians(UPRIGHT_DEG)), -HIP_DROP * np.cos(np.radians(UPRIGHT_DEG)), -0.1),
-    'lshoulder': (0.0, 0.45, -0.18),
-    'rshoulder': (0.0, 0.45, 0.18),
-}
+HIP = HIP_DROP * np.sin(np.radians(UPRIGHT_DEG)), -HIP_DROP * np.cos(np.radians(UPRIGHT_DEG))
+SHOULDERS = {'lshoulder': (0.0, 0.45, -0.18), 'rshoulder': (0.0, 0.45, 0.18)}
+PLACES = {**STANDING, **SHOULDERS, 'rhip': (*HIP, 0.1), 'lhip': (*HIP, -0.1)}
 ANGLES = [name for name in COORDINATES if name not in POSITIONS]
 # degrees; beyond these, the angles of other coordinates mean little
 LIMITS = {'pelvis_list': (-70, 70), 'lumbar_bending': (-60, 60), 'neck_bending': (-60, 60)}

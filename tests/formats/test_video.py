@@ -63,11 +63,8 @@ def test_turned_videos_are_upright(tmp_path: Path, matrix: tuple[int, ...], is_u
     path = write_video(tmp_path / 'a.mp4', make_images(), TIMES_S, 'libx264', 'yuv420p')
     content, (a, b, c, d) = path.read_bytes(), matrix
     start = content.index(struct.pack('>9i', ONE, 0, 0, 0, ONE, 0, 0, 0, 1 << 30), content.index(b'tkhd'))
-    path.write_bytes(
-        content[:start]
-        + struct.pack('>9i', *(a * ONE, b * ONE, 0, c * ONE, d * ONE, 0, 0, 0, 1 << 30))
-        + content[start + 36 :]
-    )
+    turned = struct.pack('>9i', a * ONE, b * ONE, 0, c * ONE, d * ONE, 0, 0, 0, 1 << 30)
+    path.write_bytes(content[:start] + turned + content[start + 36 :])
     images, _, _ = read_all(path)
     assert images.shape == (len(TIMES_S), *((64, 48) if is_upright else (48, 64)), 3)
     red = images[0, ..., 0] > 128

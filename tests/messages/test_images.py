@@ -97,10 +97,9 @@ def test_a_binned_part_of_the_image_shows_the_same_rays(
     rng: np.random.Generator, region: tuple[int, int, int, int], binning: tuple[int, int], rectified: bool
 ) -> None:
     p = (900.0, 0, 650, 0, 0, 900, 470, 0, 0, 0, 1, 0)
+    part_info = camera_info(1280, 960, 900.0, p=p, binning=binning, region=region)
     whole = decode_camera_info(camera_info(1280, 960, 900.0, p=p), rectified=rectified)
-    part = decode_camera_info(
-        camera_info(1280, 960, 900.0, p=p, binning=binning, region=region), rectified=rectified
-    )
+    part = decode_camera_info(part_info, rectified=rectified)
     width, height = region[2:] if region[2] else (1280, 960)
     assert part.size == (width // binning[0], height // binning[1])
     points = rng.uniform(-1, 1, (20, 3)) + [0, 0, 4]

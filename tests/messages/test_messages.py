@@ -74,23 +74,12 @@ def edit_keypoints(edit: Callable[[Any], None]) -> bytes:
     return encode(message, KEYPOINTS)
 
 
-def set_element(field: str, index: int, value: float) -> Callable[[Any], None]:
-    """Return an edit of one element of an array of the second person."""
-
-    def edit(message: Any) -> None:
-        values = getattr(message.people[1], field).copy()
-        values[index] = value
-        setattr(message.people[1], field, values)
-
-    return edit
-
-
 def set_fields(**fields: Any) -> Callable[[Any], None]:
-    def edit(message: Any) -> None:
-        for field, value in fields.items():
-            setattr(message.people[1], field, value)
+    return lambda message: vars(message.people[1]).update(fields)
 
-    return edit
+
+def infinite_at(index: int) -> np.ndarray:
+    return np.where(np.arange(17) == index, np.inf, 0.5).astype('f4')
 
 
 NORMALISED = {'x': np.linspace(-0.3, 1.2, 17, dtype='f4'), 'y': np.linspace(0, 1, 17, dtype='f4')}
@@ -104,8 +93,8 @@ INVALID = {
         set_fields(skeleton='', joint_names=[f'j{i}' for i in range(17)]),
         r'people\[1\].joint_names: .* fewer than four',
     ),
-    'infinite': (set_element('x', 4, np.inf), r'people\[1\].x\[4\]: inf'),
-    'infinite score': (set_element('score', 2, np.inf), r'people\[1\].score\[2\]: inf, expected'),
+    'infinite': (set_fields(x=infinite_at(4)), r'people\[1\].x\[4\]: inf'),
+    'infinite score': (set_fields(score=infinite_at(2)), r'people\[1\].score\[2\]: inf, expected'),
     'normalised coordinates': (set_fields(**NORMALISED), r'people\[1\].x, y: looks normalised; px expected'),
     'same id twice': (set_fields(id='a'), "people: id 'a' twice"),
     'long id': (set_fields(id='x' * 101), r'people\[1\].id: 101 characters, more than 100'),
@@ -120,9 +109,6 @@ def test_invalid_keypoints_are_refused_by_field_and_person(case: str) -> None:
     edit, message = INVALID[case]
     with pytest.raises(InputError, match=f'^{message}'):
         decode_keypoints(edit_keypoints(edit), LIMITS)
-
-
-VALID = encode_keypoints(HEADER, SIZE, [make_person_2d('a'), make_person_2d('b')])
 
 
 def test_skeletons_and_cameras_hold_the_people() -> None:
@@ -206,7 +192,7 @@ def test_rclpy_reads_and_writes_the_same_bytes() -> None:
 
     people = [make_person_3d('anna'), replace(make_person_3d('bob'), tentative=True)]
     outputs = {
-        KEYPOINTS: VALID,
+        KEYPOINTS: edit_keypoints(lambda _: None),
         SKELETONS: encode_skeletons(HEADER, people),
         CAMERAS: encode_cameras(HEADER, people),
         MARKERS: MarkerEncoder().encode_update(HEADER, people, 0.5),
@@ -225,9 +211,7 @@ def test_predictions_are_put_out_in_the_frame_of_the_outputs() -> None:
     camera = CameraPlacement('camera', parse_camera_pose('0 0 1.5 0 0 1.57', 'test'))
     header, covariance = Header(12_345_678_901, 'map'), np.diag([0.01, 0.04, 0.09])
     person = PredictedPerson('anna', STANDING + [2.0, 2.0, 0.0], np.full(15, 0.1), covariance)
-    raw = encode_predictions(
-        Header(12_345_678_901, 'map'), [PredictedFrame(0.2, []), PredictedFrame(0.4, [person])], camera
-    )
+    raw = encode_predictions(header, [PredictedFrame(0.2, []), PredictedFrame(0.4, [person])], camera)
     message = decode(raw, PREDICTIONS)
     assert (message.header.frame_id, message.skeleton) == ('map', CMU15.name)
     soon, later = message.times

@@ -46,17 +46,9 @@ class Permissions(NamedTuple):
 def read_permissions(node: str) -> Permissions:
     profile = ET.parse(POLICY_PATH).find(f'.//profile[@node="{node}"]')
     assert profile is not None
-
-    def names(kind: str, permission: str) -> frozenset[str]:
-        lists = profile.findall(f'{kind}s[@{permission}="ALLOW"]/{kind}')
-        return frozenset(element.text or '' for element in lists)
-
-    return Permissions(
-        publish=names('topic', 'publish'),
-        subscribe=names('topic', 'subscribe'),
-        reply=names('service', 'reply'),
-        request=names('service', 'request'),
-    )
+    kinds = {'publish': 'topic', 'subscribe': 'topic', 'reply': 'service', 'request': 'service'}
+    lists = (profile.findall(f'{kind}s[@{permission}="ALLOW"]/{kind}') for permission, kind in kinds.items())
+    return Permissions(*(frozenset(element.text or '' for element in elements) for elements in lists))
 
 
 BODIES = '/humans/bodies/*'  # topics of single bodies, with types that are not installed
@@ -133,15 +125,15 @@ def test_the_player_has_what_the_policies_allow(peer: Peer, start: StartProgram,
 
 
 CONFIG = ROOT / 'config'
-# Message type that a display of RViz shows.
-DISPLAY_TYPES = {'MarkerArray': 'visualization_msgs/msg/MarkerArray', 'PointCloud2': 'sensor_msgs/msg/PointCloud2'}
 
 
 def test_rviz_shows_outputs_of_the_node() -> None:
+    # Message type that a display of RViz shows.
+    types = {'MarkerArray': 'visualization_msgs/msg/MarkerArray', 'PointCloud2': 'sensor_msgs/msg/PointCloud2'}
     displays = yaml.safe_load((CONFIG / 'mocap_ros.rviz').read_text())['Visualization Manager']['Displays']
     shown = {d['Topic']['Value']: d['Class'].rpartition('/')[2] for d in displays if 'Topic' in d}
     assert shown.keys() == {'markers', 'points'}
-    assert {topic: DISPLAY_TYPES[display] for topic, display in shown.items()} == {t: OUTPUTS[t] for t in shown}
+    assert {topic: types[display] for topic, display in shown.items()} == {t: OUTPUTS[t] for t in shown}
 
 
 def test_foxglove_shows_fields_of_outputs_of_the_node() -> None:
@@ -173,9 +165,8 @@ def test_the_launch_file_starts_the_node_with_parameters_and_topics_that_it_has(
     assert all(substitution.args == (topic,) for topic, substitution in node.remappings)
     (node,) = launch_file.create_nodes({**dict.fromkeys(declared, ''), 'record': 'true'})
     _, given = node.parameters
-    assert {name: (v.args[0].args[0], v.value_type) for name, v in given.items()} == {
-        'recorder.enabled': ('record', bool)
-    }
+    types = {name: (v.args[0].args[0], v.value_type) for name, v in given.items()}
+    assert types == {'recorder.enabled': ('record', bool)}
 
 
 def test_the_launch_file_finds_the_files_that_are_installed(launch_file: ModuleType) -> None:

@@ -61,9 +61,8 @@ TENTATIVE = {'tentative': True}
     ],
 )
 def test_what_the_examples_decide(place: tuple[float, ...], fields: dict[str, Any], expected: Any) -> None:
-    stop, follow, layer = (
-        load_module(ROOT / 'examples' / f'{n}.py') for n in ('stop_when_near', 'follow_person', 'people_layer')
-    )
+    names = 'stop_when_near', 'follow_person', 'people_layer'
+    stop, follow, layer = (load_module(ROOT / 'examples' / f'{name}.py') for name in names)
     skeletons = decode(make_skeletons(*place, **fields), SKELETONS)
     points = np.array(layer.list_points(skeletons)).reshape(-1, layer.POINTS_PER_DISC, 3)
     command = follow.choose_command(follow.choose_person(skeletons))
@@ -83,8 +82,7 @@ def test_an_example_acts_on_a_person_far_away_and_is_safe_when_nothing_is_heard_
     peer: Peer, start: StartProgram, name: str, topic: str, kind: str, is_free: Callable[[Any], bool]
 ) -> None:
     received: list[Any] = []
-    subscription = peer.node.create_subscription(load_interface_class(kind), topic, received.append, 10)
-    peer.subscriptions.append(subscription)
+    peer.node.create_subscription(load_interface_class(kind), topic, received.append, 10)
     skeletons = peer.node.create_publisher(load_interface_class(SKELETONS), 'skeletons', 10)
     example = start(sys.executable, ROOT / 'examples' / f'{name}.py')
 

@@ -82,13 +82,8 @@ def test_a_node_that_cannot_start_logs_why_in_one_line_and_keeps_running(
 
 def test_parameters_are_checked_and_unknown_ones_named(peer: Peer, start_node: StartNode, tmp_path: Path) -> None:
     (tmp_path / 'p.yaml').write_text('mocap_node: {ros__parameters: {tracker: {windw: 2.0}, queue: 3}}')
-    parameters = (
-        'tracker.min_score:=0',
-        'tracker.window:=3',
-        'node.publish_predictions:=true',
-        'trackr.model:=walk',
-    )
-    node = start_node(*parameters, ros=['--params-file', f'{tmp_path}/p.yaml'])
+    given = 'tracker.min_score:=0', 'tracker.window:=3', 'node.publish_predictions:=true', 'trackr.model:=walk'
+    node = start_node(*given, ros=['--params-file', f'{tmp_path}/p.yaml'])
     peer.wait_for_node()
     assert peer.get_parameter('tracker.window') == 3
     for name, value in (('tracker.window', 4), ('tracker.min_score', 0.2), ('tracker.body_heights', 'anna=1.65')):
@@ -218,9 +213,7 @@ def test_peers_with_an_incompatible_qos_are_logged_once(peer: Peer, start_node: 
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     for _ in range(2):
         peer.node.create_publisher(load_interface_class(KEYPOINTS), 'keypoints', best_effort)
-        peer.subscriptions.append(
-            peer.node.create_subscription(load_interface_class(SKELETONS), 'skeletons', print, latched)
-        )
+        peer.node.create_subscription(load_interface_class(SKELETONS), 'skeletons', print, latched)
         peer.wait_for_log('a weaker RELIABILITY policy')
         peer.wait_for_log('a stricter DURABILITY policy')
     publisher, subscriber = sorted(line.partition('[mocap_node]: ')[2] for line in stop_node(node))
@@ -230,10 +223,7 @@ def test_peers_with_an_incompatible_qos_are_logged_once(peer: Peer, start_node: 
 
 FRAME_NS = 33_333_333
 # The detector takes the newest image only, if nothing else is said.
-TAKE_ALL_IMAGES = (
-    'qos_overrides./image.subscription.reliability:=reliable',
-    'qos_overrides./image.subscription.depth:=10',
-)
+TAKE_ALL_IMAGES = [f'qos_overrides./image.subscription.{p}' for p in ('reliability:=reliable', 'depth:=10')]
 DETECTOR = sys.executable, '-c', 'import sys; from mocap_ros.ros import main; sys.exit(main.detector_main())'
 
 
@@ -319,10 +309,7 @@ class Camera:
         self.peer = peer
         self.received: list[Any] = []
         self.message_class = load_interface_class(msgtype)
-        peer.node.create_subscription(
-            load_interface_class(KEYPOINTS), 'keypoints', lambda raw: self.received.append(decode(raw, KEYPOINTS)),
-            10, raw=True,
-        )  # fmt: skip
+        peer.node.create_subscription(load_interface_class(KEYPOINTS), 'keypoints', self.received.append, 10)
         self.publisher = peer.node.create_publisher(self.message_class, 'image', 10)
         peer.wait_until(self.publisher.get_subscription_count)
         wait_until_discovered(peer.node, peer.executor, 'detector_node')

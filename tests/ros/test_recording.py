@@ -169,13 +169,9 @@ def test_all_topics_play_in_a_loop_with_clock_and_qos(start: StartProgram, peer:
     received: list[bytes] = []
     clocks: list[Any] = []
     qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-    for msgtype, topic, keep in (
-        ('rosgraph_msgs/msg/Clock', '/clock', clocks.append),
-        (KEYPOINTS, '/keypoints', received.append),
-    ):
-        message_class = load_interface_class(msgtype)
-        subscription = peer.node.create_subscription(message_class, topic, keep, qos, raw=topic == '/keypoints')
-        peer.subscriptions.append(subscription)
+    clock, keypoints = map(load_interface_class, ('rosgraph_msgs/msg/Clock', KEYPOINTS))
+    peer.node.create_subscription(clock, '/clock', clocks.append, qos)
+    peer.node.create_subscription(keypoints, '/keypoints', received.append, qos, raw=True)
     options = '--all', '--loop', '--clock', '--rate', '2'
     player = start(sys.executable, '-m', 'mocap_ros.cli.main', 'play', bag, *options)
     peer.wait_until(lambda: len(received) > 25 and len({c.clock.nanosec for c in clocks}) > 10)

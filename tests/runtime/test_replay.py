@@ -56,6 +56,7 @@ FAST_ARGUMENTS = [word for name, value in FAST_VALUES.items() for word in ('--se
 FRAMES = 12
 STEP_NS = 33_000_000  # between two frames; about 30 Hz
 START_NS = 1_700_000_000_000_000_000  # since the epoch
+INFO = camera_info(d=(0.1, -0.2, 0.0, 0.0, 0.0))
 
 
 @pytest.fixture(scope='module')
@@ -67,7 +68,7 @@ def stream() -> list[bytes]:
 def skeletons(stream: list[bytes], tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
     """Return the skeletons that the replay of a bag of this package gives."""
     folder = tmp_path_factory.mktemp('ours')
-    write_keypoints_bag(folder / 'bag', stream, camera_info(), START_NS)
+    write_keypoints_bag(folder / 'bag', stream, INFO, START_NS)
     return replay_skeletons(folder / 'bag', folder / 'out')
 
 
@@ -95,7 +96,7 @@ def test_bags_of_every_storage_and_version_give_the_same_skeletons(
     with writer:
         camera = writer.add_connection('/camera_info', CAMERA_INFO, typestore=typestore())
         points = writer.add_connection('/people/keypoints', KEYPOINTS, typestore=typestore())
-        writer.write(camera, START_NS, camera_info())
+        writer.write(camera, START_NS, INFO)
         for i, raw in enumerate(stream):
             writer.write(points, START_NS + i * STEP_NS, raw)
     assert replay_skeletons(tmp_path / 'bag', tmp_path / 'out') == skeletons
@@ -106,7 +107,7 @@ def test_bags_of_every_storage_and_version_give_the_same_skeletons(
 
 def test_a_bag_of_ros_1_gives_the_same(tmp_path: Path, stream: list[bytes], skeletons: list[bytes]) -> None:
     """The bag has the header and the CameraInfo of ROS 1, which differ from those of ROS 2."""
-    info, store = camera_info(p=(600.0, 0, 320, 1, 0, 600, 240, 2, 0, 0, 1, 3)), get_typestore(Stores.ROS1_NOETIC)
+    store = get_typestore(Stores.ROS1_NOETIC)
     own: dict[str, Any] = {}
     for file in (Path(cdr.__file__).parent / 'msg').glob('Keypoints*.msg'):
         own |= get_types_from_msg(file.read_text(), f'mocap_ros_msgs/msg/{file.stem}')
@@ -115,17 +116,17 @@ def test_a_bag_of_ros_1_gives_the_same(tmp_path: Path, stream: list[bytes], skel
     with writer:
         camera = writer.add_connection('/camera_info', CAMERA_INFO, typestore=store)
         points = writer.add_connection('/keypoints', KEYPOINTS, typestore=store)
-        writer.write(camera, START_NS, encode_ros1_camera_info(store, info))
+        writer.write(camera, START_NS, encode_ros1_camera_info(store, INFO))
         for i, raw in enumerate(stream):
             message = decode(raw, KEYPOINTS)
             message.header = make_ros1_header(store, message.header)
             writer.write(points, START_NS + i * STEP_NS, store.serialize_ros1(message, KEYPOINTS))
     assert replay_skeletons(tmp_path / 'old.bag', tmp_path / 'out') == skeletons
-    assert read_messages(tmp_path / 'out', '/camera_info') == [info]
+    assert read_messages(tmp_path / 'out', '/camera_info') == [INFO]
 
 
 def test_a_split_bag_and_its_files_replay(tmp_path: Path, stream: list[bytes], skeletons: list[bytes]) -> None:
-    write_keypoints_bag(tmp_path / 'bag', stream, camera_info(), START_NS)
+    write_keypoints_bag(tmp_path / 'bag', stream, INFO, START_NS)
     config = with_values(FAST_CONFIG, {'recorder.split_seconds': 0.1})
     assert replay_skeletons(tmp_path / 'bag', tmp_path / 'split', ReplayOptions(config)) == skeletons
     files = sorted((tmp_path / 'split').glob('*.mcap'))
@@ -136,7 +137,7 @@ def test_a_split_bag_and_its_files_replay(tmp_path: Path, stream: list[bytes], s
 
 
 def test_an_interrupted_replay_is_resumed(tmp_path: Path, stream: list[bytes], skeletons: list[bytes]) -> None:
-    write_keypoints_bag(tmp_path / 'bag', stream, camera_info(), START_NS)
+    write_keypoints_bag(tmp_path / 'bag', stream, INFO, START_NS)
 
     def interrupted(found: Any, _: int) -> Any:
         yield from islice(found, 5)
@@ -158,7 +159,7 @@ def test_a_bag_that_fails_does_not_stop_the_others(
     tmp_path: Path, stream: list[bytes], skeletons: list[bytes], capfd: pytest.CaptureFixture[str]
 ) -> None:
     for name in ('a', 'b', 'c'):
-        write_keypoints_bag(tmp_path / name, stream, camera_info(), START_NS)
+        write_keypoints_bag(tmp_path / name, stream, INFO, START_NS)
     (tmp_path / 'b' / 'b_0.mcap').write_bytes(b'')
     bags = [str(tmp_path / name) for name in ('a', 'b', 'c')]
     assert main(['replay', *bags, '-o', str(tmp_path / 'out'), *FAST_ARGUMENTS]) == 1
@@ -270,7 +271,7 @@ def test_inputs_keep_their_qos_in_a_replay(stream: list[bytes], tmp_path: Path) 
     with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
         recorder.add_topic(make_topic('/keypoints', KEYPOINTS, qos=[best_effort]))
         recorder.declare_topic('/camera_info', CAMERA_INFO, latched=True)
-        recorder.write('/camera_info', CAMERA_INFO, camera_info(), START_NS, START_NS)
+        recorder.write('/camera_info', CAMERA_INFO, INFO, START_NS, START_NS)
         recorder.write('/tf_static', TRANSFORMS, transforms, START_NS, START_NS)
         for i, raw in enumerate(stream[:4]):
             recorder.write('/keypoints', KEYPOINTS, raw, START_NS + i, START_NS)
@@ -318,7 +319,7 @@ def test_a_bag_names_versions_models_and_parameters(tmp_path: Path) -> None:
 def test_keypoints_and_their_camera_are_played_on_the_topics_of_the_node(tmp_path: Path, stream: Any) -> None:
     with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
         recorder.declare_topic('/unused', KEYPOINTS)
-        recorder.write('/left/camera_info', CAMERA_INFO, camera_info(), 1, 1)
+        recorder.write('/left/camera_info', CAMERA_INFO, INFO, 1, 1)
         recorder.write('/skeleton_definition', SKELETON_DEFINITION, DEFINITION, 2, 2)
         for frame, raw in enumerate(stream):
             recorder.write('/left/keypoints', KEYPOINTS, raw, 10 + frame, 10)
@@ -328,7 +329,7 @@ def test_keypoints_and_their_camera_are_played_on_the_topics_of_the_node(tmp_pat
         '/left/camera_info': ('camera_info', CAMERA_INFO),
     }
     assert playback.count == FRAMES + 1
-    expected = [(1, '/left/camera_info', camera_info())]
+    expected = [(1, '/left/camera_info', INFO)]
     expected += [(10 + i, '/left/keypoints', raw) for i, raw in enumerate(stream)]
     for _ in range(2):  # a playback can be repeated
         assert [(m.due_ns, playback.topics[m.topic].recorded, m.raw) for m in playback] == expected
