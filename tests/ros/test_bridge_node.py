@@ -55,8 +55,10 @@ def listen(peer: Peer, topic: str, kind: str, **qos: Any) -> list[bytes]:
     from rclpy.qos import QoSProfile
 
     received: list[bytes] = []
-    profile, kind_class = QoSProfile(**{'depth': 100, **qos}), load_interface_class(kind)
-    peer.subscriptions.append(peer.node.create_subscription(kind_class, topic, received.append, profile, raw=True))
+    subscription = peer.node.create_subscription(
+        load_interface_class(kind), topic, received.append, QoSProfile(**{'depth': 100, **qos}), raw=True
+    )
+    peer.subscriptions.append(subscription)
     return received
 
 
@@ -68,8 +70,10 @@ def test_started_by_the_launch_file_it_publishes_the_people_of_the_node(
     assert (bridge.package, bridge.executable, bridge.name) == ('mocap_ros', BRIDGE_NAME, BRIDGE_NAME)
     node_process = start_node(*(f'{name}:={str(value).lower()}' for name, value in node.parameters[1].items()))
     bridge_process = start(*BRIDGE, '--ros-args', '-p', f'publish:={bridge.parameters[0]["publish"].args[0]}')
-    kinds = {'poses': POSES, 'capsules': CAPSULES, 'prediction_markers': MARKERS}
-    received = {topic: listen(peer, topic, kind) for topic, kind in kinds.items()}
+    received = {
+        topic: listen(peer, topic, kind)
+        for topic, kind in (('poses', POSES), ('capsules', CAPSULES), ('prediction_markers', MARKERS))
+    }
     peer.wait_for_node()
     peer.wait_for_keypoints_subscription()
     wait_until_discovered(peer.node, peer.executor, 'mocap_bridge')
@@ -85,11 +89,12 @@ def test_started_by_the_launch_file_it_publishes_the_people_of_the_node(
         certain = [p.root for p in people.people if not p.tentative]
         assert [pose.position for pose in poses.poses] == certain
     assert len(decode(received['capsules'][9], CAPSULES).people) == 1
-    ghosts = received['prediction_markers']
-    assert {m.ns for m in decode(ghosts[9], MARKERS).markers} >= {'0.2 s', '1 s'}
+    assert {m.ns for m in decode(received['prediction_markers'][9], MARKERS).markers} >= {'0.2 s', '1 s'}
     # nothing has arrived for a while
     peer.wait_until(lambda: not decode(received['poses'][-1], POSES).poses)
-    peer.wait_until(lambda: {m.action for m in decode(ghosts[-1], MARKERS).markers} == {DELETE})
+    peer.wait_until(
+        lambda: {m.action for m in decode(received['prediction_markers'][-1], MARKERS).markers} == {DELETE}
+    )
     assert [line for line in stop_node(bridge_process) if 'no message has arrived' not in line] == []
     assert stop_node(node_process) == []
 
