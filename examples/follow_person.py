@@ -79,4 +79,7 @@ def main():
 
 
 if __name__ == '__main__':
-    main()
+    try:
+        main()
+    except ImportError as error:
+        raise SystemExit(f"follow_person.py: {error}: run it with the node's Python, .venv/bin/python") from None

@@ -71,10 +71,13 @@ def convert(robot, result, fps=30.0, gap_s=0.5):
 
 def run(robot):
     """Run the node, for the person who was there first."""
-    import rclpy
-    from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
-    from mocap_ros_msgs.msg import Skeleton3DArray
-    from sensor_msgs.msg import JointState
+    try:
+        import rclpy
+        from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+        from mocap_ros_msgs.msg import Skeleton3DArray
+        from sensor_msgs.msg import JointState
+    except ImportError as error:
+        sys.exit(f"humanoid.py: {error}: run it with the node's Python, .venv/bin/python")
 
     def take(skeletons):
         person = max((p for p in skeletons.people if not p.tentative), key=lambda p: p.age, default=None)

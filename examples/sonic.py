@@ -41,11 +41,11 @@ def pack(fields):
 
 if __name__ == '__main__':
     try:
+        import rclpy
         import zmq
+        from mocap_ros_msgs.msg import Skeleton3DArray
     except ImportError as error:
-        sys.exit(f'sonic.py: {error}: pip install pyzmq')
-    import rclpy
-    from mocap_ros_msgs.msg import Skeleton3DArray
+        sys.exit(f"sonic.py: {error}: pip install pyzmq for the node's Python, .venv/bin/python")
 
     def _take(skeletons):
         person = max((p for p in skeletons.people if not p.tentative), key=lambda p: p.age, default=None)

@@ -76,4 +76,7 @@ def main():
 
 
 if __name__ == '__main__':
-    main()
+    try:
+        main()
+    except ImportError as error:
+        raise SystemExit(f"stop_when_near.py: {error}: run it with the node's Python, .venv/bin/python") from None

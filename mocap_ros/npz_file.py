@@ -32,7 +32,7 @@ _HEADER_READERS = {
 
 @contextmanager
 def open_npz(file: str | Path | IO[bytes], max_bytes: int) -> Iterator[NpzFile]:
-    """Open an .npz file for reading, of at most so many bytes unpacked.
+    """Open an .npz file for reading, of at most `max_bytes` unpacked.
 
     InputError where it is cut off, or holds a single array, larger arrays or much larger ones than the file,
     arrays that state another size than they have, or a compression that NumPy does not write. NumPy's zip and

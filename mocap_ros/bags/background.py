@@ -78,7 +78,7 @@ class BackgroundRecorder:
     ) -> bool:
         """Queue messages, and topics before their first message, all or none; return False if the queue is full.
 
-        It is full for these where as many wait as this share of the queue, and never with `even_if_full`.
+        It counts as full as soon as `share` of it is in use, and never with `even_if_full`.
         """
         self.check()
         batch = tuple(records)

@@ -127,7 +127,7 @@ class Bag:
         return list(dict.fromkeys(c.topic for c in self._connections if self._types[c.id] in types and c.msgcount))
 
     def find_camera_info_topic(self, keypoints_topic: str, name: str | None = None) -> str | None:
-        """Return the CameraInfo topic that shares most of the namespace of the keypoints, or the one of this name.
+        """Return the CameraInfo topic that shares most of the namespace of the keypoints, or that of this `name`.
 
         It is None where the bag has no CameraInfo.
         """

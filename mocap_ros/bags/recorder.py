@@ -110,6 +110,7 @@ class Recorder:
     Every method raises RecordingError if the disk is full or fails, or if the bag is closed. Names of files begin
     with `name`, by default that of the folder. `definitions` are those of message types that differ from this
     package's. An `executor` runs what waits for the disk; by default, the methods wait themselves.
+    `ros_distro` is the distribution of ROS 2 that the bag names, by default the one on which this program runs.
     """
 
     def __init__(

@@ -48,8 +48,8 @@ CLIENT_SETTINGS = {'distributed.comm.timeouts.connect': CONNECT_SECONDS}
 def connect(scheduler: str | None, workers: int | None = None, memory: str = 'auto') -> Iterator[Client]:
     """Provide a client of a scheduler, or of a cluster of this machine that ends with the context.
 
-    The cluster has so many worker processes, by default one on each core, of which Dask ends those that need more
-    memory than this, such as `2GB`; `auto` is an equal share of the machine's.
+    The cluster has `workers` processes, by default one on each core, of which Dask ends those that need more than
+    `memory`, such as `2GB`; `auto` is an equal share of the machine's.
     """
     logging.getLogger('distributed').setLevel(SILENT)  # the outcomes say what matters of it
     warnings.filterwarnings('ignore', message='Creating scratch directories')  # a slow disk, once at the start

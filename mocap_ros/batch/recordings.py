@@ -75,7 +75,7 @@ def find_recordings(
 
     The source is a path or a URL of fsspec: a recording; a folder, which is searched with all folders in it; a
     pattern with `*`; or a text file (`.txt`) with one of these in each line. Links are followed, and a folder that
-    is reached in several ways is searched once; those to leave out, as of the results, are not. Only bags are
+    is reached in several ways is searched once; the folders `leave_out`, as of the results, are not. Only bags are
     replayed, and `report` gets a line about other files.
     """
     left_out = tuple(f'{_write_url(*open_file_system(folder))}/' for folder in leave_out)

@@ -80,7 +80,7 @@ def parameters() -> Iterator[Parameter]:
 
 
 def with_values(config: Config, values: Mapping[str, object]) -> Config:
-    """Return a copy of the configuration in which these parameters, by name (`group.field`), have these values."""
+    """Return a copy of the configuration with the `values` of parameters, by name (`group.field`), checked."""
     parameter_of = {parameter.name: parameter for parameter in parameters()}
     for name in values:
         if name not in parameter_of:
@@ -91,7 +91,7 @@ def with_values(config: Config, values: Mapping[str, object]) -> Config:
 
 
 def with_settings(config: Config, changes: Mapping[str, object]) -> Config:
-    """Return a copy in which these fields by name (`group.field`), also constants, have these values, unchecked.
+    """Return a copy with the `changes` of fields, also constants, by name (`group.field`), unchecked.
 
     Experiments and tests change constants by it.
     """
@@ -103,7 +103,7 @@ def with_settings(config: Config, changes: Mapping[str, object]) -> Config:
 
 
 def suggest_parameter(unknown_name: str, names: Iterable[str], listed_by: str = '`mocap-ros config --all`') -> str:
-    """Return a clause about which of some parameters, which a command lists, an unknown name may be."""
+    """Return a clause about which of `names`, all listed by the command `listed_by`, an unknown name may mean."""
     group = unknown_name.partition('.')[0]
     those_of_group_last = sorted(names, key=lambda name: name.partition('.')[0] == group)  # the last one counts
     name_of_field = {name.rpartition('.')[2]: name for name in those_of_group_last}

@@ -284,9 +284,9 @@ def follow_contacts(
 ):
     """Return log f exp(e) and e of `solvers.contacts`, both (N, 4), in the newest N frames of a window.
 
-    `log_odds` (4,) are of the frame before these; rays, scores and times (F,) of the window, `other_rays` those of the
-    extremities; core (N, J, 3) m, and feet (N, 4, 3) m about their ankles, which are set to 0 where the window has no
-    such points but ankles; numbers V, H, B, D, E, T, the longest step in s, and how far lines reach to both sides in s.
+    `log_odds` (4,) are of the frame before those; rays, scores and times (F,) of the window, `other_rays` those of the
+    extremities; core (N, J, 3) m, and feet (N, 4, 3) m about their ankles, which are set to 0 where the window has
+    only the ankles; numbers V, H, B, D, E, T, the longest step in s, and how far lines reach to both sides in s.
     """
     cdef Py_ssize_t frames = times.shape[0], known = core.shape[0], first = frames - known, n, t, s, k, i, at, start, count
     cdef double step_s, reach_s, ago, sum_1, sum_2, x, y, sum_x, sum_y, speed, height, lowest

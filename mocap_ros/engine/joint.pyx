@@ -868,7 +868,7 @@ cdef class JointProblem:
     def start(self, theta, rotation, log_scale, translation, int settle_steps=0, bint at_reference=False):
         """Set the point: theta (N, K), rotation (N, 3, 3), log_scale (N,), translation (N, 2).
 
-        Translations settle by some steps of the robust fit, `at_reference` under the scale of the reference noise.
+        Translations take `settle_steps` of the robust fit, `at_reference` under the scale of the reference noise.
         """
         cdef int p, i, K = self.components, first = K + FEATURES
         cdef double c

@@ -17,7 +17,7 @@ from mocap_ros.engine.geometry cimport Rows, Stack, Vector, dot
 cdef double DEGREE = 3.14159265358979323846 / 180
 cdef double LEAN_PER_DEPTH = 0.36  # KAPPA: share of the depths' errors that is a lean of the whole body
 cdef double BALANCE_STD_DEG = 6.0  # s_u
-cdef double MAX_TURN_DEG = 20.0  # B: a larger angle is rather a person who does not stand
+cdef double MAX_TURN_DEG = 20.0  # C: a larger angle is rather a person who does not stand
 
 
 cdef inline double fall(double value, double first, double last) noexcept nogil:
@@ -32,7 +32,7 @@ def add_frame(
     """Return the new direction (3,), and what the frame adds to sums of seconds (`solvers.vertical`).
 
     `direction` (3,) of the frame before; `weight` s, that it has now; `step_s` s, dt of the new frame; `sign` 1, or -1
-    where the camera is upside down; degrees `LEVEL_DEG` and A, and P; u (P, 3) and p (P,), not yet multiplied.
+    where the camera is upside down; degrees `LEVEL_DEG` and A, and L; u (P, 3) and p (P,), not yet multiplied.
     """
     cdef Py_ssize_t p, i
     cdef double angle, discounted, share, norm, level, stands, added = 0, seconds = 0, upright = 0, askew = 0

@@ -160,7 +160,7 @@ def measure_uncertainty(stretch: Stretch, reading: Reading, lifter: Lifter, scor
     """Return u of a reading (formula of the module); infinite where the lifter has no pose.
 
     Mirrored points are compared with those as given under the vertical, if one is given. Points count as seen from
-    this score on.
+    `score` on.
     """
     if reading != MIRROR_IMAGE or stretch.vertical is None:
         return _measure(stretch, reading, lifter, score)

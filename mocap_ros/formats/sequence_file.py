@@ -128,7 +128,7 @@ class KeypointSequence:
         return Person2D(person_id, self.joint_names, keypoints[:, :2], keypoints[:, 2])
 
     def intrinsics(self, focal_in_sides: float) -> Intrinsics:
-        """Return the intrinsics; an unknown camera has this focal length in longer sides of the image."""
+        """Return the intrinsics; an unknown camera has the focal length `focal_in_sides` times the longer side."""
         if self.calibration is not None:
             return self.calibration
         return create_intrinsics(self.image_size, self.camera_matrix, self.distortion, focal_in_sides)

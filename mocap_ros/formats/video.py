@@ -175,7 +175,7 @@ def _turn_as_players_do(image: NDArray[np.uint8], matrix: Any) -> NDArray[np.uin
 def read_ahead(
     items: Iterator[T], depth: int = READ_AHEAD, is_ended: Callable[[], bool] | None = None
 ) -> Generator[T]:
-    """Yield the items, of which another thread takes so many from their iterator meanwhile; its error comes last.
+    """Yield the items, of which another thread takes up to `depth` ahead; an error of their iterator comes last.
 
     While no item is there, `is_ended` says whether to wait no longer; a thread whose iterator does not return
     within `JOIN_S` is then left behind. By default every item is waited for, and so is the end of the thread.

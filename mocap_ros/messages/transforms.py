@@ -100,9 +100,9 @@ def encode_transforms(
 ) -> bytes:
     """Encode a TFMessage of all people who are reconstructed in metres, and of their world.
 
-    The frame of the header is the parent of every `body_<id>`. Names of links begin with a prefix; what stands for
-    `<id>` is by default what `FrameNames` makes of the ids. `world` leads from the world to the frame of the
-    header, None where it is not known.
+    The frame of the header is the parent of every `body_<id>`. Names of links begin with `prefix`; `names` has
+    what stands for `<id>`, by default what `FrameNames` makes of the ids. `world` leads from the world to the
+    frame of the header, None where it is not known.
     """
     placed = [p for p in people if p.scale_known] if header.frame_id else []
     links = zip(placed, *compute_links(np.array([p.core for p in placed]).reshape(-1, CORE_COUNT, 3)), strict=True)

@@ -95,8 +95,8 @@ class LiveRun:
     def enqueue(self, source: Source, raw: bytes, sent_ns: int, topic: str = '') -> None:
         """Put a message that has just been received into the queue.
 
-        The wall-clock time of sending is 0 if unknown; a source with several topics needs the absolute name of
-        this one.
+        The wall-clock time of sending, `sent_ns`, is 0 if unknown; a source with several topics needs the absolute
+        name of the `topic`.
         """
         now_ns = self._now_ns()
         if source in PEOPLE_SOURCES:

@@ -33,6 +33,8 @@ from mocap_ros.errors import ConfigError, MocapError
 from mocap_ros.ros.throttled_log import TracebackLog
 
 SPIN_SECONDS = 0.1  # s; bounds the delay between a signal and the end of the node
+MAX_INTEGER = 2**31 - 1  # the bound of integer parameters without one; rclpy's ranges need both bounds
+QOS_OVERRIDE_PREFIX = 'qos_overrides.'  # rclpy declares these parameters when the node subscribes
 
 
 class ManagedNode(LifecycleNode):
@@ -167,10 +169,6 @@ def create_node(node_class: Callable[[], Any]) -> Any:
 
 def _drop_places(reason: str) -> str:
     return re.sub(r', at \S+:\d+', '', reason)
-
-
-MAX_INTEGER = 2**31 - 1  # the bound of integer parameters without one; rclpy's ranges need both bounds
-QOS_OVERRIDE_PREFIX = 'qos_overrides.'  # rclpy declares these parameters when the node subscribes
 
 
 def declare_parameters(node: Node, declared: Sequence[Parameter], listed_by: str) -> dict[str, Value]:

@@ -55,9 +55,9 @@ class Player:
     has discovered the publisher. `skipped_topics` has a line for each topic whose name is not valid, or whose
     message type is not installed or cannot hold the messages.
 
-    The rate is a factor of the recorded one, infinity for as fast as possible. The player waits so long for a
-    subscriber, and with `loop` starts again at the end, until interrupted. With a rate in Hz, the recorded time is
-    published on /clock.
+    `rate` is a factor of the recorded one, infinity for as fast as possible. The player waits up to `wait_s` for a
+    subscriber, and with `loop` starts again at the end, until interrupted. With `clock_hz` > 0, the recorded time
+    is published on /clock at that rate.
     """
 
     def __init__(

@@ -31,11 +31,12 @@ class Logger(Protocol):
 
 
 class ThrottledLog:
-    """Log of what is wrong with messages, in which each kind appears only the 1st, 10th, 100th, ... time.
+    """Log of what is wrong with messages, in which no kind fills many lines.
 
-    Two reasons on an input are of one kind if they differ only in numbers and quoted names. The first few of a
-    kind appear at once as well. The kinds after the first `MAX_KINDS` kinds of an input count as one kind.
-    An input is a topic, or with ROS4HRI the topics of all bodies: their ids never end.
+    Two reasons on an input are of one kind if they differ only in numbers and quoted names. The first
+    `MAX_REASONS` different reasons of a kind are logged at once, and then its 10th, 100th, ... message. The kinds
+    after the first `MAX_KINDS` of an input count as one kind. An input is a topic, or with ROS4HRI the topics of
+    all bodies: their ids never end.
     """
 
     def __init__(self, logger: Logger) -> None:

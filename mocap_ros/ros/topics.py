@@ -125,7 +125,7 @@ class Publishers(dict[str, Any]):
 
 
 class SilenceMonitor:
-    """Observer of the time since the last message on a topic; its advice is for where no other topic has such."""
+    """Observer of the time since the last message of a topic; `advice` is for if no other topic has its type."""
 
     def __init__(self, node: Node, name: str, msgtype: str, advice: str = START_DETECTOR) -> None:
         self._node, self.name, self.type, self._advice = node, name, msgtype, advice

@@ -43,9 +43,9 @@ def detect_in_video(
 ) -> Detections:
     """Run a detector on all images of a video, or of a camera that is given as its device.
 
-    Without a model it is that of some versions of MediaPipe. `show_progress` may end the images of a camera, and
-    `is_interrupted` says whether to end while it gives none. An error ends them, too, once a person was detected,
-    as they cannot be shown again.
+    Without a model, the detector is that of some versions of MediaPipe. `show_progress` may end the images of a
+    camera, and `is_interrupted` says whether to end while it gives none. An error ends them, too, once a person
+    was detected, as they cannot be shown again.
     """
     people: list[Sequence[Person2D]] = []
     stamps_ns: list[int] = []

@@ -29,6 +29,7 @@ class InputCamera:
     """Decides for each image whether it is of the camera in use, replaces that camera, or is refused.
 
     `name` is the last `frame_id` of the camera in use that was not empty; empty before the first.
+    `calibration` is the CameraInfo in use, if any.
     """
 
     def __init__(self) -> None:

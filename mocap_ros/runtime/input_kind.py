@@ -92,7 +92,7 @@ def _find_folder_kind(folder: Path) -> InputKind:
 
 
 def require_kind(path: Path, accepted: Collection[InputKind], formats: str) -> InputKind:
-    """Return the kind of an input; refuse kinds that a command does not read in a sentence with its formats."""
+    """Return the kind of an input; an InputError names the `formats` expected where it is none of `accepted`."""
     kind = find_input_kind(path)
     if kind in accepted:
         return kind

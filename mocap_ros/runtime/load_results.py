@@ -58,7 +58,7 @@ def find_skeletons_topic(bag: Bag) -> str:
 
 
 def load_result(path: Path, person: str | None = None) -> tuple[StoredResult, str]:
-    """Load a reconstruction from a result file or a bag, of the person with this id or with most skeletons.
+    """Load a reconstruction from a result file or a bag, of the person with id `person` or with most skeletons.
 
     It has a frame for each message of a bag. The id of the person is returned as well, empty for a result file.
     """

@@ -228,7 +228,7 @@ def _load_result_scene(path: Path, person: str | None) -> Scene:
 
 
 def recover_intrinsics(roots: Array, scale: Array, translation: Array) -> tuple[Intrinsics, tuple[int, int]]:
-    """Return the camera whose weak-perspective cameras these are, without distortion, and an image size in px.
+    """Return the camera, without distortion, of which weak-perspective cameras are known, and an image size in px.
 
         f = median s z,  c = median (t - f (x, y) / z)
 
@@ -341,7 +341,7 @@ def _sort(rows: Iterable[tuple[int, Row]], stamps: NDArray[np.int64]) -> tuple[N
 def read_images(path: Path, limits: NodeConfig, topic: str | None, notes: list[str]) -> Iterator[StampedImage]:
     """Yield the images of a video or a bag; none of any other input. `notes` gets a line about those left out.
 
-    Of several cameras in a bag it is that of this topic of keypoints.
+    Of several cameras in a bag it is that of the keypoints on `topic`.
     """
     kind = find_input_kind(path)
     if kind is InputKind.VIDEO:

@@ -39,8 +39,6 @@ STANDING, MOVING = 3.0, 4.0  # 1; B and D
 HOLD_S = 1.0  # s; T
 MAX_STEP_S = 0.1  # s; longest time that one frame stands for
 MIN_KNOWN = 0.025  # 1; |p - 1/2| below which nothing is known of a point that is not seen, after about 3 s
-
-
 FORGOTTEN = 2 * math.atanh(2 * MIN_KNOWN)  # the same, of the logarithm of the odds
 REACH_S = HALF_WINDOW_S + 0.01  # s; frames of 30 Hz come a little late
 # as the engine reads them

@@ -7,7 +7,7 @@ How far a body leans along the line of sight hardly shows, so lifted poses lean 
 direction upwards u (`models.upward_direction`); the vertical v of a camera is their robust mean over people and
 some time:
 
-    v_t = normalise(sum_i max(p_i, P) k_i u_i),    k_i = exp(-|t - t_i| / T) dt_i / (1 + (angle(u_i, v) / A)^2)
+    v_t = normalise(sum_i max(p_i, L) k_i u_i),    k_i = exp(-|t - t_i| / T) dt_i / (1 + (angle(u_i, v) / A)^2)
     s_v = min(sqrt(B^2 + S^2 / sum_i p_i k_i), MAX_STD_DEG)
 
 with p_i the share to which the pose stands and dt_i the time to the next frame; live, the sums are over the
@@ -27,7 +27,7 @@ camera that is upside down. There -y becomes y in all of this.
 
 Each lifted pose y is then turned about the horizontal axis of its virtual camera, as the probabilities demand:
 
-    y' = R_x(p g phi / (1 + (phi / B)^2)) y,    g = s_y^2 / (s_y^2 + s_u^2 + s_v^2)
+    y' = R_x(p g phi / (1 + (phi / C)^2)) y,    g = s_y^2 / (s_y^2 + s_u^2 + s_v^2)
 
 with a p that falls to 0 with the angle between u and v as above, for who lies does not lean.
 s_y = KAPPA sigma_z / r is the standard deviation of the lean of a lifted pose of radius r and depths sigma_z, and
@@ -66,7 +66,7 @@ LEVEL_PITCH_DEG = 10.0  # by which v_0 looks down, as robots and tripods do; rol
 STANDING_SHARE = 0.1  # 1; of the time; who stands for less of it still shows more than v_0 does
 ASKEW_STD_DEG = 45.0  # half of the quarter of a turn by which v_0 is wrong if the camera is on its side
 OUTLIER_DEG = 10.0  # A: who lies or tumbles does not show the vertical
-MIN_STANDING = 0.02  # P: where no person stands, a vertical is better than none
+MIN_STANDING = 0.02  # L: where no person stands, a vertical is better than none
 ROBUST_ROUNDS = 4  # of weights and means; more change nothing
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for
 UNIT_TOLERANCE = 0.01  # 1; difference of a given direction's length from 1 that rounding may cause
@@ -105,7 +105,7 @@ def _add_prior(
 class _Sums(NamedTuple):
     """Seconds of people, those of long ago counting less."""
 
-    weight: float = 0.0  # sum of max(p, P) k
+    weight: float = 0.0  # sum of max(p, L) k
     certain: float = 0.0  # sum of p k
     seen: float = 0.0  # n
     standing: float = 0.0  # m

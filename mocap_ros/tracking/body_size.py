@@ -20,11 +20,12 @@ x of frames in which the lower foot neither rises nor sinks are averaged, robust
     ln r = x_0 + g (m - x_0),    s^2 = min(Q^2 g s_m^2, s_0^2)
 
 with x_0 = 0, or the logarithm of a height that is known of the person, over the assumed one. The covariance of the
-root is that of the hips about the body's origin, of the image, for a detector puts both hips off the same way, of
-the size s along the line of sight u at the distance d, and of the focal length, of the relative deviation t, along
-the optical axis e at the depth z:
+root is the sum of four parts:
 
-    C = std^2 (I / 6 + u u^T / 2) + noise^2 I + (s d)^2 u u^T + (t z)^2 e e^T    (first: `models/joint_std.py`)
+    C = std^2 (I / 6 + u u^T / 2)  of the hips about the body's origin (`models/joint_std.py`)
+        + noise^2 I                of the image, for a detector puts both hips off the same way
+        + (s d)^2 u u^T            of the size, along the line of sight u, at the distance d
+        + (t z)^2 e e^T            of the focal length (relative deviation t), along the optical axis e, at depth z
 """
 
 from __future__ import annotations
@@ -61,7 +62,8 @@ MAX_STEP_S = 0.2  # s; longest time that one frame stands for
 LEAST, LARGEST = map(math.log, SIZE_RANGE)  # range of ln r
 MIN_DROP_SHARE = 0.1  # of the camera's height; a foot that seems higher than this below the camera shows nothing
 FORGOTTEN_COMMA = re.compile(r'=\s*[\d.]+[\s;]')  # in what should be an id: a height is in it
-# 1; H, so that 96 of 100 roots of training persons of known height are within the ellipsoids of 95
+# 1; H, so that 96 of 100 roots of training persons of known height are within the ellipsoids of 95: rather too
+# wide than too narrow
 HIDDEN_FACTOR = 1.8
 MIN_HIDDEN_SHARE = 1e-6  # 1; less is rounding: without a lifter nothing says what is hidden
 ANKLES = CMU15.index('lankle'), CMU15.index('rankle')

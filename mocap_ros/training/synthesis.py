@@ -107,7 +107,7 @@ class ExampleBatch:
 class ExampleSynthesiser:
     """An endless stream of training examples; the same arguments give the same examples.
 
-    Without some of `postures.KINDS`, these are left out, to measure what they are good for.
+    `without` names those of `postures.KINDS` that are left out, to measure what they are good for.
     """
 
     def __init__(self, library: MotionLibrary, seed: int, without: Collection[str] = ()) -> None:

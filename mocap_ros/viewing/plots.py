@@ -203,8 +203,8 @@ def draw_corpus_figure(
 ) -> Figure:
     """Draw a run over many recordings.
 
-    These are s of all people by their kind of motion, Hz of each appearance in periodic motion, px of each
-    appearance, and CPU seconds of each recording.
+    `seconds` are those of all people by kind of motion, `cadences` (Hz) those of appearances in periodic motion,
+    `residuals` (px) those of all appearances, and `work` the CPU seconds of each recording.
     """
     figure = Figure(figsize=(9, 5.5), layout='constrained')
     FigureCanvasAgg(figure)

@@ -118,9 +118,19 @@ def test_a_result_becomes_rows_at_30_per_s_in_whose_gaps_the_robot_stays() -> No
     assert len(example.convert(robot, {k: v[:1] if len(v) == 5 else v for k, v in result.items()})) == 1
 
 
-@pytest.mark.parametrize(('name', 'needed'), [('humanoid', 'mink'), ('sonic', 'zmq')])
+@pytest.mark.parametrize(
+    ('name', 'needed'),
+    [
+        ('humanoid', 'mink'),
+        ('sonic', 'zmq'),
+        ('sonic', 'rclpy'),
+        ('follow_person', 'rclpy'),
+        ('people_layer', 'rclpy'),
+        ('stop_when_near', 'rclpy'),
+    ],
+)
 def test_an_example_names_what_is_not_installed(monkeypatch: pytest.MonkeyPatch, name: str, needed: str) -> None:
     for module in ('daqp', needed):
         monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(SystemExit, match=r'^\w+\.py: .*: pip install \w+'):
+    with pytest.raises(SystemExit, match=rf'^{name}\.py: .*: (pip install|run it with) \w+'):
         runpy.run_path(str(ROOT / 'examples' / f'{name}.py'), run_name='__main__')
