@@ -165,9 +165,12 @@ def _name_option(name: str) -> str:
 
 
 def save_picture(scene: Scene, path: Path, images: Iterable[StampedImage] = ()) -> None:
-    """Draw `POSES` frames of a scene, evenly distributed over its time."""
-    count = len(scene.stamps_ns)
-    frames = np.linspace(0, count - 1, min(POSES, count)).round().astype(int).tolist()
+    """Draw `POSES` frames of the person seen in most frames, evenly distributed over those with a skeleton."""
+    data = scene.to_plot_data()
+    known = np.flatnonzero(np.isfinite(data.joints).all(axis=(1, 2)))
+    if not len(known):
+        raise InputError(f'{scene.title}: no frame has a skeleton')
+    frames = known[np.linspace(0, len(known) - 1, min(POSES, len(known))).round().astype(int)].tolist()
     labels = [f'{scene.times[frame]:.2f} s' for frame in frames]
-    data = replace(scene.to_plot_data(), images=pick_images(scene, images, frames))
+    data = replace(data, images=pick_images(scene, images, frames))
     plots.save_figure(plots.draw_poses_figure(data, frames, scene.title, labels), path)

@@ -10,12 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 from scipy.spatial.transform import Rotation
 
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.cli.main import main
+from mocap_ros.cli.view import POSES, save_picture
 from mocap_ros.config import NodeConfig, RecorderConfig
 from mocap_ros.demo.scene import make_recording
+from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
 from mocap_ros.formats.video import VideoReader
 from mocap_ros.messages.images import IMAGE
@@ -89,6 +93,23 @@ def test_the_floor_is_level_where_the_camera_is_not() -> None:
     assert tilted.floor_y == pytest.approx(scene.floor_y, abs=1e-4)
     assert tilted.to_plot_data().to_level @ turn == pytest.approx(np.eye(3), abs=1e-6), 'pictures are level, too'
     assert replace(tilted, vertical=np.full(3, np.nan)).floor_y != pytest.approx(scene.floor_y, abs=0.5)
+
+
+def test_a_picture_shows_the_person_seen_most_where_there_is_a_skeleton(monkeypatch: pytest.MonkeyPatch) -> None:
+    figures: list[Figure] = []
+    monkeypatch.setattr(plots, 'save_figure', lambda figure, _: figures.append(figure))
+    frames = range(101, 200, 3)
+    anna, ben = make_scene_person('anna', range(20), (0, 0, 4)), make_scene_person('ben', frames, (1, 0, 4))
+    scene = replace(make_scene(300), people=(anna, ben), keypoints=(make_keypoints([ben]),))
+    save_picture(scene, Path('picture.png'))
+    words = [text.get_text() for text in figures[0].findobj(Text)]
+    assert not {'no skeleton', 'not detected'} & {*words}
+    shown = [word for word in words if word.endswith(' s')]
+    assert len(shown) == POSES
+    assert (shown[0], shown[-1]) == tuple(f'{scene.times[frame]:.2f} s' for frame in (frames[0], frames[-1]))
+    nameless = replace(ben, joints=np.full_like(ben.joints, np.nan))
+    with pytest.raises(InputError, match=scene.title):
+        save_picture(replace(scene, people=(anna, nameless)), Path('picture.png'))
 
 
 FRAMES = 30
