@@ -119,14 +119,16 @@ def describe_parse_error(error: Exception) -> str:
 def suggest(word: object, known: Mapping[str, str] | Iterable[str], otherwise: str = '') -> str:
     """Return a clause about the known name that an unknown word is probably meant for.
 
-    Of a mapping, the keys are compared and the value is named. Where none is near, the clause is `otherwise`, or
-    the list of the known names.
+    Of a mapping, the keys are compared and the value is named. Where the word is the beginning of several near
+    names, all of these are named. Where none is near, the clause is `otherwise`, or the list of the known names.
     """
     import difflib
 
     names = known if isinstance(known, Mapping) else {name: name for name in known}
-    close = difflib.get_close_matches(str(word), names, n=1)
-    return f'did you mean {names[close[0]]!r}?' if close else otherwise or f'known: {", ".join(names.values())}'
+    close = difflib.get_close_matches(str(word), names, n=3)
+    meant = [name for name in names if name in close and name.startswith(str(word))] or close[:1]
+    likely = ' or '.join(repr(names[name]) for name in meant)
+    return f'did you mean {likely}?' if meant else otherwise or f'known: {", ".join(names.values())}'
 
 
 def tell_installation(extra: str) -> str:

@@ -33,6 +33,8 @@ def test_unknown_layout_error_lists_known_layouts() -> None:
         keypoint_layout('xyz')
     with pytest.raises(SkeletonError, match=r"'coc17'; did you mean 'coco17'\?$"):
         keypoint_layout('coc17')
+    with pytest.raises(SkeletonError, match=r"'coco'; did you mean 'coco17' or 'coco18'\?$"):
+        keypoint_layout('coco')
 
 
 @pytest.mark.parametrize('name', LAYOUT_NAMES)
