@@ -156,7 +156,7 @@ def measure_distances(
     return out, growths
 
 
-def choose_pairs(costs):
+def choose_pairs(const double[:, :] costs not None):
     """Return for each of D detections the person of P, so that the sum of costs (D, P) is least; -1 for none.
 
     Each row i in turn gets a column j along the shortest augmenting path, by reduced costs c_ij - u_i - v_j >= 0

@@ -282,11 +282,12 @@ def follow_contacts(
     const double[:, :, :] other_rays, const double[:, :] other_weight, const double[:, :, :] core,
     double[:, :, :] feet, const double[:, :] upward, const long long[:, ::1] legs, Indices others, Vector numbers,
 ):
-    """Return log f exp(e) and e of `solvers.contacts`, both (N, 4), in the newest N frames of a window.
+    """Return log f and e of `solvers.contacts`, both (N, 4); e is NaN where too little is seen.
 
-    `log_odds` (4,) are of the frame before those; rays, scores and times (F,) of the window, `other_rays` those of the
-    extremities; core (N, J, 3) m, and feet (N, 4, 3) m about their ankles, which are set to 0 where the window has
-    only the ankles; numbers V, H, B, D, E, T, the longest step in s, and how far lines reach to both sides in s.
+    They are of the newest N frames of a window, `log_odds` (4,) of the frame before these; rays, scores and times (F,)
+    of the window, `other_rays` those of the extremities; core (N, J, 3) m, and feet (N, 4, 3) m about their ankles,
+    which are set to 0 where the window has only the ankles; numbers V, H, B, D, E, T, the longest step in s,
+    and how far lines reach to both sides in s.
     """
     cdef Py_ssize_t frames = times.shape[0], known = core.shape[0], first = frames - known, n, t, s, k, i, at, start, count
     cdef double step_s, reach_s, ago, sum_1, sum_2, x, y, sum_x, sum_y, speed, height, lowest
@@ -298,7 +299,7 @@ def follow_contacts(
     cdef double[:, :, ::1] out = found
     for k in range(POINTS):
         odds[k], is_ankle[k] = log_odds[k] if isfinite(log_odds[k]) else 0.0, True
-        for t in range(frames if other_weight.shape[1] > 0 else 0):
+        for t in range(frames if other_weight.shape[1] > others[k] else 0):
             is_ankle[k] = is_ankle[k] and not other_weight[t, others[k]] > 0
     for n in range(known):
         t, start, lowest, step_s = first + n, max(first + n - 4, 0), INFINITY, numbers[6]

@@ -57,7 +57,7 @@ cdef enum:
     MAX_ITERATIONS = 0
     CONVERGED = 1
     NO_LOWER_STEP = 2
-    SQUARES = 14  # K^(2^14): another eigenvalue that is smaller by 1 % is gone to the last digit
+    SQUARES = 14  # K^(2^14): what belongs to an eigenvalue that is smaller by 1 % is gone to the last digit
 
 cdef double NOISE_REFERENCE = 0.01  # m
 cdef double MIN_DEPTH = 0.1  # of that of the body's origin; a joint nearer to the camera is a failed solution
@@ -861,8 +861,17 @@ cdef class JointProblem:
 
     # What Python calls
 
-    def weigh(self, noise_ratio, factors):
-        """Take the image noise (P,) over the reference and the factors (T, N, 3) of the differences."""
+    def weigh(self, const double[::1] noise_ratio not None, const double[:, :, ::1] factors not None):
+        """Take the image noise (P,) over the reference and the factors (T, N, 3) of the differences.
+
+        Raises:
+            ValueError: the arrays have other sizes; factors of more differences are left out.
+        """
+        if (
+            noise_ratio.shape[0] != self.sequences or factors.shape[0] < self.orders.shape[0]
+            or factors.shape[1] != self.frames or factors.shape[2] != 3
+        ):
+            raise ValueError('the noise or the factors are not those of the sequences and differences')
         self.noise_ratio, self.factors = noise_ratio, factors
 
     def start(self, theta, rotation, log_scale, translation, int settle_steps=0, bint at_reference=False):
@@ -966,8 +975,9 @@ cdef void write_best_rotation(const double* products, double* out) noexcept nogi
     """Write the rotation R (3, 3) that maximises tr(R^T M), M = sum_j q_j p_j^T (3, 3): the closest R p_j to q_j.
 
     tr(R^T M) is a quadratic form of the quaternion of R, with a matrix K (4, 4) (Horn 1987). Its eigenvalues are
-    within 3^(1/2) |M|, so the powers of K + 3^(1/2) |M| I tend to the projection on the eigenvector of the largest:
-    each column becomes a multiple of it. Where M has rank 0 or 1 the rotation is one of many.
+    within 3^(1/2) |M|, so each column of high powers of K + 3^(1/2) |M| I is along the eigenvector of the largest.
+    Where others are nearly as large, as with an M of rank 1, it is a combination of theirs, and its rotation nearly
+    as good as the best. Where M is 0 the rotation is I.
     """
     cdef int i, j, a, square, largest = 0
     cdef double size = 0, trace, w, x, y, z
@@ -994,7 +1004,10 @@ cdef void write_best_rotation(const double* products, double* out) noexcept nogi
         memcpy(k, power, sizeof(k))
     for i in range(1, 4):
         largest = i if k[i][i] > k[largest][largest] else largest
-    size = sqrt(k[largest][largest] * (k[0][0] + k[1][1] + k[2][2] + k[3][3]))  # of this column
+    size = 0
+    for i in range(4):
+        size += k[largest][i] * k[largest][i]
+    size = sqrt(size)
     w, x, y, z = k[largest][0] / size, k[largest][1] / size, k[largest][2] / size, k[largest][3] / size
     out[0], out[1], out[2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
     out[3], out[4], out[5] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)

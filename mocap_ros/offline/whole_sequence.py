@@ -417,7 +417,7 @@ def _lift(
 ) -> tuple[LiftedPoses, Verticals]:
     """Return lifted poses that are turned towards the vertical, in the virtual cameras' axes, and the vertical.
 
-    The lifter gets a vertical that is given, for those who stand; `known` is one that was found before.
+    The lifter gets a vertical that is given, for those with a straight leg; `known` is one that was found before.
     """
     camera, given = observed.virtual_camera, read_given_vertical(config)
     if given is not None:

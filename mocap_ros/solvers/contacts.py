@@ -51,7 +51,7 @@ NO_ODDS = np.full(len(FEET), np.nan)
 def find_contacts(rays: Array, weight: Array, joints: Array, upward: Array, times: Array) -> Array:
     """Return the probabilities (F, 4) that left heel and toe, right heel and toe stand; NaN where unknown.
 
-    The camera does not move. In a layout without feet, both points of a foot are its ankle.
+    The camera does not move. J is 26 or 15. In a layout without feet, both points of a foot are its ankle.
 
     Args:
         rays: (F, J, 2) x / z and y / z of the points of `BODY26` or `CMU15` in the camera; finite.

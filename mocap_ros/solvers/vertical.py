@@ -32,8 +32,8 @@ Each lifted pose y is then turned about the horizontal axis of its virtual camer
 with a p that falls to 0 with the angle between u and v as above, for who lies does not lean.
 s_y = KAPPA sigma_z / r is the standard deviation of the lean of a lifted pose of radius r and depths sigma_z, and
 s_u that of the angle from u to the vertical in true poses. The lifter gets a vertical that is given as well, to
-the share p, but none that was found, which rests on its own poses and makes left-out persons 1 mm worse (the
-turns: 0.3 better).
+the share of `models.upward_direction` alone, also of who lies, but none that was found, which rests on its own
+poses and makes left-out persons 1 mm worse (the turns: 0.3 better).
 """
 
 from __future__ import annotations

@@ -258,9 +258,10 @@ class Tracker:
     def _change_camera(self, intrinsics: Intrinsics) -> None:
         """Convert all tracks to the intrinsics of this frame, if these have changed."""
         if self._intrinsics not in (None, intrinsics):
-            self._at_work = *self.tracks, *self._leaving
-            for track in self._at_work:
+            for track in (*self.tracks, *self._leaving):
+                self._at_work = (track,)
                 track.change_camera(intrinsics, solver_focal(intrinsics, self.config.tracker.perspective))
+            self._at_work = ()
             self._vertical = self._vertical and self._vertical.forget()
             self._side = CameraSide()
         self._intrinsics = intrinsics
@@ -332,8 +333,8 @@ class Tracker:
     def _lift(self, stamp_ns: int, tracks: Sequence[Track]) -> None:
         """Lift the new frames of tracks, all in one batch, if there is a lifter.
 
-        The lifter gets a vertical that is given, for those who stand. The lifted poses are turned towards the
-        vertical as it was known before; then it is found anew.
+        The lifter gets a vertical that is given, for those with a straight leg. The lifted poses are turned
+        towards the vertical as it was known before; then it is found anew.
         """
         if self._lifter is None or not tracks:
             return

@@ -12,6 +12,7 @@ import pytest
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint as engine
 from mocap_ros.models.base_poses import BasePoses
@@ -289,6 +290,27 @@ def test_lifted_poses_give_the_start(walk_model: BasePoses, rng: np.random.Gener
     assert found.cameras.scale == pytest.approx(np.full(30, scale), rel=0.01)
     assert found.theta == pytest.approx(theta, abs=0.02)
     assert found.cameras.rotation == pytest.approx(rotation, abs=0.02)
+
+
+@pytest.mark.parametrize('shape', [np.diag([1.0, 0, 0]), -np.eye(3), np.diag([1.0, 0.5, -0.5])])
+def test_lifted_poses_without_a_best_rotation_still_give_one(walk_model: BasePoses, shape: Array) -> None:
+    mean = walk_model.mean  # shape is the sum of y Q^T: of joints on a line, and of mirrored poses
+    poses = mean @ np.linalg.solve(mean.T @ mean, Rotation.random(5, random_state=0).as_matrix() @ shape)
+    lifted = LiftedPoses(poses, np.full(poses.shape, 1e3))  # so uncertain that the pose stays the mean
+    found = fit_lifted_poses(lifted, np.arange(5.0), walk_model)
+    assert found is not None
+    rotation = found.cameras.rotation
+    assert rotation @ np.swapaxes(rotation, 1, 2) == pytest.approx(np.tile(np.eye(3), (5, 1, 1)), abs=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(np.ones(5))
+
+
+def test_noise_and_factors_of_other_sizes_are_refused(walk_model: BasePoses, rng: np.random.Generator) -> None:
+    objective, state = make_objective(walk_model, rng, CONFIG)
+    problem, noise, factors = objective.compile(state), objective.noise_ratio, objective.factors
+    problem.weigh(noise, factors.copy())
+    for bad in ((noise[:1], factors), (noise, factors[:-1]), (noise, factors[:, :-1].copy())):
+        with pytest.raises(ValueError, match='not those'):
+            problem.weigh(*bad)
 
 
 def test_a_batch_gives_what_each_sequence_gives_alone(walk_model: BasePoses) -> None:

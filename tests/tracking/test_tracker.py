@@ -3,7 +3,7 @@
 
 """The tracker: people who come and go, stamps out of order, outputs with a lag, equal output for equal input."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -260,6 +260,27 @@ def test_a_fault_forgets_the_people_whom_it_concerns_and_the_stream_goes_on(
     with pytest.raises(FrameDropped, match='repeats'):
         update(6)
     assert update(7) == [('bob', 'tentative'), ('ann', 'tentative')]
+
+
+@pytest.mark.parametrize(('stage', 'bob'), [('change_camera', 'tentative'), ('_forget_lost', 'seen')])
+def test_a_fault_at_a_change_of_the_camera_forgets_nobody_else(
+    tracker: Tracker, points: Array, monkeypatch: pytest.MonkeyPatch, stage: str, bob: str
+) -> None:
+    def update(frame: int, intrinsics: Intrinsics) -> list[tuple[str, str]]:
+        seen = [see(points[frame], 'bob'), see(points[frame] + APART, 'ann')]
+        return describe(tracker.update(frame * STEP_NS, seen, intrinsics))
+
+    def fail(*_given: object) -> None:
+        raise ZeroDivisionError('a fault')
+
+    for frame in range(6):
+        update(frame, CAMERA)
+    owner, other = tracker if stage == '_forget_lost' else tracker.tracks[0], replace(CAMERA, focal=600.0)
+    with monkeypatch.context() as patch:
+        patch.setattr(owner, stage, fail)
+        with pytest.raises(ZeroDivisionError):
+            update(6, other)
+    assert sorted(update(7, other)) == [('ann', 'seen'), ('bob', bob)]
 
 
 def test_a_tentative_person_is_never_predicted_and_costs_no_deferred_work(tracker: Tracker, points: Array) -> None:

@@ -65,7 +65,7 @@ class PeriodicObjective:
     """The objective E of one window of N frames."""
 
     body: JointObjective  # reprojection and bone lengths, as in the joint solver
-    problem: engine.JointProblem  # the same, compiled
+    problem: engine.JointProblem  # the same, compiled; objectives `with_still_camera` share it
     prior: Array  # (P, K + 1) lambda / var_pl, the factor on the square of each coefficient
     movement: Array  # (R, N) rows whose products with the elements (N, 6) of M are its movement
     level_weight: float  # nu / N, m^2
@@ -88,7 +88,10 @@ class PeriodicObjective:
         )
 
     def set_noise(self, noise: float) -> None:
-        """Set the image noise (standard deviation, m), to which `MODEL_ERROR` is added."""
+        """Set the image noise (standard deviation, m), to which `MODEL_ERROR` is added.
+
+        It is that of all objectives that share the compiled problem.
+        """
         self.body = self.body.with_noise(np.array([np.hypot(noise, MODEL_ERROR)]))
         self.problem.weigh(self.body.noise_ratio, self.body.factors)
 

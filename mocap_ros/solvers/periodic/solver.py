@@ -192,7 +192,7 @@ class Search:
     """The minimisation that starts from one hypothesis, in several runs of Levenberg-Marquardt.
 
     Attributes:
-        objective: the objective E of the current run.
+        objective: the objective E; its compiled problem is shared with the other searches.
         point: current series and cameras.
         equations: normal equations at the current point or at an earlier one; None before the first run.
         history: m^2, values of E since the current noise was set, after each step that was tried.
@@ -209,7 +209,7 @@ class Search:
         self.status = SolverStatus.MAX_ITERATIONS
 
     def set_noise(self, noise: float) -> None:
-        """Continue from the current point under another image noise (m)."""
+        """Continue from the current point under another image noise (m); only after the selection."""
         self.objective.set_noise(noise)
         self.point = self.objective.measure(self.point.series, self.point.cameras, settle_steps=0)
         self.history = [self.point.cost]
