@@ -20,7 +20,7 @@ from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.runtime.save_results import SUFFIXES
 from mocap_ros.skeleton import BODY26
-from tests.support.keypoint_files import flatten_keypoints
+from tests.support.input_files import flatten_keypoints
 
 FPS = 30.0  # Hz
 

@@ -35,8 +35,7 @@ from mocap_ros.runtime.save_results import save_detections
 from mocap_ros.skeleton import CMU15
 from mocap_ros.training.fit_base_poses import fit_base_poses
 from tests.support.blob_people import draw, save_movenet, save_multi_pose_movenet, walk, write_video
-from tests.support.keypoint_files import QUICK_OPTIONS
-from tests.support.motion_files import Z_UP_TO_Y_UP, make_poses
+from tests.support.input_files import QUICK_OPTIONS, Z_UP_TO_Y_UP, make_poses
 
 
 def test_several_files_of_one_reconstruction_agree(short_recording: Path, tmp_path: Path) -> None:

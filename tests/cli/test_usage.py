@@ -31,7 +31,7 @@ from mocap_ros.cli.options import derive_output_stem
 from mocap_ros.cli.terminal import interrupt_between_items
 from mocap_ros.formats.sequence_file import load_sequence, save_sequence
 from mocap_ros.skeleton import CMU15
-from tests.support.keypoint_files import QUICK_OPTIONS
+from tests.support.input_files import QUICK_OPTIONS
 
 SLOW_PACKAGES = {'numpy', 'scipy', 'matplotlib', 'rosbags', 'rclpy', 'mcap'}
 

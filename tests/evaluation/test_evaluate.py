@@ -23,7 +23,7 @@ from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.models.model_file import load_shipped_lifter
 from mocap_ros.skeleton import CMU15, keypoint_layout
-from tests.support.swinging_body import make_swinging_body
+from tests.support.bodies import make_swinging_body
 
 FRAMES = 20
 RECORD_KEYS = [

@@ -19,7 +19,7 @@ from mocap_ros.formats.detector_json import MIN_PERSON_SCORE, load_json_file, lo
 from mocap_ros.formats.export.trc import save_trc
 from mocap_ros.runtime.load_keypoints import InputOptions, load_input, load_people
 from mocap_ros.skeleton import keypoint_layout
-from tests.support.keypoint_files import FPS, FRAMES, VIDEO, check_same_keypoints, flatten_keypoints, make_walker
+from tests.support.input_files import FPS, FRAMES, VIDEO, check_same_keypoints, flatten_keypoints, make_walker
 
 COCO17 = keypoint_layout('coco17').joints
 BODY = [100.0, 100.0, 0.9] * 25

@@ -28,7 +28,7 @@ from mocap_ros.formats.mocap.trials import (
     select_trials,
 )
 from mocap_ros.skeleton import CMU15
-from tests.support.motion_files import AMC, ASF, Z_UP_TO_Y_UP, make_bvh, make_poses, rotation_matrix
+from tests.support.input_files import AMC, ASF, Z_UP_TO_Y_UP, make_bvh, make_poses, rotation_matrix
 
 
 @pytest.fixture(scope='module')

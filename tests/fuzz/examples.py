@@ -42,11 +42,11 @@ from mocap_ros.npz_file import write_npz
 from mocap_ros.skeleton import CMU15
 from tests.fuzz.targets import FILE_SEPARATOR, IMAGE_SIZE, MESSAGE_READERS
 from tests.support.bag_writing import START_NS, STEP_NS, make_keypoints
-from tests.support.camera_infos import camera_info, encode_ros1_camera_info, make_transforms
+from tests.support.bodies import make_person_3d
+from tests.support.camera_messages import camera_info, encode_ros1_camera_info, make_transforms
 from tests.support.foreign_messages import create_blank_message, make_inputs
+from tests.support.input_files import Z_UP_TO_Y_UP, make_bvh, make_poses
 from tests.support.message_objects import encode
-from tests.support.motion_files import Z_UP_TO_Y_UP, make_bvh, make_poses
-from tests.support.people import make_person_3d
 
 Examples = Callable[[], list[bytes]]
 

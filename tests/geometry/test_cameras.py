@@ -23,7 +23,7 @@ from mocap_ros.geometry.rotations import quaternion_from_rotation, rotation_from
 from mocap_ros.geometry.virtual_camera import VirtualCamera, rotate_rays, rotation_to_optical_axis
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.skeleton import CMU15
-from tests.support.swinging_body import make_swinging_body
+from tests.support.bodies import make_swinging_body
 
 
 def test_points_and_rays_follow_the_camera_matrix() -> None:

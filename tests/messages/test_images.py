@@ -17,8 +17,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.messages.camera_info import decode_camera_info
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.images import COMPRESSED_IMAGE, ENCODINGS, IMAGE, decode_image
-from tests.support.camera_infos import camera_info
-from tests.support.image_messages import encode_pixels
+from tests.support.camera_messages import camera_info, encode_pixels
 from tests.support.message_objects import create_header, create_message, encode
 
 HEADER = Header(5_000_000_007, 'optical')

@@ -39,9 +39,8 @@ from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
 from mocap_ros.people import Motion, MotionKind, Person3D, PredictedPerson
 from mocap_ros.runtime.outputs import SWITCHED_OUTPUTS, OutputEncoder
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton, keypoint_layout
+from tests.support.bodies import STANDING, make_person_3d, make_standing_person
 from tests.support.message_objects import encode
-from tests.support.people import make_person_3d, make_standing_person
-from tests.support.swinging_body import STANDING
 
 LIMITS = NodeConfig()
 HEADER = Header(12_345_678_901, 'camera')

@@ -29,9 +29,9 @@ from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
 from mocap_ros.messages.versions import compare_versions, make_converter
 from mocap_ros.ros import message_types
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
-from tests.support.camera_infos import SECOND_NS, make_transforms
+from tests.support.bodies import make_person_3d, make_standing_person
+from tests.support.camera_messages import SECOND_NS, make_transforms
 from tests.support.message_objects import encode
-from tests.support.people import make_person_3d, make_standing_person
 
 CAMERA = np.array([0.1, 0.0, 0.4])  # m, of the camera in base
 TURN = Rotation.from_euler('z', 90, degrees=True)  # of odom in map

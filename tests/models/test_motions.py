@@ -16,7 +16,7 @@ from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past
 from mocap_ros.models.upward_direction import MASSES, SUPPORT_AHEAD, find_upward
 from mocap_ros.models.velocity_correction import LEAST_PAST_S, MAX_CORRECTION, SPANS_S, VelocityPast
 from mocap_ros.skeleton import CMU15
-from tests.support.swinging_body import STANDING
+from tests.support.bodies import STANDING
 
 UP = np.array([0.0, 0.0, 1.0])
 UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # turns y down into z up

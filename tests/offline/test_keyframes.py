@@ -33,7 +33,7 @@ from mocap_ros.offline.keyframes.shots import find_shots, split_into_sections
 from mocap_ros.offline.keyframes.taylor import parse_depth_choices, reconstruct_limbs
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import SolverStatus
-from tests.support.swinging_body import BONE_LENGTHS, STANDING, make_swinging_body
+from tests.support.bodies import BONE_LENGTHS, STANDING, make_swinging_body
 from tests.support.synthetic_walk import mpjpe_mm, with_scores
 
 

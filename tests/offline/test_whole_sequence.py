@@ -19,7 +19,7 @@ from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, estimate_stature
 from mocap_ros.solvers.observed_window import observe_sequence
 from mocap_ros.solvers.window import Reconstruction, SolverStatus
-from tests.support.swinging_body import make_swinging_body
+from tests.support.bodies import make_swinging_body
 from tests.support.synthetic_walk import make_walk, mpjpe_mm, with_scores
 
 CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)

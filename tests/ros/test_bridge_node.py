@@ -30,9 +30,9 @@ from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.runtime.replay import replay
 from mocap_ros.skeleton import keypoint_layout
 from tests.support import foreign_packages
-from tests.support.camera_infos import camera_info
+from tests.support.bodies import STANDING, make_person_3d
+from tests.support.camera_messages import camera_info
 from tests.support.paths import ROOT
-from tests.support.people import make_person_3d
 from tests.support.pipeline_inputs import read_messages
 from tests.support.ros_node import (
     TIMEOUT_S,
@@ -44,7 +44,6 @@ from tests.support.ros_node import (
     stop_node,
     wait_until_discovered,
 )
-from tests.support.swinging_body import STANDING
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 BRIDGE = sys.executable, '-c', 'import sys; from mocap_ros.ros import main; sys.exit(main.bridge_main())'

@@ -26,9 +26,9 @@ from mocap_ros.messages.skeletons import encode_skeletons
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.runtime.outputs import OUTPUTS, SWITCHED_OUTPUTS
-from tests.support.camera_infos import camera_info
+from tests.support.bodies import make_person_3d
+from tests.support.camera_messages import camera_info
 from tests.support.paths import ROOT
-from tests.support.people import make_person_3d
 from tests.support.ros_node import Peer, StartNode, StartProgram, keypoints_at
 
 POLICY_PATH = ROOT / 'config' / 'mocap_ros.policy.xml'

@@ -16,7 +16,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.ros.diagnostics import DIAGNOSTICS, DiagnosticsReporter, Level, RunStatistics
 from mocap_ros.ros.throttled_log import MAX_KINDS, MAX_REASONS, ThrottledLog
 from mocap_ros.runtime.pipeline import Pipeline
-from tests.support.camera_infos import make_transforms
+from tests.support.camera_messages import make_transforms
 from tests.support.message_objects import encode
 from tests.support.pipeline_inputs import FAST_CONFIG, LineLog, encode_demo_frames, process, with_stamp
 

@@ -22,9 +22,9 @@ from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.messages.skeletons import SKELETONS, encode_skeletons
 from mocap_ros.ros.message_types import load_interface_class
+from tests.support.bodies import make_person_3d
 from tests.support.message_objects import encode
 from tests.support.paths import ROOT, load_module
-from tests.support.people import make_person_3d
 from tests.support.ros_node import TIMEOUT_S, Peer, StartNode, StartProgram, stop_node
 
 pytestmark = pytest.mark.ros

@@ -38,7 +38,7 @@ from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.replay import replay
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.units import NS_PER_S
-from tests.support.camera_infos import camera_info, make_transforms
+from tests.support.camera_messages import camera_info, make_transforms
 from tests.support.pipeline_inputs import (
     FAST_CONFIG,
     STEP_NS,

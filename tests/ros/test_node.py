@@ -25,7 +25,7 @@ from mocap_ros.ros.main import detector_main, main
 from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.runtime.replay import replay
 from tests.support.blob_people import draw, save_movenet, walk
-from tests.support.image_messages import encode_pixels, make_compressed
+from tests.support.camera_messages import encode_pixels, make_compressed
 from tests.support.pipeline_inputs import encode_demo_frames, with_stamp
 from tests.support.ros_node import (
     ACTIVATE,

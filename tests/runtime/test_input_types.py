@@ -35,7 +35,7 @@ from mocap_ros.runtime.load_keypoints import InputOptions, load_bag, load_input
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import KEYPOINT_LAYOUTS, keypoint_layout
-from tests.support.camera_infos import camera_info
+from tests.support.camera_messages import camera_info
 from tests.support.foreign_messages import (
     BASE_CONFIG,
     HRI_IDS_TOPIC,

@@ -37,8 +37,8 @@ from mocap_ros.runtime.load_keypoints import InputOptions, load_input
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.units import NS_PER_S
 from tests.support.blob_people import draw, save_movenet, walk, write_video
-from tests.support.camera_infos import camera_info
-from tests.support.keypoint_files import FPS, FRAMES, LIMITS, make_walker
+from tests.support.camera_messages import camera_info
+from tests.support.input_files import FPS, FRAMES, LIMITS, make_walker
 from tests.support.pipeline_inputs import FAST_CONFIG
 
 START_NS = 1_760_000_000_000_000_000

@@ -31,8 +31,8 @@ from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.floor import ANKLE_M
-from tests.support.camera_infos import SECOND_NS, camera_info, make_transforms
-from tests.support.people import make_person_3d
+from tests.support.bodies import make_person_3d
+from tests.support.camera_messages import SECOND_NS, camera_info, make_transforms
 from tests.support.pipeline_inputs import (
     FAST_CONFIG,
     STEP_NS,

@@ -19,7 +19,7 @@ from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import decode_keypoints, encode_keypoints
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.skeleton import CORE_COUNT
-from tests.support.camera_infos import camera_info
+from tests.support.camera_messages import camera_info
 from tests.support.pipeline_inputs import (
     FAST_CONFIG,
     decode_skeletons,

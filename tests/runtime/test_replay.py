@@ -41,7 +41,7 @@ from mocap_ros.runtime.playback import Playback, encode_sequence
 from mocap_ros.runtime.provenance import RECORDED_PACKAGES
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.bag_writing import DEFINITION
-from tests.support.camera_infos import camera_info, encode_ros1_camera_info, make_ros1_header, make_transforms
+from tests.support.camera_messages import camera_info, encode_ros1_camera_info, make_ros1_header, make_transforms
 from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import (
     FAST_CONFIG,

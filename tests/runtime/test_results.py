@@ -39,10 +39,9 @@ from mocap_ros.runtime.playback import DEFAULT_FRAME_ID
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import BODY26, CMU15
 from mocap_ros.units import NS_PER_S
-from tests.support.keypoint_files import FRAMES, make_walker
+from tests.support.bodies import make_person_3d
+from tests.support.input_files import FRAMES, Z_UP_TO_Y_UP, make_walker
 from tests.support.message_objects import encode
-from tests.support.motion_files import Z_UP_TO_Y_UP
-from tests.support.people import make_person_3d
 from tests.support.pipeline_inputs import FAST_CONFIG
 
 

@@ -21,7 +21,7 @@ from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT
 from mocap_ros.solvers import extremities
 from mocap_ros.solvers.body_segments import FOOT_REST, HAND_REST, HEAD_REST, PART_SEGMENTS, SEGMENT_COUNT
 from mocap_ros.solvers.extremities import PART_OF, PARTS, SIZE_OF, SIZE_STD, TEMPLATE, ExtremityEvidence, attach
-from tests.support.upright_body import UPRIGHT, angles_deg
+from tests.support.bodies import UPRIGHT, angles_deg
 
 STATURE_M = 1.75
 STEP_S = 1 / 30

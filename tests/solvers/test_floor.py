@@ -15,7 +15,7 @@ from mocap_ros.geometry.level import Floor, build_world
 from mocap_ros.offline.whole_sequence import SequenceResult, share_floor
 from mocap_ros.skeleton import BODY26
 from mocap_ros.solvers.floor import HEEL_M, SIZE_RANGE, TOE_M, FloorFit, Stander, fit_floor
-from tests.support.upright_body import UPRIGHT
+from tests.support.bodies import UPRIGHT
 
 FRAMES, CAMERA_HEIGHT_M = 240, 1.6
 TIMES = np.arange(FRAMES) / 30

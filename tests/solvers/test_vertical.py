@@ -25,9 +25,9 @@ from mocap_ros.solvers import vertical as module
 from mocap_ros.solvers.image_roll import CameraSide, find_camera_roll, find_sides, lift_turned
 from mocap_ros.solvers.vertical import Vertical, find_vertical, read_given_vertical, turn_towards_vertical
 from mocap_ros.tracking.tracker import Tracker
+from tests.support.bodies import angles_deg
 from tests.support.synthetic_walk import make_walk, with_scores
 from tests.support.tracks import CAMERA, STEP_NS, feed
-from tests.support.upright_body import angles_deg
 
 UP = np.array([0.0, -math.cos(0.3), -math.sin(0.3)])  # of a camera that looks down by 17 degrees
 LEVEL = np.array([0.0, -math.cos(math.radians(10)), -math.sin(math.radians(10))])  # where nobody stands

@@ -20,7 +20,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.playback import encode_sequence
-from tests.support.camera_infos import camera_info
+from tests.support.camera_messages import camera_info
 from tests.support.message_objects import create_header, encode
 
 STEP_NS = 33_333_333  # between two frames of the demo; 30 Hz

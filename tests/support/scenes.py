@@ -15,7 +15,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.people import MotionKind
 from mocap_ros.skeleton import CMU15
 from mocap_ros.viewing.scene import Mark, Scene, SceneKeypoints, ScenePerson
-from tests.support.swinging_body import make_swinging_body
+from tests.support.bodies import make_swinging_body
 
 INTRINSICS = Intrinsics(600.0, (320.0, 240.0), is_focal_known=True)
 STEP_NS = 33_333_333  # ns between two frames; about 30 Hz

@@ -22,8 +22,7 @@ from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Person3D
 from mocap_ros.tracking.body_size import ANKLE_SHARE, ANKLES, BodySize, FloorContact, assume_size
 from mocap_ros.tracking.tracker import Tracker
-from tests.support.people import make_person_3d
-from tests.support.swinging_body import STANDING
+from tests.support.bodies import STANDING, make_person_3d
 from tests.support.synthetic_walk import make_walk
 from tests.support.tracks import STEP_NS, see
 

@@ -20,8 +20,7 @@ from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequenc
 from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.tracking.vertical_check import LEAST_S, VerticalCheck
-from tests.support.people import make_person_3d
-from tests.support.upright_body import UPRIGHT, angles_deg
+from tests.support.bodies import UPRIGHT, angles_deg, make_person_3d
 
 SEQUENCE = make_recording().sequence()
 CAMERA = SEQUENCE.intrinsics(1.0)

@@ -32,12 +32,12 @@ from mocap_ros.viewing.overlay import MAX_OFFSET_S, Overlay, StampedImage, find_
 from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.scene import Scene, SceneKeypoints, ScenePerson, SidedPoints
 from tests.support.blob_people import write_video
+from tests.support.bodies import make_swinging_body
+from tests.support.camera_messages import encode_pixels
 from tests.support.foreign_messages import create_blank_message
-from tests.support.image_messages import encode_pixels
-from tests.support.keypoint_files import QUICK_OPTIONS
+from tests.support.input_files import QUICK_OPTIONS
 from tests.support.message_objects import encode
 from tests.support.scenes import INTRINSICS, make_keypoints, make_scene, make_scene_person, write_and_open
-from tests.support.swinging_body import make_swinging_body
 
 MIRROR = list(CMU15.mirror)
 LEGS = [CMU15.index(side + joint) for side in 'lr' for joint in ('hip', 'knee', 'ankle')]
