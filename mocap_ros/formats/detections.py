@@ -258,11 +258,13 @@ def arrange_people(
     what was left out of the detections and assumed of them.
     """
     _refuse_other_unit(detections)
+    source = ''
     if not all(detections.image_size):
         size = resolve_image_size(keypoints=_stack_keypoints(detections))
         line = f'image size not known, {size[0]}x{size[1]} px assumed; give it by --image-size'
         detections = replace(detections, image_size=size, notes=(*detections.notes, line))
-    return [_arrange_sequence(detections, track) for track in tracks], detections.notes
+        source = f'nominal, of an assumed {size[0]}x{size[1]} image'
+    return [_arrange_sequence(detections, track, source) for track in tracks], detections.notes
 
 
 def _stack_keypoints(detections: Detections) -> Array:
@@ -276,7 +278,7 @@ def _refuse_other_unit(detections: Detections) -> None:
         raise InputError(f'keypoints: {fault}')
 
 
-def _arrange_sequence(detections: Detections, track: PersonTrack) -> KeypointSequence:
+def _arrange_sequence(detections: Detections, track: PersonTrack, focal_source: str) -> KeypointSequence:
     frames = range(min(track.detection_by_frame), max(track.detection_by_frame) + 1)
     names = tuple(dict.fromkeys(name for person in track.detection_by_frame.values() for name in person.joints))
     column = {name: i for i, name in enumerate(names)}
@@ -296,6 +298,7 @@ def _arrange_sequence(detections: Detections, track: PersonTrack) -> KeypointSeq
         frame_id=detections.frame_id,
         recorded_ns=stamps,
         calibration=detections.intrinsics,
+        focal_source=focal_source,
     )
 
 

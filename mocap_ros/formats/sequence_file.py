@@ -81,7 +81,8 @@ class KeypointSequence:
         recorded_ns: (F,) timestamps in ns, where they are known more exactly than in s, or empty.
         calibration: intrinsics of the camera, where they are given in another form than `camera_matrix` and
             `distortion`, or None.
-        focal_source: where the focal length is from if it is neither a calibration nor nominal, such as `given`.
+        focal_source: where the focal length is from if it is neither a calibration nor nominal for a known image
+            size, such as `given`.
         notes: lines for the user about the content of the file.
     """
 

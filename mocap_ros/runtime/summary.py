@@ -80,7 +80,8 @@ class Summary:
     # NaN if unknown
     distance_m: float
     focal_px: float  # px, focal length; NaN if unknown
-    focal_source: str  # `known` by a calibration, `given` by the user, `from the video`, or `nominal`
+    # `known` by a calibration, `given` by the user, `from the video`, or `nominal`, with the image size if assumed
+    focal_source: str
     vertical: str  # `given`, `found`, `uncertain` or `none`
     vertical_std_deg: float  # degrees, standard deviation of the vertical; NaN if there is none
     grade: str  # `good`, `doubtful` or `wrong`; `not judged` if too little was seen
@@ -132,7 +133,7 @@ def describe_fault(judgement: Judgement, names: Sequence[str], size_fault: str) 
     given = skeleton_from_joints(tuple(names)).name or 'the given joints'
     if judgement.fault is Fault.LAYOUT:
         return (
-            f'these look like {judgement.layout}, not {given}: use --layout {judgement.layout}, or its joint names'
+            f'these look like {judgement.layout}, not {given}: give layout {judgement.layout}, or its joint names'
         )
     if judgement.fault is Fault.MISFIT:
         return (
@@ -172,6 +173,9 @@ def summarise(sequences: Sequence[KeypointSequence], results: Sequence[SequenceR
     size, size_fault = judge_size(places)
     judgement = judge(average(measured), share, size, is_backwards=walk.is_backwards)
     sequence, intrinsics = sequences[0], results[0].virtual_camera.intrinsics
+    is_known, source = intrinsics.is_focal_known, sequence.focal_source
+    if not source or (is_known and source.startswith('nominal')):  # a camera was given after reading
+        source = 'known' if is_known else 'nominal'
     return Summary(
         people=len(sequences),
         frames=len(set().union(*(s.stamps_ns for s in sequences))),
@@ -180,7 +184,7 @@ def summarise(sequences: Sequence[KeypointSequence], results: Sequence[SequenceR
         residual_share=share,
         distance_m=depth,
         focal_px=intrinsics.focal,
-        focal_source=sequence.focal_source or ('known' if intrinsics.is_focal_known else 'nominal'),
+        focal_source=source,
         vertical=describe_vertical(std, is_given=given is not None),
         vertical_std_deg=math.degrees(std),
         grade=describe_grade(judgement),

@@ -87,6 +87,10 @@ def test_json_needs_the_frame_rate_and_logs_what_is_assumed(openpose: Path, capl
     choice, size = (record.getMessage() for record in caplog.records)
     assert "person 'person_1', seen in 40 of 40 frames; 1 more, choose by person: " in choice
     assert size.endswith('image size not known, 640x480 px assumed; give it by image_size')
+    matrix = np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]])
+    for camera, source in ((None, 'nominal, of an assumed 640x480 image'), (matrix, 'known')):
+        result = mocap_ros.reconstruct(replace(sequence, camera_matrix=camera))
+        assert f'px, {source}' in str(result.summary)
     other = mocap_ros.read(openpose, fps=FPS, image_size=(800, 600), person='person_2', layout='coco18')
     assert (len(other), other.image_size) == (1, (800, 600))
 

@@ -282,7 +282,7 @@ def list_reasons(pipeline: Pipeline, frames: list[bytes]) -> list[str]:
 @pytest.mark.parametrize(
     ('edit', 'problem'),
     [
-        (name_joints('h36m17'), 'people: these look like coco17, not h36m17: use --layout coco17'),
+        (name_joints('h36m17'), 'people: these look like coco17, not h36m17: give layout coco17'),
         (reverse_joints, 'people: these look like coco17, not the given joints'),
         (move(lambda x, y: (y, x)), 'people: (x and y look exchanged|people lie)'),
         (move(lambda x, y: (x / 2, y / 2)), 'people: all points lie in the upper left quarter'),

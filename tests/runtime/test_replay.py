@@ -171,6 +171,17 @@ def test_a_bag_that_fails_does_not_stop_the_others(
         assert read_messages(tmp_path / 'out' / name, '/skeletons') == skeletons
 
 
+@pytest.mark.parametrize(('refused', 'is_doubtful'), [(1, False), (3, True)])
+def test_many_refused_messages_make_an_input_doubtful(
+    tmp_path: Path, stream: list[bytes], refused: int, *, is_doubtful: bool
+) -> None:
+    write_keypoints_bag(tmp_path / 'bag', [*stream, *[stream[-1][:50]] * refused], camera_info(), START_NS)
+    with Bag(tmp_path / 'bag') as bag:
+        summary = replay(bag, tmp_path / 'out', OPTIONS).summary
+    assert summary.grade == ('doubtful' if is_doubtful else 'not judged')
+    assert (f'{refused} of {FRAMES + refused}' in summary.reason) == is_doubtful
+
+
 # Parameters of a recorded run.
 RECORDED = {**FAST_VALUES, 'tracker.window': 1.2, 'tracker.lag': 0.1, 'node.hfov': 60.0}
 CHANGED_AFTER = 6  # inputs after which it was given others
