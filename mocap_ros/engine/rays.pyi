@@ -24,5 +24,9 @@ def convert_to_rays(
     focal_lengths: Array,
     center: Array,
     lens: Array,
-) -> tuple[Array, Array]: ...
-def drop_far_points(rays: Array, weight: Array, anchors: NDArray[np.int64], reach: Array) -> None: ...
+    shows: NDArray[np.uint8],
+    midway: NDArray[np.int64],
+    min_evidence: int,
+    anchors: NDArray[np.int64],
+    reach: Array,
+) -> tuple[Array, Array, NDArray[np.bool_], Array, Array]: ...

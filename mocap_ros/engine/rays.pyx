@@ -4,11 +4,11 @@
 
 """Rays of lenses and of rotated cameras, and a detector's keypoints as rays to the joints of the model.
 
-The formulas are in `geometry.distortion`, `geometry.virtual_camera`, and `keypoints.joint_map`, `.rays`, `.extremities`.
+The formulas are in `geometry.distortion`, `geometry.virtual_camera`, and `keypoints.joint_map`, `keypoints.rays`.
 Sizes: F frames, S keypoints of the detector, A alternatives, J joints of the model, E extremities.
 """
 
-from libc.math cimport INFINITY, NAN, fabs, hypot, isfinite, tan
+from libc.math cimport INFINITY, NAN, fabs, hypot, isfinite, sqrt, tan
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from mocap_ros.engine.geometry cimport (
 cdef double MIN_SCORED_WEIGHT = 0.08  # a keypoint of a smaller weight in the sum decides nothing about the score
 cdef double MAX_POINT_PX = 1e7  # px; far outside any image; keeps arithmetic finite
 cdef double MAX_SCORE = 1.0  # scores are probabilities
+# So near to the middle no neck and no pelvis is seen: a share of the size of the body in the image, and what whole
+# pixels are off. True ones are 14 % of the trunk away.
+cdef double MIDWAY_SHARE = 0.006, MIDWAY_PX = 1.1
 
 
 def turn_to_axes(Rows rays):
@@ -150,59 +153,79 @@ cdef void map_frames(
                 break
 
 
+cdef inline bint find_offset(
+    const double* rays, const double* weight, Py_ssize_t joint, const long long* ends, double* out
+) noexcept nogil:
+    """Write by how much a joint is off the middle between two others (2,); return whether all three were seen."""
+    cdef int d
+    for d in range(2):
+        out[d] = rays[2 * joint + d] - (rays[2 * ends[0] + d] + rays[2 * ends[1] + d]) / 2
+    return weight[joint] > 0 and weight[ends[0]] > 0 and weight[ends[1]] > 0
+
+
 def convert_to_rays(
     Stack points, Rows score, Stack weights, Rows score_factor, double min_score, Vector focal_lengths, Vector center,
-    Vector lens,
+    Vector lens, const unsigned char[::1] shows, const long long[:, ::1] midway, int min_evidence,
+    const long long[:, ::1] anchors, Vector reach,
 ):
-    """Return the rays (F, J, 2) and scores (F, J) of the joints; both are 0 for a joint that was not seen.
+    """Return rays (F, C, 2), scores (F, C) and evidence (F, C) of the core, and (F, E, 2) and (F, E) of extremities.
 
-    Points (F, S, 2) in px with scores (F, S) below `min_score`, or NaN, are not seen; `lens` is `Distortion.parameters`.
+    Points (F, S, 2) in px with scores (F, S) below `min_score`, or NaN, are not seen; rays and scores are 0 where
+    nothing was seen. The J joints are the core, then the extremities, of which those too far from the core to belong to
+    it count as not seen. `weights` (A, J, S), `score_factor` (A, J), `shows` (J,) and `midway` (M, 3) are attributes of
+    `JointMap`; `lens` is `Distortion.parameters`; all joints are evidence where fewer than `min_evidence` of those that
+    are were seen; `anchors` (E, 2) the two joints of the core between which each extremity hangs, it stays where one was
+    not seen; `reach` (E,) largest distance from there, as a share of the diagonal of the core's points.
     """
-    cdef Py_ssize_t n, s, t
+    cdef Py_ssize_t n, s, t, m, joints = score_factor.shape[1], core = joints - reach.shape[0]
+    cdef int count
     cdef double max_ray = tan(MAX_RAY_ANGLE)  # beyond it no camera shows anything
+    cdef double low_x, low_y, high_x, high_y, tolerance
+    cdef double[2] offset
     cdef double[:, ::1] used = np.zeros((score.shape[0], score.shape[1]))
-    joints = np.empty((score.shape[0], score_factor.shape[1], 2)), np.empty((score.shape[0], score_factor.shape[1]))
-    cdef double[:, :, ::1] rays = joints[0]
-    cdef double[:, ::1] weight = joints[1]
+    body = np.empty((score.shape[0], joints, 2)), np.empty((score.shape[0], joints))
+    is_evidence = np.empty((score.shape[0], core), bool)
+    cdef double[:, :, ::1] rays = body[0]
+    cdef double[:, ::1] weight = body[1]
+    cdef unsigned char[:, ::1] evidence = is_evidence.view(np.uint8)
     for n in range(score.shape[0]):
         for s in range(score.shape[1]):
             if (fabs(points[n, s, 0]) < MAX_POINT_PX and fabs(points[n, s, 1]) < MAX_POINT_PX
                     and score[n, s] >= min_score):
                 used[n, s] = min(score[n, s], MAX_SCORE)
     map_frames(points, used, weights, score_factor, rays, weight)
-    for n in range(weight.shape[0]):
-        for t in range(weight.shape[1]):
+    for n in range(score.shape[0]):
+        low_x = low_y = INFINITY
+        high_x = high_y = -INFINITY
+        for t in range(joints):
             if weight[n, t] > 0:
                 undistort_point(
                     (rays[n, t, 0] - center[0]) / focal_lengths[0], (rays[n, t, 1] - center[1]) / focal_lengths[1],
                     &lens[0], &rays[n, t, 0],
                 )
-                if fabs(rays[n, t, 0]) <= max_ray and fabs(rays[n, t, 1]) <= max_ray:
-                    continue
-            rays[n, t, 0] = rays[n, t, 1] = weight[n, t] = 0.0
-    return joints
-
-
-def drop_far_points(double[:, :, ::1] rays, double[:, ::1] weight, const long long[:, ::1] anchors, Vector reach):
-    """Overwrite with 0 the extremities too far from the core to belong to it, which come after the core.
-
-    `rays` (F, J, 2); `weight` (F, J) scores; `anchors` (E, 2) the two joints of the core between which each hangs,
-    it stays where one was not seen; `reach` (E,) largest distance from there, as a share of the diagonal of the
-    core's points.
-    """
-    cdef Py_ssize_t n, e, j, a, b, core = weight.shape[1] - reach.shape[0]
-    cdef double diagonal, low_x, low_y, high_x, high_y
-    for n in range(weight.shape[0]):
-        low_x = low_y = INFINITY
-        high_x = high_y = -INFINITY
-        for j in range(core):
-            if weight[n, j] > 0:
-                low_x, high_x = min(low_x, rays[n, j, 0]), max(high_x, rays[n, j, 0])
-                low_y, high_y = min(low_y, rays[n, j, 1]), max(high_y, rays[n, j, 1])
-        diagonal = hypot(high_x - low_x, high_y - low_y)
-        for e in range(reach.shape[0]):
-            a, b, j = anchors[e, 0], anchors[e, 1], core + e
-            if weight[n, a] > 0 and weight[n, b] > 0 and hypot(
-                rays[n, j, 0] - (rays[n, a, 0] + rays[n, b, 0]) / 2, rays[n, j, 1] - (rays[n, a, 1] + rays[n, b, 1]) / 2
-            ) > reach[e] * diagonal:
-                rays[n, j, 0] = rays[n, j, 1] = weight[n, j] = 0.0
+            if not (weight[n, t] > 0 and fabs(rays[n, t, 0]) <= max_ray and fabs(rays[n, t, 1]) <= max_ray):
+                rays[n, t, 0] = rays[n, t, 1] = weight[n, t] = 0.0
+            elif t < core:
+                low_x, high_x = min(low_x, rays[n, t, 0]), max(high_x, rays[n, t, 0])
+                low_y, high_y = min(low_y, rays[n, t, 1]), max(high_y, rays[n, t, 1])
+        for t in range(core):
+            evidence[n, t] = shows[t]
+        tolerance = max(
+            MIDWAY_SHARE * max(high_x - low_x, high_y - low_y), MIDWAY_PX / sqrt(focal_lengths[0] * focal_lengths[1])
+        )
+        for m in range(midway.shape[0]):
+            if find_offset(&rays[n, 0, 0], &weight[n, 0], midway[m, 0], &midway[m, 1], offset):
+                if max(fabs(offset[0]), fabs(offset[1])) <= tolerance:
+                    evidence[n, midway[m, 0]] = 0
+        count = 0
+        for t in range(core):
+            count += evidence[n, t] and weight[n, t] > 0
+        for t in range(core if count < min_evidence else 0):
+            evidence[n, t] = 1
+        for t in range(core, joints):
+            if find_offset(&rays[n, 0, 0], &weight[n, 0], t, &anchors[t - core, 0], offset) and hypot(
+                offset[0], offset[1]
+            ) > reach[t - core] * hypot(high_x - low_x, high_y - low_y):
+                rays[n, t, 0] = rays[n, t, 1] = weight[n, t] = 0.0
+    parts = [np.ascontiguousarray(array[:, part]) for part in (slice(core), slice(core, None)) for array in body]
+    return parts[0], parts[1], is_evidence, parts[2], parts[3]

@@ -37,7 +37,7 @@ import numpy as np
 from mocap_ros.arrays import Array
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
-from mocap_ros.keypoints.extremities import convert_body_to_rays, join_body
+from mocap_ros.keypoints.rays import convert_to_rays, join_body
 from mocap_ros.models.lifter import Lifter
 from mocap_ros.models.lifter_input import sample_histories
 from mocap_ros.skeleton import CMU15, CORE_COUNT, KEYPOINT_LAYOUTS, keypoint_layout
@@ -176,7 +176,8 @@ def _measure(
     side = [-1.0 if reading.is_mirrored else 1.0, 1.0]
     points = _turn(_turn(points, upright_turns) * side, reading.turns)
     names = keypoint_layout(reading.layout).joints if reading.layout else names
-    core, weight, extremities = convert_body_to_rays(points, stretch.keypoints[..., 2], names, UNIT_CAMERA, score)
+    given = points, stretch.keypoints[..., 2], names, UNIT_CAMERA, score
+    core, weight, _, extremities = convert_to_rays(*given)
     camera = VirtualCamera.look_at_person(core, weight, stretch.times, VIEW_SMOOTHING_S, UNIT_CAMERA)
     body, body_weight = join_body(core, weight, extremities)
     frames = np.flatnonzero((weight > 0).sum(axis=1) >= MIN_SEEN_JOINTS)

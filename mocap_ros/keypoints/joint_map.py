@@ -43,9 +43,6 @@ _HIPS = {'lhip': 0.5, 'rhip': 0.5}  # weights of the point midway between the hi
 
 
 _MIDWAY = {'neck': tuple(_SHOULDERS), 'pelvis': tuple(_HIPS)}  # joints that some programs put between two others
-# So near to the middle no neck and no pelvis is seen: a share of the size of the body in the image, and what whole
-# pixels are off. True ones are 14 % of the trunk away.
-MIDWAY_SHARE, MIDWAY_PX = 0.006, 1.1
 
 
 def _extrapolate_from_shoulders(end: dict[str, float], fraction: float) -> dict[str, float]:
@@ -114,7 +111,8 @@ class JointMap:
     # (A, Jt, Js) weights of the A alternatives. A row sums to one, or is zero if the joint has fewer alternatives
     weights: Array
     score_factor: Array  # (A, Jt) factor on the confidence score, 0 if the joint has fewer alternatives
-    is_evidence: NDArray[np.bool_]  # (Jt,) whether a joint says more than others do (`find_evidence`)
+    shows: NDArray[np.uint8]  # (Jt,) whether a joint is not derived from others of the body alone
+    midway: NDArray[np.int64]  # (M, 3) joints that some programs put midway between two others, and these
 
     def apply(self, points: Array, score: Array) -> tuple[Array, Array]:
         """Map keypoints (..., Js, D) with scores (..., Js) to the target skeleton; NaN or score 0: not seen.
@@ -173,44 +171,11 @@ def build_joint_map(source: tuple[str, ...], target: Skeleton = CMU15) -> JointM
             for joint, weight in derivation.weights.items():
                 weights[a, t, source.index(joint)] = weight
     body = frozenset(CMU15.joints)
-    is_evidence = np.array([any(d.weights.keys() - body for d in a) for a in alternatives])
-    is_evidence |= np.isin(target.joints, source)
-    return JointMap(source, target, weights, score_factor, is_evidence)
-
-
-def find_evidence(
-    rays: Array, weight: Array, source: tuple[str, ...], focal: float, target: Skeleton = CMU15
-) -> NDArray[np.bool_]:
-    """Return which joints (F, Jt) were seen themselves, not derived from other joints of the body.
-
-    Neck and pelvis midway between shoulders and hips are derived, by whatever program: in the model they are
-    elsewhere, by up to a fifth of the trunk. A head by points of the face was seen. Where fewer than
-    `MIN_TARGET_JOINTS` joints were seen, all count.
-
-    Args:
-        rays: (F, Jt, 2) x / z and y / z.
-        weight: (F, Jt) scores, 0 where not seen.
-        source: names of the detector's joints.
-        focal: px.
-        target: skeleton of the joints.
-    """
-    joints, pairs = _find_midway(target)
-    seen = np.where(weight[..., None] > 0, rays, np.nan)
-    size = (np.fmax.reduce(seen, axis=1) - np.fmin.reduce(seen, axis=1)).max(axis=1)
-    tolerance = np.fmax(MIDWAY_SHARE * size, MIDWAY_PX / focal)
-    middles = seen[:, pairs].sum(axis=2) / 2
-    is_midway = np.abs(rays[:, joints] - middles).max(axis=2) <= tolerance[:, None]  # not where one is not seen
-    is_evidence = np.repeat(build_joint_map(source, target).is_evidence[None], len(weight), axis=0)
-    is_evidence[:, joints] &= ~is_midway
-    return np.asarray(is_evidence | ((is_evidence & (weight > 0)).sum(axis=1) < MIN_TARGET_JOINTS)[:, None])
-
-
-@lru_cache(maxsize=MAX_CACHED_MAPS)
-def _find_midway(target: Skeleton) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the joints (M,) of a skeleton that some programs put between two others, and these (M, 2)."""
-    names = [joint for joint in _MIDWAY if joint in target.joints]
-    pairs = [[target.index(j) for j in _MIDWAY[joint]] for joint in names]
-    return np.array([target.index(joint) for joint in names], np.intp), np.array(pairs, np.intp).reshape(-1, 2)
+    shows = np.array([any(d.weights.keys() - body for d in a) for a in alternatives])
+    shows |= np.isin(target.joints, source)
+    midway = [[joint, *ends] for joint, ends in _MIDWAY.items() if joint in target.joints]
+    indices = np.array([[*map(target.index, joints)] for joints in midway], np.int64).reshape(-1, 3)
+    return JointMap(source, target, weights, score_factor, shows.astype(np.uint8), indices)
 
 
 def _list_usable_names(target: Skeleton) -> list[str]:

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from mocap_ros.arrays import Array
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.association import (
+    MIN_DETECTION_SIZE,
     MIN_SHARED_JOINTS,
     VELOCITY_SPAN_S,
     ExpectedPerson,
@@ -38,11 +39,9 @@ from mocap_ros.keypoints.association import (
     expect_person,
     measure_distances,
     measure_sizes,
-    show_people,
 )
-from mocap_ros.keypoints.extremities import Extremities, convert_body_to_rays
-from mocap_ros.keypoints.joint_map import find_evidence
 from mocap_ros.keypoints.person import Person2D
+from mocap_ros.keypoints.rays import Extremities, convert_to_rays
 from mocap_ros.skeleton import CMU15
 from mocap_ros.units import NS_PER_S
 
@@ -70,7 +69,7 @@ class Detection:
     given_id: str  # name that the detector gives the person; empty if it gives none
     rays: Array  # (J, 2) x / z and y / z of the model's joints in the camera; 0 for a joint that was not seen
     weight: Array  # (J,) confidence scores in [0, 1]; 0 for a joint that was not seen
-    is_evidence: NDArray[np.bool_]  # (J,) as of `joint_map.find_evidence`
+    is_evidence: NDArray[np.bool_]  # (J,) as of `rays.convert_to_rays`
     size: float  # RMS distance of the seen joints from their mean, in the units of rays
     extremities: Extremities
 
@@ -91,13 +90,12 @@ class Detection:
         for joints in dict.fromkeys(p.joints for p in people):
             own = [i for i, p in enumerate(people) if p.joints == joints]
             points, score = np.array([people[i].points for i in own]), np.array([people[i].score for i in own])
-            rays, weight, others = convert_body_to_rays(points, score, joints, intrinsics, min_score)
-            sizes, is_evidence = measure_sizes(rays, weight), find_evidence(rays, weight, joints, intrinsics.focal)
-            usable = ((weight > 0).sum(axis=1) >= min_joints) & show_people(sizes)
-            for n in np.flatnonzero(usable).tolist():
-                given_id = '' if people[own[n]].id == UNTRACKED_ID else people[own[n]].id
-                seen = rays[n], weight[n], is_evidence[n]
-                found[own[n]] = Detection(given_id, *seen, float(sizes[n]), others.select_frames(n))
+            rays, weight, is_evidence, others = convert_to_rays(points, score, joints, intrinsics, min_score)
+            for n, size in enumerate(measure_sizes(rays, weight).tolist()):
+                if np.count_nonzero(weight[n]) >= min_joints and size > MIN_DETECTION_SIZE:
+                    given_id = '' if people[own[n]].id == UNTRACKED_ID else people[own[n]].id
+                    seen = rays[n], weight[n], is_evidence[n], size
+                    found[own[n]] = Detection(given_id, *seen, others.select_frames(n))
         return found
 
     def join(self, part: Detection) -> Detection:

@@ -50,7 +50,7 @@ from mocap_ros.geometry.level import CALIBRATED_TILT_STD, MAX_CERTAIN_STD, Floor
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
 from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
-from mocap_ros.keypoints.extremities import join_body
+from mocap_ros.keypoints.rays import join_body
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.models.joint_std import expect_stature
 from mocap_ros.models.lifter import LiftedPoses, Lifter

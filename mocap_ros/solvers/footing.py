@@ -40,7 +40,7 @@ import numpy as np
 
 from mocap_ros.arrays import Array
 from mocap_ros.engine import footing as engine
-from mocap_ros.keypoints.extremities import join_body
+from mocap_ros.keypoints.rays import join_body
 from mocap_ros.solvers.contacts import FEET, HEELS_AND_TOES, LEGS, NO_ODDS, find_contacts, follow_contacts
 from mocap_ros.solvers.extremities import attach
 from mocap_ros.solvers.observed_window import ObservedWindow

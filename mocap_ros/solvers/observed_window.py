@@ -27,15 +27,8 @@ from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera, solver_focal
 from mocap_ros.keypoints.association import measure_sizes, show_people
-from mocap_ros.keypoints.extremities import (
-    Extremities,
-    convert_body_to_rays,
-    exchange_body_sides,
-    join_body,
-)
-from mocap_ros.keypoints.joint_map import find_evidence
 from mocap_ros.keypoints.left_right import BodySides, exchange_sides, find_swapped_parts
-from mocap_ros.keypoints.rays import convert_to_rays
+from mocap_ros.keypoints.rays import Extremities, convert_to_rays, exchange_body_sides, join_body
 from mocap_ros.models.lifter import LiftedPoses, concatenate_lifted
 from mocap_ros.models.lifter_input import (
     HISTORY_SLOTS_S,
@@ -82,7 +75,7 @@ class ObservedWindow:
     # face, feet and hands, for the lifter, as rays in the real camera, left and right put right; None if none were
     # seen
     extremities: Extremities | None = None
-    # (F, J) as of `joint_map.find_evidence`; None if every joint that was seen counts
+    # (F, J) as of `rays.convert_to_rays`; None if every joint that was seen counts
     is_evidence: NDArray[np.bool_] | None = None
 
     @staticmethod
@@ -204,12 +197,9 @@ def observe_sequence(
         raise InputError(
             f'the times span {span_s:.0f} s, at most {MAX_SPAN_S:.0f} s expected; is a stamp not set?'
         )
-    given = keypoints[..., :2], keypoints[..., 2], joint_names, intrinsics, config.min_score
-    extremities = None
-    if skeleton == CMU15:
-        rays, weight, extremities = convert_body_to_rays(*given)
-    else:
-        rays, weight = convert_to_rays(*given, skeleton)
+    given = keypoints[..., :2], keypoints[..., 2], joint_names, intrinsics, config.min_score, skeleton
+    rays, weight, is_evidence, found = convert_to_rays(*given)
+    extremities = found if skeleton == CMU15 else None
     require_camera_frame(weight)
     rays, weight, extremities = _exclude_frames_in_one_place(rays, weight, extremities)
     if config.undo_swaps:
@@ -221,9 +211,7 @@ def observe_sequence(
         else:
             rays, weight, extremities = exchange_body_sides(rays, weight, extremities, swapped)
     focal = solver_focal(intrinsics, config.perspective)
-    seen = times, rays, weight, intrinsics, focal, extremities
-    is_evidence = find_evidence(rays, weight, joint_names, intrinsics.focal, skeleton)
-    return ObservedWindow.facing_person(*seen, is_evidence)
+    return ObservedWindow.facing_person(times, rays, weight, intrinsics, focal, extremities, is_evidence)
 
 
 def _exclude_frames_in_one_place(

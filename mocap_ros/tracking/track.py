@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from mocap_ros.arrays import Array
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
-from mocap_ros.keypoints.extremities import Extremities, exchange_body_sides
 from mocap_ros.keypoints.identities import is_new
 from mocap_ros.keypoints.left_right import SwapFilter
 from mocap_ros.keypoints.matching import Detection
+from mocap_ros.keypoints.rays import Extremities, exchange_body_sides
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.extremities import START
 from mocap_ros.solvers.footing import Footing

@@ -12,13 +12,14 @@ from mocap_ros.arrays import Array
 from mocap_ros.errors import SkeletonError
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.extremities import convert_body_to_rays, exchange_body_sides, join_body, split_body
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_image_size
-from mocap_ros.keypoints.joint_map import JointMap, build_joint_map, find_evidence
+from mocap_ros.keypoints.joint_map import JointMap, build_joint_map
 from mocap_ros.keypoints.left_right import PARTS
-from mocap_ros.keypoints.rays import convert_to_rays
+from mocap_ros.keypoints.rays import Extremities, convert_to_rays, exchange_body_sides, join_body
 from mocap_ros.keypoints.validation import PointPlaces, mark_unseen
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, LAYOUT_NAMES, keypoint_layout
+
+PINHOLE = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
 
 
 @pytest.mark.parametrize('name', LAYOUT_NAMES)
@@ -58,11 +59,13 @@ def test_missing_joints_are_derived_in_order_of_precision() -> None:
     ('layout', 'derived'), [('coco17', {'neck', 'pelvis'}), ('body25', set()), ('mediapipe33', {'neck', 'pelvis'})]
 )
 def test_joints_between_others_are_no_evidence_but_where_little_is_seen(layout: str, derived: set[str]) -> None:
-    rays, weight = np.random.default_rng(0).normal(size=(3, 15, 2)), np.ones((3, 15))
-    rays[2, CMU15.index('neck')] = rays[2, [CMU15.index('lshoulder'), CMU15.index('rshoulder')]].mean(axis=0)
-    weight[1, [CMU15.index(j) for j in CMU15.joints if j[0] in 'lr' and not j.endswith('shoulder')]] = 0
-    rays[2, CMU15.index('neck')] += [1 / 600, -1 / 600]  # in whole pixels
-    enough, few, midway = find_evidence(rays, weight, keypoint_layout(layout).joints, 600.0)
+    names = keypoint_layout(layout).joints
+    points, score = 600 * np.random.default_rng(0).normal(size=(3, len(names), 2)), np.ones((3, len(names)))
+    score[1, [i for i, j in enumerate(names) if j[0] in 'lr' and not j.endswith('shoulder')]] = 0
+    if 'neck' in names:
+        middle = points[2, [names.index('lshoulder'), names.index('rshoulder')]].mean(axis=0)
+        points[2, names.index('neck')] = middle + [1, -1]  # in whole pixels
+    _, _, (enough, few, midway), _ = convert_to_rays(points, score, names, PINHOLE, 0.1)
     assert {j for j, e in zip(CMU15.joints, enough, strict=True) if not e} == derived
     assert {j for j, e in zip(CMU15.joints, midway, strict=True) if not e} == derived | {'neck'}
     assert few.all()
@@ -161,9 +164,9 @@ LENSES = [
 ]
 
 
-def draw_keypoints(rng: np.random.Generator, frames: tuple[int, ...]) -> tuple[Array, Array]:
-    """Return points (..., 17, 2) px and scores (..., 17); some are missing, not numbers or far out of range."""
-    points, score = rng.uniform(0, 640, (*frames, 17, 2)), rng.uniform(0, 1.5, (*frames, 17))
+def draw_keypoints(rng: np.random.Generator, frames: int) -> tuple[Array, Array]:
+    """Return points (F, 17, 2) px and scores (F, 17); some are missing, not numbers or far out of range."""
+    points, score = rng.uniform(0, 640, (frames, 17, 2)), rng.uniform(0, 1.5, (frames, 17))
     for array, value in ((points, np.nan), (points, 2 * MAX_POINT_PX), (score, np.nan), (score, 0.0)):
         array[rng.random(array.shape) < 0.05] = value
     return points, score
@@ -185,12 +188,12 @@ def map_plainly(joint_map: JointMap, points: Array, score: Array) -> tuple[Array
 @pytest.mark.parametrize('lens', LENSES, ids=['pinhole', 'plumb_bob', 'equidistant'])
 def test_rays_are_those_of_the_formula(lens: Distortion, rng: np.random.Generator) -> None:
     camera = Intrinsics(640.0, (310.0, 250.0), True, 1.1, lens)
-    points, score = draw_keypoints(rng, (3, 20))
+    points, score = draw_keypoints(rng, 60)
     points.flags.writeable = score.flags.writeable = False
-    rays, weight = convert_to_rays(points, score, NAMES, camera, MIN_SCORE)
-    assert (rays.shape, weight.shape) == ((3, 20, 15, 2), (3, 20, 15))
+    rays, weight, _, _ = convert_to_rays(points, score, NAMES, camera, MIN_SCORE)
+    assert (rays.shape, weight.shape) == ((60, 15, 2), (60, 15))
     joint_map, seen_count = build_joint_map(NAMES), 0
-    for index in np.ndindex(3, 20):
+    for index in range(60):
         with np.errstate(invalid='ignore'):
             is_used = (np.abs(points[index]) < MAX_POINT_PX).all(axis=-1) & (score[index] >= MIN_SCORE)
         used_score = np.where(is_used, np.minimum(score[index], 1), 0)
@@ -201,9 +204,6 @@ def test_rays_are_those_of_the_formula(lens: Distortion, rng: np.random.Generato
         assert (rays[index][~seen] == 0).all()
         assert rays[index][seen] == pytest.approx(camera.pixels_to_rays(expected[seen]), abs=1e-12)
     assert 200 < seen_count < 800, 'some joints are seen and some are not'
-
-
-PINHOLE = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,8 @@ def test_feet_hands_and_face_go_with_their_limbs(part: str, exchanged: set[str],
     points, weight = rng.normal(size=(3, 26, 2)), rng.uniform(0.1, 1, (3, 26))
     is_swapped = np.zeros((3, len(PARTS)), bool)
     is_swapped[1, PARTS.index(part)] = True
-    new_points, new_weight = join_body(*exchange_body_sides(*split_body(points, weight), is_swapped))
+    parts = points[:, :15], weight[:, :15], Extremities(points[:, 15:], weight[:, 15:])
+    new_points, new_weight = join_body(*exchange_body_sides(*parts, is_swapped))
     assert (new_points[[0, 2]] == points[[0, 2]]).all()
     for i, (joint, twin) in enumerate(zip(BODY26.joints, BODY26.mirror, strict=True)):
         source = twin if 'l' + joint[1:] in exchanged and joint[0] in 'lr' else i
@@ -235,9 +236,9 @@ def test_detectors_name_feet_and_hands_differently(
     names = keypoint_layout(layout).joints
     points = rng.uniform(280, 320, (len(names), 2))
     points[names.index('rhip')] = 0  # px; the person is large
-    _, _, found = convert_body_to_rays(points, np.ones(len(names)), names, PINHOLE, 0.1)
-    rays = dict(zip(BODY26.joints[CORE_COUNT:], found.rays, strict=True))
-    seen = dict(zip(BODY26.joints[CORE_COUNT:], found.weight > 0, strict=True))
+    *_, found = convert_to_rays(points[None], np.ones((1, len(names))), names, PINHOLE, 0.1)
+    rays = dict(zip(BODY26.joints[CORE_COUNT:], found.rays[0], strict=True))
+    seen = dict(zip(BODY26.joints[CORE_COUNT:], found.weight[0] > 0, strict=True))
     assert rays['ltoe'] == pytest.approx((points[names.index(toe)] - [320, 240]) / 500)
     assert [seen[name] for name in ('nose', 'rear', 'lhand')] == [True, True, hand is not None]
     if hand is not None:
@@ -251,9 +252,10 @@ def test_a_point_far_from_its_body_does_not_count_as_seen(name: str, joint: str,
     points = 300 + 10 * rng.standard_normal((len(names), 2))
     points[names.index('neck'), 1], points[names.index('pelvis'), 1] = 240, 400  # px; how large the person is
     index, wrong = BODY26.index(joint) - CORE_COUNT, names.index(name)
-    _, _, near = convert_body_to_rays(points, np.ones(len(names)), names, PINHOLE, 0.1)
-    points[wrong] = 0
-    _, _, far = convert_body_to_rays(points, np.ones(len(names)), names, PINHOLE, 0.1)
-    assert near.weight[index] > 0
-    assert far.weight[index] == 0
-    assert (np.delete(far.weight, index) == np.delete(near.weight, index)).all()
+    both = np.array([points, points])
+    both[1, wrong] = 0
+    *_, found = convert_to_rays(both, np.ones(both.shape[:2]), names, PINHOLE, 0.1)
+    near, far = found.weight
+    assert near[index] > 0
+    assert far[index] == 0
+    assert (np.delete(far, index) == np.delete(near, index)).all()

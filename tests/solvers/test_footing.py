@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mocap_ros.engine import footing as engine
-from mocap_ros.keypoints.extremities import Extremities
+from mocap_ros.keypoints.rays import Extremities
 from mocap_ros.skeleton import BODY26, CMU15
 from mocap_ros.solvers.contacts import HEELS_AND_TOES, LEGS, find_contacts
 from mocap_ros.solvers.extremities import ANCHORS

@@ -21,7 +21,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
-from mocap_ros.keypoints.extremities import Extremities
+from mocap_ros.keypoints.rays import Extremities
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.lifter_input import sample_histories
