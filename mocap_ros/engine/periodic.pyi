@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 
+REPETITION: tuple[float, float]
+
 def assemble(
     diagonal: Array, gradient: Array, bone_vectors: Array, vertical: Array, terms: Array, slopes: Array
 ) -> tuple[Array, Array, Array, Array, Array]: ...
@@ -21,3 +23,4 @@ def solve_step(
     camera_gradient: Array,
 ) -> tuple[Array, Array] | None: ...
 def compute_trace_of_solved(matrix: Array, added: Array, diagonal: Array) -> float: ...
+def measure_repetition(times: Array, theta: Array, cadence: float) -> float: ...

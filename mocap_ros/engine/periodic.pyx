@@ -9,6 +9,7 @@ Sizes: N frames, n = K + 4 unknowns of the joint solver a frame, m = K + 1 funct
 G = P m + 1 unknowns of the series.
 """
 
+from libc.math cimport INFINITY, NAN, ceil
 from libc.string cimport memcpy
 
 import numpy as np
@@ -21,6 +22,11 @@ from scipy.linalg.cython_lapack cimport dpotrf, dtrtri
 cdef enum:
     CAMERA = 4  # unknowns of a camera
 
+cdef double NEWEST_S = 0.4  # s; most of a step of a walk: half of it shows that something else has begun
+cdef double SAMPLE_STEP_S = 1.0 / 15  # s; at which a motion is compared, often enough for a run
+cdef double MAX_STRETCH = 0.1  # of the cycle; by so much two cycles of a person differ, and a cadence is wrong
+cdef int STRETCHES = 9  # lengths of a cycle that are tried
+REPETITION = NEWEST_S, MAX_STRETCH  # for `solvers.periodic.repetition`
 cdef double LARGE = 1e300  # m^2; keeps a matrix positive definite whatever is subtracted
 
 
@@ -201,3 +207,61 @@ def compute_trace_of_solved(const double[:, ::1] matrix, const double[::1] added
         for i in range(j, n):
             total += factor[j, i] * factor[j, i] * diagonal[j]
     return total
+
+
+def measure_repetition(const double[::1] times, const double[:, ::1] theta, double cadence):
+    """Return how well the newest part of a motion repeats what was one cycle before; NaN if that is not known.
+
+    With theta(t) the base-pose weights at a time, n the newest 0.4 s, and c these and the cycle before them,
+
+        r = 1 - min_T mean_n |theta(t) - theta(t - T)|^2 / (2 mean_c |theta(t) - mean_c theta|^2)
+
+    where T is any length near that of the cycle. This is a coefficient of correlation: 1 if the motion repeats
+    itself, 0 if the newest poses have nothing to do with those before, as after a walk has ended in a jump. It is
+    not known where the motion is shorter, or does not move.
+
+    Args:
+        times: (F,) s, increasing.
+        theta: (F, K) m, base-pose weights at these times.
+        cadence: Hz, full cycles.
+    """
+    cdef int K = theta.shape[1], count, newest, i, k, s
+    cdef double end = times[times.shape[0] - 1], known = end - times[0] - NEWEST_S, cycle = 1 / cadence
+    cdef double shortest = (1 - MAX_STRETCH) * cycle, longest = min((1 + MAX_STRETCH) * cycle, known)
+    cdef double spread = 0, least = INFINITY, change, mean, difference
+    if known * cadence < 1:
+        return NAN
+    count, newest = <int> ceil((NEWEST_S + cycle) / SAMPLE_STEP_S), <int> (NEWEST_S / SAMPLE_STEP_S) + 1
+    cdef double[:, ::1] poses = np.empty((count, K))
+    cdef double[::1] before = np.empty(K)
+    for i in range(count):
+        interpolate(times, theta, end - i * SAMPLE_STEP_S, &poses[i, 0])
+    for k in range(K):
+        mean = 0
+        for i in range(count):
+            mean += poses[i, k]
+        mean /= count
+        for i in range(count):
+            spread += (poses[i, k] - mean) * (poses[i, k] - mean)
+    for s in range(STRETCHES):
+        cycle, change = shortest + (longest - shortest) * s / (STRETCHES - 1), 0
+        for i in range(newest):
+            interpolate(times, theta, end - i * SAMPLE_STEP_S - cycle, &before[0])
+            for k in range(K):
+                difference = poses[i, k] - before[k]
+                change += difference * difference
+        least = min(least, change)
+    return 1 - least / newest / (2 * spread / count) if spread > 0 else NAN
+
+
+cdef void interpolate(
+    const double[::1] times, const double[:, ::1] samples, double time, double* out
+) noexcept nogil:
+    """Write samples (n, K) of increasing times, interpolated at a time; the ends hold beyond them."""
+    cdef int last = times.shape[0] - 1, after = last, k
+    cdef double share
+    while after > 1 and times[after - 1] >= time:
+        after -= 1
+    share = min(max((time - times[after - 1]) / (times[after] - times[after - 1]), 0.0), 1.0)
+    for k in range(samples.shape[1]):
+        out[k] = (1 - share) * samples[after - 1, k] + share * samples[after, k]

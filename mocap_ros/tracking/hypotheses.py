@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import Config, SolverConfig
+from mocap_ros.engine import periodic as engine
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
 from mocap_ros.geometry.interpolation import interpolate_linearly
@@ -47,7 +48,7 @@ from mocap_ros.solvers.joint.solver import (
 )
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, explains_as_well, let_base_poses_lead
 from mocap_ros.solvers.levenberg_marquardt import Stepwise
-from mocap_ros.solvers.periodic.repetition import measure_best_repetition, measure_repetition
+from mocap_ros.solvers.periodic.repetition import measure_best_repetition
 from mocap_ros.solvers.periodic.solver import EstimatedPoses
 from mocap_ros.solvers.window import InitialValues, Window, choose_initial_values
 from mocap_ros.tracking.schedule import Classification
@@ -256,10 +257,10 @@ class HypothesisChecker:
         periodic_names = [n for n in PERIODIC_CATEGORIES if n in self.models]
         if not periodic_names or -track.times_s[0] < MIN_SECTION_SHARE * section_s:
             return None
-        if not track.schedule.may_resume:  # a walk that has just gone on has hardly a cycle to repeat
-            repetition = measure_best_repetition(track.times_s, track.solved.theta)
-            if repetition < MIN_REPETITION:
-                return classify_as_other(track)
+        # a walk that has just gone on has hardly a cycle to repeat
+        times, theta, may_resume = track.observed.times, track.solved.theta, track.schedule.may_resume
+        if not may_resume and measure_best_repetition(times, theta) < MIN_REPETITION:
+            return classify_as_other(track)
         for name in self._order_periodic_models(track, periodic_names):
             motion = yield from self._fit_periodic_motion(track, name)
             if motion is not None:
@@ -317,8 +318,8 @@ class HypothesisChecker:
         """Return whether a track's newest motion may be periodic as a classification of it says."""
         if classification.motion.kind is not MotionKind.PERIODIC:
             return True
-        times = track.times_s
-        return not measure_repetition(times, track.solved.theta, classification.motion.cadence) < MIN_REPETITION
+        times, theta, cadence = track.observed.times, track.solved.theta, classification.motion.cadence
+        return not engine.measure_repetition(times, theta, cadence) < MIN_REPETITION
 
     def _current_poses(self, track: Track, start: InitialValues) -> EstimatedPoses:
         """Return the poses of the track's solution, with the bias of its noise estimate removed."""

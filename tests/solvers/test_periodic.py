@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from mocap_ros.config import SolverConfig
+from mocap_ros.engine.periodic import measure_repetition
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
@@ -21,7 +22,7 @@ from mocap_ros.solvers.periodic import repetition
 from mocap_ros.solvers.periodic.fourier import FourierSeries
 from mocap_ros.solvers.periodic.normal_equations import MIN_CAMERA_INFORMATION, MIN_INFORMATION, PeriodicEquations
 from mocap_ros.solvers.periodic.objective import PeriodicObjective, Point, measure_matrices, move_cameras
-from mocap_ros.solvers.periodic.repetition import MAX_STRETCH, NEWEST_S, measure_repetition
+from mocap_ros.solvers.periodic.repetition import MAX_STRETCH, NEWEST_S
 from mocap_ros.solvers.window import Window
 from tests.support.synthetic_walk import BODY_TO_OPTICAL, Walk, make_walk, mpjpe_mm
 
