@@ -166,17 +166,21 @@ class Tracker:
     def _read_people(self, people: ArrayLike, ids: Sequence[str] | None) -> list[Person2D]:
         given = read_array('people', people)
         shape = (len(given) if given.ndim else None, len(self._joint_names), 3)
-        keypoints = read_numbers('people', given, shape) if given.size else np.empty((0, *shape[1:]))
-        names = read_names('ids', () if ids is None else ids, 'a list of names') or ('',) * len(keypoints)
-        if len(names) != len(keypoints):
-            raise InputError(f'ids: {len(names)} names for {len(keypoints)} people')
+        if given.dtype != np.float64 or given.shape != shape:
+            given = read_numbers('people', given, shape) if given.size else np.empty((0, *shape[1:]))
+        names = read_names('ids', () if ids is None else ids, 'a list of names') or ('',) * len(given)
+        if len(names) != len(given):
+            raise InputError(f'ids: {len(names)} names for {len(given)} people')
+        keypoints = np.asarray(given, np.float64)
         points, score = keypoints[..., :2], keypoints[..., 2]
         if fault := find_first_fault(points, score):
             person, joint = fault.index
             raise InputError(f'people[{person}]: {fault.field}[{joint}]: {fault.what}')
         points, score = mark_unseen(points, score)
-        for i in np.flatnonzero(~(np.abs(points) > MAX_METRES).any(axis=(1, 2))).tolist():
-            if other_unit := describe_other_unit(points[i], score[i], self._image_size[0]):
+        for i, largest in enumerate(np.fmax.reduce(points, axis=(1, 2)).tolist()):
+            if largest <= MAX_METRES and (
+                other_unit := describe_other_unit(points[i], score[i], self._image_size[0])
+            ):
                 raise InputError(f'people[{i}]: x, y: {other_unit}')
         detected = [Person2D(*p) for p in zip(names, [self._joint_names] * len(names), points, score, strict=True)]
         check_ids('ids', detected)

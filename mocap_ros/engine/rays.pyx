@@ -8,7 +8,7 @@ The formulas are in `geometry.distortion`, `geometry.virtual_camera`, and `keypo
 Sizes: F frames, S keypoints of the detector, A alternatives, J joints of the model, E extremities.
 """
 
-from libc.math cimport INFINITY, NAN, fabs, hypot, isfinite, sqrt, tan
+from libc.math cimport INFINITY, NAN, exp, fabs, hypot, isfinite, sqrt, tan
 
 import numpy as np
 
@@ -91,6 +91,31 @@ def undistort_points(Rows points, Vector lens):
     cdef double[:, ::1] out = result
     for n in range(points.shape[0]):
         undistort_point(points[n, 0], points[n, 1], &lens[0], &out[n, 0])
+    return result
+
+
+def mark_unseen(const double[:, :, :] points, const double[:, :] score):
+    """Return points (N, S, 2) px and scores (N, S) of N people, marked and scaled as of `validation.mark_unseen`."""
+    cdef Py_ssize_t n, s
+    cdef bint is_low = False, is_high = False
+    cdef double x, y, value, largest
+    result = np.full((score.shape[0], score.shape[1], 2), NAN), np.zeros((score.shape[0], score.shape[1]))
+    cdef double[:, :, ::1] out = result[0]
+    cdef double[:, ::1] out_score = result[1]
+    for n in range(score.shape[0]):
+        for s in range(score.shape[1]):
+            is_low, is_high = is_low or score[n, s] < -1, is_high or score[n, s] > 1
+    for n in range(score.shape[0]):
+        largest = 1.0
+        for s in range(score.shape[1]):
+            x, y, value = points[n, s, 0], points[n, s, 1], score[n, s]
+            if is_low and is_high:
+                value = 1 / (1 + exp(-value))
+            if value > 0 and isfinite(x) and isfinite(y) and not (x == y and (x == 0 or x == -1)):
+                out[n, s, 0], out[n, s, 1], out_score[n, s] = x, y, value
+                largest = max(largest, value)
+        for s in range(score.shape[1]):
+            out_score[n, s] /= largest
     return result
 
 

@@ -7,22 +7,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
+from mocap_ros.engine import rays as engine
 from mocap_ros.errors import InputError
 
-UNSEEN_POINTS_PX = (0.0, -1.0)  # px; x = y = one of these is what detectors write for a point that they do not see
 NORMALISED_RANGE = -0.5, 1.5  # shares of the image; a normalised point may lie outside the image by half of it
 MAX_METRES = 10.0  # m; joints of a person in 3D are within it, of whom some coordinates are negative
 TINY_IMAGE_WIDTH = 16  # px; in an image up to this wide, real px look like normalised coordinates
 MAX_COORDINATE_PX = 1e6  # px; far outside any image
 MAX_SHARE_OUTSIDE = 0.5  # share of the points; with more of them outside the image, its size is probably wrong
 MIN_SHARE_HELD = 0.95  # share of the points that an image must hold to be the right one; a few may be outliers
-MAX_LOGIT = 30.0  # 1; beyond it, the probability is 0 or 1
 TRANSPOSED = 'width and height look transposed'
 # Other sizes of images: factors of the side itself and of the other one
 OTHER_SIZES = ((0.0, 1.0), (0.5, 0.0), (1.5, 0.0))
@@ -44,7 +41,7 @@ class Fault:
 
 def find_first_fault(points: Array, score: Array) -> Fault | None:
     """Find the first coordinate beyond `MAX_COORDINATE_PX` or infinite score; NaN is no fault."""
-    if not ((np.abs(points) > MAX_COORDINATE_PX).any() or np.isinf(score).any()):
+    if not (np.count_nonzero(np.abs(points) > MAX_COORDINATE_PX) or np.count_nonzero(np.isinf(score))):
         return None
     for field, is_faulty, values, expected in (
         ('x', np.abs(points[..., 0]) > MAX_COORDINATE_PX, points[..., 0], 'a finite number of px'),
@@ -64,19 +61,9 @@ def mark_unseen(points: Array, score: Array) -> tuple[Array, Array]:
     some above 1 are logits, and become 1 / (1 + exp(-score)). The scores of a person are divided by the largest
     where that exceeds 1.
     """
-    if (score < -1).any() and (score > 1).any():
-        score = 1 / (1 + np.exp(-score.clip(-MAX_LOGIT, MAX_LOGIT)))
-    seen = find_seen(points, score)
-    score = np.where(seen, score, 0.0)
-    largest = score.max(axis=-1, keepdims=True, initial=1.0)
-    return np.where(seen[..., None], points, np.nan), score / largest
-
-
-def find_seen(points: NDArray[np.floating[Any]], score: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
-    """Return which keypoints (..., J) a detector has seen; arguments as of `mark_unseen`."""
-    x, y = points[..., 0], points[..., 1]
-    is_placeholder = (x == y) & ((x == UNSEEN_POINTS_PX[0]) | (x == UNSEEN_POINTS_PX[1]))
-    return (score > 0) & np.isfinite(x) & np.isfinite(y) & ~is_placeholder
+    people = points.reshape(-1, *points.shape[-2:]), score.reshape(-1, score.shape[-1])
+    seen_points, seen_score = engine.mark_unseen(*people)
+    return seen_points.reshape(points.shape), seen_score.reshape(score.shape)
 
 
 def describe_other_unit(points: Array, score: Array, image_width: int) -> str:
