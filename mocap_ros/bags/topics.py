@@ -37,6 +37,7 @@ class Source(Enum):
 
 
 PEOPLE_SOURCES = (Source.KEYPOINTS, Source.TRACKED_BODIES, Source.BODY)  # the sources that describe people
+PEOPLE_TYPES = (HRI_IDS, HRI_SKELETON, *KEYPOINT_TYPES)  # the types of their messages
 TRANSFORM_SOURCES = (Source.TRANSFORMS, Source.STATIC_TRANSFORMS)  # the sources that say where the camera is
 
 
@@ -60,8 +61,7 @@ def reads_transforms(node: NodeConfig) -> bool:
 
 def find_latched_inputs(bag: Bag) -> set[str]:
     """Return the latched topics of input types, of which each further file of a bag repeats the last messages."""
-    types = {CAMERA_INFO, TRANSFORMS, HRI_IDS, HRI_SKELETON, *KEYPOINT_TYPES}
-    return bag.latched_topics & set(bag.topics_of_type(types))
+    return bag.latched_topics & set(bag.topics_of_type({CAMERA_INFO, TRANSFORMS, *PEOPLE_TYPES}))
 
 
 def find_transform_topics(bag: Bag, node: NodeConfig, recorded: AbstractSet[str]) -> dict[str, Source]:

@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
                 is_all_saved = False
     if len(found) > 1:
         summary = summarise(found, results, config)
-    return finish(args.input, summary, is_strict=args.strict) or int(not is_all_saved)
+    return finish(args.input, summary, summary.is_wrong, is_strict=args.strict) or int(not is_all_saved)
 
 
 def _check_options(args: argparse.Namespace, outputs: Sequence[Path], sources: Sequence[Path]) -> None:

@@ -111,4 +111,4 @@ def _replay_one(path: Path, out: Path, options: ReplayOptions, *, is_strict: boo
         f'{out}: {counts.accepted} messages of people accepted, {counts.dropped.total()} dropped, '
         f'{counts.invalid} invalid, {seconds:.1f} s'
     )
-    return finish(path, result.summary, is_strict=is_strict)
+    return finish(path, result.summary, result.summary.is_wrong, is_strict=is_strict)

@@ -24,8 +24,6 @@ from mocap_ros.errors import make_printable_line
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-    from mocap_ros.runtime.summary import Summary
-
 T = TypeVar('T')
 Report = Callable[[float], None]  # gets the share of a computation, 0 to 1, that is done
 
@@ -69,10 +67,10 @@ def _print(line: str, file: TextIO, flush: bool) -> None:
         print(line, file=file, flush=flush)
 
 
-def finish(path: object, summary: Summary, *, is_strict: bool) -> int:
+def finish(path: object, summary: object, is_wrong: bool, *, is_strict: bool) -> int:
     """Print the summary of a recording on stdout, and return the exit code."""
     print_result(f'{path}: {summary}')
-    return int(is_strict and summary.is_wrong)
+    return int(is_strict and is_wrong)
 
 
 def show_progress(items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:

@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
     check_output(output, *sources)
     options = SceneOptions(config, load_models(args, config), read_input_options(args, config), is_picture)
     with ShareBar('view') as report:
-        scene, lines, summary = load_scene(args.input, options, report)
+        scene, lines, judged = load_scene(args.input, options, report)
     for line in lines:
         print_note(line)
     notes: list[str] = []
@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
     for line in notes:
         print_note(line)
     print_result(output)
-    return 0 if summary is None else finish(args.input, summary, is_strict=args.strict)
+    return finish(args.input, *judged, is_strict=args.strict) if judged else 0
 
 
 def _check_times(

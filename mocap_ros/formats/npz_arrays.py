@@ -79,11 +79,15 @@ class ArrayReader:
 
     def read_joint_names(self, key: str) -> tuple[str, ...]:
         """Return joint names in the spelling of this package."""
-        array = self._get(key, 'U', 'names', (None,))
+        return canonical_joint_names(self.read_texts(key, (None,)))
+
+    def read_texts(self, key: str, shape: tuple[int | None, ...]) -> list[str]:
+        """Return the texts of an array."""
+        array = self._get(key, 'U', 'names', shape)
         code_points = np.ascontiguousarray(array).view(array.dtype.byteorder.replace('|', '=') + 'u4')
         if (code_points > sys.maxunicode).any():
             raise InputError(f'{key}: holds characters that do not exist')
-        return canonical_joint_names([str(n) for n in array])
+        return [str(text) for text in array.flat]
 
     def _get(self, key: str, dtype_kinds: str, content: str, shape: tuple[int | None, ...]) -> NDArray[np.generic]:
         if key not in self.array_by_key:

@@ -9,6 +9,7 @@ whole sequence. The images behind the keypoints are those of a video, or of a ba
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from mocap_ros.arrays import Array, Array32
 from mocap_ros.bags.journal import JOURNAL, Verdict, decode_entry
 from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.topics import find_people_topics
+from mocap_ros.bags.topics import PEOPLE_TYPES, find_people_topics
 from mocap_ros.config import Config, NodeConfig
 from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.formats.detections import Detections
@@ -33,15 +34,16 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import average_vertical
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.messages.images import IMAGE_TYPES, decode_image
-from mocap_ros.messages.skeletons import RecordedPerson
+from mocap_ros.messages.skeletons import RecordedPerson, RecordedSkeletons
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.whole_sequence import Report, describe_height_faults
-from mocap_ros.people import MotionKind
+from mocap_ros.people import CameraVertical, MotionKind
 from mocap_ros.runtime.frame_assembly import is_stamp_missing
+from mocap_ros.runtime.input_camera import KNOWN
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, find_input_kind, require_kind
 from mocap_ros.runtime.load_keypoints import InputOptions, load_bag, load_people
 from mocap_ros.runtime.load_results import RecordedPeople, find_skeletons_topic, holds_result, load_result
-from mocap_ros.runtime.summary import Summary, summarise
+from mocap_ros.runtime.summary import WRONG, RunSummary, Summary, summarise
 from mocap_ros.runtime.whole_recording import reconstruct_people, reconstruct_whole
 from mocap_ros.skeleton import CMU15, Skeleton, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
@@ -53,9 +55,10 @@ Row = TypeVar('Row')
 MAX_PEOPLE = 16  # people who are reconstructed; those who are seen most, since each one takes seconds
 VIEWED_FORMATS = f'{KEYPOINT_FORMATS}, or a result (.npz, .mcap)'
 VIEWED_KINDS = (*KEYPOINT_KINDS, InputKind.RESULT)
-# of a result file; older ones have no contacts and no floor
+# of a result file; older ones have no contacts, no floor and no grade
 CAMERA_KEYS = (
     'scale', 'translation', 'vertical', 'vertical_std', 'scale_known', 'contact', 'world_from_camera', 'floor_std',
+    'grade', 'summary',
 )  # fmt: skip
 # Fields of a `RecordedPerson` that a `ScenePerson` has as well, with their types there.
 PERSON_FIELDS = {
@@ -69,6 +72,7 @@ PERSON_FIELDS = {
     'tentative': np.bool_,
     'contact': np.float32,
 }
+MAX_GIVEN_STD = math.radians(2.0)  # rad; verticals that are given have 1 degree, those found 2.5 or more
 MAX_VERTICAL = 2.0  # length of a unit vector, far beyond its rounding; a longer one is damaged
 
 
@@ -83,18 +87,18 @@ class SceneOptions(NamedTuple):
 
 def load_scene(
     path: Path, options: SceneOptions, report: Report = lambda _: None
-) -> tuple[Scene, list[str], Summary | None]:
+) -> tuple[Scene, list[str], tuple[str, bool] | None]:
     """Load what is drawn of an input or a result; `report` gets the share of the work after the input is read.
 
-    Returns the scene, lines for the user about people and messages that were left out, and what a reconstruction
-    rests on; None for a result.
+    Returns the scene, lines for the user about people and messages that were left out, and the summary in words
+    with whether the input is wrong; None for a result without one, and a bag without keypoints.
     """
     kind = require_kind(path, VIEWED_KINDS, VIEWED_FORMATS)
     try:
         if kind is InputKind.RESULT:
-            return _load_result_scene(path, options.input.person), [], None
+            return _load_result_scene(path, options.input.person)
         if kind is InputKind.BAG and holds_result(path):
-            return *_load_bag_scene(path, options, report), None
+            return _load_bag_scene(path, options, report)
         reading = options.input._replace(node=options.config.node)
         only_one = bool(reading.person) or options.only_one or kind is InputKind.SEQUENCE
         sequences, lines = load_people(path, reading, only_one=only_one)
@@ -102,7 +106,7 @@ def load_scene(
         if len(sequences) > MAX_PEOPLE:
             lines.append(f'{path}: {len(sequences) - MAX_PEOPLE} more people are not shown, who are seen less')
         scene, summary = _reconstruct_people(path, sequences[:MAX_PEOPLE], options, report, lines)
-        return scene, lines, summary
+        return scene, lines, (str(summary), summary.is_wrong)
     except InputError as error:
         prefix = '' if str(error).startswith(str(path)) else f'{path}: '
         raise InputError(f'{prefix}{error}') from None
@@ -194,7 +198,7 @@ def _make_person(
     )
 
 
-def _load_result_scene(path: Path, person: str | None) -> Scene:
+def _load_result_scene(path: Path, person: str | None) -> tuple[Scene, list[str], tuple[str, bool] | None]:
     """Load the scene of a result file; in one without camera, the cameras of the frames give its intrinsics."""
     result, _ = load_result(path, person)
     arrays, count = (
@@ -214,7 +218,8 @@ def _load_result_scene(path: Path, person: str | None) -> Scene:
     else:
         intrinsics, size = recover_intrinsics(average_core(result.joints, result.skeleton), scale, translation)
     intrinsics, frames = replace(intrinsics, is_focal_known=bool(is_focal_known)), np.arange(count)
-    return Scene(
+    grade, summary = (arrays.read_texts(k, ())[0] if k in arrays else '' for k in ('grade', 'summary'))
+    scene = Scene(
         title=path.name,
         stamps_ns=result.stamps_ns,
         people=(_make_person('person_1', frames, result, result.residual, intrinsics, contact),),
@@ -225,6 +230,7 @@ def _load_result_scene(path: Path, person: str | None) -> Scene:
         vertical=upward,
         camera_height=height,
     )
+    return scene, [], (summary, grade == WRONG) if summary else None
 
 
 def recover_intrinsics(roots: Array, scale: Array, translation: Array) -> tuple[Intrinsics, tuple[int, int]]:
@@ -253,12 +259,17 @@ def average_core(joints: NDArray[Any], skeleton: Skeleton) -> Array:
     return np.asarray(np.nan_to_num(core, posinf=0, neginf=0).sum(axis=1) / np.where(count, count, np.nan))
 
 
-def _load_bag_scene(path: Path, options: SceneOptions, report: Report) -> tuple[Scene, list[str]]:
-    """Load the scene of a bag of skeletons, with its keypoints if it has any, and the inputs that it dropped."""
-    reading, detections = options.input, Detections([], [])
+def _load_bag_scene(
+    path: Path, options: SceneOptions, report: Report
+) -> tuple[Scene, list[str], tuple[str, bool] | None]:
+    """Load the scene of a bag of skeletons, with its keypoints if it has any, and the inputs that it dropped.
+
+    What its people rest on is judged by these keypoints, as in the recorded run.
+    """
+    reading, detections, run = options.input, Detections([], []), RunSummary()
     with suppress(*(() if reading.topic or reading.camera_info else (InputError,))):
         detections = load_bag(path, options.config.node, reading.topic, reading.camera_info)
-    people, verticals, drops, faults, newest_ns = RecordedPeople(), [], [], [], 0
+    people, arrays, drops, faults, newest_ns = RecordedPeople(), list[RecordedSkeletons](), [], [], 0
     with Bag(path) as bag:
         journals = [t for t in bag.topics_of_type([JOURNAL]) if t.endswith('/journal')]
         topics = [find_skeletons_topic(bag), *journals]
@@ -269,17 +280,40 @@ def _load_bag_scene(path: Path, options: SceneOptions, report: Report) -> tuple[
                 if message.topic not in journals:
                     array = people.add(message.raw)
                     newest_ns = array.stamp_ns
-                    if 0 < np.linalg.norm(array.vertical) < MAX_VERTICAL:
-                        verticals.append([*array.vertical, array.vertical_std])
-                elif (entry := decode_entry(message.raw)).verdict is not Verdict.ACCEPTED:
+                    arrays.append(array)
+                    continue
+                entry = decode_entry(message.raw)
+                if entry.verdict is not Verdict.ACCEPTED:
                     drops.append((newest_ns, entry.reason))  # at the time of the skeletons before
+                if bag.topics.get(entry.topic) in PEOPLE_TYPES:
+                    run.count(entry.verdict)
             except (InputError, SkeletonError) as error:
                 faults.append(f'{message.topic}: {error}')
+    verticals = [[*a.vertical, a.vertical_std] for a in arrays if 0 < np.linalg.norm(a.vertical) < MAX_VERTICAL]
     known = np.array(verticals).reshape(-1, 4)
     vertical = average_vertical(known[:, :3], known[:, 3])
     scene = _build_bag_scene(people, reading.person, detections, drops)
     notes = [*detections.notes, *([f'{len(faults)} messages left out; {faults[0]}'] if faults else [])]
-    return replace(scene, title=path.name, vertical=vertical), [f'{path}: {note}' for note in notes]
+    camera = replace(scene.intrinsics, image_size=scene.image_size)
+    judged = _judge_run(run, arrays, detections, camera, options.config) if detections.people else None
+    return replace(scene, title=path.name, vertical=vertical), [f'{path}: {note}' for note in notes], judged
+
+
+def _judge_run(
+    run: RunSummary,
+    arrays: Iterable[RecordedSkeletons],
+    detections: Detections,
+    camera: Intrinsics,
+    config: Config,
+) -> tuple[str, bool]:
+    seen = dict(zip(detections.stamps_ns, detections.people, strict=True))
+    source = KNOWN if camera.is_focal_known else 'as recorded'
+    for stamp_ns, people, upward, std in arrays:
+        vertical = CameraVertical(upward, std, is_given=std < MAX_GIVEN_STD) if std > 0 else None
+        run.add(stamp_ns, seen.get(stamp_ns, ()), people, camera, source, vertical, config)
+        run.advance_judgement(config)
+    summary = run.summarise()
+    return str(summary), summary.is_wrong
 
 
 def _build_bag_scene(

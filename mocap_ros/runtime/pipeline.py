@@ -321,8 +321,9 @@ class Pipeline:
             self.counters.dropped['stamp'] += 1
         elif result.verdict is Verdict.INVALID:
             self.counters.invalid += 1
-        if source in PEOPLE_SOURCES and (result.outputs or result.verdict is Verdict.ACCEPTED):
-            self.counters.accepted += 1
+        if source in PEOPLE_SOURCES:
+            self.summary.count(result.verdict)
+            self.counters.accepted += bool(result.outputs) or result.verdict is Verdict.ACCEPTED
 
 
 def _check_lens(config: Config) -> None:

@@ -8,9 +8,8 @@ A replay processes the inputs that the recorded run processed, in the same order
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +29,6 @@ from mocap_ros.bags.topics import (
 )
 from mocap_ros.config import Config, Value, settings, values, with_values
 from mocap_ros.errors import ConfigError, InputError, RecordingError
-from mocap_ros.evaluation.verdict import Grade, Judgement
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.models.model_file import AUTO, PRIORS, list_shipped_base_poses
@@ -39,13 +37,12 @@ from mocap_ros.runtime.input_checks import find_kind
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, build_skeleton_definition
 from mocap_ros.runtime.pipeline import Counters, Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
-from mocap_ros.runtime.summary import Summary, describe_grade
+from mocap_ros.runtime.summary import Summary
 
 JOURNAL_TOPIC = '/mocap_replay/journal'  # ends as the journal of a live run, so that a replay can be replayed
 INPUT_TYPE_PARAMETER = 'node.input_type'  # set to the type of the bag's keypoints, whatever the parameters say
 WAIT_PARAMETER = 'node.camera_info_wait'  # 0 where the recorded run did not know it, or no CameraInfo can come
 PREFIX_PARAMETER = 'node.frame_prefix'  # by which the people of the recorded run are known on /tf
-MAX_REFUSED = 0.1  # 1, share of the messages of people; of more, the input is doubtful
 
 # A function that shows progress while the messages it is given are iterated; its second argument is their number.
 ProgressWrapper = Callable[[Iterable[BagMessage], int], Iterable[BagMessage]]
@@ -137,7 +134,6 @@ class _Replay:
         self._journal = Journal(JOURNAL_TOPIC)
         self._appearances = AppearanceLog(config.tracker.forget_all_after, config.tracker.forget_after)
         self._first_rejection = ''
-        self._verdicts: Counter[Verdict] = Counter()  # of messages of people
         self._tracebacks: dict[str, str] = {}  # by what identifies the error, in order of occurrence
 
     def run(self, folder: Path, name: str, progress: ProgressWrapper) -> ReplayResult:
@@ -162,7 +158,7 @@ class _Replay:
                     self._tracebacks.setdefault(error_traceback, error_traceback)
         return ReplayResult(
             pipeline.counters,
-            self._summarise(),
+            pipeline.summary.summarise(),
             self._first_rejection,
             self._run.lost_count,
             tuple(self._tracebacks.values()),
@@ -171,16 +167,6 @@ class _Replay:
             pipeline.swapped_frames,
             tuple(self._notes.values()),
         )
-
-    def _summarise(self) -> Summary:
-        """Return the summary of the run; an input of which many messages were refused is doubtful at best."""
-        summary, verdicts = self._pipeline.summary.summarise(), self._verdicts
-        refused = verdicts[Verdict.INVALID] + verdicts[Verdict.DROPPED]
-        total = refused + verdicts[Verdict.ACCEPTED]
-        grade = describe_grade(Judgement(Grade.DOUBTFUL))
-        if summary.is_wrong or summary.grade == grade or refused <= MAX_REFUSED * total:
-            return summary
-        return replace(summary, grade=grade, reason=f'{refused} of {total} messages were refused')
 
     def _is_input(self, message: BagMessage) -> bool:
         """Return whether a message on the topic of an input is one, and no output of the recorded run on /tf."""
@@ -255,8 +241,6 @@ class _Replay:
         self._recorder.write('/' + output.topic.lstrip('/'), output.type, output.data, now_ns, now_ns)
 
     def _report(self, number: int, message: BagMessage, result: ProcessingResult) -> None:
-        if self._inputs[message.topic] in PEOPLE_SOURCES:
-            self._verdicts[result.verdict] += 1
         if result.outputs:
             self._appearances.add(result.outputs[-1].stamp_ns, self._pipeline.people)
         line = f'{self._bag.path}: {message.topic}: input {number} of the bag: {result.reason}'

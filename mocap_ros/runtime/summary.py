@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_ros.arrays import Array
+from mocap_ros.bags.journal import Verdict
 from mocap_ros.config import Config
 from mocap_ros.evaluation.verdict import (
     LOOK_S,
@@ -42,10 +43,11 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import MAX_CERTAIN_STD
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import MAX_SHARE_OUTSIDE, PointPlaces
+from mocap_ros.messages.skeletons import RecordedPerson
 from mocap_ros.models.model_file import load_shipped_lifter
 from mocap_ros.offline.whole_sequence import SequenceResult
 from mocap_ros.people import CameraVertical, Person3D
-from mocap_ros.skeleton import CMU15, skeleton_from_joints
+from mocap_ros.skeleton import CMU15, CORE_COUNT, skeleton_from_joints
 from mocap_ros.solvers.vertical import read_given_vertical
 from mocap_ros.units import NS_PER_S
 
@@ -55,6 +57,12 @@ MAX_STEP = 0.5  # of the person's size in the image; of a person from one image 
 MAX_IDS = 10_000  # people; live, one who comes back after so many others counts anew
 PLACES_MEMORY_S = 20.0  # s; live, about so long the places of people count, unless none is seen for `MEMORY_S`
 MEMORY_S = 5.0  # s; live, the residual is averaged over about this time, and after it points are judged anew
+MAX_REFUSED = 0.1  # 1, share of the messages of people; of more, the input is doubtful
+MAX_REFUSED_IN_TURN = 30  # messages, a second at 30 Hz; as many that no accepted one has followed yet, likewise
+
+WRONG = Grade.WRONG.name.lower()  # a grade in words
+
+AnyPerson3D = Person3D | RecordedPerson
 
 # What to say of a fault, but for those that name layouts.
 WORDS = {
@@ -90,7 +98,7 @@ class Summary:
     @property
     def is_wrong(self) -> bool:
         """Whether the input is wrong, so that the result is."""
-        return self.grade == describe_grade(Judgement(Grade.WRONG))
+        return self.grade == WRONG
 
     def __str__(self) -> str:
         parts = [f'{self.grade}: {self.reason}' if self.reason else self.grade]
@@ -238,6 +246,7 @@ class RunSummary:
         self._measured: dict[Reading, float] = {}
         self._uncertainty: dict[Reading, float] = {}  # means over `_parts`
         self._readings: list[tuple[Stretch, Reading]] = []  # still to be measured
+        self._messages = self._refused = self._refused_in_turn = 0
         self._is_sparse = False  # whether the last stretch had too few images to be measured
         self._parts: deque[dict[Reading, float]] = deque(maxlen=MAX_STRETCHES)
 
@@ -245,7 +254,7 @@ class RunSummary:
         self,
         stamp_ns: int,
         detections: Sequence[Person2D],
-        people: Sequence[Person3D],
+        people: Sequence[AnyPerson3D],
         intrinsics: Intrinsics,
         focal_source: str,
         vertical: CameraVertical | None,
@@ -269,7 +278,8 @@ class RunSummary:
             points, score = (np.concatenate([getattr(d, k) for d in detections]) for k in ('points', 'score'))
             self._look(stamp_ns, points, score, size, seen)
         if fitted:
-            heights = CMU15.bone_lengths(np.array([p.core for p in fitted])) @ CMU15.stature_per_bone
+            cores = np.array([p.joints[:CORE_COUNT] for p in fitted])
+            heights = CMU15.bone_lengths(cores) @ CMU15.stature_per_bone
             sizes = zip(fitted, heights.tolist(), strict=True)
             fits = [(p.residual, p.residual / p.scale / height, p.joints[0, 2]) for p, height in sizes]
             share = sum((d.score >= config.tracker.min_score).mean() for d in detections) / max(len(detections), 1)
@@ -281,8 +291,16 @@ class RunSummary:
         self._last_ns = stamp_ns
         self._follow(stamp_ns, detections, intrinsics, vertical, config)
 
+    def count(self, verdict: Verdict) -> None:
+        """Count a message of people; those skipped for a backlog say nothing about the input."""
+        if verdict is not Verdict.BACKLOG:
+            is_refused = verdict is not Verdict.ACCEPTED
+            self._messages += 1
+            self._refused += is_refused
+            self._refused_in_turn = self._refused_in_turn + 1 if is_refused else 0
+
     def _look(
-        self, stamp_ns: int, points: Array, score: Array, size: tuple[int, int], people: Sequence[Person3D]
+        self, stamp_ns: int, points: Array, score: Array, size: tuple[int, int], people: Sequence[AnyPerson3D]
     ) -> None:
         """Look at where the points (N, 2) px of all people are, and where one of the people walks."""
         step_s = (stamp_ns - self._looked_ns) / NS_PER_S
@@ -358,12 +376,14 @@ class RunSummary:
         return '' if is_sound else describe_fault(self.judgement, self._names, self._size_fault)
 
     def summarise(self) -> Summary:
-        """Return the summary of all images so far."""
-        seen, residual, share, depth = (
-            self._sums / self._counted if self._counted else np.full(4, math.nan)
-        ).tolist()
-        vertical = self._vertical
-        std = math.nan if vertical is None else vertical.std
+        """Return the summary of all images and messages so far."""
+        faults = [describe_fault(self.judgement, self._names, self._size_fault)]
+        grade = describe_grade(self.judgement)
+        if refusals := self._describe_refusals():
+            least = Grade.WRONG if self._refused == self._messages else Grade.DOUBTFUL
+            grade, faults = max(self.judgement.grade, least).name.lower(), [refusals, *faults]
+        seen, residual, share, depth = (self._sums / (self._counted or math.nan)).tolist()
+        vertical, std = self._vertical, self._vertical.std if self._vertical else math.nan
         return Summary(
             people=self._people,
             frames=self._frames,
@@ -375,6 +395,13 @@ class RunSummary:
             focal_source=self._focal_source,
             vertical=describe_vertical(std, is_given=vertical is not None and vertical.is_given),
             vertical_std_deg=math.degrees(std),
-            grade=describe_grade(self.judgement),
-            reason=describe_fault(self.judgement, self._names, self._size_fault),
+            grade=grade,
+            reason='; '.join(filter(None, faults)),
         )
+
+    def _describe_refusals(self) -> str:
+        """Return how many messages were refused, if the input is doubtful for it; else an empty text."""
+        if MAX_REFUSED_IN_TURN < self._refused_in_turn < self._messages:
+            return f'the last {self._refused_in_turn} messages were refused'
+        is_much = self._refused > MAX_REFUSED * self._messages
+        return f'{self._refused} of {self._messages} messages were refused' if is_much else ''

@@ -3,6 +3,7 @@
 
 """What the node reports: its diagnostic status, and a log that is not flooded."""
 
+from itertools import islice
 from types import SimpleNamespace
 from typing import Any
 
@@ -158,6 +159,16 @@ def test_the_values_are_those_of_the_run() -> None:
     run.report()
     emptied = 'people', 'category', 'residual (px)', 'age of newest frame (s)'
     assert [run.values[key] for key in emptied] == ['0', '', 'nan', 'nan']
+
+
+def test_the_summary_says_what_is_going_on_now() -> None:
+    run = Run()
+    run.feed(*islice(run.frames, 8), *[b''] * 40)
+    run.report()
+    assert run.values['summary'].startswith('doubtful: the last 40 messages were refused; ')
+    run.process()
+    run.report()
+    assert run.values['summary'].startswith('doubtful: 40 of 49 messages were refused; ')
 
 
 def test_people_in_the_frame_of_the_camera_instead_of_the_output_frame_are_a_warning() -> None:

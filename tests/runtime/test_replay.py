@@ -36,6 +36,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.models.model_file import load_base_poses
+from mocap_ros.runtime.load_scene import SceneOptions, load_scene
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.playback import Playback, encode_sequence
 from mocap_ros.runtime.provenance import RECORDED_PACKAGES
@@ -171,15 +172,23 @@ def test_a_bag_that_fails_does_not_stop_the_others(
         assert read_messages(tmp_path / 'out' / name, '/skeletons') == skeletons
 
 
-@pytest.mark.parametrize(('refused', 'is_doubtful'), [(1, False), (3, True)])
+@pytest.mark.parametrize(
+    ('accepted', 'refused', 'grade', 'count'),
+    [(FRAMES, 1, 'not judged', ''), (FRAMES, 3, 'doubtful', f'3 of {FRAMES + 3}'), (0, 3, 'wrong', '3 of 3')],
+)
 def test_many_refused_messages_make_an_input_doubtful(
-    tmp_path: Path, stream: list[bytes], refused: int, *, is_doubtful: bool
+    tmp_path: Path, stream: list[bytes], accepted: int, refused: int, grade: str, count: str
 ) -> None:
-    write_keypoints_bag(tmp_path / 'bag', [*stream, *[stream[-1][:50]] * refused], camera_info(), START_NS)
+    messages = [*stream[:accepted], *[stream[-1][:50]] * refused]
+    write_keypoints_bag(tmp_path / 'bag', messages, camera_info(), START_NS)
     with Bag(tmp_path / 'bag') as bag:
         summary = replay(bag, tmp_path / 'out', OPTIONS).summary
-    assert summary.grade == ('doubtful' if is_doubtful else 'not judged')
-    assert (f'{refused} of {FRAMES + refused}' in summary.reason) == is_doubtful
+    assert (summary.grade, summary.is_wrong) == (grade, grade == 'wrong')
+    assert summary.reason.startswith(count)
+    if accepted:
+        _, _, judged = load_scene(tmp_path / 'out', SceneOptions(FAST_CONFIG, {}))
+        assert judged is not None
+        assert judged[0].partition(';')[0] == str(summary).partition(';')[0], 'likewise when it is viewed'
 
 
 # Parameters of a recorded run.

@@ -37,6 +37,7 @@ from mocap_ros.runtime.load_results import holds_result, load_result
 from mocap_ros.runtime.load_scene import SceneOptions, load_scene
 from mocap_ros.runtime.playback import DEFAULT_FRAME_ID
 from mocap_ros.runtime.replay import ReplayOptions, replay
+from mocap_ros.runtime.summary import summarise
 from mocap_ros.skeleton import BODY26, CMU15
 from mocap_ros.units import NS_PER_S
 from tests.support.bodies import make_person_3d
@@ -379,9 +380,9 @@ def test_a_sequence_file_and_its_results_look_the_same(
     if is_calibrated:
         sequence = replace(sequence, camera_matrix=np.array([[480.0, 0, 320], [0, 480, 240], [0, 0, 1]]))
     save_sequence(tmp_path / 'in.npz', sequence)
-    whole, _, summary = load_scene(tmp_path / 'in.npz', OPTIONS)
-    assert summary is not None
-    assert (summary.grade, summary.people) == ('good', 1)
+    whole, _, judged = load_scene(tmp_path / 'in.npz', OPTIONS)
+    assert judged is not None
+    assert judged[0].startswith('good; 1 person')
     (person,) = whole.people
     intrinsics = sequence.intrinsics(OPTIONS.config.tracker.nominal_focal_length)
     result = reconstruct_sequence(
@@ -391,8 +392,11 @@ def test_a_sequence_file_and_its_results_look_the_same(
     assert whole.intrinsics.is_focal_known == is_calibrated
     for suffix in ('.npz', '.mcap'):
         path = tmp_path / f'result{suffix}'
-        save_results.save(path, save_results.ReconstructedSequence(sequence, result))
-        scene, _, _ = load_scene(path, OPTIONS)
+        summary = summarise([sequence], [result], OPTIONS.config)
+        save_results.save(path, save_results.ReconstructedSequence(sequence, result, summary))
+        scene, _, judged = load_scene(path, OPTIONS)
+        assert judged is not None
+        assert (judged == (str(summary), False)) == (suffix == '.npz')
         (stored,) = scene.people
         assert stored.joints == pytest.approx(person.joints, abs=1e-4)
         assert stored.image == pytest.approx(person.image, abs=1)
