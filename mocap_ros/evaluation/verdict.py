@@ -111,7 +111,8 @@ class Reading(NamedTuple):
 
 
 GIVEN, MIRROR_IMAGE = Reading(), Reading(is_mirrored=True)
-TURNED = tuple(Reading(turns=turns) for turns in (1, 2, 3))  # quarter turns clockwise
+TURNED = tuple(Reading(turns=turns) for turns in (1, 2, 3))
+UPSIDE_DOWN = 2  # turns
 MIRRORED = {Reading(turns=turns, is_mirrored=True): fault for turns, fault in enumerate(
     (Fault.MIRRORED, Fault.TURNED, Fault.Y_UP, Fault.AXES))}  # fmt: skip
 
@@ -287,8 +288,9 @@ def judge(
     excess = given - uncertainty[MIRROR_IMAGE]
     if excess > (BACKWARDS_MARGIN if is_backwards else MIRROR_MARGIN):
         return Judgement(Grade.WRONG if excess > MIRROR_MARGIN else Grade.DOUBTFUL, Fault.MIRRORED)
-    if is_turned:
-        return Judgement(Grade.DOUBTFUL, Fault.TURNED)
+    if is_turned:  # people may lie, but are seldom upside down
+        best = min((GIVEN, *TURNED, *MIRRORED), key=uncertainty.__getitem__)
+        return Judgement(Grade.WRONG if best.turns == UPSIDE_DOWN else Grade.DOUBTFUL, Fault.TURNED)
     return Judgement(Grade.GOOD) if size is Grade.GOOD else Judgement(size, Fault.SIZE)
 
 

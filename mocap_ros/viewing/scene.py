@@ -167,7 +167,7 @@ class Scene:
         return tuple(find_undone_swaps(person, detected, self.skeleton) for person in self.people)
 
     def to_plot_data(self) -> PlotData:
-        """Return the person who is seen in most frames, with the nearest detections, for a picture."""
+        """Return the person who is seen in most frames, with the own detections, for a picture."""
         person = max(self.people, key=lambda p: len(p.frames))
         shape = len(self.stamps_ns), len(self.skeleton.joints)
         joints, seen, keypoints = np.full((*shape, 3), np.nan), np.zeros(shape, bool), None
@@ -176,9 +176,8 @@ class Scene:
         projected[person.frames] = person.image
         detected = max(self.keypoints, key=lambda k: len(k.frames), default=None)
         if detected is not None:
-            centre = projected[:, [self.skeleton.index(j) for j in SIDED_JOINTS]].mean(axis=1)
-            distance = np.linalg.norm(SidedPoints.find([detected]).centre - centre[detected.frames], axis=1)
-            order = np.argsort(-np.nan_to_num(distance, nan=np.inf), kind='stable')  # the nearest comes last
+            near, _, distance, _ = find_near(person, SidedPoints.find([detected]), self.skeleton)
+            order = near[np.argsort(-distance, kind='stable')]  # the nearest comes last
             keypoints = np.full((len(self.stamps_ns), len(detected.skeleton.joints), 3), np.nan)
             keypoints[detected.frames[order], :, :2] = detected.points[order]
             keypoints[..., 2] = np.isfinite(keypoints[..., 0])
@@ -259,27 +258,40 @@ def find_undone_swaps(person: ScenePerson, detected: SidedPoints, skeleton: Skel
     swapped = np.zeros(len(person.frames), bool)
     if not len(person.frames):
         return swapped
-    row_of_frame = np.full(int(person.frames[-1]) + 2, -1)
-    row_of_frame[person.frames] = np.arange(len(person.frames))
-    image = person.image[:, [skeleton.index(joint) for joint in SIDED_JOINTS]]
-    extent = np.maximum(np.ptp(image, axis=1).max(axis=1), 1.0)
-    rows = row_of_frame[np.minimum(detected.frames, len(row_of_frame) - 1)]
-    distance = np.linalg.norm(detected.centre - image.mean(axis=1)[rows], axis=1)
-    near = np.flatnonzero((rows >= 0) & (distance < MAX_CENTRE_DISTANCE * extent[rows]))
-    own = rows[near]
-    cost, is_undone = _compare_sides(detected.points[near], image[own], extent[own])
-    order = np.lexsort((cost, own))
-    found, best = np.unique(own[order], return_index=True)
+    near, rows, _, image = find_near(person, detected, skeleton)
+    cost, is_undone = _compare_sides(detected.points[near], image[rows])
+    order = np.lexsort((cost, rows))
+    found, best = np.unique(rows[order], return_index=True)
     swapped[found] = is_undone[order[best]]
-    return swapped & ~person.predicted
+    return swapped
 
 
-def _compare_sides(points: Array32, image: Array32, extent: Array32) -> tuple[Array32, Mask]:
+def find_near(
+    person: ScenePerson, detected: SidedPoints, skeleton: Skeleton
+) -> tuple[Indices, Indices, Array32, Array32]:
+    """Find the detections where a person of N > 0 frames is, in the frames in which the person was detected.
+
+    Returns their indices (K,), the rows (K,) of the person's frames in which they are, the distances (K,) px of
+    the centres, and the person's `SIDED_JOINTS` in the image (N, 12, 2) px.
+    """
+    image = person.image[:, [skeleton.index(joint) for joint in SIDED_JOINTS]]
+    rows = np.searchsorted(person.frames, detected.frames).clip(max=len(person.frames) - 1)
+    is_detected = (person.frames[rows] == detected.frames) & ~person.predicted[rows]
+    distance = np.linalg.norm(detected.centre - image.mean(axis=1)[rows], axis=1)
+    near = np.flatnonzero(is_detected & (distance < MAX_CENTRE_DISTANCE * _measure_extent(image)[rows]))
+    return near, rows[near], distance[near], image
+
+
+def _measure_extent(image: Array32) -> Array32:
+    return np.maximum(np.ptp(image, axis=1).max(axis=1), 1.0)
+
+
+def _compare_sides(points: Array32, image: Array32) -> tuple[Array32, Mask]:
     """Compare detected `SIDED_JOINTS` (N, 12, 2) with a person's, as they are and with left and right exchanged.
 
     Returns sums (N,) of the smaller errors of the parts in extents (N,) of the image, and where a swap was undone.
     """
-    mirror = np.roll(np.arange(len(SIDED_JOINTS)), len(SIDED_JOINTS) // 2)
+    extent, mirror = _measure_extent(image), np.roll(np.arange(len(SIDED_JOINTS)), len(SIDED_JOINTS) // 2)
     both = np.isfinite(points[..., 0])
     both &= both[:, mirror]
     error, exchanged = (

@@ -232,7 +232,8 @@ def judge_sequence(
         (edit(np.roll(WALK.keypoints, 1, axis=1)), 0.12, Judgement(Grade.WRONG, Fault.MISFIT)),
         (edit(swap=True), SOUND_SHARE, Judgement(Grade.WRONG, Fault.AXES)),
         (edit(flip=(1, -1)), SOUND_SHARE, Judgement(Grade.WRONG, Fault.Y_UP)),
-        (edit(flip=(-1, -1)), SOUND_SHARE, Judgement(Grade.DOUBTFUL, Fault.TURNED)),
+        (edit(flip=(-1, -1)), SOUND_SHARE, Judgement(Grade.WRONG, Fault.TURNED)),
+        (edit(swap=True, flip=(1, -1)), SOUND_SHARE, Judgement(Grade.DOUBTFUL, Fault.TURNED)),
     ],
 )  # fmt: skip
 def test_points_are_judged_by_the_lifter(sequence: KeypointSequence, share: float, expected: Judgement) -> None:

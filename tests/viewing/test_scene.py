@@ -107,6 +107,11 @@ def test_a_picture_shows_the_person_seen_most_where_there_is_a_skeleton(monkeypa
     shown = [word for word in words if word.endswith(' s')]
     assert len(shown) == POSES
     assert (shown[0], shown[-1]) == tuple(f'{scene.times[frame]:.2f} s' for frame in (frames[0], frames[-1]))
+    predicted = replace(ben, predicted=ben.frames == frames[3])
+    points = replace(scene, people=(predicted,), keypoints=(make_keypoints([anna, ben]),)).to_plot_data().keypoints
+    assert points is not None
+    is_shown = [int(frame) for frame in np.flatnonzero(points[..., 2].any(axis=1))]
+    assert is_shown == [frame for frame in frames if frame != frames[3]], 'none of another person'
     nameless = replace(ben, joints=np.full_like(ben.joints, np.nan))
     with pytest.raises(InputError, match=scene.title):
         save_picture(replace(scene, people=(anna, nameless)), Path('picture.png'))
