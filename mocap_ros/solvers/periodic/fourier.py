@@ -6,15 +6,11 @@
     u_l(t) = c_0l + sum_h [a_hl cos(h omega (t - t0)) + b_hl sin(h omega (t - t0))],    h = 1 ... H
 
 for l = 1 ... K (weights, m) and l = K + 1 (heading, rad), with one fundamental frequency omega (eq. 17 has one for
-each). They are linear in the P = 2 H + 1 coefficients c_pl:
-
-    u_l(t) = sum_p terms_tp c_pl,    d u_l(t) / d c_pl = terms_tp
-    slope_tl = d u_l(t) / d omega = sum_h h (t - t0) [b_hl cos(h omega (t - t0)) - a_hl sin(h omega (t - t0))]
+each) and t0 the mean of the times. They are linear in the P = 2 H + 1 coefficients, u_l(t) = sum_p terms_tp c_pl,
+whose order is constant, cos, sin, cos 2, sin 2 and so on.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,54 +23,15 @@ CADENCE_STEP_HZ = 0.02  # Hz; half a step shifts the phase over a window of 2 s 
 MIN_CYCLES = 0.8  # cycles in the window; a lower cadence would look like a drift
 MIN_LOG_CADENCE_RATIO = 0.25  # a second cadence differs by a factor of 1.28, or it would end in the same minimum
 RIDGE = 0.2  # weight of c^T diag(1 / share) c against the mean squared misfit; chosen on CMU walks and runs
-MAX_FREQUENCY_STEP = 0.1  # of omega; guards a step of the solver against leaving the cadence of its hypothesis
 # Shares of a weight's variance over time and persons, chosen on CMU walks and runs.
 CONSTANT_SHARE = 0.4  # of the constant term
 HARMONIC_SHARE = 0.4  # of the first harmonic; the h-th has 1 / h^2 of it
 
 
-@dataclass(frozen=True, eq=False)
-class FourierSeries:
-    """Fourier series of K base-pose weights and, in the last column, of the heading."""
-
-    coefficients: Array  # (P, K + 1) m, in the last column rad; constant, cos, sin, cos 2, sin 2 and so on
-    omega: float  # rad/s, fundamental frequency
-    origin: float  # s, the time t0 at which the phase is zero
-
-    @property
-    def cadence(self) -> float:
-        """Hz, full cycles (two steps of a walk) per second."""
-        return self.omega / (2 * np.pi)
-
-    def differentiate(self, times: Array) -> tuple[Array, Array]:
-        """Return the derivatives of the functions at times (N,) s: terms (N, P), slopes (N, K + 1)."""
-        by_omega = (times - self.origin)[:, None] * np.arange(1, len(self.coefficients) // 2 + 1)
-        terms = make_terms(self.omega * by_omega)
-        slopes = np.empty((len(times), terms.shape[1] - 1))
-        slopes[:, ::2], slopes[:, 1::2] = -by_omega * terms[:, 2::2], by_omega * terms[:, 1::2]
-        return terms, slopes @ self.coefficients[1:]
-
-    def evaluate(self, times: Array) -> Array:
-        """Return the weights (m) and, in the last column, the heading (rad), (N, K + 1), at the times (N,) s."""
-        h = np.arange(1, len(self.coefficients) // 2 + 1)
-        return np.asarray(make_terms(self.omega * (times - self.origin)[:, None] * h) @ self.coefficients)
-
-    def evaluate_heading(self, times: Array) -> Array:
-        """Return the turn of the body within its stride at these times (N,) s, (N,) rad."""
-        return self.evaluate(times)[:, -1]
-
-    def with_step(self, step: Array) -> FourierSeries:
-        """Return the series after a step (G,) of the flattened coefficients and, in the last element, of omega."""
-        limit = MAX_FREQUENCY_STEP * self.omega
-        return replace(
-            self,
-            coefficients=self.coefficients + step[:-1].reshape(self.coefficients.shape),
-            omega=self.omega + float(np.clip(step[-1], -limit, limit)),
-        )
-
-
-def fit_initial_series(theta: Array, times: Array, config: SolverConfig) -> tuple[FourierSeries, FourierSeries]:
+def fit_initial_series(theta: Array, times: Array, config: SolverConfig) -> list[tuple[Array, float]]:
     """Fit series to the weights of a non-periodic reconstruction, with the two most likely cadences of a scan.
+
+    Returns the coefficients (P, K + 1) and omega in rad/s of each.
 
     For every cadence, with the diagonal ridge D = RIDGE N diag(1 / share_p), the coefficients minimise
 
@@ -83,20 +40,16 @@ def fit_initial_series(theta: Array, times: Array, config: SolverConfig) -> tupl
     so the best has the largest c^T T^T theta, summed over base poses. The heading begins as zero. The second
     cadence is the best of those unlike the first; it is the first if there are none.
     """
-    scanned, origin = list_scanned_frequencies(times), float(times.mean())
+    scanned = list_scanned_frequencies(times)
     h = np.arange(1, config.harmonics + 1)
-    terms = make_terms(scanned[:, None, None] * (times - origin)[:, None] * h)  # (C, N, P)
+    terms = make_terms(scanned[:, None, None] * (times - times.mean())[:, None] * h)  # (C, N, P)
     fits, explained = fit_with_ridge(terms, theta, variance_shares(config.harmonics))
     total = explained.sum(axis=1)
     first = total.argmax()
     is_other = np.abs(np.log(scanned / scanned[first])) > MIN_LOG_CADENCE_RATIO
     second = np.where(is_other, total, -np.inf).argmax() if is_other.any() else first
     heading = np.zeros((terms.shape[-1], 1))
-    one, other = (
-        FourierSeries(np.concatenate([fits[i], heading], axis=1), float(scanned[i]), origin)
-        for i in (first, second)
-    )
-    return one, other
+    return [(np.concatenate([fits[i], heading], axis=1), float(scanned[i])) for i in (first, second)]
 
 
 def list_scanned_frequencies(times: Array) -> Array:

@@ -3,8 +3,9 @@
 
 """The solver of the periodic model: Levenberg-Marquardt over Fourier series and cameras.
 
-It minimises the objective E of module `periodic.objective` over the coefficients of the series, their frequency
-omega and the cameras, as follows.
+It minimises the objective E of `engine.periodic` over the coefficients of the series, their frequency omega and
+the cameras. The prior of the coefficients counts once a window: the variance of a weight is shared among the terms
+of its series (`fourier.variance_shares`), with less for constants.
 
 1. Initial values: the weights theta of poses found without periodicity; a series fitted to them, its cadence
    from a scan (`fourier.fit_initial_series`).
@@ -16,39 +17,32 @@ omega and the cameras, as follows.
    with C the normal matrix of the cameras and C_prior the part of it that does not come from the image.
 3. Image noise: the noise is estimated from the residual and E is minimised under it, in alternation.
 4. E is minimised under the final noise. Every step eliminates the cameras, 4 unknowns a frame, which leaves a
-   dense system of (2 H + 1) (K + 1) + 1 unknowns (module `periodic.normal_equations`).
+   dense system of (2 H + 1) (K + 1) + 1 unknowns.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.linalg import LinAlgError
 
 from mocap_ros.arrays import Array
 from mocap_ros.config import SolverConfig
+from mocap_ros.engine import periodic as engine
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint
-from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
+from mocap_ros.solvers.joint.batch import Batch
+from mocap_ros.solvers.joint.differences import invert_time_steps, weigh_velocity_change
+from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, JointObjective
 from mocap_ros.solvers.joint.solver import WARM_DAMPING, make_reconstruction
-from mocap_ros.solvers.levenberg_marquardt import (
-    DAMPING_AFTER_FAILURE,
-    DAMPING_AFTER_SUCCESS,
-    MAX_DAMPING,
-    MIN_DAMPING,
-    Stepwise,
-    ignore_overflow,
-    minimise_stepwise,
-    run_to_end,
-)
-from mocap_ros.solvers.periodic.fourier import FourierSeries, fit_initial_series
-from mocap_ros.solvers.periodic.normal_equations import PeriodicEquations
-from mocap_ros.solvers.periodic.objective import PeriodicObjective, Point, rotations_about_vertical
+from mocap_ros.solvers.levenberg_marquardt import Stepwise, ignore_overflow, minimise_stepwise, run_to_end
+from mocap_ros.solvers.periodic.fourier import fit_initial_series, variance_shares
 from mocap_ros.solvers.window import InitialValues, Reconstruction, SolverStatus, Window
 
 MAX_INITIAL_ITERATIONS = 12  # steps of the joint solver for initial values; a coarse result is sufficient
@@ -60,6 +54,13 @@ MIN_NOISE_FOR_HYPOTHESES = 0.03
 # relative decrease of E; hypotheses compared before they had converged selected half the true cadence.
 HYPOTHESIS_TOLERANCE = 2e-3
 INITIAL_TRANSLATION_STEPS = 2  # the first least squares step is not yet at the optimum of the robust loss
+# Properties of walks and runs.
+MODEL_ERROR = 0.01  # m; error of a coordinate from what a periodic motion cannot explain, added to the image noise
+STILL_CAMERA_FACTOR = 300.0  # on the weight of the camera's velocity if the camera is supposed to stand still
+CONSTANT_STD = 0.008  # m; of the constant coefficients: a person's mean pose is near that of the model
+HEADING_STD = 0.25  # rad; of the heading: the body turns by 7 degrees RMS in CMU walks, by 15 in runs
+CONSTANT_HEADING_STD = 1e-3  # rad; of the constant of the heading: the rotation of the camera already contains it
+LEVEL_STD = 0.17  # rad; of the tilt of the camera: 10 degrees, a weak prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +79,6 @@ class PeriodicReconstruction(Reconstruction):
 
     noise: float  # m, standard deviation of a coordinate of a point of weight 1
     cadence: float  # Hz, full cycles (two steps of a walk) per second
-    series: FourierSeries  # Fourier series of the weights and the heading
 
 
 def solve(
@@ -105,7 +105,7 @@ def solve_stepwise(
         result = yield from ignore_overflow(_solve(window, model, config, initial))
     except LinAlgError as error:
         raise InputError(f'no periodic motion can be fitted: {error}') from None
-    numbers = (result.joints, result.cameras.scale, result.translation, result.series.coefficients, result.history)
+    numbers = result.joints, result.cameras.scale, result.translation, result.theta, result.history
     if not all(np.isfinite(n).all() for n in numbers):
         raise InputError('no periodic motion can be fitted: image points or weights are too large')
     return result
@@ -145,138 +145,100 @@ def _fit_window(
     config: SolverConfig,
 ) -> Stepwise[PeriodicReconstruction]:
     """Carry out steps 2 to 4 of the head of this module; `noise` in m, `unit` in px/m."""
-    noise = float(np.fmax(window.noise or noise, config.noise_floor))
-    objective = PeriodicObjective.build(window, unit, model, config)
-    if config.adapt_noise:
-        objective.set_noise(noise)
+    noise, units = float(np.fmax(window.noise or noise, config.noise_floor)), np.array([unit])
+    ratio = measure_noise_ratio(noise) if config.adapt_noise else 1.0
+    batch = Batch.build([window], units, model)
+    begin = build_objective(batch, ratio, model, config)
+    acceleration = config.camera_acceleration_weight
+    movement = weigh_movement(batch, config.camera_velocity_weight, acceleration)
+    _, *cameras = batch.initial_state([start], units)
     yield
     searches, hypotheses = [], fit_initial_series(start.theta, window.times, config)
     for series in hypotheses[: 1 if noise < MIN_NOISE_FOR_HYPOTHESES else 2]:
         yield
-        point = measure_initial_point(objective, series, start, unit)
-        searches.append(Search(objective, point, config.max_iterations))
+        problem = begin(movement, (*series, *cameras), ratio, INITIAL_TRANSLATION_STEPS)
+        searches.append(Search(problem, config.max_iterations))
         yield
     search = yield from select_most_likely(searches)
     if noise >= MIN_NOISE_FOR_HYPOTHESES:
-        on_stand = objective.with_still_camera(config)
-        point = on_stand.measure(search.point.series, search.point.cameras, settle_steps=0)
-        still = Search(on_stand, point, search.remaining_trials)
+        movement = weigh_movement(batch, STILL_CAMERA_FACTOR * config.camera_velocity_weight, acceleration)
+        still = Search(begin(movement, search.problem.point.values, ratio), search.remaining_trials)
         search = yield from select_most_likely([search, still])
     if config.adapt_noise and window.noise is None:
         for _ in range(NOISE_ROUNDS):
             yield from search.run(max(NOISE_ROUND_TOLERANCE, config.tolerance))
             yield
-            noise = max(search.estimate_noise(), config.noise_floor)
+            noise = max(search.problem.estimate_noise(), config.noise_floor)
             search.set_noise(noise)
             yield
     yield from search.run(config.tolerance)
     yield
-    iterations = config.max_iterations - search.remaining_trials
-    result = search.make_reconstruction(window, unit, iterations)
-    series = search.point.series
-    return PeriodicReconstruction(**vars(result), noise=noise, cadence=series.cadence, series=series)
+    search.problem.restart()
+    body, iterations = search.problem.body, config.max_iterations - search.remaining_trials
+    result = make_reconstruction(body, window, unit, search.status, search.history, iterations)
+    return PeriodicReconstruction(**vars(result), noise=noise, cadence=search.problem.point.omega / (2 * np.pi))
 
 
-def measure_initial_point(
-    objective: PeriodicObjective, series: FourierSeries, start: InitialValues, unit: float
-) -> Point:
-    """Return a point with the cameras C_t = R_t Rz(-psi_t) for the initial rotations R_t, translations optimal."""
-    batch = objective.body.batch
-    body = batch.initial_state([start], np.array([unit]))
-    without_heading = rotations_about_vertical(-series.evaluate_heading(batch.times))
-    cameras = body._replace(theta=np.zeros((len(batch.times), 0)), rotation=body.rotation @ without_heading)
-    return objective.measure(series, cameras, INITIAL_TRANSLATION_STEPS)
+def measure_noise_ratio(noise: float) -> float:
+    """Return the ratio to that of the reference of an image noise in m, to which `MODEL_ERROR` is added."""
+    return float(np.hypot(noise, MODEL_ERROR)) / NOISE_REFERENCE
+
+
+def build_objective(
+    batch: Batch, noise_ratio: float, model: BasePoses, config: SolverConfig
+) -> Callable[..., engine.PeriodicProblem]:
+    """Return what makes problems of the only window of a batch; their arguments are those from `movement` on."""
+    noise = np.array([noise_ratio * NOISE_REFERENCE])
+    objective = JointObjective.build(batch, model, config, noise)
+    body = replace(objective, prior=np.zeros(len(model.std)), differences=()).compile()
+    variance = variance_shares(config.harmonics)[:, None] * np.append(model.std, HEADING_STD) ** 2
+    variance[0] = 1 / (1 / variance[0] + 1 / CONSTANT_STD**2)
+    variance[0, -1] = CONSTANT_HEADING_STD**2
+    prior = config.prior_weight * config.periodic_prior_factor / variance
+    level_weight = config.prior_weight / LEVEL_STD**2 / len(batch.times) if model.aligned_by_heading else 0.0
+    given = body, batch.score, objective.robust_scale, batch.times - batch.times.mean(), prior, level_weight
+    return partial(engine.PeriodicProblem, *given)
+
+
+def weigh_movement(batch: Batch, velocity_weight: float, acceleration_weight: float) -> Array:
+    """Return the factors (2, N, 3) of velocity and acceleration, with gamma (m^2 s) and kappa (m^2 s^3)."""
+    root = np.sqrt(velocity_weight * invert_time_steps(batch))
+    velocity = np.stack([-root, root, np.zeros_like(root)], axis=1)
+    return np.stack([velocity, np.sqrt(acceleration_weight) * weigh_velocity_change(batch)])
 
 
 class Search:
     """The minimisation that starts from one hypothesis, in several runs of Levenberg-Marquardt.
 
     Attributes:
-        objective: the objective E; its compiled problem is shared with the other searches.
-        point: current series and cameras.
-        equations: normal equations at the current point or at an earlier one; None before the first run.
+        problem: the objective E at the current point.
         history: m^2, values of E since the current noise was set, after each step that was tried.
-        damping: relative damping of the next step.
         remaining_trials: number of steps that may still be tried, accepted or not.
         status: why the latest run stopped.
     """
 
-    def __init__(self, objective: PeriodicObjective, point: Point, max_trials: int) -> None:
-        self.objective, self.point, self.history = objective, point, [point.cost]
-        self.equations: PeriodicEquations | None = None
-        self.damping = WARM_DAMPING
-        self.remaining_trials = max_trials
-        self.status = SolverStatus.MAX_ITERATIONS
+    def __init__(self, problem: engine.PeriodicProblem, max_trials: int) -> None:
+        self.problem, self.remaining_trials, self.damping = problem, max_trials, WARM_DAMPING
+        self.history, self.status = [float(problem.cost[0])], SolverStatus.MAX_ITERATIONS
 
     def set_noise(self, noise: float) -> None:
         """Continue from the current point under another image noise (m); only after the selection."""
-        self.objective.set_noise(noise)
-        self.point = self.objective.measure(self.point.series, self.point.cameras, settle_steps=0)
-        self.history = [self.point.cost]
-
-    @property
-    def cost(self) -> Array:
-        """Objective (1,) at the current point."""
-        return np.array([self.point.cost])
-
-    def begin(self, damping: float) -> None:
-        """Set the damping of the first step, and compute the normal equations."""
-        self.damping = damping
-        self.update_equations()
-
-    def update_equations(self) -> None:
-        """Compute the normal equations at the current point."""
-        self.equations = self.objective.normal_equations(self.point)
-
-    def try_steps(self, tolerance: float) -> tuple[int, int]:
-        """Try a step; return whether it was taken, and whether it was not the last (`Problem.try_steps`)."""
-        step = self._some_equations().solve_step(self.damping)
-        trial = self.point if step is None else self.objective.advance(self.point, step)
-        before, is_better = self.point.cost, trial.cost < self.point.cost
-        self.remaining_trials -= 1
-        if is_better:
-            self.point = trial
-        if is_better and before - trial.cost <= tolerance * trial.cost:
-            self.status = SolverStatus.CONVERGED
-            return 1, 0
-        if self.damping > MAX_DAMPING:
-            is_minimum = step is not None and np.isfinite(before)
-            self.status = SolverStatus.NO_LOWER_STEP if is_minimum else SolverStatus.SINGULAR
-            return int(is_better), 0
-        self.status = SolverStatus.SINGULAR if step is None else SolverStatus.MAX_ITERATIONS
-        factor = DAMPING_AFTER_SUCCESS if is_better else DAMPING_AFTER_FAILURE
-        self.damping = max(self.damping * factor, MIN_DAMPING)
-        return int(is_better), 1
+        self.problem.set_noise(measure_noise_ratio(noise))
+        self.history = [float(self.problem.cost[0])]
 
     def run(self, tolerance: float) -> Stepwise[None]:
         """Minimise until a step decreases E by less than the relative tolerance, or no trials remain."""
         if self.remaining_trials == 0:
             self.status = min(self.status, SolverStatus.MAX_ITERATIONS)
             return
-        history = yield from minimise_stepwise(self, self.remaining_trials, tolerance, self.damping)
-        self.history += [float(cost[0]) for cost in history[1:]]
-        if self.status is SolverStatus.CONVERGED:
-            self.damping = max(self.damping * DAMPING_AFTER_SUCCESS, MIN_DAMPING)
-
-    def make_reconstruction(self, window: Window, unit: float, iterations: int) -> Reconstruction:
-        """Return the reconstruction of a window at the current point; `unit` in px/m."""
-        problem = self.objective.problem
-        problem.start(*self.point.body)
-        return make_reconstruction(problem, window, unit, self.status, self.history, iterations)
-
-    def estimate_noise(self) -> float:
-        """Return the image noise (m); the effective parameters may be those of the point before the last step."""
-        return self.objective.estimate_noise(self.point, self._some_equations().count_effective_parameters())
+        history = yield from minimise_stepwise(self.problem, self.remaining_trials, tolerance, self.damping)
+        self.history += history[1:, 0].tolist()
+        self.remaining_trials -= len(history) - 1
+        self.damping, self.status = self.problem.damping, SolverStatus(self.problem.status)
 
     def minus_twice_log_evidence(self) -> float:
         """Return the value at the head of this module; C may be that of the point before the last step."""
-        return self.history[-1] / NOISE_REFERENCE**2 + self._some_equations().camera_log_determinant_ratio()
-
-    def _some_equations(self) -> PeriodicEquations:
-        """Return the equations of the latest run, or those of the current point if there was no run."""
-        if self.equations is None:
-            self.equations = self.objective.normal_equations(self.point)
-        return self.equations
+        return self.history[-1] / NOISE_REFERENCE**2 + self.problem.camera_log_determinant_ratio()
 
 
 def select_most_likely(hypotheses: Sequence[Search]) -> Stepwise[Search]:
