@@ -1,6 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -12,8 +13,13 @@ Indices: TypeAlias = NDArray[np.int64]
 Codes: TypeAlias = NDArray[Any]  # of 8 or 16 bits
 
 def sample_histories(
-    points: Array, weight: Array, times: Array, frames: Indices, slots: Array, max_gap_s: float, tolerance_s: float
+    people: Sequence[tuple[Array, Sequence[int], Array, Sequence[tuple[Array, Array]]]],
+    joints: int,
+    slots: Array,
+    max_gap_s: float,
+    tolerance_s: float,
 ) -> tuple[Array, Array]: ...
+def append_lifted(windows: Sequence[Any], joints: Array, std: Array) -> list[tuple[Array, Array]]: ...
 def encode(
     points: Array,
     weight: Array,
@@ -35,12 +41,12 @@ def evaluate(
     biases: Array32,
     last_bias: Array32,
 ) -> Array32: ...
-def decode(
-    outputs: Array32,
-    features: Array32,
-    newest: Array,
-    size: Array,
-    rotation: Array,
+def lift(
+    points: Array,
+    weight: Array,
+    focal: Array,
+    upward: Array,
+    network: Any,
     mirror: Indices,
     core: int,
     min_log_std: float,

@@ -98,43 +98,102 @@ ctypedef fused Code:
     short
 
 
-def sample_histories(
-    Stack points, Rows weight, Vector times, const long long[::1] frames, Vector slots, double max_gap_s,
-    double tolerance_s,
-):
+cdef void sample_history(
+    Stack rays, Rows weight, Vector times, Py_ssize_t frame, Stack rotation, Vector slots, double max_gap_s,
+    double tolerance_s, double[:, :, ::1] out, double[:, ::1] out_weight, Py_ssize_t first,
+) noexcept nogil:
+    """Write the points and scores at the slots before a frame, of joints from `first` on; they are 0 before."""
+    cdef Py_ssize_t t, j, i, before, nearest, older, newer, after = frame
+    cdef double time, to_after, to_before, share
+    cdef double[2] seen, later = [0.0, 0.0]
+    cdef const double* turn
+    for t in range(slots.shape[0]):
+        time = times[frame] - slots[t]
+        while after > 0 and times[after - 1] >= time - tolerance_s:
+            after -= 1
+        before = max(after - 1, 0)
+        to_after, to_before = times[after] - time, time - times[before]
+        nearest = after
+        while nearest < frame and fabs(times[nearest + 1] - time) < fabs(times[nearest] - time):
+            nearest += 1
+        if fabs(times[nearest] - time) <= tolerance_s:
+            older, newer, share = nearest, nearest, 0.0
+        elif to_before > 0 and to_after + to_before <= max_gap_s:
+            older, newer, share = before, after, to_before / (to_after + to_before)
+        else:
+            continue
+        for j in range(weight.shape[1]):
+            if weight[older, j] > 0 and weight[newer, j] > 0:
+                out_weight[t, first + j] = (1 - share) * weight[older, j] + share * weight[newer, j]
+                turn = &rotation[min(older, rotation.shape[0] - 1), 0, 0]
+                rotate_ray(turn, rays[older, j, 0], rays[older, j, 1], 1.0, seen)
+                if share > 0:
+                    turn = &rotation[min(newer, rotation.shape[0] - 1), 0, 0]
+                    rotate_ray(turn, rays[newer, j, 0], rays[newer, j, 1], 1.0, later)
+                for i in range(2):
+                    out[t, first + j, i] = (1 - share) * seen[i] + share * later[i]
+
+
+def sample_histories(people, Py_ssize_t joints, Vector slots, double max_gap_s, double tolerance_s):
     """Return the points (N, T, J, 2) and scores (N, T, J) at the slots before some frames; 0 where not seen.
 
-    Arguments and rules are those of `models.lifter_input.sample_histories`; slots (T,) s before the frames (N,) increase.
+    Rules are those of `models.lifter_input.sample_histories`; slots (T,) s before the frames increase.
+
+    Args:
+        people: of each person the times (F,) s, the frames, the rotations (F, 3, 3), or (1, 3, 3) for all frames, of the
+            cameras that see the rays, and groups of joints, one after the other: rays (F, J_i, 2) and scores (F, J_i).
+        joints: J; those that no group has are not seen.
     """
-    cdef Py_ssize_t n, t, j, axis, after, before, nearest, older, newer
-    cdef double time, to_after, to_before, share
-    shape = frames.shape[0], slots.shape[0], weight.shape[1]
+    cdef Py_ssize_t n = 0, first, row
+    cdef Vector times
+    cdef Stack rotation, rays
+    cdef Rows weight
+    shape = sum([len(frames) for _, frames, _, _ in people]), slots.shape[0], joints
     sampled, sampled_weight = np.zeros((*shape, 2)), np.zeros(shape)
     cdef double[:, :, :, ::1] out = sampled
     cdef double[:, :, ::1] out_weight = sampled_weight
-    for n in range(frames.shape[0]):
-        after = frames[n]
-        for t in range(slots.shape[0]):
-            time = times[frames[n]] - slots[t]
-            while after > 0 and times[after - 1] >= time - tolerance_s:
-                after -= 1
-            before = max(after - 1, 0)
-            to_after, to_before = times[after] - time, time - times[before]
-            nearest = after
-            while nearest < frames[n] and fabs(times[nearest + 1] - time) < fabs(times[nearest] - time):
-                nearest += 1
-            if fabs(times[nearest] - time) <= tolerance_s:
-                older, newer, share = nearest, nearest, 0.0
-            elif to_before > 0 and to_after + to_before <= max_gap_s:
-                older, newer, share = before, after, to_before / (to_after + to_before)
-            else:
-                continue
-            for j in range(weight.shape[1]):
-                if weight[older, j] > 0 and weight[newer, j] > 0:
-                    out_weight[n, t, j] = (1 - share) * weight[older, j] + share * weight[newer, j]
-                    for axis in range(2):
-                        out[n, t, j, axis] = (1 - share) * points[older, j, axis] + share * points[newer, j, axis]
+    for times, frames, rotation, groups in people:
+        first = 0
+        for rays, weight in groups:
+            row = n
+            for frame in frames:
+                sample_history(
+                    rays, weight, times, frame, rotation, slots, max_gap_s, tolerance_s, out[row], out_weight[row], first
+                )
+                row += 1
+            first += weight.shape[1]
+        n += len(frames)
     return sampled, sampled_weight
+
+
+def append_lifted(windows, Stack joints, Stack std):
+    """Return the lifted poses and standard deviations (F, J, 3) of windows, with those of their last frames.
+
+    Windows are `solvers.observed_window.ObservedWindow`, the poses before in the axes of the real camera. The new ones
+    (N, J, 3), of one window after the other, are in the axes of the virtual cameras.
+    """
+    cdef Py_ssize_t n = 0, t, j, i, known, frames, J = joints.shape[1]
+    cdef Stack rotation, before, before_std
+    cdef double[:, :, ::1] out, out_std
+    cdef const double* turn
+    all_lifted = []
+    for window in windows:
+        rotation, frames, known = window.virtual_camera.rotation.reshape(-1, 3, 3), len(window.times), 0
+        lifted = np.empty((frames, J, 3)), np.empty((frames, J, 3))
+        out, out_std = lifted
+        if window.lifted is not None:
+            before, before_std = window.lifted.joints, window.lifted.std
+            known = before.shape[0]
+            out[:known], out_std[:known] = before, before_std
+        for t in range(known, frames):
+            turn = &rotation[min(t, rotation.shape[0] - 1), 0, 0]
+            for j in range(J):
+                for i in range(3):
+                    out[t, j, i] = joints[n, j, 0] * turn[i] + joints[n, j, 1] * turn[3 + i] + joints[n, j, 2] * turn[6 + i]
+                    out_std[t, j, i] = std[n, j, i]
+            n += 1
+        all_lifted.append(lifted)
+    return all_lifted
 
 
 cdef inline bint is_seen(const double* point, double weight) noexcept nogil:
@@ -195,7 +254,7 @@ cdef double centre_points(
     return distance if distance > 0 else 1.0
 
 
-def encode(
+cpdef encode(
     const double[:, :, :, ::1] points, Stack weight, Vector focal, Rows upward, const long long[::1] mirror,
     Py_ssize_t core, bint turns_cameras, int images,
 ):
@@ -301,17 +360,22 @@ def evaluate(
     return units[1, :, :, :outputs].copy()
 
 
-def decode(
-    const float[:, :, ::1] outputs, const float[:, :, ::1] features, Stack newest, Vector size, Stack rotation,
-    const long long[::1] mirror, Py_ssize_t core, double min_log_std, double max_log_std,
+def lift(
+    const double[:, :, :, ::1] points, Stack weight, Vector focal, Rows upward, network, const long long[::1] mirror,
+    Py_ssize_t core, double min_log_std, double max_log_std,
 ):
-    """Return the joints and deviations (N, J, 3) that the outputs (N, 2, O) of both images mean on average.
+    """Return the joints and deviations (N, J, 3) that the network means, for both images on average.
 
-    `features`, `newest`, `size` and `rotation` are what `encode` returned; logarithms of deviations are in units.
+    `network` is a `RoundedNetwork`; the bounds of the logarithms of deviations are in units; the others are those of
+    `encode`.
     """
     cdef Py_ssize_t n, j, m, i, seen, joints = mirror.shape[0], stds = 3 * joints  # where log deviations begin
     cdef double total, unit, across, along, log_across, log_along
     cdef double[3] mean, point
+    encoded = encode(points, weight, focal, upward, mirror, core, True, 2)
+    cdef const float[:, :, ::1] features = encoded[0], outputs = evaluate(features, *network)
+    cdef Stack newest = encoded[1], rotation = encoded[3]
+    cdef Vector size = encoded[2]
     poses, deviations = np.empty((outputs.shape[0], joints, 3)), np.empty((outputs.shape[0], joints, 3))
     cdef double[:, :, ::1] out = poses, std = deviations
     for n in range(outputs.shape[0]):

@@ -10,7 +10,8 @@ Array: TypeAlias = NDArray[np.float64]
 
 def add_frame(
     direction: Array,
-    weight: float,
+    sums: tuple[float, float, float, float, float],
+    faded: float,
     step_s: float,
     sign: float,
     level_deg: float,
@@ -31,24 +32,17 @@ def turn_poses(
     level_deg: float,
     last_level_deg: float,
 ) -> Array: ...
-def find_upward(
+def find_stances(
     joints: Array,
     masses: Array,
     sides: NDArray[np.int64],
-    neck: int,
-    pelvis: int,
-    support_ahead: float,
-    min_length: float,
-) -> Array: ...
-def find_standing(
-    joints: Array,
-    sides: NDArray[np.int64],
-    neck: int,
-    pelvis: int,
-    min_length: float,
     hands: NDArray[np.int64],
+    neck: int,
+    pelvis: int,
     head: int,
+    support_ahead: float,
     hanging_share: float,
     standing_deg: float,
     seated_deg: float,
-) -> Array: ...
+    min_length: float,
+) -> tuple[Array, Array]: ...

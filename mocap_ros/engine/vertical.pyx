@@ -26,16 +26,18 @@ cdef inline double fall(double value, double first, double last) noexcept nogil:
 
 
 def add_frame(
-    Vector direction, double weight, double step_s, double sign, double level_deg, double last_level_deg,
-    double outlier_deg, double min_standing, Rows upward, Vector standing,
+    Vector direction, sums, double faded, double step_s, double sign,
+    double level_deg, double last_level_deg, double outlier_deg, double min_standing, Rows upward, Vector standing,
 ):
-    """Return the new direction (3,), and what the frame adds to sums of seconds (`solvers.vertical`).
+    """Return the new direction (3,) and the new sums of seconds, those of `solvers.vertical.Sums`.
 
-    `direction` (3,) of the frame before; `weight` s, that it has now; `step_s` s, dt of the new frame; `sign` 1, or -1
-    where the camera is upside down; degrees `LEVEL_DEG` and A, and L; u (P, 3) and p (P,), not yet multiplied.
+    `direction` (3,) and `sums` of the frame before, of which a share `faded` counts; `step_s` s, dt of the new frame;
+    `sign` 1, or -1 where the camera is upside down; degrees `LEVEL_DEG` and A, and L; u (P, 3) and p (P,), not yet
+    multiplied.
     """
     cdef Py_ssize_t p, i
-    cdef double angle, discounted, share, norm, level, stands, added = 0, seconds = 0, upright = 0, askew = 0
+    cdef double angle, discounted, share, norm, level, stands, weight, certain, seen, upright, askew
+    weight, certain, seen, upright, askew = [faded * seconds for seconds in sums]
     result = np.array(direction)
     cdef double[::1] out = result
     for i in range(3):
@@ -43,21 +45,22 @@ def add_frame(
     for p in range(upward.shape[0]):
         level = fall(acos(min(max(-sign * upward[p, 1], -1.0), 1.0)) / DEGREE, level_deg, last_level_deg)
         stands = standing[p] * level
-        upright += stands
-        askew += standing[p] - stands
+        seen += step_s
+        upright += step_s * stands
+        askew += step_s * (standing[p] - stands)
         angle = acos(min(max(dot(&direction[0], &upward[p, 0]), -1.0), 1.0)) / (outlier_deg * DEGREE)
         discounted = step_s / (1 + angle * angle)
         if level == 0 or not (discounted >= 0 and stands >= 0):  # not known
             continue
         share = discounted * max(stands, min_standing)
-        added += share
-        seconds += discounted * stands
+        weight += share
+        certain += discounted * stands
         for i in range(3):
             out[i] += share * upward[p, i]
     norm = sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2])
     for i in range(3):
         out[i] = out[i] / norm if norm > 0 else direction[i]
-    return result, added, seconds, step_s * upward.shape[0], step_s * upright, step_s * askew
+    return result, weight, certain, seen, upright, askew
 
 
 def turn_poses(
@@ -100,25 +103,30 @@ cdef inline void subtract(const double[:, ::1] pose, Py_ssize_t a, Py_ssize_t b,
     out[0], out[1], out[2] = pose[a, 0] - pose[b, 0], pose[a, 1] - pose[b, 1], pose[a, 2] - pose[b, 2]
 
 
-def find_upward(Stack joints, Vector masses, const long long[:, ::1] sides, Py_ssize_t neck, Py_ssize_t pelvis,
-                double support_ahead, double min_length):
-    """Return the directions upwards (N, 3) that poses (N, J, 3) show; the formula is in `models.upward_direction`.
+def find_stances(
+    Stack joints, Vector masses, const long long[:, ::1] sides, const long long[::1] hands, Py_ssize_t neck,
+    Py_ssize_t pelvis, Py_ssize_t head, double support_ahead, double hanging_share, double standing_deg,
+    double seated_deg, double min_length,
+):
+    """Return the directions upwards (N, 3) that poses (N, J, 3) show, and the shares (N,) to which they stand.
 
-    `masses` (J_c,); `sides` (2, 4) left and right shoulder, hip, knee and ankle; `support_ahead` b.
+    The formulas, with b, H, PHI_0 and PHI_1, are in `models.upward_direction`. `masses` (J_c,); `sides` (2, 4) left and
+    right shoulder, hip, knee and ankle; `hands` (2,) the wrists.
     """
     cdef Py_ssize_t n, j, s
-    cdef int i
-    cdef double size, length
-    cdef double[3] lever, bone, across, ahead, hips
-    result = np.empty((joints.shape[0], 3))
-    cdef double[:, ::1] out = result
+    cdef int i, over
+    cdef double size, length, cosine, of_knee, straighter = 0
+    cdef double[3] lever, bone, across, ahead, hips, trunk, thigh, shank
+    upward, standing = np.empty((joints.shape[0], 3)), np.empty(joints.shape[0])
+    cdef double[:, ::1] out = upward
+    cdef double[::1] share = standing
     for n in range(joints.shape[0]):
         for i in range(3):
             lever[i] = -(joints[n, sides[0, 3], i] + joints[n, sides[1, 3], i]) / 2
             for j in range(masses.shape[0]):
                 lever[i] += masses[j] * joints[n, j, i]
-        subtract(joints[n], neck, pelvis, bone)
-        size = sqrt(dot(bone, bone))
+        subtract(joints[n], neck, pelvis, trunk)
+        size = sqrt(dot(trunk, trunk))
         for s in range(2):
             for j in range(1, 3):
                 subtract(joints[n], sides[s, j], sides[s, j + 1], bone)
@@ -135,37 +143,17 @@ def find_upward(Stack joints, Vector masses, const long long[:, ::1] sides, Py_s
         length = max(sqrt(dot(lever, lever)), min_length)
         for i in range(3):
             out[n, i] = lever[i] / length
-    return result
-
-
-def find_standing(
-    Stack joints, const long long[:, ::1] sides, Py_ssize_t neck, Py_ssize_t pelvis, double min_length,
-    const long long[::1] hands, Py_ssize_t head, double hanging_share, double standing_deg, double seated_deg,
-):
-    """Return the shares (N,) to which poses stand.
-
-    H is `hanging_share`, by the wrists `hands` (2,) and the `head`; PHI_0 and PHI_1 are in degrees; the others are
-    those of `find_upward`.
-    """
-    cdef Py_ssize_t n, s
-    cdef int over
-    cdef double[3] trunk, thigh, shank, reach
-    cdef double cosine, of_knee, straighter = 0
-    result = np.empty(joints.shape[0])
-    cdef double[::1] out = result
-    for n in range(joints.shape[0]):
-        subtract(joints[n], neck, pelvis, trunk)
         over = 0
         for s in range(2):
-            subtract(joints[n], hands[s], head, reach)
-            over += dot(reach, trunk) > hanging_share * dot(trunk, trunk)
+            subtract(joints[n], hands[s], head, bone)
+            over += dot(bone, trunk) > hanging_share * dot(trunk, trunk)
             subtract(joints[n], sides[s, 1], sides[s, 2], thigh)
             subtract(joints[n], sides[s, 2], sides[s, 3], shank)
             cosine = dot(trunk, thigh) / max(sqrt(dot(trunk, trunk)) * sqrt(dot(thigh, thigh)), min_length)
             of_knee = dot(thigh, shank) / max(sqrt(dot(thigh, thigh)) * sqrt(dot(shank, shank)), min_length)
             cosine = of_knee if of_knee < cosine else cosine
             straighter = cosine if s == 0 or not cosine <= straighter else straighter  # NaN stays
-        out[n] = NAN
+        share[n] = NAN
         if straighter == straighter:
-            out[n] = fall(acos(min(max(straighter, -1.0), 1.0)) / DEGREE, standing_deg, seated_deg) * (over < 2)
-    return result
+            share[n] = fall(acos(min(max(straighter, -1.0), 1.0)) / DEGREE, standing_deg, seated_deg) * (over < 2)
+    return upward, standing

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
 from mocap_ros.engine import lifter as engine
-from mocap_ros.models.lifter_input import JOINT_COUNT, MIRROR_PERMUTATION, encode_histories, sample_histories
+from mocap_ros.models.lifter_input import JOINT_COUNT, MIRROR_PERMUTATION, sample_histories, weigh_vertical
 from mocap_ros.models.network import Layers, RoundedNetwork
 from mocap_ros.skeleton import CMU15, CORE_COUNT
 
@@ -94,9 +94,12 @@ class Lifter:
         axis if `focal`, in their unit, is finite; weights (N, T, J) are 0 where not seen. `vertical` (N, 3) are
         unit vectors upwards in the camera's axes, NaN or None where unknown, with standard deviations (N,) in rad.
         """
-        encoded = encode_histories(points, weight, focal, vertical, vertical_std)
-        outputs = self.network.evaluate(encoded.features)
-        return LiftedPoses(*engine.decode(outputs, *encoded, MIRROR_PERMUTATION, CORE_COUNT, *LOG_STD_RANGE))
+        upward = np.zeros((len(weight), 3))
+        if vertical is not None and vertical_std is not None:
+            upward = weigh_vertical(vertical, vertical_std)
+        seen, focals = np.ascontiguousarray(points, float), np.full(len(weight), focal)
+        given = seen, np.ascontiguousarray(weight, float), focals, upward, self.network
+        return LiftedPoses(*engine.lift(*given, MIRROR_PERMUTATION, CORE_COUNT, *LOG_STD_RANGE))
 
     def lift_sequence(self, points: Array, weight: Array, times: Array, focal: float = math.inf) -> LiftedPoses:
         """Estimate the pose of each of F frames from points (F, J, 2), weights and times (F,) s up to it."""

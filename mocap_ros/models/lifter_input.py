@@ -16,7 +16,6 @@ The core are the joints of `skeleton.CMU15`, which every detector gives. Shapes:
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +30,7 @@ HISTORY_SLOTS_S = np.array([0, 1, 2, 3, 4, 6, 8, 10, 13, 16, 20, 24]) / 30
 
 MAX_INTERPOLATION_GAP_S = 0.15  # s; points in longer gaps between frames count as not seen, as in training
 TIME_TOLERANCE_S = 0.004  # s; a frame this near to a slot is taken as it is, an eighth of a frame at 30 fps
+SLOTS = HISTORY_SLOTS_S, MAX_INTERPOLATION_GAP_S, TIME_TOLERANCE_S
 # rad; S: about how far the lifter's own guess of the vertical is off; a better one counts by more than half
 VERTICAL_STD_RAD = math.radians(8.0)
 
@@ -47,55 +47,9 @@ def sample_histories(points: Array, weight: Array, times: Array, frames: NDArray
     between the frames before and after, if both show it and are at most `MAX_INTERPOLATION_GAP_S` apart; else it
     is not seen, 0 in both results (N, T, J, 2) and (N, T, J), newest slot first.
     """
-    return engine.sample_histories(
-        np.ascontiguousarray(points, float),
-        np.ascontiguousarray(weight, float),
-        np.ascontiguousarray(times, float),
-        np.ascontiguousarray(frames, np.int64),
-        HISTORY_SLOTS_S,
-        MAX_INTERPOLATION_GAP_S,
-        TIME_TOLERANCE_S,
-    )
-
-
-class NetworkInput(NamedTuple):
-    """Histories of N people or frames as the network gets them."""
-
-    features: Array32  # (N, 2, FEATURE_COUNT) features of each history and of its mirror image
-    newest: Array  # (N, J, 2) newest points as in the features, 0 for joints not seen
-    size: Array  # (N,) unit of these points, the mean distance from the centroid, in the unit of the image points
-    rotation: Array  # (N, 3, 3) rotations from the camera's frame to those of the virtual cameras
-
-
-def encode_histories(
-    points: Array, weight: Array, focal: float, vertical: Array | None = None, vertical_std: Array | None = None
-) -> NetworkInput:
-    """Convert histories to the input of the network, seen by virtual cameras that face the newest points.
-
-    Arguments are those of `Lifter.lift`, also of the core alone, (N, T, J_c). An infinite `focal` leaves out the
-    virtual cameras.
-    """
-    upward = np.zeros((len(weight), 3))
-    if vertical is not None and vertical_std is not None:
-        upward = weigh_vertical(vertical, vertical_std)
-    return NetworkInput(
-        *_encode(points, weight, np.full(len(weight), focal), upward, turns_cameras=True, images=2)
-    )
-
-
-def _encode(
-    points: Array, weight: Array, focal: Array, upward: Array, *, turns_cameras: bool, images: int
-) -> tuple[Array32, Array, Array, Array]:
-    return engine.encode(
-        np.ascontiguousarray(points, float),
-        np.ascontiguousarray(weight, float),
-        np.ascontiguousarray(focal, float),
-        np.ascontiguousarray(upward, float),
-        MIRROR_PERMUTATION,
-        CORE_COUNT,
-        turns_cameras,
-        images,
-    )
+    seen = np.ascontiguousarray(points, float), np.ascontiguousarray(weight, float)
+    person = np.ascontiguousarray(times, float), frames.tolist(), np.eye(3)[None], [seen]
+    return engine.sample_histories([person], weight.shape[1], *SLOTS)
 
 
 def weigh_vertical(vertical: Array, std: Array) -> Array:
@@ -107,9 +61,10 @@ def weigh_vertical(vertical: Array, std: Array) -> Array:
 def encode_features(points: Array32, weight: Array32, focal: Array, upward: Array) -> tuple[Array32, Array, Array]:
     """Convert histories that virtual cameras see already to features (N, FEATURE_COUNT), as for training.
 
-    Focal lengths (N,) are in the unit of the points, `upward` (N, 3) is what `weigh_vertical` returns; `newest`
-    and `size` are those of `NetworkInput`.
+    Focal lengths (N,) are in the unit of the points; `upward` (N, 3) is what `weigh_vertical` returns. The newest
+    points (N, J, 2), as in the features, and the unit (N,) of these, in the unit of the points, are returned too.
     """
-    given = np.asarray(points, float), np.asarray(weight, float), focal, upward
-    features, newest, size, _ = _encode(*given, turns_cameras=False, images=1)
+    seen, scores = np.ascontiguousarray(points, float), np.ascontiguousarray(weight, float)
+    known = np.ascontiguousarray(focal, float), np.ascontiguousarray(upward, float)
+    features, newest, size, _ = engine.encode(seen, scores, *known, MIRROR_PERMUTATION, CORE_COUNT, False, 1)
     return features[:, 0], newest, size

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array32
-from mocap_ros.engine import lifter as engine
 
 Codes = NDArray[Any]  # of 8 or 16 bits
 Floats = NDArray[np.floating[Any]]
@@ -60,10 +59,6 @@ class RoundedNetwork(NamedTuple):
             np.array([bias for _, bias in layers[:-1]], np.float32),
             np.ascontiguousarray(last_bias, np.float32),
         )
-
-    def evaluate(self, features: Array32) -> Array32:
-        """Return the outputs (P, 2, O) of features (P, 2, I); not finite if they overflow."""
-        return engine.evaluate(features, *self)
 
 
 def _round_weights(given: Floats, kind: type[np.int8 | np.int16]) -> tuple[Codes, Array32]:

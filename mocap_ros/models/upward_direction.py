@@ -24,7 +24,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
 from mocap_ros.engine import vertical as engine
@@ -59,40 +58,23 @@ def _share_masses() -> Array:
 
 
 MASSES = _share_masses()  # (J,) of all joints of `CMU15`
-_NECK, _PELVIS = (CMU15.joints.index(name) for name in ('neck', 'pelvis'))
-_HEAD = CMU15.joints.index('head')
+_NECK, _PELVIS, _HEAD = (CMU15.joints.index(name) for name in ('neck', 'pelvis', 'head'))
 _WRISTS = np.array([CMU15.joints.index(side + 'wrist') for side in 'lr'])
 # (2, 4) indices of the joints of the left and of the right side
 _SIDES = np.array([[CMU15.joints.index(s + n) for n in ('shoulder', 'hip', 'knee', 'ankle')] for s in 'lr'])
-
-
-def find_upward(joints: Array) -> Array:
-    """Return the unit vectors upwards (N, 3) that poses (N, J, 3) of `CMU15` or `BODY26` show."""
-    poses = np.ascontiguousarray(joints)
-    return engine.find_upward(poses, MASSES, _SIDES, _NECK, _PELVIS, SUPPORT_AHEAD, MIN_LENGTH)
-
-
-def find_standing(joints: Array) -> Array:
-    """Return the shares (N,) to which poses stand.
-
-    It is 1 with a straight leg, 0 if both are bent as on a chair, and 0 if both hands are high above the head.
-    """
-    body = np.ascontiguousarray(joints), _SIDES, _NECK, _PELVIS, MIN_LENGTH
-    hands = _WRISTS, _HEAD, HANGING_SHARE
-    return engine.find_standing(*body, *hands, STANDING_FLEXION_DEG, SEATED_FLEXION_DEG)
+_LIMITS = SUPPORT_AHEAD, HANGING_SHARE, STANDING_FLEXION_DEG, SEATED_FLEXION_DEG, MIN_LENGTH
+_BODY = MASSES, _SIDES, _WRISTS, _NECK, _PELVIS, _HEAD, *_LIMITS
 
 
 class Stances(NamedTuple):
-    """What N poses show of the vertical: the directions of `find_upward` (N, 3) and `find_standing` (N,)."""
+    """What N poses show of the vertical."""
 
-    upward: Array
+    upward: Array  # (N, 3) unit vectors upwards, in the axes of the poses
+    # (N,) shares to which the poses stand: 1 with a straight leg, 0 if both are bent as on a chair, and 0 if both
+    # hands are high above the head
     standing: Array
 
     @staticmethod
     def of(joints: Array) -> Stances:
-        """Return what poses (N, J, 3) show, in their axes."""
-        return Stances(find_upward(joints), find_standing(joints))
-
-    def select(self, people: NDArray[np.bool_] | NDArray[np.intp]) -> Stances:
-        """Return what some poses show, of a mask (N,) or of indices."""
-        return Stances(self.upward[people], self.standing[people])
+        """Return what poses (N, J, 3) of `CMU15` or `BODY26` show."""
+        return Stances(*engine.find_stances(np.ascontiguousarray(joints), *_BODY))

@@ -66,7 +66,12 @@ from mocap_ros.solvers.footing import plant_sequence
 from mocap_ros.solvers.image_roll import find_camera_roll, find_roll, lift_turned, turn_about_axis, turn_upright
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, explains_as_well, let_base_poses_lead
-from mocap_ros.solvers.observed_window import ObservedWindow, observe_sequence
+from mocap_ros.solvers.observed_window import (
+    ObservedWindow,
+    append_lifted,
+    observe_sequence,
+    sample_unlifted_histories,
+)
 from mocap_ros.solvers.vertical import AUTO, Vertical, find_vertical, read_given_vertical
 from mocap_ros.solvers.window import Reconstruction, Window
 
@@ -225,7 +230,8 @@ def _reconstruct(
         if ALL_MOTIONS in models:
             models = {ALL_MOTIONS: models[ALL_MOTIONS]}
         lifted, vertical = _lift(observed, lifter, config.tracker)
-        observed = observed.append_lifted(lifted)
+        observed = replace(observed)
+        append_lifted([observed], lifted)
         report(LIFTED_SHARE)
         category, solution = _solve_with_lifter(observed, vertical, lifter, models, config, report)
     camera = observed.virtual_camera
@@ -424,13 +430,15 @@ def _lift(
         known, roll = _repeat_vertical(given, len(observed.times)), find_roll(given.direction)
     else:
         roll = _find_camera_roll(observed)
-    direction = None if known is None else camera.to_virtual_camera(known.direction[:, None])[:, 0]
-    in_lifter = (None, None) if given is None or known is None else (direction, known.std)
-    lifted = lift_turned(lifter, *observed.sample_unlifted_histories(), roll, *in_lifter)
-    if known is None or direction is None:
+    in_lifter = None
+    if given is not None and known is not None:
+        in_lifter = camera.to_virtual_camera(known.direction[:, None])[:, 0], known.std
+    points, weight, _ = sample_unlifted_histories([observed])
+    lifted = lift_turned(lifter, points, weight, roll, in_lifter)
+    if known is None:
         known = choose_vertical(observed, camera.to_real_camera(lifted.joints), config)
-        direction = camera.to_virtual_camera(known.direction[:, None])[:, 0]
-    return turn_upright(lifted, roll, direction, known.std), known
+    direction = camera.to_virtual_camera(known.direction[:, None])[:, 0]
+    return turn_upright(lifted, Stances.of(lifted.joints), direction, known.std, roll), known
 
 
 def _solve_with_lifter(
@@ -452,11 +460,13 @@ def _solve_with_lifter(
     believed = hide_unexplained_points(observed, window, solution)
     if believed is not observed:
         lifted, _ = _lift(replace(believed, lifted=None), lifter, config.tracker, vertical)
-        observed = replace(observed, lifted=None).append_lifted(lifted)
+        observed = replace(observed, lifted=None)
+        append_lifted([observed], lifted)
         _, solution = _solve(observed.build_solver_window(), models, config.solver)
     report(SOLVED_AGAIN_SHARE)
     again, _ = _lift(draw_points(believed, solution), lifter, config.tracker, vertical)
-    observed = replace(observed, lifted=None).append_lifted(turn_like(again, solution.joints))
+    observed = replace(observed, lifted=None)
+    append_lifted([observed], turn_like(again, solution.joints))
     return _solve(observed.build_solver_window(), models, config.solver)
 
 

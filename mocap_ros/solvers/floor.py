@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
 from mocap_ros.geometry.level import MAX_CERTAIN_STD, Floor
-from mocap_ros.models.upward_direction import find_standing
+from mocap_ros.models.upward_direction import Stances
 from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.solvers.contacts import ANKLES, HEELS_AND_TOES
@@ -94,7 +94,7 @@ class _Evidence:
         body, share = person.joints[known], np.fmax(2 * person.contact[known] - 1, 0.0)
         times = person.times[known]
         steps = np.minimum(np.diff(times, append=2 * times[-1] - times[-2]), MAX_STEP_S)
-        stood = share.max(axis=1) * find_standing(body) * steps
+        stood = share.max(axis=1) * Stances.of(body).standing * steps
         if stood.sum() < MIN_STANDING_S:
             return None
         return _Evidence(known, body, share, stood / (EVIDENCE_S * HEIGHT_STD_M**2), steps)

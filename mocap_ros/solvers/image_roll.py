@@ -26,11 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
+from mocap_ros.engine import vertical as engine
 from mocap_ros.models.lifter import LiftedPoses, Lifter
-from mocap_ros.models.upward_direction import Stances, find_standing
-from mocap_ros.skeleton import CMU15
+from mocap_ros.models.upward_direction import Stances
+from mocap_ros.skeleton import CMU15, CORE_COUNT
 from mocap_ros.solvers.observed_window import RAY_FOCAL
-from mocap_ros.solvers.vertical import MAX_STEP_S, MEMORY_S, turn_towards_vertical
+from mocap_ros.solvers.vertical import LEVEL_DEG, MAX_STEP_S, MEMORY_S
 from mocap_ros.units import NS_PER_S
 
 LOOK_S = 0.1  # s, after which a tracker looks again
@@ -166,7 +167,7 @@ class CameraSide:
 
 
 def lift_turned(
-    lifter: Lifter, points: Array, weight: Array, roll: float, vertical: Array | None, std: Array | None
+    lifter: Lifter, points: Array, weight: Array, roll: float, vertical: tuple[Array, Array] | None
 ) -> LiftedPoses:
     """Lift histories in images that are turned by an angle in rad; the poses are in the axes of the unturned ones.
 
@@ -177,31 +178,31 @@ def lift_turned(
         points: (N, T, J, 2) histories in rays, as `Lifter.lift` takes them.
         weight: (N, T, J) scores.
         roll: rad, the angle.
-        vertical: (N, 3) vertical in the axes of the camera of the points; None where none is given.
-        std: (N,) rad, its standard deviation; None likewise.
+        vertical: (N, 3) vertical in the axes of the camera of the points, and its standard deviation (N,) rad;
+            None where none is given.
     """
     points = turn_about_axis(points, roll)
     lifted = lifter.lift(points, weight, RAY_FOCAL)
-    if vertical is not None and std is not None:
-        under = lifter.lift(points, weight, RAY_FOCAL, turn_about_axis(vertical, roll), std)
-        share = find_standing(lifted.joints)[:, None, None]
+    if vertical is not None:
+        under = lifter.lift(points, weight, RAY_FOCAL, turn_about_axis(vertical[0], roll), vertical[1])
+        share = Stances.of(lifted.joints).standing[:, None, None]
         pairs = (lifted.joints, under.joints), (lifted.std, under.std)
         lifted = LiftedPoses(*(a + share * (b - a) for a, b in pairs))
     return LiftedPoses(turn_about_axis(lifted.joints, -roll), lifted.std)
 
 
 def turn_upright(
-    lifted: LiftedPoses, roll: float, vertical: Array, std: Array, stances: Stances | None = None
+    lifted: LiftedPoses, stances: Stances, vertical: Array, std: Array, roll: float = 0.0
 ) -> LiftedPoses:
-    """Return lifted poses turned towards the vertical in the turned images.
+    """Return lifted poses turned towards the vertical in the turned images (formulas of `vertical`).
 
-    `stances` is what the poses show, if that is known; the other arguments are those of `lift_turned`.
+    `lifted` poses of N frames in the axes of their virtual cameras, NaN where they are not known; `stances` what
+    they show; `vertical` (N, 3) and its `std` (N,) rad in the same axes; `roll` rad.
     """
-    poses = LiftedPoses(turn_about_axis(lifted.joints, roll), lifted.std)
-    if stances is not None:
-        stances = Stances(turn_about_axis(stances.upward, roll), stances.standing)
-    turned = turn_towards_vertical(poses, turn_about_axis(vertical, roll), std, stances)
-    return LiftedPoses(turn_about_axis(turned.joints, -roll), lifted.std)
+    joints, upward = turn_about_axis(lifted.joints, roll), turn_about_axis(stances.upward, roll)
+    towards = np.ascontiguousarray(turn_about_axis(vertical, roll)), np.ascontiguousarray(std), stances.standing
+    turned = engine.turn_poses(joints, lifted.std, upward, *towards, CORE_COUNT, *LEVEL_DEG)
+    return LiftedPoses(turn_about_axis(turned, -roll), lifted.std)
 
 
 def turn_about_axis(vectors: Array, roll: float) -> Array:

@@ -14,7 +14,7 @@ only `ObservedWindow.build_solver_window` makes them px.
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -23,19 +23,15 @@ from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
+from mocap_ros.engine import lifter as engine
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera, solver_focal
 from mocap_ros.keypoints.association import measure_sizes, show_people
 from mocap_ros.keypoints.left_right import BodySides, exchange_sides, find_swapped_parts
 from mocap_ros.keypoints.rays import Extremities, convert_to_rays, exchange_body_sides, join_body
-from mocap_ros.models.lifter import LiftedPoses, concatenate_lifted
-from mocap_ros.models.lifter_input import (
-    HISTORY_SLOTS_S,
-    MAX_INTERPOLATION_GAP_S,
-    TIME_TOLERANCE_S,
-    sample_histories,
-)
+from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.models.lifter_input import JOINT_COUNT, SLOTS
 from mocap_ros.skeleton import CMU15, Skeleton
 from mocap_ros.solvers.window import (
     MIN_JOINTS_FOR_CAMERA,
@@ -47,8 +43,6 @@ from mocap_ros.solvers.window import (
 # s; the virtual cameras' directions are averaged over it, so that they follow a walk, but not the joints that come
 # and go in single frames
 VIEW_SMOOTHING_S = 3.0
-# s; no frame that is older than the newest of a history by more takes part in it
-HISTORY_REACH_S = float(HISTORY_SLOTS_S[-1]) + MAX_INTERPOLATION_GAP_S + 2 * TIME_TOLERANCE_S
 RAY_FOCAL = 1.0  # rays; focal length of a camera whose image points are rays
 MAX_SPAN_S = (
     1e6  # s (11 days); a longer recording is one with a stamp that was not set, and would need GB of memory
@@ -92,7 +86,7 @@ class ObservedWindow:
         camera = VirtualCamera.look_at_person(rays, weight, times, VIEW_SMOOTHING_S, intrinsics)
         return ObservedWindow(times, rays, weight, camera, focal, None, extremities, is_evidence)
 
-    @cached_property
+    @property
     def evidence(self) -> Array:
         """Scores (F, J) of the joints as the solvers see them: 0 for those that were derived from others."""
         return self.weight if self.is_evidence is None else self.weight * self.is_evidence
@@ -115,28 +109,11 @@ class ObservedWindow:
         """Return the window with the points of a mask (F, J) set to not seen."""
         return replace(self, weight=np.where(excluded, 0.0, self.weight))
 
-    def sample_unlifted_histories(self) -> tuple[Array, Array]:
-        """Return rays (N, T, J, 2) and scores (N, T, J) of the frames not lifted yet, for `Lifter.lift`."""
-        first = 0 if self.lifted is None else len(self.lifted.joints)
-        oldest = int(self.times.searchsorted(self.times[first] - HISTORY_REACH_S))
-        body = self.view_body(slice(oldest, None), RAY_FOCAL)
-        return sample_histories(*body, self.times[oldest:], np.arange(first - oldest, len(self.times) - oldest))
-
     def view_body(self, frames: slice, focal: float) -> tuple[Array, Array]:
         """Return points (F, J, 2) of `skeleton.BODY26` in the virtual cameras, and scores."""
         extremities = None if self.extremities is None else self.extremities.select_frames(frames)
         rays, weight = join_body(self.rays[frames], self.weight[frames], extremities)
         return self.virtual_camera.select_frames(frames).view_rays(rays, weight, focal), weight
-
-    def append_lifted(self, lifted: LiftedPoses) -> ObservedWindow:
-        """Return the window with lifted poses, in the units of rays, of the frames not lifted yet."""
-        count = len(lifted.joints)
-        camera = self.virtual_camera.select_frames(slice(len(self.times) - count, None))
-        in_real_camera = LiftedPoses(camera.to_real_camera(lifted.joints), lifted.std)
-        before = [] if self.lifted is None else [self.lifted]
-        all_lifted = concatenate_lifted([*before, in_real_camera])
-        seen = self.rays, self.weight, self.virtual_camera, self.focal
-        return ObservedWindow(self.times, *seen, all_lifted, self.extremities, self.is_evidence)
 
     def convert_to_initial_values(self, theta: Array, rotation: Array, roots: Array) -> InitialValues:
         """Return theta (F, K) m, rotations (F, 3, 3) and roots (F, 3) m in the real camera as initial values."""
@@ -168,6 +145,30 @@ class ObservedWindow:
             focal=self.focal,
             lifted=lifted,
         )
+
+
+def sample_unlifted_histories(windows: Sequence[ObservedWindow]) -> tuple[Array, Array, list[int]]:
+    """Return rays (N, T, J, 2) and scores (N, T, J) of the frames not lifted yet, for `Lifter.lift`.
+
+    The frames of all windows are one after the other; their numbers are returned too.
+    """
+    people, counts = [], []
+    for window in windows:
+        first, end = 0 if window.lifted is None else len(window.lifted.joints), len(window.times)
+        groups = [(window.rays, window.weight)]
+        if window.extremities is not None:
+            groups.append(window.extremities)
+        rotation = window.virtual_camera.rotation.reshape(-1, 3, 3)
+        people.append((window.times, range(first, end), rotation, groups))
+        counts.append(end - first)
+    return *engine.sample_histories(people, JOINT_COUNT, *SLOTS), counts
+
+
+def append_lifted(windows: Sequence[ObservedWindow], lifted: LiftedPoses) -> None:
+    """Add lifted poses, in the units of rays and the axes of the virtual cameras, of the frames not lifted yet."""
+    poses = engine.append_lifted(windows, lifted.joints, lifted.std)
+    for window, (joints, std) in zip(windows, poses, strict=True):
+        window.lifted = LiftedPoses(joints, std)
 
 
 def observe_sequence(

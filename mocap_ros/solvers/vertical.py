@@ -48,9 +48,7 @@ from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
 from mocap_ros.engine import vertical as engine
 from mocap_ros.errors import ConfigError
-from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.models.upward_direction import Stances
-from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.units import NS_PER_S
 
 AUTO, NONE = 'auto', 'none'  # values of `tracker.vertical` besides three numbers
@@ -102,7 +100,7 @@ def _add_prior(
     return direction, np.radians(np.where(r > 0, (1 - r) * std_deg + r * prior_deg, std_deg))
 
 
-class _Sums(NamedTuple):
+class Sums(NamedTuple):
     """Seconds of people, those of long ago counting less."""
 
     weight: float = 0.0  # sum of max(p, L) k
@@ -112,7 +110,7 @@ class _Sums(NamedTuple):
     askew: float = 0.0  # q n
 
 
-NO_SUMS = _Sums()
+NO_SUMS = Sums()
 
 
 @dataclass(eq=False)
@@ -134,7 +132,7 @@ class Vertical:
     is_given: bool = False
     stamp_ns: int = 0
     found: Array = field(default_factory=lambda: np.full(3, np.nan))
-    sums: _Sums = NO_SUMS
+    sums: Sums = NO_SUMS
     sign: float = 1.0
 
     @staticmethod
@@ -165,8 +163,8 @@ class Vertical:
         age_s = (stamp_ns - self.stamp_ns) / NS_PER_S
         faded, step_s = math.exp(-age_s / MEMORY_S), min(age_s, MAX_STEP_S)
         limits = *LEVEL_DEG, OUTLIER_DEG, MIN_STANDING
-        found, *added = engine.add_frame(self.found, faded * self.sums.weight, step_s, sign, *limits, *stances)
-        sums = _Sums(*(faded * old + new for old, new in zip(self.sums, added, strict=True)))
+        found, *seconds = engine.add_frame(self.found, self.sums, faded, step_s, sign, *limits, *stances)
+        sums = Sums(*seconds)
         second_deg = SECOND_STD_DEG / math.sqrt(max(sums.certain, 1e-9))
         std_deg = min(math.hypot(BODY_STD_DEG, second_deg), MAX_STD_DEG)
         direction, std = found, math.radians(std_deg)
@@ -199,29 +197,6 @@ def read_given_vertical(config: TrackerConfig) -> Vertical | None:
             "the camera, such as '0 -1 0' of a level camera"
         )
     return Vertical.give(direction / np.linalg.norm(direction))
-
-
-def turn_towards_vertical(
-    lifted: LiftedPoses, vertical: Array, std: Array, stances: Stances | None = None
-) -> LiftedPoses:
-    """Return lifted poses turned towards the vertical (formulas of this module).
-
-    `lifted` poses of F frames in the axes of their virtual cameras, NaN where they are not known; `vertical` (F,
-    3) vertical in the same axes; `std` (F,) rad, standard deviation of the vertical; `stances` what the poses
-    show, if that is known.
-    """
-    upward, standing = stances or Stances.of(lifted.joints)
-    joints = engine.turn_poses(
-        np.ascontiguousarray(lifted.joints),
-        np.ascontiguousarray(lifted.std),
-        upward,
-        np.ascontiguousarray(vertical),
-        np.ascontiguousarray(std),
-        standing,
-        CORE_COUNT,
-        *LEVEL_DEG,
-    )
-    return LiftedPoses(joints, lifted.std)
 
 
 def find_vertical(times: Array, stances: Stances, *, is_turned: bool = False) -> tuple[Array, Array]:

@@ -18,6 +18,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import accumulate
 
 import numpy as np
 
@@ -38,6 +39,7 @@ from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
 from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.solvers.image_roll import CameraSide, find_roll, lift_turned, turn_upright
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, let_base_poses_lead
+from mocap_ros.solvers.observed_window import append_lifted, sample_unlifted_histories
 from mocap_ros.solvers.vertical import AUTO as AUTO_VERTICAL
 from mocap_ros.solvers.vertical import NONE as NO_VERTICAL
 from mocap_ros.solvers.vertical import Vertical, read_given_vertical
@@ -338,39 +340,38 @@ class Tracker:
         """
         if self._lifter is None or not tracks:
             return
-        inputs = [t.observed.sample_unlifted_histories() for t in tracks]
-        points, weight = (np.concatenate(parts) for parts in zip(*inputs, strict=True))
-        counts = [len(own_weight) for _, own_weight in inputs]
-        cameras = np.array([t.observed.virtual_camera.rotation for t in tracks])
-        known, direction, std = self._vertical, None, None
-        is_used = self.config.tracker.vertical != NO_VERTICAL
+        windows = [t.observed for t in tracks]
+        points, weight, counts = sample_unlifted_histories(windows)
+        newest = [end - 1 for end in accumulate(counts)]
+        counted = zip(windows, counts, strict=True)
+        cameras = np.array([o.virtual_camera.rotation for o, count in counted for _ in range(count)])
         if self._side.is_due(stamp_ns):
             rays, scores = np.array([t.rays[-1] for t in tracks]), np.array([t.weight[-1] for t in tracks])
             self._side.advance(stamp_ns, rays, scores)
+        known, towards, given = self._vertical, None, None
         roll = math.pi if self._side.is_upside_down else 0.0
-        if known is not None and is_used:
-            direction = np.repeat(cameras @ known.direction, counts, axis=0)
-            std = np.full(len(direction), known.std)
-            roll = find_roll(known.direction) if known.is_given else roll
-        ends = np.cumsum(counts)
-        given = (direction, std) if known is not None and known.is_given else (None, None)
-        lifted = lift_turned(self._lifter, points, weight, roll, *given)
-        if is_used:
+        if known is not None:
+            towards = cameras @ known.direction, np.full(len(cameras), known.std)
+            if known.is_given:
+                roll, given = find_roll(known.direction), towards
+        lifted = lift_turned(self._lifter, points, weight, roll, given)
+        if self.config.tracker.vertical != NO_VERTICAL:
             stances = Stances.of(lifted.joints)
-            if direction is not None and std is not None:
-                lifted = turn_upright(lifted, roll, direction, std, stances)
-            self._find_vertical(stamp_ns, tracks, cameras, stances.select(ends - 1))
-        for track, count, end in zip(tracks, counts, ends.tolist(), strict=True):
-            track.observed = track.observed.append_lifted(lifted.select_frames(slice(end - count, end)))
+            if towards is not None:
+                lifted = turn_upright(lifted, stances, *towards, roll)
+            self._find_vertical(stamp_ns, tracks, newest, cameras, stances)
+        append_lifted(windows, lifted)
 
-    def _find_vertical(self, stamp_ns: int, tracks: Sequence[Track], cameras: Array, stances: Stances) -> None:
-        """Find the vertical anew by what the newest poses of P tracks show in the axes of virtual cameras."""
-        shown = zip(stances.upward[:, 0].tolist(), tracks, strict=True)
-        known = [p for p, (x, track) in enumerate(shown) if math.isfinite(x) and not track.is_tentative]
+    def _find_vertical(
+        self, stamp_ns: int, tracks: Sequence[Track], newest: Sequence[int], cameras: Array, stances: Stances
+    ) -> None:
+        """Find the vertical anew by what the newest poses of tracks show in the axes of virtual cameras."""
+        shown = zip(newest, tracks, strict=True)
+        known = [n for n, t in shown if not t.is_tentative and math.isfinite(stances.standing[n])]
         if not known:
             return
-        upward = (stances.upward[known, None] @ cameras[known])[:, 0]
-        seen, sign = Stances(upward, stances.standing[known]), -1.0 if self._side.is_upside_down else 1.0
+        seen = Stances((stances.upward[known, None] @ cameras[known])[:, 0], stances.standing[known])
+        sign = -1.0 if self._side.is_upside_down else 1.0
         if self._vertical is None:
             self._vertical = Vertical.begin(stamp_ns, seen, sign)
         else:

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.models.upward_direction import find_upward
+from mocap_ros.models.upward_direction import Stances
 from mocap_ros.people import Person3D
 from mocap_ros.units import NS_PER_S
 
@@ -44,7 +44,7 @@ class VerticalCheck:
     def advance(self, stamp_ns: int, people: Sequence[Person3D], vertical: NDArray[np.float64]) -> float | None:
         """Return the mean angle in degrees by which people contradict a vertical (3,); None if they do not."""
         seen = [p.core for p in people if not (p.tentative or p.predicted)]
-        cosines = find_upward(np.array(seen)) @ vertical if seen else np.zeros(0)
+        cosines = Stances.of(np.array(seen)).upward @ vertical if seen else np.zeros(0)
         angles = np.degrees(np.arccos(cosines[np.isfinite(cosines)].clip(-1, 1)))
         is_off = angles > MAX_ANGLE_DEG
         age_s = 0.0 if self._stamp_ns is None else (stamp_ns - self._stamp_ns) / NS_PER_S

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from mocap_ros.arrays import Array, Array32
+from mocap_ros.engine.lifter import evaluate
 from mocap_ros.errors import ModelError
 from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
 from mocap_ros.models import lifter, model_file
@@ -121,7 +122,7 @@ def test_numpy_and_pytorch_agree(walk_model: BasePoses, rng: np.random.Generator
         expected = network(torch.from_numpy(batch.features)).numpy()
     folded = network.fold_batch_norms({})
     assert plain_lifter.evaluate(folded.layers, batch.features) == pytest.approx(expected, abs=1e-4)
-    found = folded.network.evaluate(batch.features.reshape(100, 2, -1)).reshape(expected.shape)
+    found = evaluate(batch.features.reshape(100, 2, -1), *folded.network).reshape(expected.shape)
     assert found == pytest.approx(expected, abs=0.02), 'weights are rounded to integers'
     other = LifterNetwork(32, 2)
     other.start_from(folded)
@@ -176,19 +177,19 @@ def test_it_agrees_with_the_formula(rng: np.random.Generator, blocks: int, scale
     features = make_features(rng, 5, 37)
     layers[0][0][3] = layers[-1][0][5] = 0  # an input without weights has no scale
     expected = plain_lifter.evaluate(plain_lifter.round_layers(layers), features)
-    found = RoundedNetwork.from_layers(layers).evaluate(features)
+    found = evaluate(features, *RoundedNetwork.from_layers(layers))
     assert found == pytest.approx(expected, abs=2e-6 * np.abs(expected).max())
 
 
 def test_a_row_does_not_depend_on_the_others(rng: np.random.Generator) -> None:
     network = RoundedNetwork.from_layers(make_layers(rng, [37, 26, 26, 26, 11]))
     features = make_features(rng, 6, 37)
-    together = network.evaluate(features)
+    together = evaluate(features, *network)
     for pair in range(len(features)):
-        assert (network.evaluate(features[pair : pair + 1]) == together[pair]).all()
-        assert (network.evaluate(features[pair : pair + 1, ::-1].copy()) == together[pair, ::-1]).all()
+        assert (evaluate(features[pair : pair + 1], *network) == together[pair]).all()
+        assert (evaluate(features[pair : pair + 1, ::-1].copy(), *network) == together[pair, ::-1]).all()
         with_another = np.stack([features[pair, 0], features[pair - 1, 1]])[None]
-        assert (network.evaluate(with_another)[0, 0] == together[pair, 0]).all()
+        assert (evaluate(with_another, *network)[0, 0] == together[pair, 0]).all()
 
 
 SHAPES = (FEATURE_COUNT, 2), (2, OUTPUT_COUNT)

@@ -13,7 +13,7 @@ from mocap_ros.models import joint_std
 from mocap_ros.models.joint_std import compute_joint_covariance, estimate_joint_std
 from mocap_ros.models.model_file import load_base_poses, load_motion_predictor, load_velocity_correction
 from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past
-from mocap_ros.models.upward_direction import MASSES, SUPPORT_AHEAD, find_upward
+from mocap_ros.models.upward_direction import MASSES, SUPPORT_AHEAD, Stances
 from mocap_ros.models.velocity_correction import LEAST_PAST_S, MAX_CORRECTION, SPANS_S, VelocityPast
 from mocap_ros.skeleton import CMU15
 from tests.support.bodies import STANDING
@@ -142,16 +142,16 @@ def find_upward_plainly(pose: np.ndarray) -> np.ndarray:
 
 def test_the_kernel_computes_the_formula(rng: np.random.Generator) -> None:
     poses = rng.normal(size=(5, 15, 3))
-    assert find_upward(poses) == pytest.approx(np.array([find_upward_plainly(p) for p in poses]), abs=1e-12)
+    assert Stances.of(poses).upward == pytest.approx(np.array([find_upward_plainly(p) for p in poses]), abs=1e-12)
 
 
 def test_walkers_show_the_vertical(rng: np.random.Generator) -> None:
     poses = WALK.poses(0.7 * rng.normal(size=(20, len(WALK.std))) * WALK.std)
-    angles = np.degrees(np.arccos(find_upward(poses)[:, 2]))
+    angles = np.degrees(np.arccos(Stances.of(poses).upward[:, 2]))
     assert np.median(angles) < 4, 'degrees; 3.2 over all motions of the training persons'
 
-    assert np.isnan(find_upward(np.full((1, 15, 3), np.nan))).all()
-    assert find_upward(np.zeros((0, 15, 3))).shape == (0, 3)
+    assert np.isnan(Stances.of(np.full((1, 15, 3), np.nan)).upward).all()
+    assert Stances.of(np.zeros((0, 15, 3))).upward.shape == (0, 3)
 
 
 POSTERIOR_STD = np.array([[0.01, 0.01, 0.05]])  # m

@@ -18,12 +18,12 @@ from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.model_file import load_prior_lifter
-from mocap_ros.models.upward_direction import Stances, find_standing, find_upward
+from mocap_ros.models.upward_direction import Stances
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers import vertical as module
-from mocap_ros.solvers.image_roll import CameraSide, find_camera_roll, find_sides, lift_turned
-from mocap_ros.solvers.vertical import Vertical, find_vertical, read_given_vertical, turn_towards_vertical
+from mocap_ros.solvers.image_roll import CameraSide, find_camera_roll, find_sides, lift_turned, turn_upright
+from mocap_ros.solvers.vertical import Vertical, find_vertical, read_given_vertical
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.bodies import angles_deg
 from tests.support.synthetic_walk import make_walk, with_scores
@@ -91,8 +91,8 @@ def test_where_nobody_is_upright(rng: np.random.Generator, lying: tuple[float, f
     turned = Stances(stances.upward * half_turn, standing)
     directions, std = find_vertical(np.arange(90) / 30, turned, is_turned=sign < 0)
     directions = directions * half_turn
-    live = Vertical.begin(0, stances.select(np.arange(90) < 1), sign)
-    live = live.advance(STEP_NS, stances.select(np.arange(90) == 1), sign)
+    live = Vertical.begin(0, Stances(*(shown[:1] for shown in stances)), sign)
+    live = live.advance(STEP_NS, Stances(*(shown[1:2] for shown in stances)), sign)
     for direction, std_rad in ((directions[40], std[40]), (live.direction, live.std)):
         assert angles_deg(direction, LEVEL * [1, sign, 1]) < 3
         assert std_rad == pytest.approx(math.radians(module.ASKEW_STD_DEG), rel=0.03)
@@ -143,7 +143,7 @@ def test_thighs_and_trunk_show_who_stands() -> None:
     waving[CMU15.joints.index('lwrist'), 1] = -1.0
     hanging = waving.copy()
     hanging[CMU15.joints.index('rwrist'), 1] = -1.0
-    shares = find_standing(np.stack([*POSES.values(), walking, waving, hanging, unknown]))
+    shares = Stances.of(np.stack([*POSES.values(), walking, waving, hanging, unknown])).standing
     assert shares[:5].tolist() == [1, 0, 1, 1, 0]
     assert np.isnan(shares[5])
 
@@ -158,10 +158,10 @@ def test_the_lifter_gets_a_vertical_for_those_who_stand_alone(monkeypatch: pytes
     monkeypatch.setattr(Lifter, 'lift', lift)
     lifter, history = load_prior_lifter('learned', CMU15), (np.zeros((2, 1, 15, 2)), np.ones((2, 1, 15)), 0.0)
     assert lifter is not None
-    lifted = lift_turned(lifter, *history, np.tile(UP, (2, 1)), np.full(2, 0.02))
+    lifted = lift_turned(lifter, *history, (np.tile(UP, (2, 1)), np.full(2, 0.02)))
     assert lifted.joints == pytest.approx(np.stack([POSES['standing'] - [0, 1, 0], POSES['seated']]))
     assert lifted.std[:, 0, 0].tolist() == [2, 1]
-    assert lift_turned(lifter, *history, None, None).joints == pytest.approx(poses)
+    assert lift_turned(lifter, *history, None).joints == pytest.approx(poses)
 
 
 def test_poses_are_turned_towards_the_vertical_by_how_uncertain_their_depths_are() -> None:
@@ -170,16 +170,17 @@ def test_poses_are_turned_towards_the_vertical_by_how_uncertain_their_depths_are
         noise = np.random.default_rng(0).normal(scale=0.03, size=(2, 15, 3))
         lifted = LiftedPoses(POSES['standing'] + noise, np.tile([0.02, 0.02, depth_std], (2, 15, 1)))
         angles = np.array([0.1, -0.05])
-        vertical = Rotation.from_rotvec(angles[:, None] * [1, 0, 0]).apply(find_upward(lifted.joints))
-        joints = turn_towards_vertical(lifted, vertical, np.full(2, 0.03)).joints
+        stances = Stances.of(lifted.joints)
+        vertical = Rotation.from_rotvec(angles[:, None] * [1, 0, 0]).apply(stances.upward)
+        joints = turn_upright(lifted, stances, vertical, np.full(2, 0.03)).joints
         turn = Rotation.from_matrix(fit_rotation(lifted.joints, joints)).as_rotvec()
         assert turn[:, 1:] == pytest.approx(0, abs=1e-9), 'about the horizontal axis alone'
         turned.append(turn[:, 0] / angles)
     assert (turned[0] > 0).all()
     assert (turned[0] < 0.3).all()
     assert ((turned[1] > 0.5) & (turned[1] < 1)).all()
-    lying = Rotation.from_rotvec([1.2, 0, 0]).apply(find_upward(lifted.joints))
-    assert turn_towards_vertical(lifted, lying, np.full(2, 0.03)).joints == pytest.approx(lifted.joints)
+    lying = Rotation.from_rotvec([1.2, 0, 0]).apply(stances.upward)
+    assert turn_upright(lifted, stances, lying, np.full(2, 0.03)).joints == pytest.approx(lifted.joints)
 
 
 def test_a_given_vertical_is_never_changed_by_what_people_do(rng: np.random.Generator) -> None:
