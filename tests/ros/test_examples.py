@@ -110,14 +110,14 @@ def test_an_example_acts_on_a_person_far_away_and_is_safe_when_nothing_is_heard_
     peer.wait_until(lambda: name == 'people_layer' or not is_free(received[-1]))
 
 
-def test_the_recipe_of_docs_runs(peer: Peer, start: StartProgram, start_node: StartNode, tmp_path: Path) -> None:
+def test_the_programs_of_docs_run(peer: Peer, start: StartProgram, start_node: StartNode, tmp_path: Path) -> None:
     from sensor_msgs.msg import Image
 
     text = (ROOT / 'docs' / 'detectors.md').read_text()
     ((tested_by, recipe),) = re.findall(r'<!-- recipe: (\S+) .*?-->\n```python\n(.*?)```', text, re.DOTALL)
     assert (ROOT / tested_by).samefile(__file__)
     (tmp_path / 'detector.py').write_text(recipe)
-    node = start_node()
+    node = start_node(f'recorder.folder:={tmp_path}/bags')
     detector = start(sys.executable, tmp_path / 'detector.py')
     peer.wait_for_node()
     images = peer.node.create_publisher(Image, 'image', 10)
@@ -134,6 +134,12 @@ def test_the_recipe_of_docs_runs(peer: Peer, start: StartProgram, start_node: St
     assert (detector.returncode, complaints) == (0, ''), 'Ctrl-C does not end it in peace'
     (person,) = decode(peer.received['skeletons'][-1], SKELETONS).people
     assert len(person.joints) == 26
+    (program,) = re.findall(
+        r'```python\n(import rclpy\n.*?)```', (ROOT / 'docs/recording.md').read_text(), re.DOTALL
+    )
+    (tmp_path / 'record.py').write_text(program)
+    answer, _ = start(sys.executable, tmp_path / 'record.py').communicate(timeout=TIMEOUT_S)
+    assert answer.split() == ['True', *map(str, (tmp_path / 'bags').iterdir())]
     stop_node(node)
 
 
