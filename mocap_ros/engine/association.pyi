@@ -1,7 +1,8 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-from typing import TypeAlias
+from collections.abc import Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,8 +10,8 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 
 def measure_sizes(points: Array, weight: Array, min_size: float) -> Array: ...
-def expect_person(
-    points: Array, weight: Array, age_s: Array, max_moved_s: float, min_span_s: float, min_shared: int
+def expect_people(
+    people: Sequence[Any], stamp_ns: int, joints: int, max_moved_s: float, min_span_s: float, min_shared: int
 ) -> tuple[Array, Array]: ...
 def measure_distances(
     expected: Array,

@@ -85,34 +85,48 @@ def measure_sizes(Stack points, Rows weight, double min_size):
     return result
 
 
-def expect_person(
-    Stack points, Rows weight, Vector age_s, double max_moved_s, double min_span_s, int min_shared
+def expect_people(
+    people, long long stamp_ns, Py_ssize_t joints, double max_moved_s, double min_span_s, int min_shared
 ):
-    """Return where joints are expected (J, 2) and whether they were seen (J,), as of `keypoints.association`."""
-    cdef Py_ssize_t j, f, last = weight.shape[0] - 1
-    cdef int shared = 0
-    cdef double span_s = age_s[0] - age_s[last], x = 0, y = 0, moved_s
-    arrays = np.zeros((weight.shape[1], 2)), np.zeros(weight.shape[1])
-    cdef double[:, ::1] out = arrays[0]
-    cdef double[::1] out_weight = arrays[1]
-    for j in range(weight.shape[1]):
-        if weight[0, j] > 0 and weight[last, j] > 0:
-            shared += 1
-            x += points[last, j, 0] - points[0, j, 0]
-            y += points[last, j, 1] - points[0, j, 1]
-    if span_s >= min_span_s and shared >= min_shared:
-        x, y = x / (shared * span_s), y / (shared * span_s)
-    else:
+    """Return where joints are expected (P, J, 2) and whether they were seen (P, J), as of `keypoints.association`."""
+    cdef Py_ssize_t p, j, f, first, last
+    cdef int shared
+    cdef double span_s, x, y, moved_s
+    cdef Stack points
+    cdef Rows weight
+    cdef tuple stamps_ns
+    arrays = np.zeros((len(people), joints, 2)), np.zeros((len(people), joints))
+    cdef double[:, :, ::1] out = arrays[0]
+    cdef double[:, ::1] out_weight = arrays[1]
+    for p in range(len(people)):
+        points, weight, stamps_ns = people[p].rays, people[p].weight, people[p].stamps_ns
+        first = last = len(stamps_ns) - 1
+        while first > 0 and measure_span(stamps_ns[first - 1], stamps_ns[last]) <= max_moved_s:
+            first -= 1
+        span_s, shared = measure_span(stamps_ns[first], stamps_ns[last]), 0
         x = y = 0
-    for j in range(weight.shape[1]):
-        f = last
-        while f >= 0 and not weight[f, j] > 0:
-            f -= 1
-        if f >= 0:
-            moved_s = min(age_s[f], max_moved_s)
-            out[j, 0], out[j, 1] = points[f, j, 0] + x * moved_s, points[f, j, 1] + y * moved_s
-            out_weight[j] = 1
+        for j in range(joints):
+            if weight[first, j] > 0 and weight[last, j] > 0:
+                shared += 1
+                x += points[last, j, 0] - points[first, j, 0]
+                y += points[last, j, 1] - points[first, j, 1]
+        if span_s >= min_span_s and shared >= min_shared:
+            x, y = x / (shared * span_s), y / (shared * span_s)
+        else:
+            x = y = 0
+        for j in range(joints):
+            f = last
+            while f >= first and not weight[f, j] > 0:
+                f -= 1
+            if f >= first:
+                moved_s = min(measure_span(stamps_ns[f], stamp_ns), max_moved_s)
+                out[p, j, 0], out[p, j, 1] = points[f, j, 0] + x * moved_s, points[f, j, 1] + y * moved_s
+                out_weight[p, j] = 1
     return arrays
+
+
+cdef inline double measure_span(long long first_ns, long long last_ns) noexcept nogil:
+    return (last_ns - first_ns) / 1e9
 
 
 def measure_distances(

@@ -19,13 +19,13 @@ detected, centres m and sizes are compared:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array, Mask
 from mocap_ros.engine import association as engine
+from mocap_ros.skeleton import CMU15
 
 VELOCITY_SPAN_S = 0.25  # s; velocities are averaged over this time, which evens out image noise and single steps
 MIN_VELOCITY_SPAN_S = 0.05  # s; over a shorter time image noise, divided by the time, looks like a fast movement
@@ -36,8 +36,23 @@ MIN_SIZE = 1e-9  # in the units of the points; guards the divisions by a size wh
 MIN_DETECTION_SIZE = 1e-3
 
 
-class ExpectedPerson(NamedTuple):
-    """Where a tracked person's joints are expected: points (J, 2), weight 1 if seen lately, else 0."""
+MIRROR = np.array(CMU15.mirror)  # (J,) indices of the joints with left and right exchanged
+
+
+class KnownPerson(Protocol):
+    """What matching needs of a person who is known; the attributes are those of `tracking.track.Track`."""
+
+    id: str
+    given_id: str
+    has_newest_id: bool
+    is_tentative: bool
+    stamps_ns: tuple[int, ...]
+    rays: Array
+    weight: Array
+
+
+class SeenPeople(NamedTuple):
+    """Where the joints of N people are: points (N, J, 2), and weights (N, J), positive where a joint was seen."""
 
     points: Array
     weight: Array
@@ -56,33 +71,23 @@ def show_people(sizes: Array) -> Mask:
     return np.asarray(sizes > MIN_DETECTION_SIZE)
 
 
-def expect_person(points: Array, weight: Array, age_s: Array) -> ExpectedPerson:
-    """Return where the joints of a person are expected, from F frames `age_s` (F,) s ago.
+def expect_people(people: Sequence[KnownPerson], stamp_ns: int) -> SeenPeople:
+    """Return where the joints of people are expected at a stamp in ns, from their last `VELOCITY_SPAN_S`.
 
     Each joint is where it was last seen, moved on with the mean velocity of the joints that the first and the last
-    frame show, for at most `VELOCITY_SPAN_S`.
+    of these frames show, for at most `VELOCITY_SPAN_S`.
     """
     limits = VELOCITY_SPAN_S, MIN_VELOCITY_SPAN_S, MIN_SHARED_JOINTS
-    return ExpectedPerson(*engine.expect_person(points, weight, age_s, *limits))
+    return SeenPeople(*engine.expect_people(people, stamp_ns, len(MIRROR), *limits))
 
 
-def measure_distances(
-    expected: Sequence[ExpectedPerson],
-    detected: Sequence[tuple[Array, Array]],
-    mirror: NDArray[np.int_],
-    min_shared: int = 0,
-) -> tuple[Array, Array]:
+def measure_distances(expected: SeenPeople, detected: SeenPeople, min_shared: int = 0) -> tuple[Array, Array]:
     """Measure the distances (D, P) of D detections from P people in sizes of the larger, and their growths (D, P).
 
     With fewer than `min_shared` joints both expected and detected the distance is infinite.
     """
-    if not expected or not detected:
-        return np.zeros((len(detected), len(expected))), np.zeros((len(detected), len(expected)))
-    people = np.array([e.points for e in expected]), np.array([e.weight for e in expected])
-    seen = np.array([points for points, _ in detected]), np.array([weight for _, weight in detected])
-    exchange = np.ascontiguousarray(mirror, np.int64)
     limits = min_shared, MIN_SIZE, MIN_SHARED_JOINTS, RADIUS_OFFSET
-    return engine.measure_distances(*people, *seen, exchange, *limits)
+    return engine.measure_distances(*expected, *detected, MIRROR, *limits)
 
 
 def choose_pairs(cost: Array, is_permitted: Mask) -> list[int | None]:

@@ -25,15 +25,13 @@ import numpy as np
 
 from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
-from mocap_ros.keypoints.association import VELOCITY_SPAN_S, ExpectedPerson, measure_distances
+from mocap_ros.keypoints.association import VELOCITY_SPAN_S, SeenPeople, expect_people, measure_distances
 from mocap_ros.keypoints.matching import (
     GATE,
     GATE_GROWTH_PER_S,
-    MIRROR,
     Detection,
     Matches,
     P,
-    expect_known,
     match_detections,
 )
 from mocap_ros.skeleton import CORE_COUNT
@@ -64,7 +62,7 @@ class _Lost(NamedTuple):
 
     name: str
     stamp_ns: int
-    expected: ExpectedPerson
+    expected: SeenPeople
     gate: float
 
 
@@ -106,7 +104,7 @@ class Identities(Generic[P]):
                 lost.append(person)
                 if not (person.is_tentative and was_missed):
                     gate = GATE + GATE_GROWTH_PER_S * self._settings.forget_after
-                    expected = expect_known(person, person.stamps_ns[-1])
+                    expected = expect_people([person], person.stamps_ns[-1])
                     self._lost.append(_Lost(person.id, person.stamps_ns[-1], expected, gate))
         return lost
 
@@ -137,8 +135,8 @@ class Identities(Generic[P]):
         self._lost = [p for p in self._lost if stamp_ns - p.stamp_ns <= RETURN_S * NS_PER_S and p.name not in used]
         name = detection.given_id
         if self._lost and name not in self._names:
-            seen = [(detection.rays, detection.weight)]
-            distances = measure_distances([p.expected for p in self._lost], seen, MIRROR)[0][0]
+            lost = SeenPeople(*map(np.concatenate, zip(*(p.expected for p in self._lost), strict=True)))
+            distances = measure_distances(lost, SeenPeople(detection.rays[None], detection.weight[None]))[0][0]
             shares = distances / [p.gate for p in self._lost]
             if shares.min() < 1:
                 name = self._lost[int(shares.argmin())].name

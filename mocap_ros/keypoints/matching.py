@@ -20,10 +20,9 @@ Whoever is left is new.
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,16 +32,16 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.association import (
     MIN_DETECTION_SIZE,
     MIN_SHARED_JOINTS,
-    VELOCITY_SPAN_S,
-    ExpectedPerson,
+    KnownPerson,
+    SeenPeople,
     choose_pairs,
-    expect_person,
+    expect_people,
     measure_distances,
     measure_sizes,
 )
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.rays import Extremities, convert_to_rays
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.units import NS_PER_S
 
 GATE = 0.6  # person sizes (RMS radius, about 0.5 m of an adult); acrobats move less from frame to frame
@@ -58,8 +57,6 @@ SAME_ID_GATE_GROWTH_PER_S = 10.0  # person sizes/s; likewise
 PART_GATE = 0.3  # person sizes, about 0.15 m; the joints of a part are those of the person, but for image noise
 UNTRACKED_ID = '-1'  # the id by which some detectors say that they know none
 TENTATIVE_COST = 0.5  # person sizes; a known person gets a detection sooner than one who may be none
-
-MIRROR = np.array(CMU15.mirror)
 
 
 @dataclass(eq=False)
@@ -112,18 +109,6 @@ def _fill_gaps(rays: Array, weight: Array, other_rays: Array, other_weight: Arra
     return np.where(is_own[:, None], rays, other_rays), np.where(is_own, weight, other_weight)
 
 
-class KnownPerson(Protocol):
-    """What matching needs of a person who is known; the attributes are those of `tracking.track.Track`."""
-
-    id: str
-    given_id: str
-    has_newest_id: bool
-    is_tentative: bool
-    stamps_ns: tuple[int, ...]
-    rays: Array
-    weight: Array
-
-
 P = TypeVar('P', bound=KnownPerson)
 
 
@@ -152,7 +137,8 @@ class _Matcher(Generic[P]):
     """The matching of the D detections of a frame with the P tracked people, step by step.
 
     Attributes:
-        expected: (P,) where the people are expected, from the frames of the last `VELOCITY_SPAN_S`.
+        expected: where the P people are expected.
+        seen: where the D detections are.
         age_s: (P,) s, time since each person was last seen.
         distances: (D, P) distances of all detections from all people.
         has_size: (D, P) whether the detection is large enough to be that of the person.
@@ -163,14 +149,13 @@ class _Matcher(Generic[P]):
 
     def __init__(self, stamp_ns: int, tracks: Sequence[P], detections: Sequence[Detection]) -> None:
         self.tracks, self.detections = tracks, detections
-        self.expected = [expect_known(t, stamp_ns) for t in tracks]
+        self.expected = expect_people(tracks, stamp_ns)
         self.age_s = np.array([(stamp_ns - t.stamps_ns[-1]) / NS_PER_S for t in tracks])
-        seen = [(d.rays, d.weight) for d in detections]
-        self.distances, growths = measure_distances(self.expected, seen, MIRROR)
+        rays, weight = np.array([d.rays for d in detections]), np.array([d.weight for d in detections])
+        self.seen = SeenPeople(rays.reshape(-1, CORE_COUNT, 2), weight.reshape(-1, CORE_COUNT))
+        self.distances, growths = measure_distances(self.expected, self.seen)
         self.has_size = growths >= -(SIZE_GATE + SIZE_GATE_GROWTH_PER_S * self.age_s)
         self.gates = GATE + GATE_GROWTH_PER_S * self.age_s
-        self.same_id_gates = SAME_ID_GATE + SAME_ID_GATE_GROWTH_PER_S * self.age_s
-        self.new_id_gates = NEW_ID_GATE + NEW_ID_GATE_GROWTH_PER_S * self.age_s
         self.track_of: dict[int, int] = {}
         self.exchanged: set[int] = set()
         self.whole_of: dict[int, int] = {}
@@ -179,6 +164,11 @@ class _Matcher(Generic[P]):
         for p, track in enumerate(tracks):
             for name in {track.given_id, track.id}:
                 self.called.setdefault(name, []).append(p)
+
+    @property
+    def same_id_gates(self) -> Array:
+        """(P,) distances within which detections with a person's id may be this person."""
+        return SAME_ID_GATE + SAME_ID_GATE_GROWTH_PER_S * self.age_s
 
     def match_near_ids(self) -> None:
         """Match detections with people of their id who are near."""
@@ -231,12 +221,11 @@ class _Matcher(Generic[P]):
         if not free_d or not free_p:
             return
         distances, age_s = self.distances[free_d][:, free_p], self.age_s[free_p]
+        new_id_gates = NEW_ID_GATE + NEW_ID_GATE_GROWTH_PER_S * age_s
         is_tentative = np.array([self.tracks[p].is_tentative for p in free_p])
         has_steady_id = np.array([self.tracks[p].given_id == self.tracks[p].id for p in free_p])
         has_new_id = np.array([self.detections[d].given_id != '' for d in free_d])
-        gates = np.where(
-            has_new_id[:, None] & has_steady_id & ~is_tentative, self.new_id_gates[free_p], self.gates[free_p]
-        )
+        gates = np.where(has_new_id[:, None] & has_steady_id & ~is_tentative, new_id_gates, self.gates[free_p])
         is_permitted = (distances < gates) & self.has_size[free_d][:, free_p]
         extra = GATE_GROWTH_PER_S * age_s + TENTATIVE_COST * is_tentative
         # No match costs the same for all: otherwise a detection of a new person would let the one who was
@@ -264,24 +253,21 @@ class _Matcher(Generic[P]):
         """Return the nearest of some detections of which another may be a part; None if there is none."""
         if not wholes:
             return None
-        detection = self.detections[d]
-        seen = [(detection.rays, detection.weight)]
-        people = [self._complete(whole) for whole in wholes]
-        distances = measure_distances(people, seen, MIRROR, MIN_SHARED_JOINTS)[0][0]
+        seen = SeenPeople(self.seen.points[d : d + 1], self.seen.weight[d : d + 1])
+        distances = measure_distances(self._complete(wholes), seen, MIN_SHARED_JOINTS)[0][0]
         ages_s = [self.age_s[self.track_of[w]] if w in self.track_of else 0.0 for w in wholes]
         distances /= PART_GATE + NEW_ID_GATE_GROWTH_PER_S * np.array(ages_s)
         nearest = int(np.argmin(distances))
         return wholes[nearest] if distances[nearest] < 1 else None
 
-    def _complete(self, d: int) -> ExpectedPerson:
-        """Return the joints of a detection, and where the others are expected if the person is known."""
-        detection = self.detections[d]
-        is_seen = detection.weight > 0
-        if d not in self.track_of:
-            return ExpectedPerson(detection.rays, is_seen.astype(float))
-        expected = self.expected[self.track_of[d]]
-        points = np.where(is_seen[:, None], detection.rays, expected.points)
-        return ExpectedPerson(points, np.maximum(is_seen, expected.weight))
+    def _complete(self, wholes: Sequence[int]) -> SeenPeople:
+        """Return the joints of detections, and where the others are expected if the person is known."""
+        points, weight = self.seen.points[[*wholes]], self.seen.weight[[*wholes]]
+        for n, whole in enumerate(wholes):
+            if whole in self.track_of:
+                unseen, expected = weight[n] == 0, [e[self.track_of[whole]] for e in self.expected]
+                points[n, unseen], weight[n, unseen] = (e[unseen] for e in expected)
+        return SeenPeople(points, weight)
 
     def finish(self) -> Matches[P]:
         """Return the matches."""
@@ -301,10 +287,3 @@ class _Matcher(Generic[P]):
         name = self.detections[d].given_id
         is_far = self.distances[d, p] > self.same_id_gates[p]
         return bool(is_far) and name != '' and p in self.called.get(name, ())
-
-
-def expect_known(track: KnownPerson, stamp_ns: int) -> ExpectedPerson:
-    """Return where a person is expected at a stamp in ns, from the frames of the last `VELOCITY_SPAN_S`."""
-    first = bisect_left(track.stamps_ns, track.stamps_ns[-1] - VELOCITY_SPAN_S * NS_PER_S)
-    age_s = np.array([stamp_ns - s for s in track.stamps_ns[first:]]) / NS_PER_S
-    return expect_person(track.rays[first:], track.weight[first:], age_s)

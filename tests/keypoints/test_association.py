@@ -17,14 +17,13 @@ from mocap_ros.config import Config
 from mocap_ros.formats.detections import Detections, associate_people, create_person
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints import association
-from mocap_ros.keypoints.association import ExpectedPerson, choose_pairs, measure_distances, measure_sizes
-from mocap_ros.keypoints.identities import EXCHANGED_IDS
+from mocap_ros.keypoints.association import SeenPeople, choose_pairs, measure_distances, measure_sizes
+from mocap_ros.keypoints.identities import EXCHANGED_IDS, FollowedPerson
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.units import NS_PER_S
 
-MIRROR = np.array(CMU15.mirror)
+MIRROR = association.MIRROR
 JOINTS = len(MIRROR)
 
 
@@ -41,21 +40,21 @@ def make_body(rng: np.random.Generator, x: float = 0.0, size: float = 0.1) -> Ar
     return rng.normal(0, size / math.sqrt(2), (JOINTS, 2)) + [x, 0]
 
 
-def compute_slowly(person: ExpectedPerson, points: Array, weight: Array) -> tuple[float, float]:
+def compute_slowly(expected: Array, weight_expected: Array, points: Array, weight: Array) -> tuple[float, float]:
     """Return distance and growth of a pair by the formula."""
 
     def radius(those: Array) -> float:
         return float(np.sqrt(((those - those.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
-    known, seen = person.weight > 0, weight > 0
-    sizes = radius(person.points[known]), radius(points[seen])
+    known, seen = weight_expected > 0, weight > 0
+    sizes = radius(expected[known]), radius(points[seen])
     candidates = []
     for labels in (np.arange(JOINTS), MIRROR):
         shared = known & seen[labels]
-        a, b = person.points[shared], points[labels][shared]
+        a, b = expected[shared], points[labels][shared]
         if shared.sum() < association.MIN_SHARED_JOINTS:
             growth = math.log(sizes[1] / sizes[0])
-            offset = float(np.linalg.norm(points[seen].mean(axis=0) - person.points[known].mean(axis=0)))
+            offset = float(np.linalg.norm(points[seen].mean(axis=0) - expected[known].mean(axis=0)))
         else:
             extra = association.RADIUS_OFFSET * max(sizes)
             growth = math.log((radius(b) + extra) / (radius(a) + extra))
@@ -71,12 +70,13 @@ def test_the_distances_of_all_pairs_are_those_of_the_formula(seed: int, hidden: 
     def choose() -> Array:
         return (rng.permutation(JOINTS) >= rng.integers(0, hidden + 1)).astype(float)
 
-    people = [ExpectedPerson(make_body(rng, x, 0.2), choose()) for x in (0.0, 0.5, 2.0)]
+    people = [(make_body(rng, x, 0.2), choose()) for x in (0.0, 0.5, 2.0)]
     seen = [(make_body(rng, x), choose()) for x in (0.1, 0.4)]
-    distances, growths = measure_distances(people, seen, MIRROR)
-    expected = np.array([[compute_slowly(p, *d) for p in people] for d in seen])
-    assert distances == pytest.approx(expected[..., 0], rel=1e-5)
-    assert growths == pytest.approx(expected[..., 1], abs=1e-5)
+    expected, detected = (SeenPeople(*map(np.array, zip(*those, strict=True))) for those in (people, seen))
+    distances, growths = measure_distances(expected, detected)
+    slowly = np.array([[compute_slowly(*p, *d) for p in people] for d in seen])
+    assert distances == pytest.approx(slowly[..., 0], rel=1e-5)
+    assert growths == pytest.approx(slowly[..., 1], abs=1e-5)
 
 
 def test_a_person_is_expected_where_the_movement_goes(rng: np.random.Generator) -> None:
@@ -88,13 +88,16 @@ def test_a_person_is_expected_where_the_movement_goes(rng: np.random.Generator) 
     known = np.arange(JOINTS) != 5
     moved = np.array([0.02, -0.01]) / step_s
     for gap in (1, 2, 100):
-        age_s: Array = (np.arange(6.0)[::-1] + gap) * step_s
-        person = association.expect_person(frames, weight, age_s)
+        stamps_ns = tuple(round(f * step_s * NS_PER_S) for f in range(6))
+        known_person = FollowedPerson('', 0, False, stamps_ns, frames, weight)
+        (points,), (is_known,) = association.expect_people(
+            [known_person], stamps_ns[-1] + round(gap * step_s * NS_PER_S)
+        )
         span_s, longer_s = (min(g * step_s, association.VELOCITY_SPAN_S) for g in (gap, gap + 3))
         expected = body + [0.1, -0.05] + moved * span_s
         expected[2] = body[2] + [0.04, -0.02] + moved * longer_s
-        assert person.points[known] == pytest.approx(expected[known])
-        assert person.weight.tolist() == known.astype(float).tolist()
+        assert points[known] == pytest.approx(expected[known])
+        assert is_known.tolist() == known.astype(float).tolist()
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 7), st.integers(1, 7), st.booleans())
