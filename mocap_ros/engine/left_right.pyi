@@ -9,21 +9,10 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
 
-def begin_paths(
-    time_s: float,
-    points: Array,
-    weight: Array,
-    body_size: float,
-    mirror: Indices,
-    part: Indices,
-    upper: Indices,
-    lower: Indices,
-) -> tuple[Array, Array, Array, Array]: ...
 def continue_paths(
     path_cost: Array,
-    path_points: Array,
-    velocity: Array,
-    last_seen_s: Array,
+    path_states: NDArray[np.int8],
+    path_joints: Array,
     time_s: float,
     points: Array,
     weight: Array,
@@ -32,4 +21,4 @@ def continue_paths(
     part: Indices,
     upper: Indices,
     lower: Indices,
-) -> tuple[Indices, Array, Array, Array, Array]: ...
+) -> tuple[Array, NDArray[np.int8], Array, NDArray[np.bool_]]: ...

@@ -49,7 +49,7 @@ cdef inline int is_swapped(int state, Py_ssize_t part) noexcept nogil:
 
 
 cdef void find_transition_cost(double elapsed_s, double[STATES][STATES] cost) noexcept nogil:
-    """Write -log P(z_t | z_(t-1)) in nats; rows are states before, columns states after a step."""
+    """Write -log P(z_t | z_(t-1)) in nats, or -log P(z_0); rows are states before, columns states after a step."""
     cdef int bit, before, after
     cdef double frames = max(elapsed_s, MIN_STEP_S) / REFERENCE_FRAME_S, mixing
     cdef double[4] step
@@ -60,6 +60,8 @@ cdef void find_transition_cost(double elapsed_s, double[STATES][STATES] cost) no
         mixing = (1 - pow(1 - ENTER[bit] - LEAVE[bit], frames)) / (ENTER[bit] + LEAVE[bit])
         step[0], step[1] = -log(1 - ENTER[bit] * mixing), -log(ENTER[bit] * mixing)
         step[2], step[3] = -log(LEAVE[bit] * mixing), -log(1 - LEAVE[bit] * mixing)
+        if elapsed_s == INFINITY:  # the first frame
+            step[0], step[1], step[2], step[3] = 0, INITIAL_COST[bit], 0, INITIAL_COST[bit]
         for before in range(STATES):
             for after in range(STATES):
                 cost[before][after] += step[2 * has_bit(before, bit) + has_bit(after, bit)]
@@ -88,35 +90,9 @@ cdef inline double measure(Rows points, Py_ssize_t a, Py_ssize_t b) noexcept nog
     return hypot(points[a, 0] - points[b, 0], points[a, 1] - points[b, 1])
 
 
-def begin_paths(
-    double time_s, Rows points, Vector weight, double body_size, Indices mirror, Indices part, Indices upper,
-    Indices lower,
-):
-    """Return the paths that consist of a first frame: costs, points, velocities and times of `ViterbiPaths`."""
-    cdef Py_ssize_t j, source, joints = weight.shape[0]
-    cdef int state, bit
-    cdef double[PARTS] attachment
-    find_attachment_cost(points, weight, body_size, mirror, upper, lower, attachment)
-    arrays = np.zeros(STATES), np.empty((STATES, joints, 2)), np.zeros((STATES, joints, 2)), np.full(
-        (STATES, joints), -np.inf
-    )
-    cdef double[::1] cost = arrays[0]
-    cdef double[:, :, ::1] path_points = arrays[1]
-    cdef double[:, ::1] last_seen_s = arrays[3]
-    for state in range(STATES):
-        for bit in range(PARTS):
-            cost[state] += has_bit(state, bit) * (INITIAL_COST[bit] + attachment[bit])
-        for j in range(joints):
-            source = mirror[j] if part[j] >= 0 and is_swapped(state, part[j]) else j
-            path_points[state, j, 0], path_points[state, j, 1] = points[source, 0], points[source, 1]
-            if weight[source] > 0:
-                last_seen_s[state, j] = time_s
-    return arrays
-
-
 cdef void add_label_cost(
-    Stack path_points, Stack velocity, Rows last_seen_s, double time_s, Rows points, Vector weight, double body_size,
-    Indices mirror, Indices part, double[STATES][PARTS][2] cost,
+    Stack joints, double time_s, Rows points, Vector weight, double body_size, Indices mirror, Indices part,
+    double[STATES][PARTS][2] cost,
 ) noexcept nogil:
     """Add the costs C_g(l) of a frame in nats: for each path, part and label, 1 for exchanged."""
     cdef Py_ssize_t j, source
@@ -127,17 +103,17 @@ cdef void add_label_cost(
         for p in range(PARTS):
             product[p][0] = product[p][1] = 1
         for j in range(mirror.shape[0]):
-            if part[j] < 0 or last_seen_s[path, j] == -INFINITY:
+            if part[j] < 0 or joints[path, j, 4] == -INFINITY:
                 continue
-            age = time_s - last_seen_s[path, j]
+            age = time_s - joints[path, j, 4]
             if age != known_age:  # most joints were seen in the same frame
                 known_age, horizon = age, VELOCITY_TIME_S * (1 - exp(-age / VELOCITY_TIME_S))
             growth = PREDICTION_STD + PREDICTION_STD_PER_S * age + PREDICTION_STD_PER_S2 * age * age
             for label in range(2):
                 source = mirror[j] if label else j
                 if weight[source] > 0:
-                    x = points[source, 0] - (path_points[path, j, 0] + velocity[path, j, 0] * horizon)
-                    y = points[source, 1] - (path_points[path, j, 1] + velocity[path, j, 1] * horizon)
+                    x = points[source, 0] - (joints[path, j, 0] + joints[path, j, 2] * horizon)
+                    y = points[source, 1] - (joints[path, j, 1] + joints[path, j, 3] * horizon)
                     variance = growth * (2 - weight[source])
                     variance *= variance
                     likelihood = (1 - OUTLIER_PROBABILITY) * exp(
@@ -151,16 +127,17 @@ cdef void add_label_cost(
 
 
 def continue_paths(
-    Vector path_cost, Stack path_points, Stack velocity, Rows last_seen_s, double time_s, Rows points, Vector weight,
-    double body_size, Indices mirror, Indices part, Indices upper, Indices lower,
+    Vector path_cost, const signed char[:, :] path_states, Stack path_joints, double time_s, Rows points,
+    Vector weight, double body_size, Indices mirror, Indices part, Indices upper, Indices lower,
 ):
-    """Return the paths continued by a frame: which path each state continues (8,), then as `begin_paths`.
+    """Return the paths continued by a frame: costs (8,), states (8, F + 1) and joints (8, J, 5); and decisions.
 
-    The first four are the attributes of `ViterbiPaths`, the last four of `BodySides`; points (J, 2) are as detected.
+    The first three are the attributes of `ViterbiPaths`, the last four of `BodySides`; points (J, 2) are as detected.
+    Decisions (F + 1, 3) are the parts whose labels are wrong along the likeliest path.
     """
-    cdef Py_ssize_t j, d, source, before, joints = mirror.shape[0]
-    cdef int path, state, p, label, bit
-    cdef double elapsed_s = -INFINITY, share, age, known_age = -1, blend = 0, measured, total, least = INFINITY
+    cdef Py_ssize_t f, j, d, source, before, joints = mirror.shape[0], frames = path_states.shape[1]
+    cdef int path, state, p, label, bit, predecessor, best = 0
+    cdef double elapsed_s = INFINITY, share, age, known_age = -1, blend = 0, measured, total, velocity
     cdef double[STATES][PARTS][2] label_cost
     cdef double[STATES][STATES] transition
     cdef double[PARTS] attachment
@@ -169,11 +146,8 @@ def continue_paths(
         for p in range(PARTS):
             label_cost[path][p][0] = label_cost[path][p][1] = 0
     for j in range(joints):
-        elapsed_s = max(elapsed_s, last_seen_s[0, j])
-    elapsed_s = time_s - elapsed_s
-    add_label_cost(
-        path_points, velocity, last_seen_s, time_s, points, weight, body_size, mirror, part, label_cost
-    )
+        elapsed_s = min(elapsed_s, time_s - path_joints[0, j, 4])
+    add_label_cost(path_joints, time_s, points, weight, body_size, mirror, part, label_cost)
     for path in range(STATES):
         for p in range(PARTS):
             total = min(label_cost[path][p][0], label_cost[path][p][1]) + CONFUSION_COST
@@ -182,47 +156,51 @@ def continue_paths(
                 label_cost[path][p][label] = min(label_cost[path][p][label], total)
     find_transition_cost(elapsed_s, transition)
     find_attachment_cost(points, weight, body_size, mirror, upper, lower, attachment)
-    arrays = np.zeros(STATES, np.int64), np.full(STATES, np.inf), np.empty((STATES, joints, 2)), np.empty(
-        (STATES, joints, 2)
-    ), np.empty((STATES, joints))
-    cdef long long[::1] predecessor = arrays[0]
-    cdef double[::1] cost = arrays[1]
-    cdef double[:, :, ::1] new_points = arrays[2], new_velocity = arrays[3]
-    cdef double[:, ::1] new_last_seen_s = arrays[4]
+    arrays = np.full(STATES, np.inf), np.empty((STATES, frames + 1), np.int8), np.empty((STATES, joints, 5)), np.empty(
+        (frames + 1, PARTS), bool
+    )
+    cdef double[::1] cost = arrays[0]
+    cdef signed char[:, ::1] states = arrays[1]
+    cdef double[:, :, ::1] new = arrays[2]
+    cdef unsigned char[:, ::1] decisions = arrays[3].view(np.uint8)
     share = min(elapsed_s / ATTACHMENT_TIME_S, 1.0)
     for state in range(STATES):
+        predecessor = 0
         for path in range(STATES):
             total = path_cost[path] + transition[path][state]
             for p in range(PARTS):
                 total += label_cost[path][p][is_swapped(state, p)]
             if total < cost[state]:
-                cost[state], predecessor[state] = total, path
+                cost[state], predecessor = total, path
         for bit in range(PARTS):
             cost[state] += has_bit(state, bit) * attachment[bit] * share
-        least = min(least, cost[state])
-        path = predecessor[state]
+        best = state if cost[state] < cost[best] else best
+        for f in range(frames):
+            states[state, f] = path_states[predecessor, f]
+        states[state, frames] = state
         for j in range(joints):
             source = before = j
             if part[j] >= 0:
                 label = is_swapped(state, part[j])
                 source = mirror[j] if label else j
-                before = mirror[j] if is_confused[path][part[j]][label] else j
+                before = mirror[j] if is_confused[predecessor][part[j]][label] else j
             if not weight[source] > 0:
-                for d in range(2):
-                    new_points[state, j, d] = path_points[path, before, d]
-                    new_velocity[state, j, d] = velocity[path, before, d]
-                new_last_seen_s[state, j] = last_seen_s[path, before]
+                for d in range(5):
+                    new[state, j, d] = path_joints[predecessor, before, d]
                 continue
-            age = max(time_s - last_seen_s[path, before], MIN_STEP_S)
+            age = max(time_s - path_joints[predecessor, before, 4], MIN_STEP_S)
             if age != known_age:  # most joints were seen in the same frame
                 known_age, blend = age, 1 - exp(-age / VELOCITY_TIME_S)
             for d in range(2):
-                measured = (points[source, d] - path_points[path, before, d]) / age
-                new_points[state, j, d] = points[source, d]
-                new_velocity[state, j, d] = velocity[path, before, d] + blend * (measured - velocity[path, before, d])
-                if not age < MAX_VELOCITY_GAP_S:
-                    new_velocity[state, j, d] = 0.0
-            new_last_seen_s[state, j] = time_s
+                measured = (points[source, d] - path_joints[predecessor, before, d]) / age
+                velocity = path_joints[predecessor, before, 2 + d]
+                new[state, j, d] = points[source, d]
+                new[state, j, 2 + d] = velocity + blend * (measured - velocity) if age < MAX_VELOCITY_GAP_S else 0.0
+            new[state, j, 4] = time_s
+    total = cost[best]
     for state in range(STATES):
-        cost[state] -= least
+        cost[state] -= total
+    for f in range(frames + 1):
+        for p in range(PARTS):
+            decisions[f, p] = is_swapped(states[best, f], p)
     return arrays

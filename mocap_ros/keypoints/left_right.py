@@ -39,6 +39,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,13 +64,10 @@ SWAPPED_PARTS = (STATE_BITS ^ (STATE_BITS[:, :1] & [0, 1, 1])).astype(bool)  # (
 
 VELOCITY_TIME_S = 0.08  # s; tau, which the engine has as well
 
-_Indices = NDArray[np.intp]
-_Frame = tuple[float, Array, Array, float, _Indices, _Indices, _Indices, _Indices]
-_NEWEST_STATES = np.arange(STATES, dtype=np.int8)[:, None]
+_OWN_STATES = np.arange(STATES, dtype=np.int8)[:, None]
 
 
-@dataclass(frozen=True, eq=False)
-class BodySides:
+class BodySides(NamedTuple):
     """Which joints of a skeleton are left and right ones, and to which part they belong."""
 
     # (J,) index of each joint's counterpart on the other side; its own index for a joint without one
@@ -100,15 +98,20 @@ def _find_part(joint: str) -> int:
     return PARTS.index('arms') if joint.endswith(_ARM_JOINTS) else PARTS.index('shoulders')
 
 
-@dataclass(eq=False)
-class ViterbiPaths:
+class ViterbiPaths(NamedTuple):
     """The likeliest path to each of the eight states of the newest frame, in the order of `SWAPPED_PARTS`."""
 
     cost: Array  # (8,) negative log likelihoods in nats, up to a common constant
     states: NDArray[np.int8]  # (8, F) states in the frames of the window
-    points: Array  # (8, J, 2) last seen image point of each joint as the path relabels it
-    velocity: Array  # (8, J, 2) velocities of these points, per second
-    last_seen_s: Array  # (8, J) s, time at which each joint was last seen; -inf if never
+    # (8, J, 5) each joint as the path relabels it: image point and velocity (per second) when it was last seen,
+    # and this time in s, -inf if it never was
+    joints: Array
+
+    @staticmethod
+    def begin(sides: BodySides) -> ViterbiPaths:
+        """Return the paths before the first frame."""
+        joints = np.tile([0.0, 0.0, 0.0, 0.0, -np.inf], (STATES, len(sides.mirror), 1))
+        return ViterbiPaths(np.zeros(STATES), np.zeros((STATES, 0), np.int8), joints)
 
 
 @dataclass(eq=False)
@@ -132,31 +135,20 @@ class SwapFilter:
         if not self.enabled:
             frames = len(self.is_swapped) - dropped + 1
             return SwapFilter(self.sides, False, np.zeros((frames, len(PARTS)), bool))
-        frame = _describe(time_s, points, weight, body_size, self.sides)
-        if self.paths is None:
-            cost, *rest = engine.begin_paths(*frame)
-            states = _NEWEST_STATES
-        else:
-            old = self.paths
-            predecessor, cost, *rest = engine.continue_paths(
-                old.cost, old.points, old.velocity, old.last_seen_s, *frame
-            )
-            states = np.concatenate([old.states[predecessor, dropped:], _NEWEST_STATES], axis=1)
-        is_swapped = SWAPPED_PARTS[states[cost.argmin()]]
-        return SwapFilter(self.sides, True, is_swapped, ViterbiPaths(cost, states, *rest))
+        cost, states, joints = self.paths or ViterbiPaths.begin(self.sides)
+        frame = time_s, points, weight, body_size, *self.sides
+        cost, states, joints, is_swapped = engine.continue_paths(cost, states[:, dropped:], joints, *frame)
+        return SwapFilter(self.sides, True, is_swapped, ViterbiPaths(cost, states, joints))
 
     def convert_points(self, convert: Callable[[Array], Array]) -> SwapFilter:
         """Return the filter with its points (..., 2) converted, as to rays of another camera."""
         if self.paths is None:
             return self
-        points, movement = self.paths.points, VELOCITY_TIME_S * self.paths.velocity
-        converted = np.ascontiguousarray(convert(points))
+        points, movement = self.paths.joints[..., :2], VELOCITY_TIME_S * self.paths.joints[..., 2:4]
+        converted = convert(points)
         velocity = (convert(points + movement) - converted) / VELOCITY_TIME_S
-        return replace(self, paths=replace(self.paths, points=converted, velocity=velocity))
-
-
-def _describe(time_s: float, points: Array, weight: Array, body_size: float, sides: BodySides) -> _Frame:
-    return time_s, points, weight, body_size, sides.mirror, sides.part, sides.upper, sides.lower
+        joints = np.concatenate([converted, velocity, self.paths.joints[..., 4:]], axis=-1)
+        return replace(self, paths=self.paths._replace(joints=joints))
 
 
 def find_swapped_parts(times: Array, points: Array, weight: Array, sides: BodySides) -> NDArray[np.bool_]:
@@ -166,21 +158,19 @@ def find_swapped_parts(times: Array, points: Array, weight: Array, sides: BodySi
     """
     is_swapped = np.zeros((len(times), len(PARTS)), bool)
     sizes = measure_sizes(points, weight)
-    frames = np.flatnonzero(show_people(sizes))
-    if not len(frames):
+    frames = np.flatnonzero(show_people(sizes)).tolist()
+    if not frames:
         return is_swapped
-    seen = [_describe(float(times[f]), points[f], weight[f], float(sizes[f]), sides) for f in frames]
-    cost, path_points, velocity, last_seen_s = engine.begin_paths(*seen[0])
+    cost, _, joints = ViterbiPaths.begin(sides)
     predecessors = []
-    for frame in seen[1:]:
-        predecessor, cost, path_points, velocity, last_seen_s = engine.continue_paths(
-            cost, path_points, velocity, last_seen_s, *frame
-        )
-        predecessors.append(predecessor)
-    states = [int(cost.argmin())]
-    for predecessor in predecessors[::-1]:
-        states.append(int(predecessor[states[-1]]))
-    is_swapped[frames] = SWAPPED_PARTS[states[::-1]]
+    for f in frames:
+        frame = float(times[f]), points[f], weight[f], float(sizes[f]), *sides
+        cost, states, joints, _ = engine.continue_paths(cost, _OWN_STATES, joints, *frame)
+        predecessors.append(states[:, 0])
+    path = [int(cost.argmin())]
+    for predecessor in predecessors[:0:-1]:
+        path.append(int(predecessor[path[-1]]))
+    is_swapped[frames] = SWAPPED_PARTS[path[::-1]]
     return is_swapped
 
 

@@ -174,7 +174,7 @@ class Track:
             self.rays, self.weight, self.extremities, self.swap_filter.is_swapped
         )
         camera = VirtualCamera.look_at_mean_position(rays, weight, self.intrinsics)
-        times = (np.array(self.stamps_ns) - self.stamps_ns[0]) / NS_PER_S
+        times = (np.fromiter(self.stamps_ns, np.int64) - self.stamps_ns[0]) / NS_PER_S
         seen = times, rays, weight, camera, self.focal
         self.observed = ObservedWindow(*seen, lifted, extremities, self.is_evidence)
 

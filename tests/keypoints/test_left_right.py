@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.linalg import fractional_matrix_power
 
-from mocap_ros.engine.left_right import begin_paths
 from mocap_ros.keypoints.association import measure_sizes
 from mocap_ros.keypoints.left_right import BodySides, SwapFilter, ViterbiPaths, exchange_sides, find_swapped_parts
 from mocap_ros.models.base_poses import BasePoses
@@ -112,8 +111,9 @@ def find_transition_cost(elapsed_s: float) -> np.ndarray:
 
 def find_attachment_cost(points: np.ndarray, weight: np.ndarray, body_size: float) -> np.ndarray:
     """Return what it costs to exchange left and right of a part, but not of the shoulders, (3,)."""
-    cost, *_ = begin_paths(0.0, points, weight, body_size, SIDES.mirror, SIDES.part, SIDES.upper, SIDES.lower)
-    return cost[[1, 2, 4]] - INITIAL_COST
+    paths = SwapFilter(SIDES).update(0.0, points, weight, body_size).paths
+    assert paths is not None
+    return paths.cost[[1, 2, 4]] - INITIAL_COST
 
 
 def step_plainly(
@@ -122,10 +122,12 @@ def step_plainly(
     """Continue the paths by a frame, by the formulas of the module."""
     mirror, part = SIDES.mirror, SIDES.part
     seen_points, score = np.stack([points, points[mirror]]), np.stack([weight, weight[mirror]])  # by label
-    age = time_s - paths.last_seen_s
+    last_points, last_velocity = paths.joints[..., :2], paths.joints[..., 2:4]
+    last_seen_s = paths.joints[..., 4]
+    age = time_s - last_seen_s
     horizon = VELOCITY_TIME_S * (1 - np.exp(-age / VELOCITY_TIME_S))
     with np.errstate(invalid='ignore', divide='ignore', over='ignore'):
-        predicted = paths.points + horizon[..., None] * paths.velocity
+        predicted = last_points + horizon[..., None] * last_velocity
         growth = PREDICTION_STD + PREDICTION_STD_PER_S * age + PREDICTION_STD_PER_S2 * age**2
         sigma = (2 - score) * growth[:, None]  # path, label, joint
         error = np.linalg.norm(seen_points - predicted[:, None], axis=-1) / sigma / body_size
@@ -136,27 +138,26 @@ def step_plainly(
     confused = label_cost[..., ::-1] + CONFUSION_COST < label_cost
     label_cost = np.minimum(label_cost, label_cost[..., ::-1] + CONFUSION_COST)
     of_state = sum(label_cost[:, p][:, STATE_PARTS[:, p].astype(int)] for p in range(3))  # path, state
-    elapsed_s = time_s - paths.last_seen_s[0].max()
+    elapsed_s = time_s - last_seen_s[0].max()
     total = paths.cost[:, None] + of_state + find_transition_cost(elapsed_s)
     predecessor = total.argmin(axis=0)
     bits = np.arange(8)[:, None] >> np.arange(3) & 1
     attachment = find_attachment_cost(points, weight, body_size)
     cost = total.min(axis=0) + bits @ attachment * min(elapsed_s / ATTACHMENT_TIME_S, 1)
-    new = [np.empty_like(a) for a in (paths.points, paths.velocity, paths.last_seen_s)]
+    joints = np.empty_like(paths.joints)
     for state, path in enumerate(predecessor):
         for j in JOINTS:
             label = int(part[j] >= 0 and STATE_PARTS[state, part[j]])
             before = mirror[j] if part[j] >= 0 and confused[path, part[j], label] else j
-            old = [a[path, before] for a in (paths.points, paths.velocity, paths.last_seen_s)]
+            old = [a[path, before] for a in (last_points, last_velocity, last_seen_s)]
             if score[label, j] > 0:
                 step_s = max(time_s - old[2], MIN_STEP_S)
                 measured = (seen_points[label, j] - old[0]) / step_s
                 velocity = old[1] + (1 - np.exp(-step_s / VELOCITY_TIME_S)) * (measured - old[1])
                 old = [seen_points[label, j], velocity * (step_s < MAX_VELOCITY_GAP_S), time_s]
-            for array, value in zip(new, old, strict=True):
-                array[state, j] = value
+            joints[state, j] = np.hstack(old)
     states = np.append(paths.states[predecessor], np.arange(8)[:, None], axis=1)
-    return ViterbiPaths(cost - cost.min(), states, *new)
+    return ViterbiPaths(cost - cost.min(), states, joints)
 
 
 def test_the_compiled_steps_are_those_of_the_formulas(walk: np.ndarray, rng: np.random.Generator) -> None:
@@ -172,7 +173,7 @@ def test_the_compiled_steps_are_those_of_the_formulas(walk: np.ndarray, rng: np.
         swap_filter = swap_filter.update(float(times[frame]), points[frame], weight[frame], 60.0)
         found, expected = swap_filter.paths, step_plainly(before, times[frame], points[frame], weight[frame], 60.0)
         assert found is not None
-        for name in ('cost', 'points', 'velocity', 'last_seen_s'):
+        for name in ('cost', 'joints'):
             np.testing.assert_allclose(getattr(found, name), getattr(expected, name), 1e-9, 1e-9, err_msg=name)
         np.testing.assert_array_equal(found.states, expected.states)
         np.testing.assert_array_equal(swap_filter.is_swapped, STATE_PARTS[expected.states[expected.cost.argmin()]])
