@@ -81,7 +81,7 @@ cdef double NEWEST_S = 0.4  # s; most of a step of a walk: half of it shows that
 cdef double SAMPLE_STEP_S = 1.0 / 15  # s; at which a motion is compared, often enough for a run
 cdef double MAX_STRETCH = 0.1  # of the cycle; by so much two cycles of a person differ, and a cadence is wrong
 cdef int STRETCHES = 9  # lengths of a cycle that are tried
-REPETITION = NEWEST_S, MAX_STRETCH  # for `solvers.periodic.repetition`
+REPETITION = NEWEST_S, MAX_STRETCH  # for `solvers.classification`
 
 
 cdef class Point:

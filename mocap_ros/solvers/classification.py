@@ -30,11 +30,13 @@ import numpy as np
 
 from mocap_ros.arrays import Array
 from mocap_ros.config import ClassifierConfig, SolverConfig
+from mocap_ros.engine import periodic as engine
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint, periodic
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
 from mocap_ros.solvers.joint.solver import JointReconstruction
 from mocap_ros.solvers.levenberg_marquardt import Stepwise, run_to_end
+from mocap_ros.solvers.periodic.fourier import MAX_CADENCE_HZ, MIN_CADENCE_HZ, MIN_CYCLES
 from mocap_ros.solvers.periodic.solver import EstimatedPoses, PeriodicReconstruction
 from mocap_ros.solvers.window import InitialValues, Window
 
@@ -48,6 +50,10 @@ JITTER_STEP_S = 1 / 30  # s; time between the frames of which the differences ar
 MIN_JITTER_FRAMES = 15  # frames; of fewer the median says too little
 THIRD_DIFFERENCE_SQUARES = 20.0  # sum of the squared coefficients of a third difference: 1, -3, 3, -1
 MAX_JITTER_STEP_S = 0.05  # s; in slower streams the third differences are those of the motion
+REPEATED_S, MAX_STRETCH = engine.REPETITION  # explained there
+EPSILON = 1e-9  # of the longest cycle that is known; keeps rounding from making it longer
+# of the longest cycle that may be fitted; motion that is known for less than that may repeat itself later
+MIN_SHARE_OF_CYCLE = 0.75
 PERIODIC_FIT_TOLERANCE = 1e-3  # relative decrease of the objective; a residual needs no closer minimum
 
 
@@ -149,6 +155,25 @@ def measure_jitter(times: Array, images: Array) -> float:
         return 0.0
     squares = (np.diff(centred, n=3, axis=0) ** 2).sum(axis=-1).mean(axis=1)
     return math.sqrt(float(np.median(squares)) / THIRD_DIFFERENCE_SQUARES)
+
+
+def measure_best_repetition(times: Array, theta: Array) -> float:
+    """Return the largest repetition of a motion over all cadences; NaN if it is known for too short a time.
+
+    A small one says cheaply that the motion cannot be periodic.
+
+    `times` (F,) s, increasing; `theta` (F, K) m, base-pose weights at these times.
+    """
+    span_s = float(times[-1] - times[0])
+    longest_s = span_s - REPEATED_S
+    if longest_s < MIN_SHARE_OF_CYCLE / max(MIN_CADENCE_HZ, MIN_CYCLES / max(span_s, REPEATED_S)):
+        return math.nan
+    # the lengths of cycles that `measure_repetition` tries for one cadence end where those of the next begin
+    step = (1 + MAX_STRETCH) / (1 - MAX_STRETCH)
+    count = math.ceil(math.log(longest_s * MAX_CADENCE_HZ, step))
+    cycles_s = [*(step**i / MAX_CADENCE_HZ for i in range(count)), longest_s * (1 - EPSILON)]
+    found = [engine.measure_repetition(times, theta, 1 / cycle_s) for cycle_s in cycles_s]
+    return max((r for r in found if not math.isnan(r)), default=math.nan)
 
 
 def is_periodic(fit: PeriodicFit, config: ClassifierConfig, *, was_periodic: bool) -> bool:

@@ -74,14 +74,3 @@ def run_to_end(work: Stepwise[Result]) -> Result:
             next(work)
     except StopIteration as end:
         return end.value
-
-
-def ignore_overflow(work: Stepwise[Result]) -> Stepwise[Result]:
-    """Do the work without NumPy's warnings of overflow and the like; between its pieces they are as before."""
-    while True:
-        with np.errstate(all='ignore'):
-            try:
-                next(work)
-            except StopIteration as end:
-                return end.value
-        yield

@@ -17,8 +17,6 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from mocap_ros.tracking.hypotheses import HypothesisChecker, Slices, classify_as_other
 from mocap_ros.tracking.track import Track
 
@@ -123,6 +121,6 @@ def _is_outdated(work: Work) -> bool:
     """Return whether the result of a piece of work would count for nothing (text of the module)."""
     then, now = work.then, work.track
     kept = then.swap_filter.is_swapped[_count_dropped(then, now) :]
-    is_relabelled = not np.array_equal(now.swap_filter.is_swapped[: len(kept)], kept)
+    is_relabelled = now.swap_filter.is_swapped[: len(kept)].tobytes() != kept.tobytes()
     has_restarted = work.is_check and now.schedule.pending_restarts > then.schedule.pending_restarts
     return is_relabelled or not len(kept) or then.intrinsics != now.intrinsics or has_restarted

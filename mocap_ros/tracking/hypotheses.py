@@ -18,7 +18,7 @@ import math
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,7 @@ from mocap_ros.solvers.classification import (
     PERIODIC_CATEGORIES,
     fit_periodic_stepwise,
     is_periodic,
+    measure_best_repetition,
     measure_evidence,
     measure_jitter,
     minus_twice_log_evidence_stepwise,
@@ -48,7 +49,6 @@ from mocap_ros.solvers.joint.solver import (
 )
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, explains_as_well, let_base_poses_lead
 from mocap_ros.solvers.levenberg_marquardt import Stepwise
-from mocap_ros.solvers.periodic.repetition import measure_best_repetition
 from mocap_ros.solvers.periodic.solver import EstimatedPoses
 from mocap_ros.solvers.window import InitialValues, Window, choose_initial_values
 from mocap_ros.tracking.schedule import Classification
@@ -106,14 +106,6 @@ def slice_work(work: Stepwise[Result], frames: int, components: int, factor: flo
             return end.value
 
 
-class Hypothesis(NamedTuple):
-    """A candidate explanation of some frames of a track: the model, initial values, and the image noise in m."""
-
-    model_name: str
-    start: InitialValues
-    noise: float
-
-
 @dataclass(frozen=True, eq=False)
 class HypothesisChecker:
     """Initialises tracks, checks them against other hypotheses and classifies their motion."""
@@ -151,48 +143,39 @@ class HypothesisChecker:
         observed, start = select_start(track.observed, own, frames)
         window, model = observed.build_solver_window(start, own.noise), self.models[model_name]
         if track.schedule.is_from_scratch(track.age_s) or model_name == own.model_name:
-            other = yield from self._solve_from_scratch(window, model_name, own)
+            other, other_noise = yield from self._solve_from_scratch(window, model, own.base_poses_lead)
         else:
             rotation, theta = own.convert_poses(model, frames)
-            converted = observed.convert_to_initial_values(theta, rotation, own.roots[frames])
-            other = Hypothesis(model_name, converted, own.noise)
-        hypotheses = other, Hypothesis(own.model_name, start, own.noise)
-        return (yield from self._choose_likelier(track, frames, window, hypotheses))
+            other = observed.convert_to_initial_values(theta, rotation, own.roots[frames])
+            other_noise = own.noise
+        solver = replace(self._choose_solver(own.base_poses_lead), max_iterations=COMPARISON_MAX_ITERATIONS)
+        fits, noise = [], min(other_noise, own.noise)
+        for name, values in ((model_name, other), (own.model_name, start)):
+            work = minus_twice_log_evidence_stepwise(
+                replace(window, start=values), self.models[name], noise, solver
+            )
+            fits.append((yield from slice_work(work, len(frames), len(self.models[name].std))))
+        (evidence, fit), (own_evidence, _) = fits
+        margin = EVIDENCE_MARGIN if model_name != own.model_name else 0.0
+        if not evidence + margin <= own_evidence:
+            return None
+        return (yield from self._adopt(track, frames, model_name, fit, own.base_poses_lead))
 
-    def _solve_from_scratch(self, window: Window, model_name: str, own: TrackSolution) -> Slices[Hypothesis]:
-        model, frames = self.models[model_name], len(window.times)
+    def _solve_from_scratch(
+        self, window: Window, model: BasePoses, base_poses_lead: bool
+    ) -> Slices[tuple[InitialValues, float]]:
+        """Return initial values and the image noise in m of a window of which only the points are known."""
         solver = replace(
-            self._choose_solver(own.base_poses_lead),
+            self._choose_solver(base_poses_lead),
             max_iterations=REINIT_MAX_ITERATIONS,
             components=REINIT_COMPONENTS,
             noise_floor=MIN_COMPARISON_NOISE,
         )
         work = solve_hypotheses_stepwise([replace(window, start=None, unit=None, noise=None)], model, solver)
         starts = MAX_STARTS if window.lifted is None else 1
-        (fit,) = yield from slice_work(work, starts * frames, min(REINIT_COMPONENTS, len(model.std)))
+        (fit,) = yield from slice_work(work, starts * len(window.times), min(REINIT_COMPONENTS, len(model.std)))
         unsolved = max(len(model.std) - fit.theta.shape[1], 0)
-        return Hypothesis(
-            model_name, InitialValues(np.pad(fit.theta, [(0, 0), (0, unsolved)]), fit.cameras), fit.noise
-        )
-
-    def _choose_likelier(
-        self, track: Track, frames: NDArray[np.intp], window: Window, hypotheses: tuple[Hypothesis, Hypothesis]
-    ) -> Slices[TrackSolution | None]:
-        """Return the solution by another hypothesis if it is likelier than the track's own solution, or None."""
-        other, own = hypotheses
-        base_poses_lead = track.solved.base_poses_lead
-        solver = replace(self._choose_solver(base_poses_lead), max_iterations=COMPARISON_MAX_ITERATIONS)
-        fits = []
-        for hypothesis in hypotheses:
-            model, started = self.models[hypothesis.model_name], replace(window, start=hypothesis.start)
-            noise = min(other.noise, own.noise)
-            work = minus_twice_log_evidence_stepwise(started, model, noise, solver)
-            fits.append((yield from slice_work(work, len(frames), len(model.std))))
-        (evidence, fit), (own_evidence, _) = fits
-        margin = EVIDENCE_MARGIN if other.model_name != own.model_name else 0.0
-        if not evidence + margin <= own_evidence:
-            return None
-        return (yield from self._adopt(track, frames, other.model_name, fit, base_poses_lead))
+        return InitialValues(np.pad(fit.theta, [(0, 0), (0, unsolved)]), fit.cameras), fit.noise
 
     def _compare_leads(self, track: Track) -> Slices[TrackSolution | None]:
         """Solve a track with either prior in the lead, and return its solution if the other one is to lead."""

@@ -18,9 +18,9 @@ from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import periodic
+from mocap_ros.solvers.classification import MAX_STRETCH, REPEATED_S, measure_best_repetition
 from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.periodic.fourier import make_terms
-from mocap_ros.solvers.periodic.repetition import MAX_STRETCH, NEWEST_S, measure_best_repetition
 from mocap_ros.solvers.periodic.solver import build_objective, weigh_movement
 from mocap_ros.solvers.window import Window
 from tests.support.synthetic_walk import BODY_TO_OPTICAL, Walk, make_walk, mpjpe_mm
@@ -270,7 +270,7 @@ def test_a_periodic_motion_repeats_itself_also_at_a_wrong_cadence(rng: np.random
 
 @pytest.mark.parametrize('other', ['still', 'elsewhere', 'faster'])
 def test_another_motion_after_a_seam_does_not_repeat_the_walk(other: str) -> None:
-    times, seam_s = np.arange(66) / 30, 66 / 30 - 2 * NEWEST_S
+    times, seam_s = np.arange(66) / 30, 66 / 30 - 2 * REPEATED_S
     theta, after = swing(times), times > seam_s
     theta[after] = {
         'still': np.tile(swing(np.array([seam_s]))[0], (after.sum(), 1)),

@@ -4,7 +4,6 @@
 """Windows as a solver gets them (joints, sides, rays, px, chosen frames, lifting, initial values), how solvers
 end and go on in pieces, Algorithm 1, and windows that cannot be solved."""
 
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -29,7 +28,6 @@ from mocap_ros.models.model_file import load_shipped_lifter
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers import joint, periodic
 from mocap_ros.solvers.alternation import reconstruct
-from mocap_ros.solvers.levenberg_marquardt import Stepwise, ignore_overflow, run_to_end
 from mocap_ros.solvers.observed_window import (
     RAY_FOCAL,
     ObservedWindow,
@@ -268,27 +266,3 @@ def test_unsolvable_windows_are_refused(walk_model: BasePoses, kept: int, seen: 
     _, _, points, times = make_walk(walk_model)
     with pytest.raises(InputError, match=message):
         Window(points[:kept], np.full((40, 15), float(seen)), times)
-
-
-def overflow_twice() -> Stepwise[float]:
-    large = np.array([1e308])
-    first = large * 10
-    yield
-    return float((first * large)[0])
-
-
-def test_results_errors_and_overflows_are_those_of_the_work() -> None:
-    def fail() -> Stepwise[int]:
-        yield
-        raise ValueError('in the second piece')
-
-    assert run_to_end(ignore_overflow(overflow_twice())) == np.inf
-    for work in (fail(), ignore_overflow(fail())):
-        next(work)
-        with pytest.raises(ValueError, match='in the second piece'):
-            next(work)
-    with warnings.catch_warnings():
-        warnings.simplefilter('error')
-        next(ignore_overflow(overflow_twice()))
-        with pytest.raises(RuntimeWarning, match='overflow'):  # between the pieces
-            np.array([1e308]) * 10

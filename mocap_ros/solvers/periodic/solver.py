@@ -41,7 +41,7 @@ from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.joint.differences import invert_time_steps, weigh_velocity_change
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, JointObjective
 from mocap_ros.solvers.joint.solver import WARM_DAMPING, make_reconstruction
-from mocap_ros.solvers.levenberg_marquardt import Stepwise, ignore_overflow, minimise_stepwise, run_to_end
+from mocap_ros.solvers.levenberg_marquardt import Stepwise, minimise_stepwise, run_to_end
 from mocap_ros.solvers.periodic.fourier import fit_initial_series, variance_shares
 from mocap_ros.solvers.window import InitialValues, Reconstruction, SolverStatus, Window
 
@@ -100,9 +100,10 @@ def solve_stepwise(
     window: Window, model: BasePoses, config: SolverConfig, initial: EstimatedPoses | None = None
 ) -> Stepwise[PeriodicReconstruction]:
     """Reconstruct as `solve` does, in steps."""
-    window, model = replace(window, lifted=None), model.truncate(config.components)
     try:  # numbers that overflow are found in the result
-        result = yield from ignore_overflow(_solve(window, model, config, initial))
+        result = yield from _solve(
+            replace(window, lifted=None), model.truncate(config.components), config, initial
+        )
     except LinAlgError as error:
         raise InputError(f'no periodic motion can be fitted: {error}') from None
     numbers = result.joints, result.cameras.scale, result.translation, result.theta, result.history
@@ -116,35 +117,6 @@ def _solve(
 ) -> Stepwise[PeriodicReconstruction]:
     start, noise = yield from _choose_initial_values(window, initial, model, config)
     unit = window.unit or float(np.median(start.cameras.scale))
-    return (yield from _fit_window(window, start, noise, unit, model, config))
-
-
-def _choose_initial_values(
-    window: Window, initial: EstimatedPoses | None, model: BasePoses, config: SolverConfig
-) -> Stepwise[tuple[InitialValues, float]]:
-    """Return weights of this model's base poses and cameras, and the image noise (m).
-
-    They are those of the given poses, or if these are None those of a few steps of the joint solver.
-    """
-    if initial is None:
-        short = replace(config, max_iterations=min(MAX_INITIAL_ITERATIONS, config.max_iterations))
-        (coarse,) = yield from joint.solve_stepwise([window], model, short)
-        return InitialValues(coarse.theta, coarse.cameras), coarse.noise
-    to_body = fit_rotation(initial.joints, model.mean)
-    theta = model.weights(initial.joints @ np.swapaxes(to_body, -1, -2))
-    cameras = WeakPerspectiveCameras(initial.scale, np.swapaxes(to_body, -1, -2))
-    return InitialValues(theta, cameras), initial.noise
-
-
-def _fit_window(
-    window: Window,
-    start: InitialValues,
-    noise: float,
-    unit: float,
-    model: BasePoses,
-    config: SolverConfig,
-) -> Stepwise[PeriodicReconstruction]:
-    """Carry out steps 2 to 4 of the head of this module; `noise` in m, `unit` in px/m."""
     noise, units = float(np.fmax(window.noise or noise, config.noise_floor)), np.array([unit])
     ratio = measure_noise_ratio(noise) if config.adapt_noise else 1.0
     batch = Batch.build([window], units, model)
@@ -177,6 +149,23 @@ def _fit_window(
     body, iterations = search.problem.body, config.max_iterations - search.remaining_trials
     result = make_reconstruction(body, window, unit, search.status, search.history, iterations)
     return PeriodicReconstruction(**vars(result), noise=noise, cadence=search.problem.point.omega / (2 * np.pi))
+
+
+def _choose_initial_values(
+    window: Window, initial: EstimatedPoses | None, model: BasePoses, config: SolverConfig
+) -> Stepwise[tuple[InitialValues, float]]:
+    """Return weights of this model's base poses and cameras, and the image noise (m).
+
+    They are those of the given poses, or if these are None those of a few steps of the joint solver.
+    """
+    if initial is None:
+        short = replace(config, max_iterations=min(MAX_INITIAL_ITERATIONS, config.max_iterations))
+        (coarse,) = yield from joint.solve_stepwise([window], model, short)
+        return InitialValues(coarse.theta, coarse.cameras), coarse.noise
+    to_body = fit_rotation(initial.joints, model.mean)
+    theta = model.weights(initial.joints @ np.swapaxes(to_body, -1, -2))
+    cameras = WeakPerspectiveCameras(initial.scale, np.swapaxes(to_body, -1, -2))
+    return InitialValues(theta, cameras), initial.noise
 
 
 def measure_noise_ratio(noise: float) -> float:
