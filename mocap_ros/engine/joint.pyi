@@ -12,8 +12,6 @@ Bools: TypeAlias = NDArray[np.bool_]
 
 DAMPINGS: tuple[float, float, float, float]
 
-def measure_noise_growth(points: Array, score: Array, times: Array, unit: float) -> float: ...
-
 class JointProblem:
     diagonal: Array
     gradient: Array

@@ -180,19 +180,13 @@ cdef inline double take_third_difference(const double[:, :, :] points, int t, in
     return points[t, j, i] - 3 * points[t - s, j, i] + 3 * points[t - 2 * s, j, i] - points[t - 3 * s, j, i]
 
 
-def measure_noise_growth(
-    const double[:, :, :] points, const double[:, :] score, const double[:] times, double unit
-):
-    """Return g of `solvers.joint.noise_annealing`: the errors of points over what is new of them in each frame.
-
-    Points are (F, J, 2) and, times `unit`, in m; scores (F, J); times (F,) s.
-    """
-    return compute_noise_growth(points, score, times, 0, times.shape[0], unit)
-
-
 cdef double compute_noise_growth(
     const double[:, :, :] points, const double[:, :] score, const double[:] times, int start, int end, double unit
 ) noexcept nogil:
+    """g of `solvers.joint.noise_annealing`: the errors of points over what is new of them in each frame.
+
+    Points (F, J, 2) are, times `unit`, in m; scores (F, J); times (F,) s; of the frames from `start` to before `end`.
+    """
     cdef int t, j, i, k, s
     cdef double step, products = 0, powers = 0, weight, product
     cdef double[2] square
@@ -819,7 +813,7 @@ cdef class JointProblem:
     def measure_least_noise(self, growth=None):
         """Return the noise (P,) m that the points show by themselves, whatever the poses; 0 without lifted poses.
 
-        `growth` (P,), of `measure_noise_growth`, is that of more frames than those of the batch.
+        `growth` (P,) is g of more frames than those of the batch.
         """
         cdef int p, start, end
         noise = np.empty(self.sequences)

@@ -27,6 +27,7 @@ class NewestFrames:
     log_scale: Array
     translation: Array
     units: Array
+    growth: Array
     factors: Array
 
     def __init__(

@@ -14,14 +14,11 @@ from libc.stdlib cimport free, malloc
 import numpy as np
 
 from mocap_ros.engine.geometry cimport (
-    dot, multiply, multiply_transposed, rotate_ray, rotation_from_vector, vector_from_rotation,
+    Indices, Rows, Stack, Vector, dot, multiply, multiply_transposed, rotate_ray, rotation_from_vector,
+    vector_from_rotation,
 )
-from mocap_ros.engine.joint cimport fit_lifted_pose
+from mocap_ros.engine.joint cimport compute_noise_growth, fit_lifted_pose
 from mocap_ros.engine.median cimport find_median
-
-ctypedef const double[::1] Vector
-ctypedef const double[:, ::1] Rows
-ctypedef const double[:, :, ::1] Stack
 
 cdef extern from *:
     """
@@ -72,25 +69,26 @@ cdef class NewestFrames:
         times: with the next ten, those of `solvers.joint.batch.Batch`.
         theta: (N, K) with the next three the initial values, those of `solvers.joint.batch.State`.
         units: (P,) px/m.
+        growth: (P,) g of `solvers.joint.noise_annealing`, of all frames of the windows.
         factors: (1, N, 3) those of differences of order 1, by `solvers.joint.objective.weigh_motion`.
     """
 
     cdef readonly object times, starts, counts, image, score, focal, is_free, lifted, precision
-    cdef readonly object earlier_lengths, earlier_frames, theta, rotation, log_scale, translation, units, factors
-    cdef double[::1] time, focals, logs, unit
+    cdef readonly object earlier_lengths, earlier_frames, theta, rotation, log_scale, translation, units, growth, factors
+    cdef double[::1] time, focals, logs, unit, growths
     cdef long long[::1] start, earlier
     cdef unsigned char[::1] free_frames
     cdef double[:, :, ::1] images, lifts, precisions, rotations, steps
     cdef double[:, ::1] scores, lengths, weights, translations, roots
     cdef Rows mean, basis
     cdef Vector sigma, mean_lengths
-    cdef const long long[::1] parents, children
+    cdef Indices parents, children
 
     def __init__(self, counts, mean, arrays, sigma, bint has_lifted):
         cdef Py_ssize_t P = len(counts), N = sum(counts), J = len(mean), K = len(sigma), B = len(arrays.parents)
         self.counts = np.array(counts, np.int64)
         self.starts = self.counts.cumsum() - self.counts
-        self.times, self.focal, self.units = np.empty(N), np.empty(N), np.empty(P)
+        self.times, self.focal, self.units, self.growth = np.empty(N), np.empty(N), np.empty(P), np.empty(P)
         self.image, self.score, self.is_free = np.empty((N, J, 2)), np.empty((N, J)), np.empty(N, np.bool_)
         self.lifted, self.precision = np.empty((N if has_lifted else 0, J, 3)), np.empty((N if has_lifted else 0, J, 3))
         self.earlier_lengths, self.earlier_frames = np.empty((P, B)), np.zeros(P, np.int64)
@@ -99,6 +97,7 @@ cdef class NewestFrames:
         self.factors = np.zeros((1, N, 3))
         self.steps = self.factors
         self.time, self.focals, self.logs, self.unit = self.times, self.focal, self.log_scale, self.units
+        self.growths = self.growth
         self.start, self.earlier, self.free_frames = self.starts, self.earlier_frames, self.is_free.view(np.uint8)
         self.images, self.lifts, self.precisions, self.rotations = self.image, self.lifted, self.precision, self.rotation
         self.scores, self.lengths, self.weights = self.score, self.earlier_lengths, self.theta
@@ -152,6 +151,7 @@ cdef class NewestFrames:
         unit = find_median(scales, count)
         free(scales)
         self.unit[p] = unit
+        self.growths[p] = compute_noise_growth(rays, weight, times, 0, times.shape[0], focal / unit)
         for n in range(count):
             t = start + n
             self.focals[t] = solver_focal / unit

@@ -78,13 +78,11 @@ def refine(kept: Refinement, tracks: Sequence[Track], parts: Sequence[tuple[int,
         problem.weigh(np.ones(len(tracks)) if noise is None else noise / NOISE_REFERENCE, newest.factors)
         problem.start(*state, settle_steps=1, at_reference=True)
     problem.minimise(config.max_iterations, config.tolerance, WARM_DAMPING)
-    before, seen = [track.solved for track in tracks], [track.observed for track in tracks]
-    people = [fixed for _, fixed in parts], seen, before
+    before = [track.solved for track in tracks]
+    people = [fixed for _, fixed in parts], [track.observed for track in tracks], before
     newest_states = problem.read('theta'), problem.read('rotation'), *problem.describe(newest.units)
     finished = newest.finish(*people, *newest_states, model.skeleton.stature_per_bone, HIDDEN_SHARE)
-    unit = [o.virtual_camera.intrinsics.focal / px for o, px in zip(seen, newest.units.tolist(), strict=True)]
-    growth = [joint.measure_noise_growth(o.rays, o.evidence, o.times, m) for o, m in zip(seen, unit, strict=True)]
-    noises = np.maximum(problem.measure_misfit(), problem.measure_least_noise(np.array(growth))).tolist()
+    noises = np.maximum(problem.measure_misfit(), problem.measure_least_noise(newest.growth)).tolist()
     joint_std, solutions = problem.measure_joint_std(), []
     for old, found, (first, fixed), noise_m, std in zip(before, finished, parts, noises, joint_std, strict=True):
         theta, rotation, roots, bone_lengths, residuals, stature, fit = found
