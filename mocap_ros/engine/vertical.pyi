@@ -24,16 +24,18 @@ def add_frame(
 def turn_poses(
     joints: Array,
     std: Array,
+    cameras: Array,
     upward: Array,
+    standing: Array,
     vertical: Array,
     vertical_std: Array,
-    standing: Array,
     core: int,
     level_deg: float,
     last_level_deg: float,
 ) -> Array: ...
 def find_stances(
     joints: Array,
+    cameras: Array,
     masses: Array,
     sides: NDArray[np.int64],
     hands: NDArray[np.int64],

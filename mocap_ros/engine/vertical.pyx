@@ -64,30 +64,32 @@ def add_frame(
 
 
 def turn_poses(
-    Stack joints, Stack std, Rows upward, Rows vertical, Vector vertical_std, Vector standing, Py_ssize_t core,
-    double level_deg, double last_level_deg,
+    Stack joints, Stack std, Stack cameras, Rows upward, Vector standing, Rows vertical, Vector vertical_std,
+    Py_ssize_t core, double level_deg, double last_level_deg,
 ):
     """Return poses (F, J, 3) turned towards the vertical about the horizontal axes of their virtual cameras.
 
-    `std` (F, J, 3); u and v (F, 3) in the same axes; s_v (F,) rad; p (F,), which falls to 0 with the angle between.
+    `std` (F, J, 3); `cameras` (F, 3, 3) rotations to the axes of the poses from those of u (F, 3) and v, (F, 3) or (1, 3)
+    for all; s_v (F,) or (1,) rad; p (F,), which falls to 0 with the angle between u and v.
     """
-    cdef Py_ssize_t t, j
+    cdef Py_ssize_t t, j, s
     cdef double angle, spread, radius, lean, turn, cosine, sine, stands
+    cdef double[3] u, v
     result = np.array(joints)
     cdef double[:, :, ::1] out = result
     for t in range(joints.shape[0]):
-        angle = atan2(
-            upward[t, 1] * vertical[t, 2] - upward[t, 2] * vertical[t, 1],
-            upward[t, 1] * vertical[t, 1] + upward[t, 2] * vertical[t, 2],
-        )
+        s = min(t, vertical.shape[0] - 1)
+        for j in range(3):
+            u[j], v[j] = dot(&cameras[t, j, 0], &upward[t, 0]), dot(&cameras[t, j, 0], &vertical[s, 0])
+        angle = atan2(u[1] * v[2] - u[2] * v[1], u[1] * v[1] + u[2] * v[2])
         spread = radius = 0
         for j in range(core):
             spread += std[t, j, 2] * std[t, j, 2]
             radius += joints[t, j, 1] * joints[t, j, 1] + joints[t, j, 2] * joints[t, j, 2]
         lean = LEAN_PER_DEPTH * LEAN_PER_DEPTH * spread / max(radius, 1e-300)
-        spread = lean + (BALANCE_STD_DEG * DEGREE) * (BALANCE_STD_DEG * DEGREE) + vertical_std[t] * vertical_std[t]
+        spread = lean + (BALANCE_STD_DEG * DEGREE) * (BALANCE_STD_DEG * DEGREE) + vertical_std[s] * vertical_std[s]
         turn = angle / (MAX_TURN_DEG * DEGREE)
-        stands = acos(min(max(dot(&upward[t, 0], &vertical[t, 0]), -1.0), 1.0)) / DEGREE
+        stands = acos(min(max(dot(u, v), -1.0), 1.0)) / DEGREE
         stands = standing[t] * fall(stands, level_deg, last_level_deg)
         turn = stands * lean / spread * angle / (1 + turn * turn)
         if not isfinite(turn):
@@ -104,14 +106,15 @@ cdef inline void subtract(const double[:, ::1] pose, Py_ssize_t a, Py_ssize_t b,
 
 
 def find_stances(
-    Stack joints, Vector masses, const long long[:, ::1] sides, const long long[::1] hands, Py_ssize_t neck,
+    Stack joints, Stack cameras, Vector masses, const long long[:, ::1] sides, const long long[::1] hands, Py_ssize_t neck,
     Py_ssize_t pelvis, Py_ssize_t head, double support_ahead, double hanging_share, double standing_deg,
     double seated_deg, double min_length,
 ):
     """Return the directions upwards (N, 3) that poses (N, J, 3) show, and the shares (N,) to which they stand.
 
-    The formulas, with b, H, PHI_0 and PHI_1, are in `models.upward_direction`. `masses` (J_c,); `sides` (2, 4) left and
-    right shoulder, hip, knee and ankle; `hands` (2,) the wrists.
+    The formulas, with b, H, PHI_0 and PHI_1, are in `models.upward_direction`. `cameras` (N, 3, 3), or (1, 3, 3) for all,
+    rotations to the axes of the poses from those of the directions; `masses` (J_c,); `sides` (2, 4) left and right
+    shoulder, hip, knee and ankle; `hands` (2,) the wrists.
     """
     cdef Py_ssize_t n, j, s
     cdef int i, over
@@ -141,8 +144,11 @@ def find_stances(
         for i in range(3):
             lever[i] -= length * ahead[i]
         length = max(sqrt(dot(lever, lever)), min_length)
+        s = min(n, cameras.shape[0] - 1)
         for i in range(3):
-            out[n, i] = lever[i] / length
+            out[n, i] = 0
+            for j in range(3):
+                out[n, i] += lever[j] / length * cameras[s, j, i]
         over = 0
         for s in range(2):
             subtract(joints[n], hands[s], head, bone)

@@ -62,6 +62,7 @@ _NECK, _PELVIS, _HEAD = (CMU15.joints.index(name) for name in ('neck', 'pelvis',
 _WRISTS = np.array([CMU15.joints.index(side + 'wrist') for side in 'lr'])
 # (2, 4) indices of the joints of the left and of the right side
 _SIDES = np.array([[CMU15.joints.index(s + n) for n in ('shoulder', 'hip', 'knee', 'ankle')] for s in 'lr'])
+_NO_TURN = np.eye(3)[None]
 _LIMITS = SUPPORT_AHEAD, HANGING_SHARE, STANDING_FLEXION_DEG, SEATED_FLEXION_DEG, MIN_LENGTH
 _BODY = MASSES, _SIDES, _WRISTS, _NECK, _PELVIS, _HEAD, *_LIMITS
 
@@ -69,12 +70,15 @@ _BODY = MASSES, _SIDES, _WRISTS, _NECK, _PELVIS, _HEAD, *_LIMITS
 class Stances(NamedTuple):
     """What N poses show of the vertical."""
 
-    upward: Array  # (N, 3) unit vectors upwards, in the axes of the poses
+    upward: Array  # (N, 3) unit vectors upwards
     # (N,) shares to which the poses stand: 1 with a straight leg, 0 if both are bent as on a chair, and 0 if both
     # hands are high above the head
     standing: Array
 
     @staticmethod
-    def of(joints: Array) -> Stances:
-        """Return what poses (N, J, 3) of `CMU15` or `BODY26` show."""
-        return Stances(*engine.find_stances(np.ascontiguousarray(joints), *_BODY))
+    def of(joints: Array, cameras: Array = _NO_TURN) -> Stances:
+        """Return what poses (N, J, 3) of `CMU15` or `BODY26` show.
+
+        Rotations (N, 3, 3), or (1, 3, 3) for all, lead to the axes of the poses from those of the directions.
+        """
+        return Stances(*engine.find_stances(np.ascontiguousarray(joints), cameras, *_BODY))

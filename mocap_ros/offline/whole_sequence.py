@@ -437,8 +437,9 @@ def _lift(
     lifted = lift_turned(lifter, points, weight, roll, in_lifter)
     if known is None:
         known = choose_vertical(observed, camera.to_real_camera(lifted.joints), config)
-    direction = camera.to_virtual_camera(known.direction[:, None])[:, 0]
-    return turn_upright(lifted, Stances.of(lifted.joints), direction, known.std, roll), known
+    cameras = np.broadcast_to(camera.rotation, (len(lifted.joints), 3, 3))
+    stances = Stances.of(lifted.joints, np.ascontiguousarray(cameras))
+    return turn_upright(lifted, stances, cameras, *known, roll), known
 
 
 def _solve_with_lifter(

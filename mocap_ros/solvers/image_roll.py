@@ -192,17 +192,30 @@ def lift_turned(
 
 
 def turn_upright(
-    lifted: LiftedPoses, stances: Stances, vertical: Array, std: Array, roll: float = 0.0
+    lifted: LiftedPoses, stances: Stances, cameras: Array, vertical: Array, std: Array, roll: float = 0.0
 ) -> LiftedPoses:
     """Return lifted poses turned towards the vertical in the turned images (formulas of `vertical`).
 
-    `lifted` poses of N frames in the axes of their virtual cameras, NaN where they are not known; `stances` what
-    they show; `vertical` (N, 3) and its `std` (N,) rad in the same axes; `roll` rad.
+    Args:
+        lifted: poses of N frames in the axes of their virtual cameras, NaN where they are not known.
+        stances: what they show, in the axes of the real camera.
+        cameras: (N, 3, 3) rotations from these axes to the virtual cameras'.
+        vertical: (N, 3), or (1, 3) for all, vertical in the axes of the real camera.
+        std: (N,) or (1,) rad, its standard deviation.
+        roll: rad, the angle by which the images are turned.
     """
-    joints, upward = turn_about_axis(lifted.joints, roll), turn_about_axis(stances.upward, roll)
-    towards = np.ascontiguousarray(turn_about_axis(vertical, roll)), np.ascontiguousarray(std), stances.standing
-    turned = engine.turn_poses(joints, lifted.std, upward, *towards, CORE_COUNT, *LEVEL_DEG)
-    return LiftedPoses(turn_about_axis(turned, -roll), lifted.std)
+    turned = turn_about_axis(cameras.swapaxes(-1, -2), roll).swapaxes(-1, -2)
+    joints = engine.turn_poses(
+        turn_about_axis(lifted.joints, roll),
+        lifted.std,
+        np.ascontiguousarray(turned),
+        *stances,
+        np.ascontiguousarray(vertical),
+        std,
+        CORE_COUNT,
+        *LEVEL_DEG,
+    )
+    return LiftedPoses(turn_about_axis(joints, -roll), lifted.std)
 
 
 def turn_about_axis(vectors: Array, roll: float) -> Array:

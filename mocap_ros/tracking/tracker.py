@@ -348,34 +348,34 @@ class Tracker:
         if self._side.is_due(stamp_ns):
             rays, scores = np.array([t.rays[-1] for t in tracks]), np.array([t.weight[-1] for t in tracks])
             self._side.advance(stamp_ns, rays, scores)
-        known, towards, given = self._vertical, None, None
-        roll = math.pi if self._side.is_upside_down else 0.0
-        if known is not None:
-            towards = cameras @ known.direction, np.full(len(cameras), known.std)
-            if known.is_given:
-                roll, given = find_roll(known.direction), towards
+        known, given, roll = self._vertical, None, math.pi if self._side.is_upside_down else 0.0
+        if known is not None and known.is_given:
+            roll, given = find_roll(known.direction), (cameras @ known.direction, np.full(len(cameras), known.std))
         lifted = lift_turned(self._lifter, points, weight, roll, given)
         if self.config.tracker.vertical != NO_VERTICAL:
-            stances = Stances.of(lifted.joints)
-            if towards is not None:
-                lifted = turn_upright(lifted, stances, *towards, roll)
-            self._find_vertical(stamp_ns, tracks, newest, cameras, stances)
+            stances = Stances.of(lifted.joints, cameras)
+            if known is not None:
+                towards = known.direction[None], np.array([known.std])
+                lifted = turn_upright(lifted, stances, cameras, *towards, roll)
+            self._find_vertical(stamp_ns, tracks, newest, stances)
         append_lifted(windows, lifted)
 
     def _find_vertical(
-        self, stamp_ns: int, tracks: Sequence[Track], newest: Sequence[int], cameras: Array, stances: Stances
+        self, stamp_ns: int, tracks: Sequence[Track], newest: Sequence[int], stances: Stances
     ) -> None:
-        """Find the vertical anew by what the newest poses of tracks show in the axes of virtual cameras."""
+        """Find the vertical anew by what the newest poses of tracks show."""
+        shares = stances.standing.tolist()
         shown = zip(newest, tracks, strict=True)
-        known = [n for n, t in shown if not t.is_tentative and math.isfinite(stances.standing[n])]
+        known = [n for n, t in shown if not t.is_tentative and math.isfinite(shares[n])]
         if not known:
             return
-        seen = Stances((stances.upward[known, None] @ cameras[known])[:, 0], stances.standing[known])
+        if len(known) < len(shares):
+            stances = Stances(stances.upward[known], stances.standing[known])
         sign = -1.0 if self._side.is_upside_down else 1.0
         if self._vertical is None:
-            self._vertical = Vertical.begin(stamp_ns, seen, sign)
+            self._vertical = Vertical.begin(stamp_ns, stances, sign)
         else:
-            self._vertical = self._vertical.advance(stamp_ns, seen, sign)
+            self._vertical = self._vertical.advance(stamp_ns, stances, sign)
 
     def _initialise(self, stamp_ns: int, tracks: Sequence[Track]) -> None:
         """Give the tracks of new people a first solution, all in one batch a model; it is checked soon."""

@@ -133,6 +133,7 @@ def make_pose(knee: tuple[float, float], ankle: tuple[float, float]) -> np.ndarr
     return pose
 
 
+NO_TURN = np.tile(np.eye(3), (2, 1, 1))
 POSES = {'standing': make_pose((0.4, 0.0), (0.8, 0.0)), 'seated': make_pose((0.05, -0.4), (0.45, -0.4))}
 
 
@@ -172,7 +173,7 @@ def test_poses_are_turned_towards_the_vertical_by_how_uncertain_their_depths_are
         angles = np.array([0.1, -0.05])
         stances = Stances.of(lifted.joints)
         vertical = Rotation.from_rotvec(angles[:, None] * [1, 0, 0]).apply(stances.upward)
-        joints = turn_upright(lifted, stances, vertical, np.full(2, 0.03)).joints
+        joints = turn_upright(lifted, stances, NO_TURN, vertical, np.full(2, 0.03)).joints
         turn = Rotation.from_matrix(fit_rotation(lifted.joints, joints)).as_rotvec()
         assert turn[:, 1:] == pytest.approx(0, abs=1e-9), 'about the horizontal axis alone'
         turned.append(turn[:, 0] / angles)
@@ -180,7 +181,7 @@ def test_poses_are_turned_towards_the_vertical_by_how_uncertain_their_depths_are
     assert (turned[0] < 0.3).all()
     assert ((turned[1] > 0.5) & (turned[1] < 1)).all()
     lying = Rotation.from_rotvec([1.2, 0, 0]).apply(stances.upward)
-    assert turn_upright(lifted, stances, lying, np.full(2, 0.03)).joints == pytest.approx(lifted.joints)
+    assert turn_upright(lifted, stances, NO_TURN, lying, np.full(2, 0.03)).joints == pytest.approx(lifted.joints)
 
 
 def test_a_given_vertical_is_never_changed_by_what_people_do(rng: np.random.Generator) -> None:
