@@ -111,8 +111,8 @@ class Reading(NamedTuple):
 
 
 GIVEN, MIRROR_IMAGE = Reading(), Reading(is_mirrored=True)
-TURNED = tuple(Reading(turns=turns) for turns in (1, 2, 3))
-UPSIDE_DOWN = 2  # turns
+TURNED = tuple(Reading(turns=turns) for turns in (1, 2, 3))  # quarter turns clockwise
+UPSIDE_DOWN = 2  # quarter turns
 MIRRORED = {Reading(turns=turns, is_mirrored=True): fault for turns, fault in enumerate(
     (Fault.MIRRORED, Fault.TURNED, Fault.Y_UP, Fault.AXES))}  # fmt: skip
 
