@@ -44,9 +44,7 @@ CHUNK_HEADER = struct.Struct('<QQQII')  # first and last log time, size, checksu
 CHUNK_PATTERN = re.compile(rb'(?=\x06.{5}\0{3}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd))', re.DOTALL)
 CHUNK_START_BYTES = RECORD_PREFIX.size + CHUNK_HEADER.size + 4 + 8  # up to the compressed records
 FIRST_PRIVATE_OPCODE = 0x80  # opcodes from here on are left to applications
-MAX_CHUNK_BYTES = (
-    2**27
-)  # guards the memory against a damaged length; images of 4K, the largest messages, have 25 MB
+MAX_CHUNK_BYTES = 2**27  # guards the memory against a damaged length; the largest messages, of 4K, have 25 MB
 PIECE_BYTES = 1 << 20  # that are searched for a chunk at a time
 
 # What the parsers and decompressors raise for damaged data.

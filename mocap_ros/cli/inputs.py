@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -34,13 +35,6 @@ FILE_OPTIONS = (
 MAX_IMAGE_SIZE_CHARACTERS = 20  # characters of --image-size; guards int() against thousands of digits
 
 
-def _parse_hfov(text: str) -> float:
-    hfov, (low, high) = parse_positive(text), HFOV_RANGE_DEG
-    if not low <= hfov <= high:
-        raise argparse.ArgumentTypeError(f'{text} degrees; expected {low:g} to {high:g}')
-    return hfov
-
-
 def _parse_image_size(text: str) -> tuple[int, int]:
     width, _, height = text.lower().partition('x')
     is_number_pair = width.isdecimal() and height.isdecimal() and len(text) < MAX_IMAGE_SIZE_CHARACTERS
@@ -62,7 +56,7 @@ LENS_OPTIONS: Options = {
     '--hfov DEG': option(
         'degrees, horizontal field of view of a camera without calibration, 65 to 70 of most webcams (default: '
         'the parameter tracker.nominal_focal_length)',
-        type=_parse_hfov,
+        type=partial(parse_positive, limits=HFOV_RANGE_DEG),
         group='lens',
     ),
     '--focal PX': option(

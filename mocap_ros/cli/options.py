@@ -31,28 +31,17 @@ def derive_output_stem(input_path: Path) -> str:
     return input_path.stem
 
 
-def name_bag(bag: Path) -> str:
-    """Return the name of a bag: of its folder, which may hold dots, or of its file without the suffix."""
-    path = bag.resolve()
-    return path.name if bag.is_dir() else path.stem
-
-
-def parse_positive(text: str) -> float:
-    """Parse a positive, finite number for argparse."""
+def parse_positive(text: str, limits: tuple[float, float] = (0.0, math.inf)) -> float:
+    """Parse a positive, finite number in a range for argparse."""
     try:
         value = float(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f'{text!r} is not a number') from None
     if not 0 < value < math.inf:
         raise argparse.ArgumentTypeError(f'{text} is not positive and finite')
+    if not limits[0] <= value <= limits[1]:
+        raise argparse.ArgumentTypeError(f'{text}; expected {limits[0]:g} to {limits[1]:g}')
     return value
-
-
-def parse_height(text: str) -> float:
-    """Parse the height of a camera in m for argparse."""
-    if not (height := parse_positive(text)) <= MAX_CAMERA_HEIGHT_M:
-        raise argparse.ArgumentTypeError(f'{text} is more than {MAX_CAMERA_HEIGHT_M:g} m')
-    return height
 
 
 def parse_count(text: str, low: int = 1, high: int = sys.maxsize) -> int:
@@ -63,13 +52,13 @@ def parse_count(text: str, low: int = 1, high: int = sys.maxsize) -> int:
     return int(text)
 
 
-MAX_CAMERA_HEIGHT_M = 100.0  # as of `tracker.camera_height`
+CAMERA_HEIGHT_RANGE_M = 0.0, 100.0  # as of `tracker.camera_height`
 # What turns the text of a value into it, by what the help calls the value; any other value is a path.
 TEXTS = ('ADDRESS', 'FOLDER|GLOB|LIST', 'ID', 'KIND', 'NAME', 'NAME=VALUE', 'NAMESPACE', 'SIZE', 'TEXT')
 TYPES: Mapping[str, Callable[[str], object]] = {
     **dict.fromkeys(TEXTS, str),
     **dict.fromkeys(('FACTOR', 'HZ', 'M', 'PX', 'S'), parse_positive),
-    'H': parse_height,
+    'H': partial(parse_positive, limits=CAMERA_HEIGHT_RANGE_M),
     'N': parse_count,
 }
 # Options and arguments of a command: the line of each in the help, alone or with settings of `argparse`, by its

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mocap_ros.bags.recovery import list_recoverable_files, recover
 from mocap_ros.bags.rosbag2 import METADATA
-from mocap_ros.cli.options import Options, name_bag
+from mocap_ros.cli.options import Options, derive_output_stem
 from mocap_ros.cli.terminal import ShareBar, print_note, print_result
 from mocap_ros.runtime.input_kind import InputKind, require_kind
 
@@ -46,4 +46,4 @@ def _choose_output(bag: Path) -> Path:
     source = bag.parent if is_in_bag and not bag.is_dir() else bag
     if source.name in ('', '..'):  # the present folder is `.`
         source = source.resolve()
-    return source.with_name(f'{name_bag(bag)}_recovered')
+    return source.with_name(f'{derive_output_stem(bag)}_recovered')

@@ -18,8 +18,8 @@ from mocap_ros.cli.options import (
     CONFIG_OPTIONS,
     STRICT_OPTIONS,
     Options,
+    derive_output_stem,
     load_config_file,
-    name_bag,
     option,
     parse_changes,
 )
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 def _choose_outputs(bags: list[Path], output: Path) -> dict[Path, Path]:
     if len(bags) == 1:
         return {bags[0]: output}
-    names = [name_bag(bag) for bag in bags]
+    names = [derive_output_stem(bag) for bag in bags]
     if len(set(names)) < len(names):
         repeated = max(names, key=names.count)
         raise InputError(

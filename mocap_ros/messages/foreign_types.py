@@ -14,7 +14,17 @@ The definitions are not beside the readers, because `cdr` registers them and the
 from __future__ import annotations
 
 YOLO_DETECTIONS = 'yolo_msgs/msg/DetectionArray'
-YOLO_DEFINITIONS = {
+HRI_SKELETON = 'hri_msgs/msg/Skeleton2D'
+HRI_IDS = 'hri_msgs/msg/IdsList'
+ZED_OBJECTS = 'zed_msgs/msg/ObjectsStamped'
+OPENPOSE_POSES = 'openpose_ros2_msgs/msg/PoseKeyPointsList'
+PEOPLE = 'people_msgs/msg/People'
+DETECTIONS_3D = 'vision_msgs/msg/Detection3DArray'
+OBSTACLES = 'nav2_dynamic_msgs/msg/ObstacleArray'
+COLLISION_OBJECT = 'moveit_msgs/msg/CollisionObject'
+
+# Definitions of messages that are accepted as keypoints: the name of each type and its fields as in a .msg file.
+INPUT_DEFINITIONS = {
     'yolo_msgs/msg/Point2D': 'float64 x\nfloat64 y',
     'yolo_msgs/msg/Vector2': 'float64 x\nfloat64 y',
     'yolo_msgs/msg/Pose2D': 'yolo_msgs/Point2D position\nfloat64 theta',
@@ -31,18 +41,9 @@ YOLO_DEFINITIONS = {
         'yolo_msgs/KeyPoint3DArray keypoints3d'
     ),
     YOLO_DETECTIONS: 'std_msgs/Header header\nyolo_msgs/Detection[] detections',
-}
-
-HRI_SKELETON = 'hri_msgs/msg/Skeleton2D'
-HRI_IDS = 'hri_msgs/msg/IdsList'
-HRI_DEFINITIONS = {
     'hri_msgs/msg/NormalizedPointOfInterest2D': 'float32 x\nfloat32 y\nfloat32 c',
     HRI_SKELETON: 'std_msgs/Header header\nhri_msgs/NormalizedPointOfInterest2D[18] skeleton',
     HRI_IDS: 'std_msgs/Header header\nstring[] ids',
-}
-
-ZED_OBJECTS = 'zed_msgs/msg/ObjectsStamped'
-ZED_DEFINITIONS = {
     'zed_msgs/msg/Keypoint2Di': 'uint32[2] kp',
     'zed_msgs/msg/Keypoint2Df': 'float32[2] kp',
     'zed_msgs/msg/Keypoint3D': 'float32[3] kp',
@@ -61,26 +62,17 @@ ZED_DEFINITIONS = {
         'float32[70] skeleton_keypoint_confidence'
     ),
     ZED_OBJECTS: 'std_msgs/Header header\nzed_msgs/Object[] objects',
-}
-
-OPENPOSE_POSES = 'openpose_ros2_msgs/msg/PoseKeyPointsList'
-OPENPOSE_DEFINITIONS = {
     'openpose_ros2_msgs/msg/PoseKeyPoint': 'float32 x\nfloat32 y\nfloat32 score',
     'openpose_ros2_msgs/msg/PoseKeyPoints': 'openpose_ros2_msgs/PoseKeyPoint[] pose_key_points',
     OPENPOSE_POSES: 'std_msgs/Header header\nopenpose_ros2_msgs/PoseKeyPoints[] pose_key_points_list',
 }
-
-PEOPLE = 'people_msgs/msg/People'
-PEOPLE_DEFINITIONS = {
+# Definitions of messages that are published for robots.
+OUTPUT_DEFINITIONS = {
     'people_msgs/msg/Person': (
         'string name\ngeometry_msgs/Point position\ngeometry_msgs/Point velocity\nfloat64 reliability\n'
         'string[] tagnames\nstring[] tags'
     ),
     PEOPLE: 'std_msgs/Header header\npeople_msgs/Person[] people',
-}
-
-DETECTIONS_3D = 'vision_msgs/msg/Detection3DArray'
-VISION_DEFINITIONS = {
     'vision_msgs/msg/ObjectHypothesis': 'string class_id\nfloat64 score',
     'vision_msgs/msg/ObjectHypothesisWithPose': (
         'vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose'
@@ -91,19 +83,11 @@ VISION_DEFINITIONS = {
         'string id'
     ),
     DETECTIONS_3D: 'std_msgs/Header header\nvision_msgs/Detection3D[] detections',
-}
-
-OBSTACLES = 'nav2_dynamic_msgs/msg/ObstacleArray'
-OBSTACLE_DEFINITIONS = {
     'nav2_dynamic_msgs/msg/Obstacle': (
         'unique_identifier_msgs/UUID uuid\nfloat32 score\ngeometry_msgs/Point position\n'
         'geometry_msgs/Vector3 velocity\ngeometry_msgs/Vector3 size'
     ),
     OBSTACLES: 'std_msgs/Header header\nnav2_dynamic_msgs/Obstacle[] obstacles',
-}
-
-COLLISION_OBJECT = 'moveit_msgs/msg/CollisionObject'
-MOVEIT_DEFINITIONS = {
     'object_recognition_msgs/msg/ObjectType': 'string key\nstring db',
     COLLISION_OBJECT: (
         'std_msgs/Header header\ngeometry_msgs/Pose pose\nstring id\nobject_recognition_msgs/ObjectType type\n'
@@ -113,12 +97,6 @@ MOVEIT_DEFINITIONS = {
         'byte operation'
     ),
 }
-
-# Definitions of messages that are accepted as keypoints.
-INPUT_DEFINITIONS = {**YOLO_DEFINITIONS, **HRI_DEFINITIONS, **ZED_DEFINITIONS, **OPENPOSE_DEFINITIONS}
-# Definitions of messages that are published for robots.
-OUTPUT_DEFINITIONS = {**PEOPLE_DEFINITIONS, **VISION_DEFINITIONS, **OBSTACLE_DEFINITIONS, **MOVEIT_DEFINITIONS}
-# All definitions: the name of each message type and its fields as in a .msg file.
 DEFINITIONS = {**INPUT_DEFINITIONS, **OUTPUT_DEFINITIONS}
 
 # Packages by their earlier names, whose messages have the same fields or some of them.

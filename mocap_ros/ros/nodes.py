@@ -143,9 +143,7 @@ def run_node(arguments: Sequence[str], node_class: Callable[[], Any]) -> None:
                 executor.spin_once(timeout_sec=SPIN_SECONDS)
             except ExternalShutdownException:  # noqa: PERF203
                 raise
-            except (
-                Exception
-            ):  # rclpy raises some for messages that anyone can send, as a parameter of unknown type
+            except Exception:  # rclpy raises some for messages that anyone can send, as of a parameter's type
                 tracebacks.report(traceback.format_exc())
 
 

@@ -23,21 +23,6 @@ DEFAULT_FRAME_ID = 'camera'  # header.frame_id of sequences that do not name the
 CAMERA_INFO_TOPIC = 'camera_info'  # the name on which the node subscribes to CameraInfo
 
 
-class EncodedFrame(NamedTuple):
-    """One frame of a sequence: its stamp in ns, and a mocap_ros_msgs/Keypoints2DArray as CDR."""
-
-    stamp_ns: int
-    raw: bytes
-
-
-def encode_sequence(sequence: KeypointSequence) -> Iterator[EncodedFrame]:
-    """Encode every frame of a sequence as a message with the frame's stamp and `DEFAULT_FRAME_ID`."""
-    for frame, stamp_ns in enumerate(sequence.stamps_ns):
-        people = [sequence.person(frame)]
-        raw = encode_keypoints(Header(stamp_ns, DEFAULT_FRAME_ID), sequence.image_size, people)
-        yield EncodedFrame(stamp_ns, raw)
-
-
 class PlaybackMessage(NamedTuple):
     """A message as CDR, with the time in ns at which it is due, on the clock of the recording.
 
@@ -47,6 +32,14 @@ class PlaybackMessage(NamedTuple):
     due_ns: int
     raw: bytes
     topic: int
+
+
+def encode_sequence(sequence: KeypointSequence) -> Iterator[PlaybackMessage]:
+    """Encode every frame of a sequence as a Keypoints2DArray with the frame's stamp and `DEFAULT_FRAME_ID`."""
+    for frame, stamp_ns in enumerate(sequence.stamps_ns):
+        people = [sequence.person(frame)]
+        raw = encode_keypoints(Header(stamp_ns, DEFAULT_FRAME_ID), sequence.image_size, people)
+        yield PlaybackMessage(stamp_ns, raw, 0)
 
 
 class PlayedTopic(NamedTuple):
@@ -104,9 +97,9 @@ class Playback:
             camera = CameraInfo(sequence.image_size, sequence.intrinsics(1.0))
             for frame in encode_sequence(sequence):
                 if sequence.is_camera_known:
-                    raw = encode_camera_info(Header(frame.stamp_ns, DEFAULT_FRAME_ID), camera)
-                    yield PlaybackMessage(frame.stamp_ns, raw, 1)
-                yield PlaybackMessage(frame.stamp_ns, frame.raw, 0)
+                    raw = encode_camera_info(Header(frame.due_ns, DEFAULT_FRAME_ID), camera)
+                    yield PlaybackMessage(frame.due_ns, raw, 1)
+                yield frame
             return
         index = {t.recorded: i for i, t in enumerate(self.topics)}
         with Bag(self._path) as bag:

@@ -64,8 +64,11 @@ WRONG = Grade.WRONG.name.lower()  # a grade in words
 
 AnyPerson3D = Person3D | RecordedPerson
 
-# What to say of a fault, but for those that name layouts.
+# What to say of a fault; `{given}` is the layout of the points.
 WORDS = {
+    Fault.LAYOUT: 'these look like {layout}, not {given}: give layout {layout}, or its joint names',
+    Fault.MISFIT: 'the points do not fit people with {given}: the joints may be in another order than their '
+    'names, or the detector sees something else',
     Fault.UNKNOWN: f'no {STRETCH_S:g} s have {MIN_FRAMES} images that show {MIN_SEEN_JOINTS} joints',
     Fault.AXES: 'x and y look exchanged',
     Fault.Y_UP: 'y looks as if it pointed upwards: expected is y = 0 at the top of the image',
@@ -139,16 +142,7 @@ def describe_fault(judgement: Judgement, names: Sequence[str], size_fault: str) 
     if judgement.fault is Fault.SIZE:
         return size_fault
     given = skeleton_from_joints(tuple(names)).name or 'the given joints'
-    if judgement.fault is Fault.LAYOUT:
-        return (
-            f'these look like {judgement.layout}, not {given}: give layout {judgement.layout}, or its joint names'
-        )
-    if judgement.fault is Fault.MISFIT:
-        return (
-            f'the points do not fit people with {given}: the joints may be in another order than their names, or '
-            'the detector sees something else'
-        )
-    return WORDS.get(judgement.fault, '')
+    return WORDS.get(judgement.fault, '').format(layout=judgement.layout, given=given)
 
 
 def summarise(sequences: Sequence[KeypointSequence], results: Sequence[SequenceResult], config: Config) -> Summary:

@@ -110,7 +110,7 @@ def test_covariances_in_any_frame(recording: Path, tmp_path: Path, capsys: pytes
             for frame in frames:
                 outputs = pipeline.feed(Source.KEYPOINTS, frame.raw).outputs
                 (skeletons,) = (o for o in outputs if o.topic == 'skeletons')
-                recorder.write('/skeletons', SKELETONS, skeletons.data, frame.stamp_ns, frame.stamp_ns)
+                recorder.write('/skeletons', SKELETONS, skeletons.data, frame.due_ns, frame.due_ns)
         out = tmp_path / f'{name}.json'
         assert main(['evaluate', str(tmp_path / name), '--truth', str(recording), '--json', str(out)]) == 0
         (record,) = json.loads(out.read_text())

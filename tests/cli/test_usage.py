@@ -81,7 +81,7 @@ def test_help_waits_for_no_slow_package(arguments: list[str]) -> None:
         (['reconstruct', 'a.json', '--hfov', '0.5'], 'argument --hfov: '),
         (['reconstruct', 'a.json', '--hfov', '56', '--focal', '600'], '--focal'),
         *(
-            (['reconstruct', 'x', f'--floor-height={h}'], f'--floor-height: {h} ')
+            (['reconstruct', 'x', f'--floor-height={h}'], f'--floor-height: {h}')
             for h in ('-1', '0', 'nan', '101')
         ),
         (['batch', 'x', '-o', 'y', '--workers', 'two'], "argument --workers: 'two' "),

@@ -47,7 +47,7 @@ def test_a_live_run_is_replayed(start: StartProgram, peer: Peer, start_node: Sta
     frames = list(islice(encode_sequence(sequence), FRAMES))
     with Recorder(tmp_path / 'played', RecorderConfig()) as recorder:
         for frame in frames:
-            recorder.write('/detections', KEYPOINTS, frame.raw, frame.stamp_ns, frame.stamp_ns)
+            recorder.write('/detections', KEYPOINTS, frame.raw, frame.due_ns, frame.due_ns)
 
     # The machine may be busy, so that many messages wait.
     patient = ('node.queue:=100', 'qos_overrides./keypoints.subscription.depth:=100')

@@ -365,6 +365,6 @@ def test_a_sequence_file_is_played_at_its_stamps(tmp_path: Path, is_calibrated: 
     messages = [*playback]
     assert playback.count == len(messages) == len(sequence) * len(topics)
     keypoints = [(m.due_ns, m.raw) for m in messages if m.topic == 0]
-    assert keypoints == [(f.stamp_ns, f.raw) for f in encode_sequence(sequence)]
+    assert keypoints == [(f.due_ns, f.raw) for f in encode_sequence(sequence)]
     for message in messages[:is_calibrated]:  # before the first keypoints
         assert decode_camera_info(message.raw).intrinsics.focal_lengths == pytest.approx([600.0, 600.0])
