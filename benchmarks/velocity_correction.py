@@ -22,9 +22,10 @@ from detected import make_robot_scene, track_scene
 from motion_predictor import WARM_UP, list_views
 from numpy.typing import NDArray
 
+from mocap_ros.engine.motion import build_inputs
 from mocap_ros.models.model_file import VELOCITY_NAME
 from mocap_ros.models.motion_predictor import INPUT_LIMIT
-from mocap_ros.models.velocity_correction import SPANS_S, VelocityCorrection, VelocityPast, build_inputs
+from mocap_ros.models.velocity_correction import SHAPE, SPANS_S, VelocityCorrection, VelocityPast
 from mocap_ros.npz_file import write_npz
 from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.output import Shown, describe_past, find_motion, locate_past
@@ -64,9 +65,8 @@ def collect(frames: int) -> tuple[list[VelocityPast], Array]:
         for frame, tracker, person in track_scene(scene, model, parameters, step=step):
             if person.predicted or frame < WARM_UP or frame + 1 == scene.view.frames:
                 continue
-            (track,) = tracker.tracks
-            now, earlier = locate_past(shown := Shown.of([track]))
-            past = describe_past([track], find_motion(shown, now), now, earlier)
+            now, earlier = locate_past(shown := Shown.of(tracker.tracks))
+            past = describe_past(shown, find_motion(shown, now), now, earlier)
             if np.isfinite(past.std).all():
                 pasts.append(VelocityPast(*(values[0] for values in past)))
                 velocities.append(truth[frame])
@@ -81,7 +81,7 @@ def fit(pasts: list[VelocityPast], velocity: Array, seed: int = 0) -> VelocityCo
     for n in rng.choice(len(pasts), round(MOVED_SHARE * len(pasts)), replace=False):
         pasts.append(_move(pasts[n], rng))
         missing.append(missing[n])
-    inputs = np.concatenate(build_inputs(VelocityPast(*map(np.array, zip(*pasts, strict=True)))).swapaxes(0, 1))
+    inputs = np.concatenate(build_inputs(tuple(map(np.array, zip(*pasts, strict=True))), *SHAPE).swapaxes(0, 1))
     targets = np.array([own @ past.axes for past, own in zip(pasts, missing, strict=True)])
     targets = np.concatenate([targets, targets[:, list(CMU15.mirror)] * MIRRORED])
     centre, scale = inputs.mean(axis=0), inputs.std(axis=0) + LEAST_SCALE

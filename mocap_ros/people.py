@@ -87,7 +87,7 @@ class Person3D:
         unseen_for: s, time since the person was last seen; 0 if in this frame.
         skeleton: names and order of the joints; the first are always those of `skeleton.CMU15`, the core.
         orientation: (J, 4) quaternions x, y, z, w of the body segment that turns about each joint, to the frame of
-            `joints` (`solvers.body_segments` has the axes); NaN if unknown.
+            `joints` (`solvers.extremities` has the axes); NaN if unknown.
         contact: (2,) probabilities that the left and the right foot stand; NaN if unknown.
         turn_inferred: (J,) True where nothing in the image shows how that segment is turned about its own axis.
     """

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,22 +10,9 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
 
-def collect_frame(
-    p: int,
-    frame: int,
-    core: Array,
-    camera: Array,
-    lifted: Array | None,
-    std: Array | None,
-    rays: Array,
-    weight: Array,
-    other_rays: Array | None,
-    other_weight: Array | None,
-    out_lifted: Array,
-    out_std: Array,
-    out_rays: Array,
-    out_weight: Array,
-) -> None: ...
+def collect_evidence(
+    core: Array, windows: Sequence[Any], frames: Sequence[int]
+) -> tuple[Array, Array, Array, Array]: ...
 
 class Body:
     def __init__(
@@ -44,30 +31,13 @@ class Body:
         size_std: Array,
     ) -> None: ...
     def follow(
-        self,
-        states: Array,
-        core: Array,
-        lifted: Array,
-        lifted_std: Array,
-        rays: Array,
-        weight: Array,
-        noise: Array,
-        stature: Array,
-        steps: Array,
-        is_steady: bool,
+        self, states: Array, evidence: tuple[Array, ...], stature: Array, times: Array, is_steady: bool
     ) -> None: ...
+    def complete(
+        self, states: Array, sizes: Array, cores: tuple[Array, ...]
+    ) -> tuple[Array, Array, Array, Array, Array, NDArray[np.bool_]]: ...
     def run(
-        self,
-        start: Array,
-        core: Array,
-        lifted: Array,
-        lifted_std: Array,
-        rays: Array,
-        weight: Array,
-        noise: float,
-        stature: float,
-        steps: Array,
-        is_learning: bool,
+        self, start: Array, evidence: tuple[Array, ...], stature: float, steps: Array, is_learning: bool
     ) -> tuple[Array, Array]: ...
     def finish(self, states: Array, weight: Array, stature: float) -> None: ...
 

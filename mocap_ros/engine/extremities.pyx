@@ -5,11 +5,11 @@
 
 """Orientations of the segments of a body, and face, feet and hands as rigid parts that hang on its core.
 
-The formulas of segments are in `solvers.body_segments`, those of parts in `solvers.extremities`. Matrices are 9
+The formulas are in `solvers.extremities`. Matrices are 9
 numbers in the order of their rows. Sizes: 15 core joints and segments, 4 limbs, 5 parts, 11 points of these, 3 sizes.
 """
 
-from libc.math cimport INFINITY, M_PI, atan2, cos, exp, isfinite, sin, sqrt
+from libc.math cimport INFINITY, M_PI, NAN, atan2, cos, exp, hypot, isfinite, sin, sqrt
 from libc.string cimport memcpy, memset
 
 import numpy as np
@@ -37,6 +37,7 @@ cdef double MAX_SIZE_STDS = 5.0  # of people's sizes; there is no such face, foo
 cdef double SIZE_MEMORY_S = 60.0  # a person's size does not change, but the detector may
 cdef double MAX_TURN_STD_RAD = 0.4363323129985824  # 25 degrees; a turn that is known no better counts as unknown
 cdef double VELOCITY_MEMORY_S = 0.1  # over which the velocity of a point about its anchor is averaged
+cdef double ANGULAR_SPEED_STD = 1.5  # rad/s; of heads, feet and hands about their anchors
 # Of the filter of orientations, chosen on 12 views of persons of the training data and detections at 60 Hz: the
 # jitter at 60 Hz halved, at 0.4 degrees more of error.
 cdef double STIFFNESS = 12.0  # rad/s at rest; Omega
@@ -68,6 +69,7 @@ cdef struct State:  # of a person in a frame, the fields of `solvers.extremities
     double is_turn_known[CORE]
     double spin[CORE][3]
     double squared_spin[CORE]
+    double time_s
 
 
 cdef struct Evidence:  # of a frame, the attributes of `ExtremityEvidence`, and the stature
@@ -336,35 +338,46 @@ cdef void take_step(Sums* sums, double* turn, double* turned, double* shift, dou
     multiply(rotation, old, turn)
 
 
-def collect_frame(
-    Py_ssize_t p, Py_ssize_t frame, Stack core, Rows camera, Stack lifted, Stack std, Stack rays, Rows weight,
-    Stack other_rays, Rows other_weight, double[:, :, ::1] out_lifted, double[:, :, ::1] out_std,
-    double[:, :, ::1] out_rays, double[:, ::1] out_weight,
-):
-    """Write what one of F frames of a window says of person p: attributes of `ExtremityEvidence` of P people.
+def collect_evidence(Stack core, windows, frames):
+    """Return what a frame of each of P windows says, the attributes of `ExtremityEvidence` from lifted joints to scores.
 
-    `core` (P, 15, 3) m; `camera` (3, 3) of the person; `lifted` to `other_weight` are of the window, (F, ...), None
-    without a lifter or extremities. Deviations are NaN before, and rays and weights 0.
+    `core` (P, 15, 3) m; without a lifter the first two are NaN, and without extremities rays and scores are 0.
     """
-    cdef Py_ssize_t j, i, known = core.shape[1]
-    cdef double depth = 0
-    for j in range(known):
-        for i in range(3):
-            depth += camera[2, i] * core[p, j, i] / known
-    for j in range(known + POINTS):
-        if lifted is not None:
-            for i in range(3):
-                out_lifted[p, j, i], out_std[p, j, i] = depth * lifted[frame, j, i], depth * std[frame, j, i]
-        if j < known:
-            out_rays[p, j, 0], out_rays[p, j, 1] = rays[frame, j, 0], rays[frame, j, 1]
-            out_weight[p, j] = weight[frame, j]
-        elif other_rays is not None:
-            out_rays[p, j, 0], out_rays[p, j, 1] = other_rays[frame, j - known, 0], other_rays[frame, j - known, 1]
-            out_weight[p, j] = other_weight[frame, j - known]
+    cdef Py_ssize_t p, frame, j, i, people = core.shape[0]
+    cdef double depth
+    cdef Stack lifted, std, rays, other_rays
+    cdef Rows camera, weight, other_weight
+    arrays = (np.empty((people, CORE + POINTS, 3)), np.empty((people, CORE + POINTS, 3)),
+              np.zeros((people, CORE + POINTS, 2)), np.zeros((people, CORE + POINTS)))
+    cdef double[:, :, ::1] out_lifted = arrays[0], out_std = arrays[1], out_rays = arrays[2]
+    cdef double[:, ::1] out_weight = arrays[3]
+    out_lifted[...] = NAN
+    out_std[...] = NAN
+    for p in range(people):
+        window, frame, depth = windows[p], frames[p], 0
+        if window.lifted is not None:
+            turn, lifted, std = window.virtual_camera.rotation, window.lifted.joints, window.lifted.std
+            if turn.ndim == 3:  # a virtual camera for each frame, or one for all
+                turn = turn[frame]
+            camera = turn
+            for j in range(CORE):
+                for i in range(3):
+                    depth += camera[2, i] * core[p, j, i] / CORE
+            for j in range(CORE + POINTS):
+                for i in range(3):
+                    out_lifted[p, j, i], out_std[p, j, i] = depth * lifted[frame, j, i], depth * std[frame, j, i]
+        rays, weight = window.rays, window.weight
+        memcpy(&out_rays[p, 0, 0], &rays[frame, 0, 0], 2 * CORE * sizeof(double))
+        memcpy(&out_weight[p, 0], &weight[frame, 0], CORE * sizeof(double))
+        if window.extremities is not None:
+            other_rays, other_weight = window.extremities
+            memcpy(&out_rays[p, CORE, 0], &other_rays[frame, 0, 0], 2 * POINTS * sizeof(double))
+            memcpy(&out_weight[p, CORE], &other_weight[frame, 0], POINTS * sizeof(double))
+    return arrays
 
 
 cdef class Body:
-    """How segments and parts hang together; what the arguments are is said in `body_segments` and `extremities`."""
+    """How segments and parts hang together; what the arguments are is said in `solvers.extremities`."""
 
     cdef Py_ssize_t head, neck, pelvis, lshoulder, rshoulder, lhip, rhip
     cdef Py_ssize_t[LIMBS][4] limbs
@@ -615,58 +628,99 @@ cdef class Body:
         self.write_orientations(state, weight, is_part_known, step_s)
 
     def follow(
-        self, double[:, ::1] states, Stack core, Stack lifted, Stack lifted_std, Stack rays, Rows weight, Vector noise,
-        Vector stature, Vector steps, bint is_steady,
+        self, double[:, :] states, evidence, Vector stature, Vector times, bint is_steady,
     ):
         """Overwrite the states (P, N) of people by those of the next frame, with filtered orientations if `is_steady`.
 
-        The evidence in this frame is the attributes of `ExtremityEvidence`; statures (P,) in m; steps (P,) s since
-        the frame before, infinite for the first, and nothing changes where they are not positive.
+        `evidence` is an `ExtremityEvidence` of this frame; statures (P,) in m; times (P,) in s, and nothing changes where
+        they are not newer.
         """
+        cdef Stack core = evidence[0], lifted = evidence[1], lifted_std = evidence[2], rays = evidence[3]
+        cdef Rows weight = evidence[4]
+        cdef Vector noise = evidence[5]
         cdef State* person
         cdef Evidence seen
         cdef double[POINTS][3] old
-        cdef double share
+        cdef double share, step_s
         cdef Py_ssize_t n
         cdef int p, i
         for n in range(states.shape[0]):
-            if steps[n] <= 0:
-                continue
             person = <State*> &states[n, 0]
+            step_s = times[n] - person.time_s  # infinite for the first
+            if step_s <= 0:
+                continue
             seen = Evidence(&core[n, 0, 0], &lifted[n, 0, 0], &lifted_std[n, 0, 0], &rays[n, 0, 0], &weight[n, 0],
                             noise[n], stature[n])
             memcpy(old, person.offsets, sizeof(old))
-            self.advance(person, &seen, steps[n], True, NULL, NULL)
-            self.write_result(person, &weight[n, 0], stature[n], steps[n] if is_steady else INFINITY)
-            if not isfinite(steps[n]):
+            self.advance(person, &seen, step_s, True, NULL, NULL)
+            self.write_result(person, seen.weight, stature[n], step_s if is_steady else INFINITY)
+            person.time_s = times[n]
+            if not isfinite(step_s):
                 memset(person.velocity, 0, sizeof(person.velocity))
                 continue
-            share = 1 - exp(-steps[n] / VELOCITY_MEMORY_S)
+            share = 1 - exp(-step_s / VELOCITY_MEMORY_S)
             for p in range(POINTS):
                 for i in range(3):
                     person.velocity[p][i] += share * (
-                        (person.offsets[p][i] - old[p][i]) / steps[n] - person.velocity[p][i]
+                        (person.offsets[p][i] - old[p][i]) / step_s - person.velocity[p][i]
                     )
 
+    def complete(self, double[:, :] states, Vector sizes, cores):
+        """Return joints, deviations, velocities and their deviations (P, 26, ...), orientations, and what is inferred.
+
+        States (P, N) are of people of the assumed size, which `sizes` (P,) enlarge; `cores` begin with the same four
+        of the core, in m and m/s. Orientations are quaternions (P, 26, 4) x, y, z, w of the segments that turn about
+        the joints or hold them; of some, (P, 26), the turn about themselves is inferred. Errors of an offset and of
+        the core joint are independent.
+        """
+        cdef const double[:, :, :] joints = cores[0], velocity = cores[2]
+        cdef const double[:, :] std = cores[1], velocity_std = cores[3]
+        cdef State* state
+        cdef Py_ssize_t n, j, k, i, anchor, people = joints.shape[0], count = CORE + POINTS
+        cdef double size, spread
+        arrays = (np.empty((people, count, 3)), np.empty((people, count)), np.empty((people, count, 3)),
+                  np.empty((people, count)), np.empty((people, count, 4)), np.empty((people, count), np.bool_))
+        cdef double[:, :, ::1] out_joints = arrays[0], out_velocity = arrays[2], out_turns = arrays[4]
+        cdef double[:, ::1] out_std = arrays[1], out_velocity_std = arrays[3]
+        cdef unsigned char[:, ::1] is_inferred = arrays[5].view(np.uint8)
+        for n in range(people):
+            state = <State*> &states[n, 0]
+            for j in range(count):
+                k, anchor, size = 0, j, 0
+                if j >= CORE:
+                    k, size = j - CORE, sizes[n]
+                    anchor = self.part_segments[self.part_of[k]]
+                for i in range(3):
+                    out_joints[n, j, i] = joints[n, anchor, i] + size * state.offsets[k][i]
+                    out_velocity[n, j, i] = velocity[n, anchor, i] + size * state.velocity[k][i]
+                out_std[n, j] = hypot(std[n, anchor], size * state.offset_std[k])
+                spread = ANGULAR_SPEED_STD * size * sqrt(dot(state.offsets[k], state.offsets[k]))
+                out_velocity_std[n, j] = hypot(velocity_std[n, anchor], spread)
+                memcpy(&out_turns[n, j, 0], state.quaternions[anchor], 4 * sizeof(double))
+                is_inferred[n, j] = not state.is_turn_known[anchor] > 0
+        return arrays
+
     def run(
-        self, double[::1] start, Stack core, Stack lifted, Stack lifted_std, Stack rays, Rows weight, double noise,
-        double stature, Vector steps, bint is_learning,
+        self, double[::1] start, evidence, double stature, Vector steps, bint is_learning,
     ):
         """Return the states (F, N) after each frame of a sequence, and R and P (2, F, 5, 9) before its correction.
 
-        `start` (N,) is the state before the first frame; the evidence is that of one person; `steps` (F,) s since the
-        frame before, infinite for the first; `is_learning` whether the sizes are learned.
+        `start` (N,) is the state before the first frame; `evidence` an `ExtremityEvidence` of F frames; `steps` (F,) s
+        since the frame before, infinite for the first; `is_learning` whether the sizes are learned.
         """
-        cdef Py_ssize_t f, frames = core.shape[0]
+        cdef Py_ssize_t f, count = steps.shape[0]
+        cdef Stack core = evidence[0], lifted = evidence[1], lifted_std = evidence[2], rays = evidence[3]
+        cdef Rows weight = evidence[4]
+        cdef Vector noise = evidence[5]
         cdef State state
         cdef Evidence seen
-        states, predicted = np.empty((frames, start.shape[0])), np.empty((2, frames, PARTS, 9))
+        states, predicted = np.empty((count, start.shape[0])), np.empty((2, count, PARTS, 9))
         cdef double[:, ::1] out = states
         cdef double[:, :, :, ::1] out_predicted = predicted
         memcpy(&state, &start[0], sizeof(state))
-        for f in range(frames):
+        for f in range(count):
             seen = Evidence(&core[f, 0, 0], &lifted[f, 0, 0], &lifted_std[f, 0, 0], &rays[f, 0, 0], &weight[f, 0],
-                            noise, stature)
+                            noise[f], stature)
             self.advance(&state, &seen, steps[f], is_learning, &out_predicted[0, f, 0, 0], &out_predicted[1, f, 0, 0])
             memcpy(&out[f, 0], &state, sizeof(state))
         return states, predicted

@@ -1,7 +1,8 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-from typing import TypeAlias
+from collections.abc import Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,8 +10,7 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
 
-def follow_contacts(
-    log_odds: Array,
+def find_contacts(
     times: Array,
     rays: Array,
     weight: Array,
@@ -21,12 +21,20 @@ def follow_contacts(
     upward: Array,
     legs: Indices,
     others: Indices,
-    numbers: Array,
 ) -> Array: ...
-def begin() -> Array: ...
-def advance(
-    memory: Array, numbers: Array, step_s: float, core: Array, feet: Array, log_odds: Array, legs: Indices
-) -> Array: ...
+def follow_contacts(
+    footings: Array,
+    times: Array,
+    windows: Sequence[Any],
+    frames: Sequence[int],
+    core: Array,
+    feet: Array,
+    upward: Array,
+    legs: Indices,
+    others: Indices,
+) -> None: ...
+def advance(footings: Array, times: Array, noise: Array, core: Array, feet: Array, legs: Indices) -> None: ...
 def smooth(
-    numbers: Array, times: Array, core: Array, feet: Array, contact: Array, legs: Indices, rounds: int
+    noise: float, times: Array, core: Array, feet: Array, contact: Array, legs: Indices, rounds: int
 ) -> Array: ...
+def list_constants(noise: float, is_live: bool) -> Array: ...

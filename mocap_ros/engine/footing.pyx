@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 
-"""Roots that have inertia and feet that stand: the least squares of `solvers.footing`, frame by frame.
+"""Roots that have inertia and feet that stand: the contacts and the least squares of `solvers.footing`.
 
 The unknowns of a frame are u = (c, a_left, a_right), 9 numbers: displacements of the whole body and of both feet in
 the real camera's axes. Terms couple a frame with the two before it. With all terms up to frame t added, the unknowns
@@ -10,7 +10,7 @@ of frame t - 2 are eliminated, which leaves a matrix (18, 18) and a right side (
 solution is the estimate of frame t from its past; a sequence is then substituted backwards.
 """
 
-from libc.math cimport INFINITY, NAN, atanh, exp, fabs, fmax, fmin, isfinite, sqrt, tanh
+from libc.math cimport INFINITY, NAN, atanh, exp, fabs, fmax, fmin, isfinite, isnan, rint, sqrt, tanh
 from libc.string cimport memcpy, memset
 
 import numpy as np
@@ -19,6 +19,7 @@ from mocap_ros.engine.geometry cimport Indices, Rows, Stack, Vector, dot
 
 
 cdef enum:
+    CORE = 15  # joints
     OWN = 9  # unknowns of a frame
     TWO = 18
     ALL = 27
@@ -37,30 +38,66 @@ cdef double FAR_M = 5  # m; beyond it the root's error along the line of sight g
 cdef double MIN_LENGTH_M = 1e-6  # m; guards divisions by lengths
 cdef double MIN_TILT_M = 0.01  # m; legs along the line of sight do not tilt
 cdef double MAX_REACH = 0.9999  # of the length of a leg; a straight knee has no direction in which it bends
+cdef double LEAST_NOISE_M = 5e-4  # image noise of points without errors
+# Of contacts, in the letters of `solvers.footing`.
+cdef double SPEED_M_S = 0.2  # V
+cdef double HEIGHT_M = 0.07  # H
+cdef double EVIDENCE_S = 0.2  # E: as near frames share points and errors, those of so long count as one
+cdef double STANDING = 3.0  # B
+cdef double MOVING = 4.0  # D
+cdef double HOLD_S = 1.0  # T
+cdef double MAX_STEP_S = 0.1  # longest time that one frame stands for
+# longer lines blur short stands, and in shorter ones a detector's noise hides them; frames of 30 Hz come a little late
+cdef double REACH_S = 0.11
+cdef double FORGOTTEN = 2 * atanh(0.05)  # |log f| of p within 0.025 of 1/2; so little is no knowledge, after about 3 s
 
 
-cdef struct Memory:
-    # What is kept of the frames before; it lies in an array of doubles.
-    double matrix[TWO * TWO]  # lower triangle, frames t - 1 and t
+cdef struct Memory:  # what is kept of the frames before, the fields of `solvers.footing.FOOTING`
+    double time_s
+    double log_odds[POINTS]
+    double core[CORE * 3]
+    double found[TWO]
+    double matrix[TWO * TWO]
     double right[TWO]
-    double found[TWO]  # unknowns of frames t - 1 and t
-    double root[3]  # m, of frame t
-    double velocity[3]  # m/s, from frame t - 1 to t
-    double points[POINTS * 3]  # m
+    double root[3]
+    double velocity[3]
+    double points[POINTS * 3]
     double contact[POINTS]
-    double step_s  # from frame t - 1 to t
-    double frames  # number so far, at most 2
+    double step_s
+    double frames
 
 
 cdef struct Model:
-    double along, across  # m; deviations of the root's error along the line of sight and across it
-    double error_s, leg_s  # s; how long errors of the root and of legs last
-    double acceleration_along, acceleration_across  # m/s^2
-    double leg_tilt, leg_across  # m; deviations of a foot's error about the root: as legs tilt in depth, and across it
-    double slip  # m/s; deviation of the speed of a point that stands
-    double pace  # m/s; of a root whose deviation of accelerations is sqrt(2) of what it is at rest
-    double roll  # 1; share of the root's velocity that a point has while it stands
-    double fast  # m/s; a point that is faster hardly stands: c of Cauchy's loss, four times as much without estimate
+    double along, across  # m; C along the line of sight and across it
+    double error_s, leg_s  # s; T of c and of a
+    double acceleration_along, acceleration_across  # m/s^2; B
+    double leg_tilt, leg_across  # m; A as legs tilt in depth, and across it
+    double slip  # m/s; S
+    double pace  # m/s; V_0
+    double roll  # 1; R
+    double fast  # m/s; c of rho, four times as much without estimate
+
+
+cdef Model choose_model(double noise, bint is_live):
+    """The constants under an image noise in m at the body, of whole sequences or of the newest frame."""
+    cdef Model model
+    noise = fmax(noise, LEAST_NOISE_M)
+    model.along, model.across = 0.03 + 0.5 * noise, 0.004 + 0.3 * noise
+    model.leg_across = 0.004 + 0.1 * noise  # with more, feet slide less and knees are worse
+    model.slip = 0.09 * sqrt(1 + (0.007 / noise) * (0.007 / noise))  # with less, errors of contacts add up
+    if is_live:
+        model.error_s, model.leg_s, model.acceleration_along, model.acceleration_across = 0.7, 0.1, 4.0, 7.0
+        model.leg_tilt, model.pace, model.roll, model.fast = model.leg_across, INFINITY, 0.3, 0.3
+    else:  # accelerations of people who walk
+        model.error_s, model.leg_s, model.acceleration_along, model.acceleration_across = 0.5, 0.2, 2.0, 3.5
+        model.leg_tilt, model.pace, model.roll, model.fast = 0.02 + 0.6 * noise, 1.2, 0.05, 0.1
+    return model
+
+
+def list_constants(double noise, bint is_live):
+    """Return the fields of `Model`, (12,)."""
+    cdef Model model = choose_model(noise, is_live)
+    return np.array(<double[:12]> &model.along)
 
 
 cdef void add_term(double* a, double* b, int count, const int* at, const double* by, const double* m, const double* r) noexcept nogil:
@@ -271,94 +308,145 @@ cdef void displace(double[:, ::1] core, const long long[:, ::1] legs, const doub
             core[j, i] += u[i]
 
 
-cdef Model read_model(Vector numbers):
-    cdef Model model
-    memcpy(&model, &numbers[0], sizeof(Model))
-    return model
+cdef void find_ankles(const double[:, :] other_weight, Py_ssize_t frames, Indices others, bint* is_ankle):
+    """Write of which points (4,) only the ankles were seen in a window."""
+    cdef Py_ssize_t k, t
+    for k in range(POINTS):
+        is_ankle[k] = True
+        for t in range(0 if other_weight is None or other_weight.shape[1] == 0 else frames):
+            if other_weight[t, others[k]] > 0:
+                is_ankle[k] = False
+                break
+
+
+cdef void follow_points(
+    Py_ssize_t t, Py_ssize_t frames, Vector times, const double[:, :, :] rays, const double[:, :] weight,
+    const double[:, :, :] other_rays, const double[:, :] other_weight, const double[:, :] core, double[:, :] feet,
+    const double[:] upward, const long long[:, ::1] legs, Indices others, const bint* is_ankle, double* odds,
+    double* evidence,
+):
+    """Overwrite log f (4,) by that of frame t, and write e (4,); later frames than `frames` take no part."""
+    cdef Py_ssize_t s, k, i, at, start = max(t - 4, 0), count = min(start + 4, frames - 1) - start
+    cdef double step_s = MAX_STEP_S, reach_s = REACH_S, lowest = INFINITY
+    cdef double ago, sum_1, sum_2, x, y, sum_x, sum_y, speed, height
+    cdef double[4] heights, depths
+    cdef const double[:, :, :] seen
+    cdef const double[:, :] score
+    if count > 0:
+        reach_s = fmax(reach_s, 2.5 * (times[start + count] - times[start]) / count)
+        step_s = fmin(step_s, times[max(t, 1)] - times[max(t, 1) - 1])
+    for k in range(POINTS):
+        at, height = legs[k // 2, ANKLE], 0
+        for i in range(3):
+            height += upward[i] * (core[at, i] + feet[k, i])
+        heights[k], depths[k], lowest = height, core[at, 2] + feet[k, 2], fmin(lowest, height)
+    for k in range(POINTS):
+        if is_ankle[k]:
+            seen, score, at = rays, weight, legs[k // 2, ANKLE]
+            feet[k, 0], feet[k, 1], feet[k, 2] = 0, 0, 0
+        else:
+            seen, score, at = other_rays, other_weight, others[k]
+        count, sum_1, sum_2, x, y, sum_x, sum_y, s = 0, 0, 0, 0, 0, 0, 0, t
+        while s > 0 and times[t] - times[s - 1] <= reach_s:
+            s -= 1
+        while s < frames and times[s] - times[t] <= reach_s:
+            if score[s, at] > 0:
+                ago = times[s] - times[t]
+                count, sum_1, sum_2 = count + 1, sum_1 + ago, sum_2 + ago * ago
+                sum_x, sum_y = sum_x + seen[s, at, 0], sum_y + seen[s, at, 1]
+                x, y = x + ago * seen[s, at, 0], y + ago * seen[s, at, 1]
+            s += 1
+        odds[k] = hold(odds[k] if isfinite(odds[k]) else 0.0, times[t] - times[t - 1] if t > 0 else step_s)
+        evidence[k] = NAN
+        if count >= 3 and score[t, at] > 0 and isfinite(depths[k]):
+            sum_2 = count * sum_2 - sum_1 * sum_1
+            x, y = (count * x - sum_1 * sum_x) / sum_2, (count * y - sum_1 * sum_y) / sum_2
+            speed = depths[k] * sqrt(x * x + y * y) / SPEED_M_S
+            height = (heights[k] - lowest) / HEIGHT_M if isfinite(lowest) else 0
+            evidence[k] = score[t, at] * step_s / EVIDENCE_S * fmax(
+                STANDING - speed * speed - height * height, -MOVING
+            )
+            odds[k] += evidence[k]
+
+
+cdef inline double hold(double odds, double step_s) noexcept nogil:
+    """log g, of a logarithm of odds."""
+    return 2 * atanh(exp(-step_s / HOLD_S) * tanh(odds / 2))
+
+
+def find_contacts(
+    Vector times, const double[:, :, :] rays, const double[:, :] weight, const double[:, :, :] other_rays,
+    const double[:, :] other_weight, const double[:, :, :] core, double[:, :, :] feet, const double[:, :] upward,
+    const long long[:, ::1] legs, Indices others,
+):
+    """Return the probabilities (F, 4) that heels and toes stand; NaN where unknown.
+
+    Rays and scores are of the core and of the extremities; core (F, J, 3) m, and feet (F, 4, 3) m about their ankles,
+    which are set to 0 where the window has only the ankles.
+    """
+    cdef Py_ssize_t t, k, frames = times.shape[0]
+    cdef double[4] odds = [NAN, NAN, NAN, NAN]
+    cdef double[4] after = [0, 0, 0, 0]
+    cdef bint[4] is_ankle
+    cdef bint is_seen
+    result = np.empty((frames, POINTS))
+    cdef double[:, ::1] out = result, evidence = np.empty((frames, POINTS))
+    find_ankles(other_weight, frames, others, is_ankle)
+    for t in range(frames):
+        follow_points(t, frames, times, rays, weight, other_rays, other_weight, core[t], feet[t], upward[t], legs, others,
+                      is_ankle, odds, &evidence[t, 0])
+        memcpy(&out[t, 0], odds, sizeof(odds))
+    for t in range(frames - 1, -1, -1):
+        for k in range(POINTS):
+            odds[k], is_seen = out[t, k] + after[k], not isnan(evidence[t, k])
+            out[t, k] = 1 / (1 + exp(-odds[k])) if is_seen or fabs(odds[k]) >= FORGOTTEN else NAN
+            if t > 0:
+                after[k] = hold(after[k] + (evidence[t, k] if is_seen else 0), times[t] - times[t - 1])
+    return result
 
 
 def follow_contacts(
-    Vector log_odds, Vector times, const double[:, :, :] rays, const double[:, :] weight,
-    const double[:, :, :] other_rays, const double[:, :] other_weight, const double[:, :, :] core,
-    double[:, :, :] feet, const double[:, :] upward, const long long[:, ::1] legs, Indices others, Vector numbers,
+    double[:, :] footings, Vector times, windows, frames, Stack core, double[:, :, ::1] feet, Vector upward,
+    const long long[:, ::1] legs, Indices others,
 ):
-    """Return log f and e of `solvers.contacts`, both (N, 4); e is NaN where too little is seen.
+    """Overwrite the logarithms of the odds by those in a frame of each window, in which later ones take no part.
 
-    They are of the newest N frames of a window, `log_odds` (4,) of the frame before these; rays, scores and times (F,)
-    of the window, `other_rays` those of the extremities; core (N, J, 3) m, and feet (N, 4, 3) m about their ankles,
-    which are set to 0 where the window has only the ankles; numbers V, H, B, D, E, T, the longest step in s,
-    and how far lines reach to both sides in s.
+    `footings` and `times` as of `advance`; windows P `ObservedWindow`, frames indices in them; core (P, J, 3) m; else
+    as `find_contacts`.
     """
-    cdef Py_ssize_t frames = times.shape[0], known = core.shape[0], first = frames - known, n, t, s, k, i, at, start, count
-    cdef double step_s, reach_s, ago, sum_1, sum_2, x, y, sum_x, sum_y, speed, height, lowest
-    cdef double[4] odds, heights, depths
+    cdef Py_ssize_t p, k, frame
+    cdef double[4] evidence
     cdef bint[4] is_ankle
-    cdef const double[:, :, :] seen
-    cdef const double[:, :] score
-    found = np.empty((2, known, POINTS))
-    cdef double[:, :, ::1] out = found
-    for k in range(POINTS):
-        odds[k], is_ankle[k] = log_odds[k] if isfinite(log_odds[k]) else 0.0, True
-        for t in range(frames if other_weight.shape[1] > others[k] else 0):
-            is_ankle[k] = is_ankle[k] and not other_weight[t, others[k]] > 0
-    for n in range(known):
-        t, start, lowest, step_s = first + n, max(first + n - 4, 0), INFINITY, numbers[6]
-        count = min(start + 4, frames - 1) - start
-        reach_s = numbers[7]
-        if count > 0:
-            reach_s = fmax(reach_s, 2.5 * (times[start + count] - times[start]) / count)
-            step_s = fmin(step_s, times[max(t, 1)] - times[max(t, 1) - 1])
+    cdef Memory* own
+    cdef const double[:, :, :] other_rays
+    cdef const double[:, :] other_weight
+    for p in range(footings.shape[0]):
+        own, window, frame = <Memory*> &footings[p, 0], windows[p], frames[p]
+        if times[p] <= own.time_s:
+            continue
+        other_rays, other_weight = (None, None) if window.extremities is None else window.extremities
+        find_ankles(other_weight, frame + 1, others, is_ankle)
+        follow_points(frame, frame + 1, window.times, window.rays, window.weight, other_rays, other_weight, core[p],
+                      feet[p], upward, legs, others, is_ankle, own.log_odds, evidence)
         for k in range(POINTS):
-            at, height = legs[k // 2, ANKLE], 0
-            for i in range(3):
-                height += upward[n, i] * (core[n, at, i] + feet[n, k, i])
-            heights[k], depths[k], lowest = height, core[n, at, 2] + feet[n, k, 2], fmin(lowest, height)
-        for k in range(POINTS):
-            if is_ankle[k]:
-                seen, score, at = rays, weight, legs[k // 2, ANKLE]
-                feet[n, k, 0], feet[n, k, 1], feet[n, k, 2] = 0, 0, 0
-            else:
-                seen, score, at = other_rays, other_weight, others[k]
-            count, sum_1, sum_2, x, y, sum_x, sum_y, s = 0, 0, 0, 0, 0, 0, 0, t
-            while s > 0 and times[t] - times[s - 1] <= reach_s:
-                s -= 1
-            while s < frames and times[s] - times[t] <= reach_s:
-                if score[s, at] > 0:
-                    ago = times[s] - times[t]
-                    count, sum_1, sum_2 = count + 1, sum_1 + ago, sum_2 + ago * ago
-                    sum_x, sum_y = sum_x + seen[s, at, 0], sum_y + seen[s, at, 1]
-                    x, y = x + ago * seen[s, at, 0], y + ago * seen[s, at, 1]
-                s += 1
-            odds[k] = 2 * atanh(exp(-(times[t] - times[t - 1] if t > 0 else step_s) / numbers[5]) * tanh(odds[k] / 2))
-            out[1, n, k] = NAN
-            if count >= 3 and score[t, at] > 0 and isfinite(depths[k]):
-                sum_2 = count * sum_2 - sum_1 * sum_1
-                x, y = (count * x - sum_1 * sum_x) / sum_2, (count * y - sum_1 * sum_y) / sum_2
-                speed = depths[k] * sqrt(x * x + y * y) / numbers[0]
-                height = (heights[k] - lowest) / numbers[1] if isfinite(lowest) else 0
-                out[1, n, k] = score[t, at] * step_s / numbers[4] * fmax(
-                    numbers[2] - speed * speed - height * height, -numbers[3]
-                )
-                odds[k] += out[1, n, k]
-            out[0, n, k] = odds[k]
-    return found
+            if isnan(evidence[k]) and fabs(own.log_odds[k]) < FORGOTTEN:
+                own.log_odds[k] = NAN
 
 
-def begin():
-    """Return the memory of a person of whom no frame is known."""
-    return np.zeros(sizeof(Memory) // sizeof(double))
-
-
-def advance(double[::1] memory, Vector numbers, double step_s, Rows core, Rows feet, Vector log_odds, const long long[:, ::1] legs):
-    """Return the core (J, 3) m of the next frame with the displacements that the frames so far give.
+def advance(
+    double[:, :] footings, Vector times, Vector noise, double[:, :, ::1] core, Stack feet,
+    const long long[:, ::1] legs,
+):
+    """Overwrite the cores (P, 15, 3) m of people by those with the displacements that the frames so far give.
 
     Where the root is too far away for a person to have moved there, or what was found is not finite, all begins anew.
+    A frame that is not newer than the last changes nothing, and if it is the last, it has its core.
 
-    `memory` of the frames before is overwritten; `numbers` are the fields of `Model`; `step_s` since the frame before;
-    feet (4, 3) m about their ankles, and the logarithms (4,) of the odds that they stand.
+    `footings` (P, N), each as `solvers.footing.FOOTING`, are overwritten, all but the odds; `times` (P,) s; noise
+    (P,) m, of the image at the body; feet (P, 4, 3) m about their ankles.
     """
-    cdef Memory* own = <Memory*> &memory[0]
-    cdef Model model = read_model(numbers)
+    cdef Memory* own
+    cdef Model model
     cdef double[ALL * ALL] a
     cdef double[ALL] b, u
     cdef double[TWO] estimate
@@ -366,35 +454,41 @@ def advance(double[::1] memory, Vector numbers, double step_s, Rows core, Rows f
     cdef double[POINTS * 3] points
     cdef double[FEET * 3] tilts
     cdef double[POINTS] contact
-    cdef double squared = 0, known = 0
+    cdef double squared, known, step_s
+    cdef Py_ssize_t p
     cdef int i
-    result = np.array(core)
-    cdef double[:, ::1] out = result
-    step_s = fmax(step_s, MIN_STEP_S)
-    find_points(out, feet, legs, root, points, tilts)
-    for i in range(3):
-        squared += (root[i] - own.root[i]) * (root[i] - own.root[i])
-    for i in range(TWO):
-        known += own.found[i]
-    if not (isfinite(known) and sqrt(squared) <= MAX_DEPTH_CHANGE * fabs(root[2]) + MAX_SPEED_M_S * step_s):
-        memset(own, 0, sizeof(Memory))
-    for i in range(POINTS):
-        contact[i] = 1 / (1 + exp(-log_odds[i]))
-    if own.frames > 1:
-        foresee(own, step_s, root, estimate)
-    add_frame(own, &model, step_s, root, points, tilts, contact, estimate if own.frames > 1 else NULL, a, b)
-    eliminate(a, b, own)
-    substitute(a, b, OWN, ALL, u)
-    memcpy(own.found, u + OWN, TWO * sizeof(double))
-    remember(own, step_s, root, points, contact)
-    displace(out, legs, u + TWO)
-    return result
+    for p in range(footings.shape[0]):
+        own, model, squared, known = <Memory*> &footings[p, 0], choose_model(rint(1e4 * noise[p]) / 1e4, True), 0, 0
+        if times[p] <= own.time_s:
+            if times[p] == own.time_s:
+                memcpy(&core[p, 0, 0], own.core, sizeof(own.core))
+            continue
+        step_s = 1.0 if isnan(own.time_s) else fmax(times[p] - own.time_s, MIN_STEP_S)
+        find_points(core[p], feet[p], legs, root, points, tilts)
+        for i in range(3):
+            squared += (root[i] - own.root[i]) * (root[i] - own.root[i])
+        for i in range(TWO):
+            known += own.found[i]
+        if not (isfinite(known) and sqrt(squared) <= MAX_DEPTH_CHANGE * fabs(root[2]) + MAX_SPEED_M_S * step_s):
+            memset(own.found, 0, sizeof(Memory) - (<char*> own.found - <char*> own))
+        for i in range(POINTS):
+            contact[i] = 0 if isnan(own.log_odds[i]) else 1 / (1 + exp(-own.log_odds[i]))
+        if own.frames > 1:
+            foresee(own, step_s, root, estimate)
+        add_frame(own, &model, step_s, root, points, tilts, contact, estimate if own.frames > 1 else NULL, a, b)
+        eliminate(a, b, own)
+        substitute(a, b, OWN, ALL, u)
+        memcpy(own.found, u + OWN, TWO * sizeof(double))
+        remember(own, step_s, root, points, contact)
+        displace(core[p], legs, u + TWO)
+        memcpy(own.core, &core[p, 0, 0], sizeof(own.core))
+        own.time_s = times[p]
 
 
-def smooth(Vector numbers, Vector times, Stack core, Stack feet, Rows contact, const long long[:, ::1] legs, int rounds):
+def smooth(double noise, Vector times, Stack core, Stack feet, Rows contact, const long long[:, ::1] legs, int rounds):
     """Return the cores (F, J, 3) m of a sequence with the displacements that all frames give; else as `advance`."""
     cdef Py_ssize_t frames = core.shape[0], t, n
-    cdef Model model = read_model(numbers)
+    cdef Model model = choose_model(noise, False)
     cdef double step_s
     cdef double[ALL] b, u
     result, unknowns = np.array(core), np.zeros((frames + 2, OWN))

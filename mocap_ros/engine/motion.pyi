@@ -1,7 +1,8 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-from typing import TypeAlias
+from collections.abc import Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,33 +12,23 @@ Array32: TypeAlias = NDArray[np.float32]
 Indices: TypeAlias = NDArray[np.int64]
 
 def sample_joints(
-    ago: Array,
-    frame: int,
-    times: Array,
-    theta: Array,
-    rotation: Array,
-    roots: Array,
-    mean: Array,
-    components: Array,
-    size: float,
+    ago: Array, frames: Sequence[int], windows: Sequence[Any], solutions: Sequence[Any]
 ) -> Array: ...
-def filter_motion(filters: Array, times: Array, joints: Array, image_noise: Array) -> None: ...
-def read_motion(
-    filters: Array, times: Array, located: Array, left_hip: int, right_hip: int
+def filter_motion(
+    filters: Array, times: Array, located: Array, image_noise: Array, hips: Indices, is_steady: bool
 ) -> tuple[Array, Array, Array, Array]: ...
-def build_inputs(
-    velocity: Array, joints: Array, earlier: Array, axes: Array, spans: Array, mirror: Indices, hips: Indices
-) -> Array: ...
-def limit_correction(
-    found: Array32,
-    velocity: Array,
-    std: Array,
-    joints: Array,
-    earlier: Array,
-    axes: Array,
+def build_inputs(past: tuple[Array, ...], spans: Array, mirror: Indices, hips: Indices) -> Array: ...
+def correct_velocity(
+    layers: Sequence[Array32],
+    past: tuple[Array, ...],
+    covariance: Array,
+    limit: float,
     needed: int,
     max_stds: float,
     spans: Array,
     mirror: Indices,
     hips: Indices,
-) -> Array: ...
+) -> None: ...
+def describe_cores(
+    posterior: Array, evidence: Any, joints: Array, sizes: Array, shifts: Array, hips: Indices
+) -> tuple[Array, Array]: ...

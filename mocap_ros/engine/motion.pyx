@@ -2,17 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 
-"""Where a person is from frame to frame: states of the solution, the filter of the motion, corrected velocities.
+"""Where people are from frame to frame: states of the solution, filters, corrected velocities, and how certain it is.
 
-The formulas are in `tracking.solution`, `tracking.motion_filter` and `models.velocity_correction`. Sizes: J joints,
-F frames, K base poses, T spans of time, I inputs of the network.
+The formulas are in `tracking.solution`, `tracking.motion_filter`, `models.velocity_correction`, `models.joint_std`
+and `tracking.body_size`. Sizes: P people, J joints, F frames, K base poses, T spans of time, I inputs and H hidden
+units of the network.
 """
 
-from libc.math cimport M_PI, NAN, cos, exp, fabs, isfinite, pow, sqrt
+from libc.math cimport M_PI, NAN, cos, exp, expf, fabs, hypot, isfinite, pow, sqrt
 from libc.stdlib cimport free, malloc
-from libc.string cimport memmove
+from libc.string cimport memcpy, memmove
 
 import numpy as np
+
+from scipy.linalg.cython_blas cimport sgemm
 
 from mocap_ros.engine.geometry cimport Indices, Rows, Stack, Vector, dot
 
@@ -47,6 +50,19 @@ cdef double MAX_NOISE_SHARE = 0.5  # of the image noise; a joint rests on severa
 cdef double MAX_STEP_S = 0.200001  # over a gap of more than 0.2 s the differences say nothing of the jitter
 cdef double MAX_SPEED_M_S = 10.0  # of a sprinter
 cdef double MAX_DEPTH_CHANGE = 0.3  # of the depth; a larger one from frame to frame is another solution
+# Of corrected velocities: two thirds of the errors are within, of persons in no training as well.
+cdef double CORRECTED_STD = 0.7  # f
+cdef double CORRECTION_STD = 0.7  # g
+cdef double ROOT_SPREAD = 1.3  # h; errors of the root's velocity are often small and at times large: 95 % are within
+# Of joints, as `models.joint_std` says.
+cdef double LIFTER_SEEN = 0.65  # f
+cdef double NOISE_SEEN = 0.9  # n
+cdef double LIFTER_INFERRED = 0.8  # g; the image says little of them
+cdef double POSTERIOR_SEEN = 3.5  # h_j
+cdef double POSTERIOR_INFERRED = 5.6  # h_j
+cdef double POSTERIOR_FLOOR_M = 0.011  # the posterior does not know the poses that the base poses cannot represent
+cdef double ACROSS = 1.0 / 6  # of the whole variance, in each direction across the line of sight
+cdef double ALONG = 2.0 / 3  # and along it
 
 cdef enum:  # rows of the filter's state: x, v, mean squares of the second differences and of v, variance of v
     X, V, SECOND, SPEED, VARIANCE
@@ -79,35 +95,42 @@ cdef void pose(
             out[3 * j + i] = size * (dot(rotation + 3 * i, point) + root[i])
 
 
-def sample_joints(
-    Vector ago, Py_ssize_t frame, Vector times, Rows theta, Stack rotation, Rows roots, Rows mean, Stack components,
-    double size,
-):
-    """Return the joints (T, J, 3) m of poses size (R (Q_0 + sum_k theta_k Q_k) + root); NaN before the first frame.
+def sample_joints(Vector ago, frames, windows, solutions):
+    """Return the joints (P, T, J, 3) m of people of the assumed size; NaN before the first frame of their windows.
 
-    Positions at times `ago` (T,) s before a frame, given by its index, are interpolated between those of the frames:
-    times (F,) s, theta (F, K) m, R (F, 3, 3), roots (F, 3) m. `mean` is Q_0, and components are Q_k, K or more.
+    Positions at times `ago` (T,) s before a frame of each, given by its index, are interpolated between frames.
     """
-    cdef Py_ssize_t n, k, first, values = 3 * mean.shape[0], count = theta.shape[1]
-    cdef double share, wanted
-    result = np.full((ago.shape[0], mean.shape[0], 3), np.nan)
-    cdef double[:, :, ::1] out = result
-    cdef double* after = <double*> malloc(values * sizeof(double))
+    cdef Py_ssize_t p, n, k, first, frame, values, count
+    cdef double share, wanted, size
+    cdef Vector times
+    cdef Rows theta, roots, mean
+    cdef Stack rotation, components
+    cdef double[:, :, :, ::1] out
+    cdef double* after
     cdef double* before
-    for n in range(ago.shape[0]):
-        wanted, before, first = times[frame] - ago[n], &out[n, 0, 0], frame
-        if not wanted >= times[0]:
-            continue
-        while first > 0 and times[first] > wanted:
-            first -= 1
-        pose(&theta[first, 0], count, &rotation[first, 0, 0], &roots[first, 0], mean, components, size, before)
-        if first == frame:
-            continue
-        share = (wanted - times[first]) / (times[first + 1] - times[first])
-        pose(&theta[first + 1, 0], count, &rotation[first + 1, 0, 0], &roots[first + 1, 0], mean, components, size,
-             after)
-        for k in range(values):
-            before[k] += share * (after[k] - before[k])
+    result = np.empty((len(frames), ago.shape[0], *solutions[0].model.mean.shape))
+    out, values = result, 3 * result.shape[2]
+    out[...] = NAN
+    after = <double*> malloc(values * sizeof(double))
+    for p in range(out.shape[0]):
+        solution, frame, times = solutions[p], frames[p], windows[p].times
+        theta, rotation, roots = solution.theta, solution.rotation, solution.roots
+        mean, components = solution.model.mean, solution.model.components
+        size, count = 1 / <double> solution.stature_ratio, theta.shape[1]
+        for n in range(ago.shape[0]):
+            wanted, before, first = times[frame] - ago[n], &out[p, n, 0, 0], frame
+            if not wanted >= times[0]:
+                continue
+            while first > 0 and times[first] > wanted:
+                first -= 1
+            pose(&theta[first, 0], count, &rotation[first, 0, 0], &roots[first, 0], mean, components, size, before)
+            if first == frame:
+                continue
+            share = (wanted - times[first]) / (times[first + 1] - times[first])
+            pose(&theta[first + 1, 0], count, &rotation[first + 1, 0, 0], &roots[first + 1, 0], mean, components,
+                 size, after)
+            for k in range(values):
+                before[k] += share * (after[k] - before[k])
     free(after)
     return result
 
@@ -189,64 +212,61 @@ cdef void advance_filter(
             )
 
 
-def filter_motion(double[:, ::1] filters, Vector times, Stack joints, Vector image_noise):
-    """Advance the filters of P people in place.
-
-    `filters` (P, R), each as `tracking.motion_filter.FILTER`, with N = J + 1, NaN before the first frame; `times`
-    (P,) s, a frame that is not newer than the last changes nothing; `joints` (P, J, 3) m; `image_noise` (P,) m, at
-    the body.
-    """
-    cdef Py_ssize_t p, j, i, count = joints.shape[1], size = 3 * (count + 1)
-    cdef double squared, moved
-    cdef double* row
-    cdef double* points
-    cdef double* state
-    cdef double* centre
-    for p in range(filters.shape[0]):
-        row = &filters[p, 0]
-        if times[p] <= row[2]:
-            continue
-        memmove(row, row + 1, 2 * sizeof(double))
-        memmove(row + 3, row + 3 + size, 2 * size * sizeof(double))
-        row[2], points, state = times[p], row + 3 + 2 * size, row + 3 + 3 * size
-        centre = points + 3 * count
-        for i in range(3):
-            centre[i] = 0
-            for j in range(count):
-                centre[i] += joints[p, j, i] / count
-            for j in range(count):
-                points[3 * j + i] = joints[p, j, i] - centre[i]
-        squared = 0
-        for i in range(3):
-            squared += square(state[size - 3 + i] - centre[i])
-        moved = MAX_DEPTH_CHANGE * fabs(state[size - 1]) + MAX_SPEED_M_S * (row[2] - row[1])
-        if not sqrt(squared) <= moved:  # NaN before the first frame
-            row[0] = row[1] = NAN
-            begin_filter(state, points, count + 1)
-            continue
-        if row[2] - row[1] > MAX_STEP_S:
-            row[0] = NAN
-        advance_filter(state, row + 3, row, count + 1, MAX_NOISE_SHARE * image_noise[p])
+cdef void filter_person(
+    double* row, double time, const double* joints, Py_ssize_t count, double image_noise
+) noexcept nogil:
+    """Advance the filter of a person, unless the frame is not newer than the last."""
+    cdef Py_ssize_t j, i, size = 3 * (count + 1)
+    cdef double squared = 0, moved
+    cdef double* points = row + 3 + 2 * size
+    cdef double* state = row + 3 + 3 * size
+    cdef double* centre = points + 3 * count
+    if time <= row[2]:
+        return
+    memmove(row, row + 1, 2 * sizeof(double))
+    memmove(row + 3, row + 3 + size, 2 * size * sizeof(double))
+    row[2] = time
+    for i in range(3):
+        centre[i] = 0
+        for j in range(count):
+            centre[i] += joints[3 * j + i] / count
+        for j in range(count):
+            points[3 * j + i] = joints[3 * j + i] - centre[i]
+        squared += square(state[size - 3 + i] - centre[i])
+    moved = MAX_DEPTH_CHANGE * fabs(state[size - 1]) + MAX_SPEED_M_S * (row[2] - row[1])
+    if not sqrt(squared) <= moved:  # NaN before the first frame
+        row[0] = row[1] = NAN
+        begin_filter(state, points, count + 1)
+        return
+    if row[2] - row[1] > MAX_STEP_S:
+        row[0] = NAN
+    advance_filter(state, row + 3, row, count + 1, MAX_NOISE_SHARE * image_noise)
 
 
-def read_motion(Rows filters, Vector times, Stack located, Py_ssize_t left_hip, Py_ssize_t right_hip):
+def filter_motion(
+    double[:, :] filters, Vector times, Stack located, Vector image_noise, Indices hips, bint is_steady
+):
     """Return joints, velocities (P, J, 3), deviations (P, J) and covariances (P, 3, 3) of velocities between hips.
 
-    The errors of both hips are mostly the same, so the variance of the point between them is their mean.
+    The errors of both hips are mostly the same, so the variance of the point between them is their mean. If
+    `is_steady`, the filters are advanced in place before.
 
-    `filters` (P, R) as of `filter_motion`; `times` (P,) s, where a filter is not at this time, the joints are
-    those located, and all else is NaN; `located` (P, J, 3) m; `left_hip`, `right_hip` index of the joint.
+    `filters` (P, R), each as `tracking.motion_filter.MOTION`, with N = J + 1, NaN before the first frame; `times`
+    (P,) s, a frame that is not newer than the last changes nothing; where a filter is not at this time, the joints are
+    those located, and all else is NaN; `located` (P, J, 3) m; `image_noise` (P,) m, at the body.
     """
     cdef Py_ssize_t p, j, i, people = located.shape[0], count = located.shape[1], size = 3 * (count + 1)
     cdef double variance
-    arrays = (np.array(located), np.full((people, count, 3), np.nan), np.full((people, count), np.nan),
-              np.full((people, 3, 3), np.nan))
+    arrays = (np.array(located), np.empty((people, count, 3)), np.empty((people, count)), np.empty((people, 3, 3)))
     cdef double[:, :, ::1] joints = arrays[0], velocity = arrays[1], covariance = arrays[3]
     cdef double[:, ::1] std = arrays[2]
     cdef const double* state
     cdef const double* variances
     for p in range(people):
+        if is_steady:
+            filter_person(&filters[p, 0], times[p], &located[p, 0, 0], count, image_noise[p])
         if filters[p, 2] != times[p]:
+            velocity[p], std[p], covariance[p] = NAN, NAN, NAN
             continue
         state = &filters[p, 3 + 3 * size]
         variances = state + size * VARIANCE
@@ -259,19 +279,19 @@ def read_motion(Rows filters, Vector times, Stack located, Py_ssize_t left_hip, 
             std[p, j] = sqrt(variance)
         covariance[p, :, :] = 0.0
         for i in range(3):
-            covariance[p, i, i] = (variances[3 * left_hip + i] + variances[3 * right_hip + i]) / 2
+            covariance[p, i, i] = (variances[3 * hips[0] + i] + variances[3 * hips[1] + i]) / 2
             covariance[p, i, i] += variances[3 * count + i]
     return arrays
 
 
-def build_inputs(
-    Stack velocity, Stack joints, const double[:, :, :, ::1] earlier, Stack axes, Vector spans, Indices mirror, Indices hips
-):
+cpdef build_inputs(past, Vector spans, Indices mirror, Indices hips):
     """Return the inputs x (P, 2, I) of people and of the mirror images, neither centred nor scaled.
 
-    `velocity`, `joints`, `earlier`, `axes` attributes of `VelocityPast`; `spans` (T,) s; `mirror` (J + 1,)
-    counterparts of the joints and of the root; `hips` (2,) indices.
+    `past` is a `VelocityPast`; `spans` (T,) s; `mirror` (J + 1,) counterparts of the joints and of the root; `hips`
+    (2,) indices.
     """
+    cdef Stack velocity = past[0], joints = past[2], axes = past[4]
+    cdef const double[:, :, :, ::1] earlier = past[3]
     cdef Py_ssize_t p, k, j, i, a, own, other, count = joints.shape[1], times = spans.shape[0]
     cdef double length, value
     cdef double[:, :, ::1] points = np.empty((times + 2, count + 1, 3))  # the root is last
@@ -302,25 +322,54 @@ def build_inputs(
     return result
 
 
-def limit_correction(
-    const float[:, :, ::1] found, Stack velocity, Rows std, Stack joints, const double[:, :, :, ::1] earlier,
-    Stack axes, Py_ssize_t needed, double max_stds, Vector spans, Indices mirror, Indices hips,
-):
-    """Return what is to be added to the velocities (P, J, 3) m/s, limited (the l_j).
+cdef evaluate(layers, const double[:, :, ::1] inputs, double limit):
+    """Return what the network makes of inputs (P, 2, I): c_j and c_0 (P, 2, 3 (J + 1)) of people and mirror images."""
+    cdef const float[::1] centre = layers[0], scale = layers[1], bias_0 = layers[3], bias_1 = layers[5]
+    cdef const float[:, ::1] weight_0 = layers[2], weight_1 = layers[4]
+    cdef int rows = 2 * inputs.shape[0], width = inputs.shape[2], units = weight_0.shape[1], outputs = weight_1.shape[1]
+    cdef float one = 1
+    cdef Py_ssize_t n, i
+    cdef float[:, ::1] x = np.empty((rows, width), np.float32), hidden = np.empty((rows, units), np.float32)
+    result = np.empty((inputs.shape[0], 2, outputs), np.float32)
+    cdef float[:, :, ::1] out = result
+    for n in range(rows):
+        for i in range(width):
+            x[n, i] = min(max((inputs[n // 2, n % 2, i] - centre[i]) / scale[i], -limit), limit)
+        memcpy(&hidden[n, 0], &bias_0[0], units * sizeof(float))
+        memcpy(&out[n // 2, n % 2, 0], &bias_1[0], outputs * sizeof(float))
+    sgemm(b"N", b"N", &units, &rows, &width, &one, <float*> &weight_0[0, 0], &units, &x[0, 0], &width, &one,
+          &hidden[0, 0], &units)
+    for n in range(rows):
+        for i in range(units):
+            hidden[n, i] /= 1 + expf(-hidden[n, i])
+    sgemm(b"N", b"N", &outputs, &rows, &units, &one, <float*> &weight_1[0, 0], &outputs, &hidden[0, 0], &units, &one,
+          &out[0, 0, 0], &outputs)
+    return result
 
-    `found` (P, 2, 3 (J + 1)) c_j and c_0 of people and of the mirror images; `needed` index of the span without
-    which nothing is corrected; `max_stds` L; the others are those of `build_inputs`, and `std` that of `VelocityPast`.
+
+def correct_velocity(
+    layers, past, double[:, :, ::1] covariance, double limit, Py_ssize_t needed, double max_stds, Vector spans,
+    Indices mirror, Indices hips,
+):
+    """Correct velocities (the l_j limit them), their deviations and the covariances (P, 3, 3) of the roots in place.
+
+    `layers` are the fields of `VelocityCorrection`; `limit` of the inputs, in standard deviations; `needed` index of
+    the span without which nothing is corrected; `max_stds` L; else as `build_inputs`.
     """
+    cdef double[:, :, ::1] velocity = past[0]
+    cdef double[:, ::1] std = past[1]
+    cdef Stack joints = past[2], axes = past[4]
+    cdef const double[:, :, :, ::1] earlier = past[3]
+    cdef const float[:, :, ::1] found = evaluate(layers, build_inputs(past, spans, mirror, hips), limit)
     cdef Py_ssize_t p, j, i, a, k, n, people = joints.shape[0], count = joints.shape[1]
     cdef double[:, ::1] said = np.zeros((count + 1, 3))
     cdef double along, apart_along, most_along, most_across, squared, length
-    cdef double[3] sight, apart
-    result = np.zeros((people, count, 3))
-    cdef double[:, :, ::1] out = result
+    cdef double[3] sight, apart, out, root
     for p in range(people):
         if not isfinite(earlier[p, needed, 0, 0]):
             continue
         said[:, :] = 0.0
+        root = [0, 0, 0]
         for n in range(2):  # the mean of the person and of the mirror image
             for j in range(count + 1):
                 for i in range(3):
@@ -333,9 +382,10 @@ def limit_correction(
             sight[i] /= length
         for j in range(count):
             for i in range(3):
+                out[i] = 0
                 for a in range(3):
-                    out[p, j, i] += axes[p, i, a] * (said[j, a] + said[count, a])
-            along, most_along, most_across = dot(&out[p, j, 0], sight), 0.0, 0.0
+                    out[i] += axes[p, i, a] * (said[j, a] + said[count, a])
+            along, most_along, most_across = dot(out, sight), 0.0, 0.0
             for k in range(LIMIT_FIRST, LIMIT_LAST):
                 for i in range(3):
                     apart[i] = (joints[p, j, i] - earlier[p, k, j, i]) / spans[k] - velocity[p, j, i]
@@ -348,17 +398,68 @@ def limit_correction(
                 if squared > most_across:
                     most_across = squared
             for i in range(3):
-                out[p, j, i] -= along * sight[i]
-            squared = dot(&out[p, j, 0], &out[p, j, 0])
+                out[i] -= along * sight[i]
+            squared = dot(out, out)
             length = most_across / sqrt(squared) if squared > most_across * most_across else 1.0
             along = min(max(along, -most_along), most_along)
             for i in range(3):
-                out[p, j, i] = length * out[p, j, i] + along * sight[i]
-            length = sqrt(dot(&out[p, j, 0], &out[p, j, 0]))
+                out[i] = length * out[i] + along * sight[i]
+            length = sqrt(dot(out, out))
             most_along = max_stds * std[p, j]
             if not (isfinite(length) and isfinite(most_along)):
-                out[p, j, 0] = out[p, j, 1] = out[p, j, 2] = 0.0
+                out = [0, 0, 0]
             elif length > most_along:
                 for i in range(3):
-                    out[p, j, i] *= most_along / length
-    return result
+                    out[i] *= most_along / length
+            std[p, j] = hypot(CORRECTED_STD * std[p, j], CORRECTION_STD * sqrt(dot(out, out)))
+            for i in range(3):
+                velocity[p, j, i] += out[i]
+                if j == hips[0] or j == hips[1]:
+                    root[i] += CORRECTION_STD * out[i] / 2
+        for i in range(3):
+            for a in range(3):
+                covariance[p, i, a] = square(ROOT_SPREAD) * (
+                    square(CORRECTED_STD) * covariance[p, i, a] + root[i] * root[a]
+                )
+
+
+def describe_cores(Rows posterior, evidence, Stack joints, Rows sizes, Rows shifts, Indices hips):
+    """Return the deviations (P, J) m of joints, as of `models.joint_std`, and the covariances (P, 3, 3) m^2 of roots.
+
+    All but the covariances, `tracking.body_size`'s, are of people of the assumed size. `posterior` (P, J) m of the solver;
+    `evidence` an `ExtremityEvidence`; `joints` (P, J, 3) m; `sizes` (P, 3) the attributes of `BodySize`; `shifts`
+    (P, 3) m by which inertia and feet displace people, NaN if unknown.
+    """
+    cdef Rows weight = evidence.weight
+    cdef Stack lifted_std = evidence.lifted_std
+    cdef Vector noise = evidence.noise
+    cdef Py_ssize_t p, j, i, a
+    cdef bint is_seen
+    cdef double length, variance, deep, ratio
+    cdef double[3] root
+    cdef const double* lifted
+    result, covariances = np.empty((posterior.shape[0], posterior.shape[1])), np.empty((posterior.shape[0], 3, 3))
+    cdef double[:, ::1] std = result
+    cdef double[:, :, ::1] covariance = covariances
+    for p in range(std.shape[0]):
+        for j in range(std.shape[1]):
+            is_seen, lifted = weight[p, j] > 0, &lifted_std[p, j, 0]
+            length = sqrt(dot(lifted, lifted))
+            if not isfinite(length):
+                std[p, j] = hypot((POSTERIOR_SEEN if is_seen else POSTERIOR_INFERRED) * posterior[p, j], POSTERIOR_FLOOR_M)
+            elif is_seen:
+                std[p, j] = hypot(LIFTER_SEEN / sqrt(ALONG) * lifted[2], NOISE_SEEN * noise[p])
+            else:
+                std[p, j] = LIFTER_INFERRED * length
+        for i in range(3):
+            root[i] = (joints[p, hips[0], i] + joints[p, hips[1], i]) / 2
+        ratio, variance = square(sizes[p, 0]), square((std[p, hips[0]] + std[p, hips[1]]) / 2)
+        deep = variance * (ALONG - ACROSS) / dot(root, root) + square(sizes[p, 1])
+        for i in range(3):
+            for a in range(3):
+                covariance[p, i, a] = ratio * deep * root[i] * root[a]
+                if isfinite(shifts[p, i] * shifts[p, a]):
+                    covariance[p, i, a] += ratio * shifts[p, i] * shifts[p, a]
+            covariance[p, i, i] += ratio * (ACROSS * variance + square(noise[p]))
+        covariance[p, 2, 2] += ratio * square(sizes[p, 2] * root[2])
+    return result, covariances

@@ -12,7 +12,7 @@ are
 
 All other links are children of `body_<id>`: `torso_<id>` between the shoulders, `head_<id>`, the joints of the
 limbs, such as `l_shoulder_<id>`, and toes, heels, hands, eyes, ears and nose where people have them. Each is
-turned as the segment of the body that turns about it or holds it (`solvers.body_segments`): `l_shoulder_<id>` is
+turned as the segment of the body that turns about it or holds it (`solvers.extremities`): `l_shoulder_<id>` is
 the left upper arm. Of a person who stands upright with hanging arms, all have the axes of the body.
 
 Beside the people, `mocap_world` is the world in which they stand (`runtime.output_frame.LiveWorld`). It is a child
@@ -58,7 +58,7 @@ def _list_links(skeleton: Skeleton) -> tuple[tuple[str, ...], NDArray[np.intp]]:
     return (TORSO_LINK, *names), np.array([*middle, *sided])
 
 
-_TORSO_SEGMENT = CMU15.index('neck')  # joint about which the torso turns (`solvers.body_segments`)
+_TORSO_SEGMENT = CMU15.index('neck')  # joint about which the torso turns (`solvers.extremities`)
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])  # factors of a quaternion's components for the opposite rotation
 
 CHILD_LINKS = _list_links(BODY26)[0]  # all links besides `body` that any skeleton has

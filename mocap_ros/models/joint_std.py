@@ -8,11 +8,11 @@
     without a lifter:         std_j = sqrt((h_j posterior_std_j)^2 + floor^2)
     covariance about the body's origin:  C_j = std_j^2 (I / 6 + u u^T / 2)       u: direction of the line of sight
 
-The factors were chosen so that two thirds of the true errors along the line of sight are within their standard
-deviation and 95 % within two, in all joints and postures as evenly as can be: with a lifter on training persons
-seen by models of detectors, wide enough to hold for a laboratory that the lifter does not know; h_j on
-CMU trials of subject 35 (walk), UJ, UB and 05, left out of training. In 160 trials, 0.71 of the squared errors lie
-along that line.
+The factors, in `engine/motion.pyx`, were chosen so that two thirds of the true errors along the line of sight are
+within their standard deviation and 95 % within two, in all joints and postures as evenly as can be: with a lifter
+on training persons seen by models of detectors, wide enough to hold for a laboratory that the lifter does not
+know; h_j on CMU trials of subject 35 (walk), UJ, UB and 05, left out of training. In 160 trials, 0.71 of the
+squared errors lie along that line.
 
 A pose is the mean of those that the image allows, so its bones have too little depth, and a person who is enlarged
 until they have their true lengths is too large and too far away. A bone of the length l is expected to be
@@ -22,45 +22,16 @@ until they have their true lengths is too large and too far away. A bone of the 
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from mocap_ros.arrays import Array
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.skeleton import Skeleton
 
-LIFTER_FACTOR_SEEN = 0.65  # 1, f: factor on the lifter's standard deviations of seen joints, tuned as described
-NOISE_FACTOR_SEEN = 0.9  # 1, n: factor on the image noise for seen joints, tuned likewise
-LIFTER_FACTOR_INFERRED = 0.8  # 1, g: as f for inferred joints, of which the image says little
-POSTERIOR_FACTOR_SEEN = 3.5  # 1, factor on the solver's posterior of seen joints; tuned as described above
-POSTERIOR_FACTOR_INFERRED = 5.6  # 1, the same for inferred joints
-POSTERIOR_FLOOR_M = 0.011  # m; the posterior does not know the poses that the base poses cannot represent
 VARIANCE_ACROSS = 1 / 6  # of the whole variance, in each direction across the line of sight
 VARIANCE_ALONG = 2 / 3  # of the whole variance, along the line of sight
 # 1; E, by the distances of 160 training persons of known height, whole and live; 0.5 where all bias is to go
 HIDDEN_SHARE = 0.4
-
-
-def estimate_joint_std(posterior_std: Array, weight: Array, lifter_std: Array, noise: Array) -> Array:
-    """Estimate the standard deviations (P, J) m of joint positions of people, relative to the body's origin.
-
-    `posterior_std` (P, J) in m is that of the solver; `weight` (P, J or more) are scores, 0 for inferred joints;
-    `lifter_std` (P, J or more, 3) in m, NaN for frames that were not lifted; `noise` (P,) in m that of the image
-    at the body.
-    """
-    joints = posterior_std.shape[1]
-    is_seen, std = weight[:, :joints] > 0, lifter_std[:, :joints]
-    along = LIFTER_FACTOR_SEEN / math.sqrt(VARIANCE_ALONG) * std[..., 2]
-    length = np.sqrt((std * std).sum(axis=-1))
-    lifted = np.where(
-        is_seen, np.hypot(along, NOISE_FACTOR_SEEN * noise[:, None]), LIFTER_FACTOR_INFERRED * length
-    )
-    is_lifted = np.isfinite(length)
-    if is_lifted.all():
-        return lifted
-    posterior = posterior_std * np.where(is_seen, POSTERIOR_FACTOR_SEEN, POSTERIOR_FACTOR_INFERRED)
-    return np.where(is_lifted, lifted, np.hypot(posterior, POSTERIOR_FLOOR_M))
 
 
 def expect_stature(lengths: Array, skeleton: Skeleton, lifted: LiftedPoses | None, depth: Array) -> float:

@@ -18,7 +18,10 @@ With v_j and v_0 the filter's velocities of joint j and of the root, between the
                  mean velocities over 0.1 to 0.4 s from v_j
 
 It is the mean of what the network says of the person and of the mirror image
-(`benchmarks/velocity_correction.py`).
+(`benchmarks/velocity_correction.py`). With the correction d_j of a joint, d_0 of the root and its covariance S,
+the standard deviation and the covariance become
+
+    sqrt((f s_j)^2 + (g |d_j|)^2)        h^2 (f^2 S + g^2 d_0 d_0^T)
 """
 
 from __future__ import annotations
@@ -40,8 +43,8 @@ INPUT_LIMIT = 4.0  # standard deviations; there is next to nothing beyond in tra
 MAX_CORRECTION = 1.5  # standard deviations of the filter's velocity; one in 40 would be larger
 
 _NEEDED = SPANS_S.index(LEAST_PAST_S)
-_SPANS, _MIRROR = np.array(SPANS_S), np.array([*CMU15.mirror, len(CMU15.mirror)])  # the root is its own image
-_HIPS = np.array(HIPS)
+# spans, counterparts of the joints and of the root, which is its own, and hips, as the engine reads them
+SHAPE = np.array(SPANS_S), np.array([*CMU15.mirror, len(CMU15.mirror)]), np.array(HIPS)
 
 
 class VelocityPast(NamedTuple):
@@ -65,17 +68,7 @@ class VelocityCorrection:
     weight_1: Array32  # (H, 3 (J + 1)), with bias_1 in m/s; the joints, then the root
     bias_1: Array32
 
-    def correct(self, past: VelocityPast) -> Array:
-        """Return what is to be added to the velocities (P, J, 3) m/s; 0 where too little is known."""
-        inputs = build_inputs(past).reshape(2 * len(past.joints), -1)
-        x = ((inputs - self.centre) / self.scale).clip(-INPUT_LIMIT, INPUT_LIMIT).astype(np.float32)
-        hidden: Array32 = x @ self.weight_0 + self.bias_0
-        hidden *= (1 + np.tanh(hidden / 2)) / 2  # a(t), without overflow
-        found: Array32 = hidden @ self.weight_1 + self.bias_1
-        both = found.reshape(len(past.joints), 2, -1)
-        return engine.limit_correction(both, *past, _NEEDED, MAX_CORRECTION, _SPANS, _MIRROR, _HIPS)
-
-
-def build_inputs(past: VelocityPast) -> Array:
-    """Return the inputs x (P, 2, I) of people and of the mirror images, neither centred nor scaled."""
-    return engine.build_inputs(past.velocity, past.joints, past.earlier, past.axes, _SPANS, _MIRROR, _HIPS)
+    def correct(self, past: VelocityPast, root_covariance: Array) -> None:
+        """Correct velocities, their deviations and the covariances (P, 3, 3) of roots where enough is known."""
+        layers = self.centre, self.scale, self.weight_0, self.bias_0, self.weight_1, self.bias_1
+        engine.correct_velocity(layers, past, root_covariance, INPUT_LIMIT, _NEEDED, MAX_CORRECTION, *SHAPE)

@@ -59,10 +59,9 @@ from mocap_ros.models.upward_direction import Stances
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, Skeleton
 from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.classification import choose_category
-from mocap_ros.solvers.contacts import find_contacts
 from mocap_ros.solvers.extremities import SEGMENT_OF, attach, collect_evidence, smooth_extremities
 from mocap_ros.solvers.floor import POSE_SHARE, SIZE_RANGE, Stander, fit_floor
-from mocap_ros.solvers.footing import plant_sequence
+from mocap_ros.solvers.footing import find_contacts, plant_sequence
 from mocap_ros.solvers.image_roll import find_camera_roll, find_roll, lift_turned, turn_about_axis, turn_upright
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, explains_as_well, let_base_poses_lead
@@ -102,7 +101,7 @@ class SequenceResult:
     orientation: Array | None = None
     # (F, J) True where nothing shows how a segment is turned about its own axis; None likewise
     turn_inferred: NDArray[np.bool_] | None = None
-    contact: Array | None = None  # (F, 4) probabilities of `solvers.contacts`; None likewise
+    contact: Array | None = None  # (F, 4) probabilities of `solvers.footing`; None likewise
     floor: Floor | None = None  # the floor on which the person stands; None if nothing shows it
     size: float = 1.0  # of the body, as a share of `tracker.body_height`
     height_note: str = ''  # in words why `tracker.camera_height`, if it is given, is not used or may be wrong

@@ -1,11 +1,30 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Face, feet and hands of a person: rigid parts that hang on the core joints, followed over time.
+"""Orientations of the segments of a body, and face, feet and hands: rigid parts that hang on it, over time.
 
-Part k hangs on a core joint c_k (`head`, ankles, wrists) and turns by R_k from its axes (`body_segments.py`) to
-the camera's optical frame; T_i is the template of an average person (1 of the stature H), b_k the logarithmic
-size:
+A segment turns about its core joint: pelvis, torso (`neck`), head, arm, forearm and hand (shoulder, elbow, wrist),
+thigh, shank and foot (hip, knee, ankle). In upright people with hanging arms all axes are x forward, y left, z up
+(REP-103, REP-155). Up and left determine them:
+
+    z = unit(up),    x = unit(left x z),    y = z x x
+
+    segment                 up                                         left
+    pelvis                  shoulders' middle - hips' middle           lhip - rhip
+    torso                   neck - pelvis                              lshoulder - rshoulder
+    head                    head - neck, then turned by `HEAD_REST`    y of the torso
+    arm, thigh              from the lower to the upper joint          v
+    forearm, shank          from the lower to the upper joint          y of the arm, y of the thigh
+    hand, foot              the forearm and the shank turned by `REST`
+
+    n = +-(u x l) + D f y_s,    v <- v' + (1 - e^(-h (1 + |n|^2 / W^2) / T)) (n - v')
+
+u and l are unit vectors along upper and lower bone, y_s is y of the parent segment swung with the limb from rest
+(f = 1 there, 0 opposite), v' the old v turned with the parent, h seconds ago: a limb that is straight for a short
+time keeps its direction. Where feet are followed, y of thigh and shank is v + D_f y_foot.
+
+Part k of the extremities hangs on a core joint c_k (`head`, ankles, wrists) and turns by R_k from its axes to the
+camera's optical frame; T_i is the template of an average person (1 of the stature H), b_k the logarithmic size:
 
     p_i = c_k + e^(b_k) H R_k T_i
 
@@ -44,6 +63,7 @@ The constants and the code are in `engine/extremities.pyx`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -53,12 +73,43 @@ from numpy.typing import NDArray
 from mocap_ros.arrays import Array
 from mocap_ros.engine import extremities as engine
 from mocap_ros.geometry.rotations import rotation_from_vector, vector_from_rotation
-from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT
-from mocap_ros.solvers import body_segments as segments
-from mocap_ros.solvers.body_segments import PART_SEGMENTS, SEGMENT_COUNT, rotation_about
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, EXTREMITY_COUNT
 from mocap_ros.solvers.observed_window import ObservedWindow
 
 Bools = NDArray[np.bool_]
+
+SEGMENT_COUNT = len(CMU15.joints)  # segments, in the order of the core joints at which they begin
+PART_SEGMENTS = np.array(
+    [CMU15.index(n) for n in ('head', 'lankle', 'rankle', 'lwrist', 'rwrist')]
+)  # head, feet, hands
+HEAD, NECK, PELVIS = (CMU15.index(name) for name in ('head', 'neck', 'pelvis'))
+LSHOULDER, RSHOULDER, LHIP, RHIP = (CMU15.index(name) for name in ('lshoulder', 'rshoulder', 'lhip', 'rhip'))
+# Limbs: upper, middle and lower joint and parent segment.
+LIMBS = np.array(
+    [
+        [CMU15.index(side + name) for name in joints] + [parent]
+        for joints, parent in ((('shoulder', 'elbow', 'wrist'), NECK), (('hip', 'knee', 'ankle'), PELVIS))
+        for side in 'lr'
+    ]
+)
+# 1; forearms bend forwards and shanks backwards, so u x l points to the right in arms and to the left in legs
+BENDS = np.array([-1.0, -1.0, 1.0, 1.0])
+
+
+def rotation_about(axis: int, degrees: float) -> Array:
+    """Return the rotation (3, 3) by an angle about the axis x, y or z (0, 1, 2)."""
+    cosine, sine = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    out = np.eye(3)
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    out[first, first] = out[second, second] = cosine
+    out[first, second], out[second, first] = -sine, sine
+    return out
+
+
+# Mean rotations of head, hands and feet against the bones that they hang on, in all motions of the training data
+HEAD_REST = rotation_about(1, -13.0)
+HAND_REST = np.stack([rotation_about(0, 16.0), rotation_about(0, -16.0)])
+FOOT_REST = rotation_about(1, -19.0)
 
 EXTREMITIES = BODY26.joints[CORE_COUNT:]
 PARTS = ('head', 'lfoot', 'rfoot', 'lhand', 'rhand')
@@ -101,17 +152,16 @@ REST_STD = np.radians(
 REST_MEMORY_S = np.array([0.7, 0.4, 0.4, 0.4, 0.4])  # s; tau: half a step for feet, a look for heads
 # 1; s_b: std of b of face, feet and hands in the training data, and of what detectors take for toe and hand
 SIZE_STD = np.array([0.06, 0.12, 0.15])
-ANGULAR_SPEED_STD = 1.5  # rad/s; of heads, feet and hands about their anchors, for the deviation of velocities
 
-_BODY = engine.Body(
+BODY = engine.Body(
     (
-        *(segments.HEAD, segments.NECK, segments.PELVIS),
-        *(segments.LSHOULDER, segments.RSHOULDER, segments.LHIP, segments.RHIP),
+        *(HEAD, NECK, PELVIS),
+        *(LSHOULDER, RSHOULDER, LHIP, RHIP),
     ),
-    segments.LIMBS,
-    segments.BENDS,
-    segments.HEAD_REST,
-    np.array([*segments.HAND_REST, segments.FOOT_REST, segments.FOOT_REST]),
+    LIMBS,
+    BENDS,
+    HEAD_REST,
+    np.array([*HAND_REST, FOOT_REST, FOOT_REST]),
     PART_SEGMENTS,
     PART_OF,
     SIZE_OF,
@@ -124,7 +174,7 @@ _BODY = engine.Body(
 STATE = np.dtype(
     [
         ('segments', float, (SEGMENT_COUNT, 3, 3)),  # rotations of the segments as the core has them
-        ('twist', float, (len(segments.LIMBS), 3)),  # v of the limbs
+        ('twist', float, (len(LIMBS), 3)),  # v of the limbs
         ('turns', float, (len(PARTS), 3, 3)),  # R
         ('covariances', float, (len(PARTS), 3, 3)),  # rad^2; P
         ('sizes', float, (SIZE_COUNT, 2)),  # b and I of face, feet and hands
@@ -139,11 +189,13 @@ STATE = np.dtype(
         ),  # 1 where the image says how a segment is turned about itself
         ('spin', float, (SEGMENT_COUNT, 3)),  # rad/s; w
         ('squared_spin', float, SEGMENT_COUNT),  # rad^2/s^2; s^2
+        ('time_s', float),  # s, of this frame
     ]
 )
 _start = np.zeros(1, STATE)
 for _name in ('segments', 'turns', 'covariances'):
     _start[_name] = np.eye(3)
+_start['time_s'] = -np.inf
 START = _start.view(float)  # (N,) state of a person before the first frame
 
 
@@ -175,34 +227,8 @@ def collect_evidence(
     core: Array, observed: Sequence[ObservedWindow], noise: Array, frames: Sequence[int]
 ) -> ExtremityEvidence:
     """Return what a frame of each of P windows says of the extremities; core (P, 15, 3) m, noise (P,) m."""
-    found = ExtremityEvidence.without_image(core)._replace(noise=noise)
-    out_lifted, out_std, out_rays, out_weight = found.lifted, found.lifted_std, found.rays, found.weight
-    for p, (own, frame) in enumerate(zip(observed, frames, strict=True)):
-        lifted, std = (None, None) if own.lifted is None else (own.lifted.joints, own.lifted.std)
-        other_rays, other_weight = (None, None) if own.extremities is None else own.extremities
-        seen = lifted, std, own.rays, own.weight, other_rays, other_weight
-        cameras = own.virtual_camera.rotation.reshape(-1, 3, 3)
-        camera = cameras[frame % len(cameras)]  # one for each frame, or one for all
-        engine.collect_frame(p, frame, found.core, camera, *seen, out_lifted, out_std, out_rays, out_weight)
-    return found
-
-
-def follow_extremities(
-    states: Sequence[Array] | Array,
-    steps_s: Array,
-    evidence: ExtremityEvidence,
-    statures: Array,
-    *,
-    is_steady: bool = False,
-) -> Array:
-    """Return the states (P, N) of people after another frame, P rows of `START` before the first.
-
-    `steps_s` (P,) s since the frame before, infinite for the first, and nothing changes where it is not positive;
-    `statures` (P,) m; `is_steady` whether the orientations are filtered.
-    """
-    result = np.array(states)
-    _BODY.follow(result, *evidence, statures, steps_s, is_steady)
-    return result
+    core = np.ascontiguousarray(core)
+    return ExtremityEvidence(core, *engine.collect_evidence(core, observed, frames), noise)
 
 
 def read_states(states: Array) -> NDArray[Any]:
@@ -221,13 +247,12 @@ class ExtremitySequence(NamedTuple):
 
 def smooth_extremities(times: Array, evidence: ExtremityEvidence, stature: float) -> ExtremitySequence:
     """Estimate the extremities of a person over times (F,) s (formulas of the module)."""
-    steps, size = np.append(np.inf, np.diff(times)), (float(evidence.noise[0]), stature)
-    start = START[None].copy()
-    sizes, _ = _BODY.run(start[0], *evidence[:5], *size, steps, True)
+    steps, start = np.append(np.inf, np.diff(times)), START[None].copy()
+    sizes, _ = BODY.run(start[0], evidence, stature, steps, True)
     read_states(start)['sizes'] = read_states(sizes)['sizes'][-1]
-    forwards, _ = _BODY.run(start[0], *evidence[:5], *size, steps, False)
+    forwards, _ = BODY.run(start[0], evidence, stature, steps, False)
     reversed_ = ExtremityEvidence(*(np.ascontiguousarray(values[::-1]) for values in evidence))
-    _, predicted = _BODY.run(start[0], *reversed_[:5], *size, np.append(np.inf, steps[:0:-1]), False)
+    _, predicted = BODY.run(start[0], reversed_, stature, np.append(np.inf, steps[:0:-1]), False)
     states = read_states(forwards)
     back, back_covariance = predicted[:, ::-1].reshape(2, len(times), len(PARTS), 3, 3)
     turns, rest = states['turns'].copy(), states['segments'][:, PART_SEGMENTS]
@@ -237,7 +262,7 @@ def smooth_extremities(times: Array, evidence: ExtremityEvidence, stature: float
     pull = of_back @ _find_turn(turns, back) - of_rest @ _find_turn(turns, rest)
     states['turns'] = rotation_from_vector((covariance @ pull)[..., 0]) @ turns
     states['covariances'] = covariance
-    _BODY.finish(forwards, evidence.weight, stature)
+    BODY.finish(forwards, evidence.weight, stature)
     offsets, std, quaternions = (np.ascontiguousarray(states[n]) for n in ('offsets', 'offset_std', 'quaternions'))
     return ExtremitySequence(offsets, std, quaternions, states['is_turn_seen'] > 0)
 

@@ -35,7 +35,7 @@ from mocap_ros.geometry.level import MAX_CERTAIN_STD, Floor
 from mocap_ros.models.upward_direction import Stances
 from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CORE_COUNT
-from mocap_ros.solvers.contacts import ANKLES, HEELS_AND_TOES
+from mocap_ros.solvers.footing import ANKLES, HEELS_AND_TOES
 
 # m; h of heels, toes and ankles of training persons where they seem to stand, which is too early and too late
 HEEL_M, TOE_M, ANKLE_M = 0.027, 0.042, 0.083
@@ -54,7 +54,7 @@ class Stander(NamedTuple):
     """A person who may stand on the floor, in F frames."""
 
     joints: Array  # (F, J, 3) m, of `CMU15` or `BODY26` in a camera that does not move; NaN where there are none
-    contact: Array  # (F, 4) probabilities of `solvers.contacts`; NaN where unknown
+    contact: Array  # (F, 4) probabilities of `solvers.footing`; NaN where unknown
     times: Array  # (F,) s, increasing
 
 

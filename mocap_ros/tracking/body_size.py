@@ -20,19 +20,20 @@ x of frames in which the lower foot neither rises nor sinks are averaged, robust
     ln r = x_0 + g (m - x_0),    s^2 = min(Q^2 g s_m^2, s_0^2)
 
 with x_0 = 0, or the logarithm of a height that is known of the person, over the assumed one. The covariance of the
-root is the sum of four parts:
+root is the sum of five parts:
 
     C = std^2 (I / 6 + u u^T / 2)  of the hips about the body's origin (`models/joint_std.py`)
         + noise^2 I                of the image, for a detector puts both hips off the same way
         + (s d)^2 u u^T            of the size, along the line of sight u, at the distance d
         + (t z)^2 e e^T            of the focal length (relative deviation t), along the optical axis e, at depth z
+        + c c^T                    of inertia and standing feet, which displace the body by c (`solvers.footing`)
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -43,8 +44,6 @@ from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import ConfigError
 from mocap_ros.geometry.level import Floor
-from mocap_ros.models.joint_std import VARIANCE_ACROSS, VARIANCE_ALONG
-from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.floor import POSE_SHARE, SIZE_RANGE
 from mocap_ros.units import NS_PER_S
@@ -67,7 +66,6 @@ FORGOTTEN_COMMA = re.compile(r'=\s*[\d.]+[\s;]')  # in what should be an id: a h
 HIDDEN_FACTOR = 1.8
 MIN_HIDDEN_SHARE = 1e-6  # 1; less is rounding: without a lifter nothing says what is hidden
 ANKLES = CMU15.index('lankle'), CMU15.index('rankle')
-_IDENTITY = np.eye(3)
 
 
 class BodySize(NamedTuple):
@@ -167,18 +165,3 @@ def assume_size(
     pose = HIDDEN_FACTOR * hidden_share if hidden_share > MIN_HIDDEN_SHARE else POSE_SHARE
     share = math.hypot(std / height, pose)
     return BodySize(height / config.body_height, share, 0.0 if is_focal_known else FOCAL_SHARE)
-
-
-def estimate_root_covariance(joints: Array, std: Array, noise: Array, sizes: Sequence[BodySize]) -> Array:
-    """Return the covariances (P, 3, 3) m^2 of roots, of joints (P, J, 3) m of the assumed size.
-
-    `std` (P, J) m is that of the joints, `noise` (P,) m that of the image at the body.
-    """
-    (left, right), (ratio, share, focal_share) = HIPS, np.array(sizes).T
-    roots = (joints[:, left] + joints[:, right]) / 2
-    variance = ((std[:, left] + std[:, right]) / 2) ** 2
-    along = variance * (VARIANCE_ALONG - VARIANCE_ACROSS) / (roots * roots).sum(axis=1) + share * share
-    covariance = along[:, None, None] * (roots[:, :, None] * roots[:, None])
-    covariance += (VARIANCE_ACROSS * variance + noise * noise)[:, None, None] * _IDENTITY
-    covariance[:, 2, 2] += (focal_share * roots[:, 2]) ** 2
-    return np.asarray(ratio[:, None, None] ** 2 * covariance)

@@ -31,18 +31,17 @@ are in `engine/motion.pyx`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from types import MappingProxyType
 
 import numpy as np
 
 from mocap_ros.arrays import Array
-from mocap_ros.engine import motion as engine
-from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CORE_COUNT
+from mocap_ros.solvers.extremities import START, STATE
+from mocap_ros.solvers.footing import FOOTING
 
-# State of the filter of a person, of the joints about their centre and of the centre.
-FILTER = np.dtype(
+# State of the filter of a person, of the joints about their centre and of the centre; NaN before the first frame.
+MOTION = np.dtype(
     [
         ('times', float, 3),  # s, of the three newest frames; NaN before the first, or before a gap
         ('recent', float, (3, CORE_COUNT + 1, 3)),  # m, unfiltered points of these frames
@@ -51,29 +50,27 @@ FILTER = np.dtype(
         ('state', float, (5, CORE_COUNT + 1, 3)),
     ]
 )
-UNFILTERED = np.full(FILTER.itemsize // 8, np.nan)  # (R,) the state before the first frame
+# All that is filtered of a person, up to the frame that was shown last.
+FILTERS = np.dtype([('motion', MOTION), ('footing', FOOTING), ('extremities', STATE)])
 
 
-class CoreMotion(NamedTuple):
-    """The cores of P people and their velocities in a frame, in the camera's optical frame."""
-
-    joints: Array  # (P, J, 3) m
-    velocity: Array  # (P, J, 3) m/s; NaN if unknown
-    velocity_std: Array  # (P, J) m/s, standard deviation of each joint's velocity; NaN if unknown
-    # (P, 3, 3) m^2/s^2, covariance of the velocity of the point between the hips; NaN if unknown
-    root_velocity_covariance: Array
-
-
-def filter_motion(filters: Sequence[Array] | Array, times: Array, joints: Array, image_noise: Array) -> Array:
-    """Return the filters (P, R) of people after a frame at times (P,) s with joints (P, J, 3) m.
-
-    `image_noise` (P,) m is at the body. A frame that is not newer than the last changes nothing.
-    """
-    result = np.array(filters)
-    engine.filter_motion(result, times, joints, image_noise)
-    return result
+def _select(*names: str) -> slice:
+    kind, start = FILTERS, 0
+    for name in names:
+        fields = kind.fields or MappingProxyType({})
+        kind, at = fields[name][:2]
+        start += at
+    return slice(start // 8, (start + kind.itemsize) // 8)
 
 
-def read_motion(filters: Sequence[Array] | Array, times: Array, located: Array) -> CoreMotion:
-    """Return the motion of people whose filters are at times (P,) s, and else joints (P, J, 3) m as located."""
-    return CoreMotion(*engine.read_motion(np.array(filters), times, located, *HIPS))
+# Columns of the filters (P, R) of people.
+OF_MOTION, OF_FOOTING, OF_EXTREMITIES = map(_select, ('motion', 'footing', 'extremities'))
+STANDING_TIME, STANDING_CORE, LOG_ODDS = (_select('footing', n) for n in ('time_s', 'core', 'log_odds'))
+SHIFT = slice(_select('footing', 'found').start + 9, _select('footing', 'found').start + 12)  # c_t
+OFFSETS = _select('extremities', 'offsets')
+UNFILTERED = np.concatenate([np.full(OF_EXTREMITIES.start, np.nan), START])  # (R,) before the first frame
+
+
+def restart_motion(filters: Array) -> Array:
+    """Return the filters (R,) of a person of whom motion and footing are not known, as under another camera."""
+    return np.concatenate([UNFILTERED[: OF_EXTREMITIES.start], filters[OF_EXTREMITIES]])

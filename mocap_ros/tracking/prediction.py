@@ -14,24 +14,24 @@ from collections.abc import Sequence
 import numpy as np
 
 from mocap_ros.arrays import Array
+from mocap_ros.engine import motion as engine
 from mocap_ros.models.model_file import load_motion_predictor
 from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past
 from mocap_ros.people import Person3D, PredictedPerson
 from mocap_ros.skeleton import Skeleton
-from mocap_ros.solvers.extremities import ExtremityEvidence, follow_extremities
+from mocap_ros.solvers.extremities import ExtremityEvidence, collect_evidence
 from mocap_ros.tracking.body_size import BodySize
+from mocap_ros.tracking.motion_filter import SHIFT
 from mocap_ros.tracking.output import (
     Cores,
     Shown,
-    collect_seen,
-    find_joint_std,
+    describe_cores,
     find_motion,
     find_published_motion,
-    find_root_covariance,
-    find_shifts,
-    locate_joints,
+    follow_extremities,
     locate_past,
     make_people,
+    stand,
 )
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
@@ -55,7 +55,9 @@ def predict_people(
     _, ahead = _predict(tracks, times, upward, sizes)
     shown = Shown.of(tracks)
     motion = find_published_motion(shown, *locate_past(shown))
-    last = Cores.of_people(tracks, motion, collect_seen(shown, motion.joints), sizes)
+    stand(shown, motion)
+    seen = collect_evidence(motion.joints, shown.windows, shown.noise, shown.frames)
+    last = Cores.of_people(shown, motion, seen, sizes)
     cores = Cores(
         last.joints + ahead.joints[:, 0],
         ahead.std[:, 0],
@@ -65,10 +67,9 @@ def predict_people(
         last.root_velocity_covariance + VELOCITY_STD_M_S**2 / 3 * np.eye(3),
     )
     unseen = ExtremityEvidence.without_image(cores.joints / np.array([[[size.ratio]] for size in sizes]))
-    steps_s = np.array([(stamp_ns - t.first_ns) / NS_PER_S - t.extremities_s for t in tracks])
-    statures = np.array([t.solved.model.stature for t in tracks])
-    extremities = follow_extremities([t.extremity_state for t in tracks], steps_s, unseen, statures)
-    return make_people(shown, cores, unseen.weight, sizes, skeleton, extremities, ages)
+    now = np.array([stamp_ns - t.first_ns for t in tracks]) / NS_PER_S
+    follow_extremities(shown, unseen, now, is_steady=False)
+    return make_people(shown, cores, unseen.weight, sizes, skeleton, ages)
 
 
 def predict_ahead(
@@ -84,7 +85,9 @@ def predict_ahead(
     ages = [(stamp_ns - track.stamps_ns[-1]) / NS_PER_S for track in tracks]
     times = np.array(ages)[:, None] + np.array(times_s)
     past, ahead = _predict(tracks, times, upward, sizes)
-    covariances = find_root_covariance(tracks, past.joints, past.std, sizes)
+    shown = Shown.of(tracks)
+    seen = collect_evidence(past.joints, shown.windows, shown.noise, shown.frames)
+    _, covariances = describe_cores(shown, past.joints, seen, sizes)
     joints = past.joints * np.array([size.ratio for size in sizes])[:, None, None]
     predicted = joints[:, None] + ahead.joints, ahead.std, covariances[:, None] + ahead.root_covariance
     return [
@@ -96,15 +99,18 @@ def predict_ahead(
 def sample_past(tracks: Sequence[Track], upward: Array | None = None) -> Past:
     """Return the motions of the cores of people of the assumed size up to their newest frames."""
     shown = Shown.of(tracks)
-    located = locate_joints(shown, _AGO)
-    joints, velocity, *_ = motion = find_motion(shown, np.ascontiguousarray(located[:, 0]))
-    located += find_shifts(tracks)[:, None, None]
+    located = engine.sample_joints(_AGO, shown.frames, shown.windows, shown.solutions)
+    motion = find_motion(shown, np.ascontiguousarray(located[:, 0]))
+    stand(shown, motion)
+    joints, velocity, *_ = motion
+    located += np.nan_to_num(shown.filters[:, None, None, SHIFT])
     is_known = ~np.isnan(located[..., :1, :1])
     # without a filter, or in the first frame
     simple = np.where(is_known[:, 1], (joints - located[:, 1]) / _AGO[1], 0.0)
     velocity = np.where(np.isfinite(velocity).all(axis=(1, 2), keepdims=True), velocity, simple)
     earlier = np.where(is_known, located, joints[:, None] - _AGO[:, None, None] * velocity[:, None])[:, 1:]
-    std = find_joint_std(tracks, collect_seen(shown, motion.joints))
+    seen = collect_evidence(joints, shown.windows, shown.noise, shown.frames)
+    std, _ = describe_cores(shown, joints, seen, [BodySize(1.0, 0.0)] * len(tracks))
     heading = np.array([t.solved.rotation[t.newest, :, 0] for t in tracks])
     up = np.broadcast_to(UPRIGHT_CAMERA if upward is None else upward, heading.shape)
     return Past(joints, velocity, std, earlier, heading, up)

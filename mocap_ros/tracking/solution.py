@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array, copy_with
-from mocap_ros.engine import motion as engine
 from mocap_ros.geometry.interpolation import interpolate_linearly, interpolate_rotations
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import fit_rotation
@@ -149,14 +148,6 @@ class TrackSolution:
         """Return the joints of some frames about the body's origin, (n, J, 3) m in the real camera's axes."""
         poses = self.model.poses(self.theta[frames])
         return np.asarray(poses @ np.swapaxes(self.rotation[frames], -1, -2))
-
-    def sample_joints(self, times: Array, frame: int, ago: Array) -> Array:
-        """Return joints (T, J, 3) m of the assumed size at some times (T,) s before a frame, stamps (F,) s.
-
-        They are interpolated in time, and NaN before the first frame.
-        """
-        states, basis = (self.theta, self.rotation, self.roots), (self.model.mean, self.model.components)
-        return engine.sample_joints(ago, frame, times, *states, *basis, 1 / self.stature_ratio)
 
 
 def select_start(

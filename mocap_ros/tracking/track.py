@@ -10,7 +10,6 @@ frames. These frames are then corrected anew, and the lifted poses from the firs
 from __future__ import annotations
 
 import copy
-import math
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
 
@@ -25,12 +24,10 @@ from mocap_ros.keypoints.left_right import SwapFilter
 from mocap_ros.keypoints.matching import Detection
 from mocap_ros.keypoints.rays import Extremities, exchange_body_sides
 from mocap_ros.models.lifter import LiftedPoses
-from mocap_ros.solvers.extremities import START
-from mocap_ros.solvers.footing import Footing
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.tracking.body_size import FloorContact
 from mocap_ros.tracking.delayed_output import find_oldest_needed_ns
-from mocap_ros.tracking.motion_filter import UNFILTERED
+from mocap_ros.tracking.motion_filter import UNFILTERED, restart_motion
 from mocap_ros.tracking.schedule import CheckSchedule
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.units import NS_PER_S
@@ -66,12 +63,7 @@ class Track:
     # solution; None before the first solution
     solution: TrackSolution | None = None
     schedule: CheckSchedule = field(default_factory=CheckSchedule)  # the checks of the solution that are due
-    # filter of the output; `UNFILTERED` before the first output, or if nothing is filtered
-    motion_filter: Array = field(default_factory=UNFILTERED.copy)
-    # face, feet and hands in the frame that was shown last
-    extremity_state: Array = field(default_factory=START.copy)
-    extremities_s: float = -math.inf  # s, time of this frame since the person's first
-    footing: Footing | None = None  # the root with inertia and the feet that stand, likewise
+    filters: Array = field(default_factory=UNFILTERED.copy)  # (R,) `FILTERS` of the output
     floor_contact: FloorContact | None = None  # what feet on the floor say of the person's size; None if nothing
 
     @staticmethod
@@ -188,7 +180,7 @@ class Track:
             directions = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
             return intrinsics.pixels_to_rays(old.project(directions))
 
-        self.intrinsics, self.focal, self.motion_filter, self.footing = intrinsics, focal, UNFILTERED, None
+        self.intrinsics, self.focal, self.filters = intrinsics, focal, restart_motion(self.filters)
         self.rays, self.swap_filter = convert(self.rays), self.swap_filter.convert_points(convert)
         self.extremities = Extremities(convert(self.extremities.rays), self.extremities.weight)
         self._correct_sides(None)

@@ -451,9 +451,7 @@ class Tracker:
                     before, stamp_ns = track.floor_contact, self.output_stamp_ns
                     track.floor_contact = FloorContact.advance(before, stamp_ns, *known)
         sizes = [*map(self._find_size, tracks)]
-        cores = Cores.of_people(tracks, motion, seen, sizes)
-        extremities = np.array([t.extremity_state for t in tracks])
-        return make_people(shown, cores, seen.weight, sizes, self._skeleton, extremities)
+        return make_people(shown, Cores.of_people(shown, motion, seen, sizes), seen.weight, sizes, self._skeleton)
 
     def _find_size(self, track: Track) -> BodySize:
         """Return what is known of a person's size; the detector may say who it is when the track has a name."""

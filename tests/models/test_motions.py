@@ -9,13 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocap_ros.models import joint_std
-from mocap_ros.models.joint_std import compute_joint_covariance, estimate_joint_std
+from mocap_ros.engine.motion import describe_cores
+from mocap_ros.models.joint_std import compute_joint_covariance
 from mocap_ros.models.model_file import load_base_poses, load_motion_predictor, load_velocity_correction
 from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past
 from mocap_ros.models.upward_direction import MASSES, SUPPORT_AHEAD, Stances
 from mocap_ros.models.velocity_correction import LEAST_PAST_S, MAX_CORRECTION, SPANS_S, VelocityPast
+from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers.extremities import ExtremityEvidence
 from tests.support.bodies import STANDING
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -95,35 +97,52 @@ def make_velocity_past(seed: int, jitter_m: float = 0.02) -> VelocityPast:
     return VelocityPast(*(values[None] for values in past))
 
 
+def find_correction(past: VelocityPast) -> np.ndarray:
+    """Return what the network adds to velocities; deviations and covariances follow by the formulas."""
+    velocity, std = past.velocity.copy(), past.std.copy()
+    covariance, before = np.diag([0.1, 0.2, 0.3])[None].repeat(len(velocity), 0), np.diag([0.1, 0.2, 0.3])
+    load_velocity_correction().correct(past._replace(velocity=velocity, std=std), covariance)
+    added = velocity - past.velocity
+    if added.any():
+        expected = np.hypot(0.7 * past.std, 0.7 * np.linalg.norm(added, axis=-1))
+        np.testing.assert_allclose(std, expected, rtol=1e-9)
+        root = 0.7 * (added[0, HIPS[0]] + added[0, HIPS[1]]) / 2
+        np.testing.assert_allclose(covariance[0], 1.69 * (0.49 * before + np.outer(root, root)), atol=1e-12)
+    return np.asarray(added)
+
+
 @given(st.integers(0, 2**31))
 @settings(max_examples=30)
 def test_a_correction_turns_with_the_axes_of_the_camera(seed: int) -> None:
     past, turn = make_velocity_past(seed), Rotation.random(random_state=np.random.default_rng(seed)).as_matrix()
     joints, earlier = past.joints @ turn.T, past.earlier @ turn.T
     turned = VelocityPast(past.velocity @ turn.T, past.std, joints, earlier, turn @ past.axes)
-    one, other = (load_velocity_correction().correct(p) for p in (past, turned))
+    one, other = map(find_correction, (past, turned))
     assert np.abs(one).max() > 0
     np.testing.assert_allclose(one @ turn.T, other, atol=1e-4)
 
 
 def test_without_a_past_nothing_is_corrected() -> None:
-    past, network = make_velocity_past(0), load_velocity_correction()
-    assert network.correct(past).any()
+    past = make_velocity_past(0)
+    assert find_correction(past).any()
     for n, span in enumerate(SPANS):
         earlier = past.earlier.copy()
         earlier[:, n:] = np.nan
-        correction = network.correct(past._replace(earlier=earlier))
+        correction = find_correction(past._replace(earlier=earlier))
         assert np.isfinite(correction).all()
         assert bool(correction.any()) == (span > LEAST_PAST_S)
     unknown = np.full((1, 15, 3), np.nan)
-    assert not network.correct(past._replace(velocity=unknown, std=unknown[..., 0].copy())).any()
+    load_velocity_correction().correct(
+        past._replace(velocity=unknown, std=unknown[..., 0].copy()), np.zeros((1, 3, 3))
+    )
+    assert np.isnan(unknown).all()
 
 
 @pytest.mark.parametrize('jitter', [0.05, 1e30])
 def test_a_correction_is_limited_by_what_the_filter_does_not_know(jitter: float) -> None:
     for seed in range(20):
         past = make_velocity_past(seed, jitter)
-        correction = np.linalg.norm(load_velocity_correction().correct(past), axis=2)
+        correction = np.linalg.norm(find_correction(past), axis=2)
         assert (correction <= MAX_CORRECTION * past.std * (1 + 1e-9)).all()
 
 
@@ -160,18 +179,23 @@ LIFTER_STD = np.array([[[0.02, 0.03, 0.06], [0.02, 0.03, 0.06], [np.nan] * 3]]) 
 UNLIFTED = np.full((1, 3, 3), np.nan)
 
 
+def estimate_joint_std(posterior: np.ndarray, lifted_std: np.ndarray, noise: float = 0.0) -> np.ndarray:
+    joints, size = np.ones((1, 3, 3)), np.array([[1.0, 0.0, 0.0]])
+    seen = ExtremityEvidence(joints, joints, lifted_std, joints, SEEN, np.full(1, noise))
+    return np.asarray(describe_cores(posterior, seen, joints, size, np.zeros((1, 3)), np.array([0, 1]))[0][0])
+
+
 def test_the_lifter_decides_where_it_lifted_and_noise_and_hiding_make_joints_less_certain() -> None:
-    (posterior,) = estimate_joint_std(POSTERIOR_STD, SEEN, UNLIFTED, np.zeros(1))
-    seen, inferred, not_lifted = estimate_joint_std(POSTERIOR_STD, SEEN, LIFTER_STD, np.zeros(1))[0]
-    (noisy,) = estimate_joint_std(POSTERIOR_STD, SEEN, LIFTER_STD, np.full(1, 0.03))
-    assert posterior[1] > posterior[0] > joint_std.POSTERIOR_FLOOR_M
+    posterior = estimate_joint_std(POSTERIOR_STD, UNLIFTED)
+    seen, inferred, not_lifted = estimate_joint_std(POSTERIOR_STD, LIFTER_STD)
+    noisy = estimate_joint_std(POSTERIOR_STD, LIFTER_STD, 0.03)
+    assert posterior[1] > posterior[0] > 0.011
     assert inferred > seen
     assert (seen, inferred) == pytest.approx((0.65 * 0.06 * 1.5**0.5, 0.8 * 0.07))
     assert not_lifted == posterior[2]
     assert noisy[0] > seen
     assert noisy[1:].tolist() == [inferred, not_lifted], 'the image says nothing of it, and the posterior knows it'
-    (least,) = estimate_joint_std(np.zeros((1, 3)), SEEN, UNLIFTED, np.zeros(1))
-    assert least == pytest.approx(joint_std.POSTERIOR_FLOOR_M)
+    assert estimate_joint_std(np.zeros((1, 3)), UNLIFTED) == pytest.approx(0.011)
 
 
 def test_covariances_are_longest_along_the_line_of_sight(rng: np.random.Generator) -> None:

@@ -19,8 +19,20 @@ from mocap_ros.engine.extremities import sum_derivatives
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT
 from mocap_ros.solvers import extremities
-from mocap_ros.solvers.body_segments import FOOT_REST, HAND_REST, HEAD_REST, PART_SEGMENTS, SEGMENT_COUNT
-from mocap_ros.solvers.extremities import PART_OF, PARTS, SIZE_OF, SIZE_STD, TEMPLATE, ExtremityEvidence, attach
+from mocap_ros.solvers.extremities import (
+    FOOT_REST,
+    HAND_REST,
+    HEAD_REST,
+    PART_OF,
+    PART_SEGMENTS,
+    PARTS,
+    SEGMENT_COUNT,
+    SIZE_OF,
+    SIZE_STD,
+    TEMPLATE,
+    ExtremityEvidence,
+    attach,
+)
 from tests.support.bodies import UPRIGHT, angles_deg
 
 STATURE_M = 1.75
@@ -65,14 +77,12 @@ def look_around(
 
 
 def follow(evidence: ExtremityEvidence, step_s: float = STEP_S, *, is_steady: bool = False) -> NDArray[Any]:
-    states = [extremities.START[None]]
+    state, states = extremities.START[None].copy(), []
     for frame in range(len(evidence.core)):
         seen = ExtremityEvidence(*(np.ascontiguousarray(values[frame : frame + 1]) for values in evidence))
-        step = np.array([step_s if frame else np.inf])
-        states.append(
-            extremities.follow_extremities(states[-1], step, seen, np.array([STATURE_M]), is_steady=is_steady)
-        )
-    return extremities.read_states(np.concatenate(states[1:]))
+        extremities.BODY.follow(state, seen, np.array([STATURE_M]), np.array([frame * step_s]), is_steady)
+        states.append(state.copy())
+    return extremities.read_states(np.concatenate(states))
 
 
 def hide(evidence: ExtremityEvidence, joints: list[int], frames: slice = slice(None)) -> ExtremityEvidence:

@@ -12,15 +12,43 @@ import pytest
 from mocap_ros.engine import footing as engine
 from mocap_ros.keypoints.rays import Extremities
 from mocap_ros.skeleton import BODY26, CMU15
-from mocap_ros.solvers.contacts import HEELS_AND_TOES, LEGS, find_contacts
 from mocap_ros.solvers.extremities import ANCHORS
-from mocap_ros.solvers.footing import OF_ALL, OF_NEWEST, Footing, choose_numbers, plant_sequence
+from mocap_ros.solvers.footing import (
+    FOOTING,
+    HEELS_AND_TOES,
+    LEGS,
+    find_contacts,
+    find_standing,
+    plant_newest,
+    plant_sequence,
+)
 
 Array = np.ndarray
 Motion = tuple[Array, Array, Array, Array]
-FRAMES = 12
-NUMBERS = choose_numbers(0.01, OF_ALL)
+FRAMES, NOISE_M = 12, 0.01
 UPWARD, UNKNOWN = np.array([0.0, -1.0, 0.0]), np.full(3, np.nan)
+
+
+class Live:
+    """A person whose frames come one after the other."""
+
+    def __init__(self) -> None:
+        self.states = np.full((1, FOOTING.itemsize // 8), np.nan)
+        self.state = self.states.view(FOOTING)[0]
+
+    def advance(self, time_s: float, core: Array, feet: Array, log_odds: float | Array) -> Array:
+        """Return the core (15, 3) m by the odds (4,) that are known of heels and toes."""
+        planted = core[None].copy()
+        self.state['log_odds'] = log_odds
+        engine.advance(self.states, np.array([time_s]), np.array([NOISE_M]), planted, feet[None].copy(), LEGS)
+        return np.asarray(planted[0])
+
+    def plant(self, time_s: float, core: Array, offsets: Array, observed: Any, frame: int) -> Array:
+        """Return the core (15, 3) m by a frame of a window."""
+        planted, noise = core[None].copy(), np.array([NOISE_M])
+        seen = [observed], [frame], planted, offsets[None], UPWARD
+        plant_newest(self.states, np.array([time_s]), *seen, noise)
+        return np.asarray(planted[0])
 
 
 @pytest.fixture
@@ -36,12 +64,15 @@ def motion(rng: np.random.Generator) -> Motion:
     return times, core, feet, rng.uniform(0, 1, (FRAMES, 4))
 
 
-def solve_densely(times: Array, core: Array, feet: Array, contact: Array, expected: Array | None) -> Array:
+def solve_densely(
+    times: Array, core: Array, feet: Array, contact: Array, expected: Array | None, *, is_live: bool = False
+) -> Array:
     """Return the displacements (F, 9) that minimise the formula of `solvers.footing`.
 
     The loss of feet is linearised at displacements (F, 2, 9) that are expected of a frame and the one before.
     """
-    along, across, error_s, leg_s, *accelerations, tilt, leg, slip, pace, roll, fast = NUMBERS
+    constants = engine.list_constants(NOISE_M, is_live)
+    along, across, error_s, leg_s, *accelerations, tilt, leg, slip, pace, roll, fast = constants
     count, steps = len(times), np.diff(times)
     root = core[:, LEGS[:, 0]].mean(axis=1)
     points = core[:, LEGS[[0, 0, 1, 1], 2]] + feet
@@ -110,23 +141,23 @@ def test_a_sequence_is_that_of_the_dense_least_squares(motion: Motion, rounds: i
         found = solve_densely(times, core, feet, contact, pairs)
     assert found is not None
     assert np.abs(found).max() > 0.01
-    planted = engine.smooth(NUMBERS, times, core, feet, contact, LEGS, rounds)
+    planted = engine.smooth(NOISE_M, times, core, feet, contact, LEGS, rounds)
     for before, after, own in zip(core, planted, found, strict=True):
         check_displaced(before, after, own)
 
 
 def test_the_newest_frame_is_that_of_all_frames_so_far(motion: Motion) -> None:
     times, core, feet, contact = motion
-    memory, odds = engine.begin(), np.log(contact / (1 - contact))
+    live, odds = Live(), np.log(contact / (1 - contact))
     root, estimates, own = core[:, LEGS[:, 0]].mean(axis=1), np.full((FRAMES, 2, 9), np.nan), np.zeros((2, 9))
     for t, step_s in enumerate(np.diff(times, prepend=times[0] - 1)):
-        planted = engine.advance(memory, NUMBERS, step_s, core[t], feet[t], odds[t], LEGS)
+        planted = live.advance(times[t], core[t], feet[t], odds[t])
         if t > 1:  # feet stand or not as if the root went on
             estimates[t] = own[-1]
             velocity = (root[t - 1] + own[-1, :3] - root[t - 2] - own[-2, :3]) / (times[t - 1] - times[t - 2])
             estimates[t, 1, :3] += root[t - 1] + velocity * step_s - root[t]
         until = slice(t + 1)
-        own = solve_densely(times[until], core[until], feet[until], contact[until], estimates)
+        own = solve_densely(times[until], core[until], feet[until], contact[until], estimates, is_live=True)
         check_displaced(core[t], planted, own[-1])
 
 
@@ -140,7 +171,7 @@ def test_feet_stand_and_what_is_not_on_the_ground_moves(rng: np.random.Generator
     core[..., 2] += 0.05 * np.sin(4 * times)[:, None] + 0.005 * rng.normal(size=(90, 1))
     feet, slides = np.zeros((90, 4, 3)), []
     for probability in (1.0, 0.0):
-        planted = engine.smooth(NUMBERS, times, core, feet, np.full((90, 4), probability), LEGS, 3)
+        planted = engine.smooth(NOISE_M, times, core, feet, np.full((90, 4), probability), LEGS, 3)
         slides.append(np.abs(np.diff(planted[:, LEGS[0, 2], 2])).mean())
     before = np.abs(np.diff(core[:, LEGS[0, 2], 2])).mean()
     assert slides[0] < 0.15 * before < 0.5 * slides[1]
@@ -153,24 +184,22 @@ def test_unseen_legs_do_not_hold_the_root(motion: Motion) -> None:
     observed: Any = SimpleNamespace(times=times, rays=core[..., :2] / 4, weight=weight, extremities=None)
     offsets, upward = np.zeros((FRAMES, 11, 3)), np.tile([0.0, -1.0, 0.0], (FRAMES, 1))
     feet = np.zeros((FRAMES, 4, 3))
-    free = engine.smooth(NUMBERS, times, core, feet, np.zeros((FRAMES, 4)), LEGS, 3)
-    np.testing.assert_array_equal(plant_sequence(observed, core, offsets, upward, 0.01), free)
-    live, before = engine.begin(), None
-    newest = choose_numbers(0.01, OF_NEWEST)
-    for t, step_s in enumerate(np.diff(times, prepend=times[0] - 1)):
+    free = engine.smooth(NOISE_M, times, core, feet, np.zeros((FRAMES, 4)), LEGS, 3)
+    np.testing.assert_array_equal(plant_sequence(observed, core, offsets, upward, NOISE_M), free)
+    planted, inert = Live(), Live()
+    for t, time_s in enumerate(times):
         seen: Any = SimpleNamespace(**{**vars(observed), 'times': times[: t + 1]})
-        before = Footing.advance(before, times[t], core[t], offsets[0], seen, t, upward[0], 0.01)
-        free = engine.advance(live, newest, step_s, core[t], feet[0], np.full(4, -np.inf), LEGS)
-        np.testing.assert_array_equal(before.core, free)
+        free = inert.advance(time_s, core[t], feet[0], -np.inf)
+        np.testing.assert_array_equal(planted.plant(time_s, core[t], offsets[0], seen, t), free)
 
 
 def test_another_solution_far_away_begins_anew(motion: Motion) -> None:
-    _, core, feet, _ = motion
-    memory, odds = engine.begin(), np.zeros(4)
-    for joints in core:
-        engine.advance(memory, NUMBERS, 1 / 30, joints, feet[0], odds, LEGS)
+    times, core, feet, _ = motion
+    live = Live()
+    for time_s, joints in zip(times, core, strict=True):
+        live.advance(time_s, joints, feet[0], 0.0)
     far = core[0] + [0.0, 0.0, 6.0]
-    planted = engine.advance(memory, NUMBERS, 1 / 30, far, feet[0], odds, LEGS)
+    planted = live.advance(times[-1] + 1 / 30, far, feet[0], 0.0)
     np.testing.assert_allclose(planted[LEGS[:, 0]], far[LEGS[:, 0]], atol=1e-6)
 
 
@@ -229,7 +258,7 @@ def test_nothing_is_known_of_a_person_who_is_not_seen() -> None:
 @pytest.mark.parametrize('rate_hz', [10.0, 15.0, 20.0, 30.0])
 def test_what_is_known_live_is_what_the_newest_frame_shows(rate_hz: float) -> None:
     joints, rays, weight, times, swings, stands = walk(rate_hz)
-    footing, offsets = None, joints[:, 15:] - joints[:, ANCHORS]
+    live, offsets = Live(), joints[:, 15:] - joints[:, ANCHORS]
     found, expected = np.empty((2, len(times), 2))
     for frame, time_s in enumerate(times):
         until = slice(frame + 1)
@@ -238,8 +267,8 @@ def test_what_is_known_live_is_what_the_newest_frame_shows(rate_hz: float) -> No
         seen, weights = (values[:, :15].copy() for values in cut[:2])
         observed: Any = SimpleNamespace(times=cut[2], rays=seen, weight=weights, extremities=others)
         core = joints[frame, :15].copy()
-        footing = Footing.advance(footing, time_s, core, offsets[frame], observed, frame, UPWARD, 0.01)
-        found[frame] = footing.contact
+        live.plant(time_s, core, offsets[frame], observed, frame)
+        (found[frame],) = find_standing(live.state['log_odds'])
         newest = find_contacts(*cut[:2], joints[until], UPWARD, cut[2])[-1]
         expected[frame] = np.fmax(newest[::2], newest[1::2])
     assert np.isnan(found[:2]).all()
@@ -249,6 +278,6 @@ def test_what_is_known_live_is_what_the_newest_frame_shows(rate_hz: float) -> No
     observed.weight, observed.extremities = 0 * observed.weight, None  # behind a table from then on
     is_forgotten = np.zeros(150, bool)
     for ago in range(150):
-        footing = Footing.advance(footing, times[-1] + ago, core, offsets[-1], observed, frame, UPWARD, 0.01)
-        is_forgotten[ago] = np.isnan(footing.contact[1])
+        live.plant(times[-1] + 1 + ago, core, offsets[-1], observed, frame)
+        is_forgotten[ago] = np.isnan(find_standing(live.state['log_odds'])[0, 1])
     assert np.argmax(is_forgotten) / rate_hz == pytest.approx(2.92, abs=0.05)

@@ -11,8 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocap_ros.config import Config, with_settings
+from mocap_ros.engine.motion import filter_motion
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.tracking.motion_filter import FILTER, UNFILTERED, filter_motion, read_motion
+from mocap_ros.people import HIPS
+from mocap_ros.tracking.motion_filter import MOTION
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.synthetic_walk import make_walk
 from tests.support.tracks import CAMERA, STEP_NS, see
@@ -21,11 +23,18 @@ JOINTS = 15
 
 
 def filter_states(times: np.ndarray, joints: np.ndarray, image_noise: float = np.inf) -> np.ndarray:
-    """Return the filters (F, R) of all frames of a person, with an image noise in m at the body."""
-    filters = [UNFILTERED[None]]
+    """Return the filters (F,) `MOTION` of all frames of a person, with an image noise in m at the body."""
+    own, filters = np.full((1, MOTION.itemsize // 8), np.nan), []
     for time, pose in zip(times, joints, strict=True):
-        filters.append(filter_motion(filters[-1], np.array([time]), pose[None], np.array([image_noise])))
-    return np.concatenate(filters[1:])
+        advance(own, time, pose, image_noise)
+        filters.append(own.copy())
+    return np.concatenate(filters).view(MOTION)[:, 0]
+
+
+def advance(own: np.ndarray, time: float, pose: np.ndarray, image_noise: float) -> np.ndarray:
+    """Advance a filter (1, R), and return its joints (15, 3)."""
+    known = np.array([time]), pose[None].copy(), np.array([image_noise]), np.array(HIPS)
+    return np.asarray(filter_motion(own, *known, is_steady=True)[0][0])
 
 
 def advance_plainly(
@@ -60,7 +69,7 @@ def advance_plainly(
 
 @pytest.mark.parametrize('max_jitter', [0.002, 1.0])
 def test_a_step_is_that_of_the_formulas(rng: np.random.Generator, max_jitter: float) -> None:
-    before = np.zeros(1, FILTER)
+    before = np.zeros(1, MOTION)
     state, before['times'] = before['state'][0], [np.nan, 1.0, 1.03]
     state[:] = rng.uniform(0.5, 1, (5, 16, 3))
     state[2] = rng.uniform(1e-5, 1e-3, (16, 3))
@@ -70,8 +79,8 @@ def test_a_step_is_that_of_the_formulas(rng: np.random.Generator, max_jitter: fl
     before['recent'] = rng.normal(0, 0.02, (3, 16, 3)) + state[0]
     state = state.copy()
     joints = state[0, :-1] + state[0, -1] + rng.normal(0, 0.02, (15, 3))
-    after = filter_motion(before.view(float)[None], np.array([1.07]), joints[None], np.array([2 * max_jitter]))
-    found, centre = after.view(FILTER)[0, 0], joints.mean(axis=0)
+    advance(before.view(float)[None], 1.07, joints, 2 * max_jitter)
+    found, centre = before[0], joints.mean(axis=0)
     np.testing.assert_allclose(found['recent'][2], [*(joints - centre), centre], atol=1e-12)
     for p in range(16):
         points = state[:, p], found['recent'][:, p], np.array([-0.07, -0.04, 0.0])
@@ -87,7 +96,8 @@ def test_the_filter_begins_anew_where_another_solution_is_found(rng: np.random.G
     times = np.arange(40) / 30
     for gap_s in (0.0, 2.0):
         later = times + gap_s * (np.arange(40) >= 20)
-        filtered = read_motion(filter_states(later, poses), later, poses).joints
+        own = np.full((1, MOTION.itemsize // 8), np.nan)
+        filtered = [advance(own, time, pose, np.inf) for time, pose in zip(later, poses, strict=True)]
         assert np.abs(filtered - poses).max() < 0.2
 
 
@@ -99,7 +109,7 @@ def test_the_filter_begins_anew_where_another_solution_is_found(rng: np.random.G
 def test_joints_stay_finite_and_variances_positive(steps: list[float], size: float) -> None:
     times = np.concatenate([[0.0], np.cumsum(steps)])
     poses = np.random.default_rng(0).normal(0, size, (len(times), JOINTS, 3))
-    states = filter_states(times, poses, 0.02).view(FILTER)['state'][:, 0]
+    states = filter_states(times, poses, 0.02)['state']
     assert np.isfinite(states).all()
     assert (states[:, 2:] >= 0).all(), 'mean squares and variances'
 

@@ -10,13 +10,16 @@ import pytest
 
 from mocap_ros.config import Config, with_settings, with_values
 from mocap_ros.demo.scene import make_recording
+from mocap_ros.engine.motion import describe_cores
 from mocap_ros.geometry.interpolation import central_velocity
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.people import Person3D
+from mocap_ros.people import HIPS, Person3D
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
-from mocap_ros.tracking.body_size import BodySize, estimate_root_covariance
+from mocap_ros.solvers.extremities import ExtremityEvidence
+from mocap_ros.tracking.body_size import BodySize
 from mocap_ros.tracking.motion_filter import UNFILTERED
+from mocap_ros.tracking.output import Shown, locate_past
 from mocap_ros.tracking.prediction import MIN_CLEARANCE_M, predict_people
 from mocap_ros.tracking.track import Track
 from mocap_ros.tracking.tracker import Tracker
@@ -77,15 +80,18 @@ def test_with_a_lag_velocities_are_those_of_the_smooth_solution_without_deviatio
 def test_the_position_of_a_body_is_least_certain_along_the_line_of_sight() -> None:
     root, share, ratios = np.array([1.0, -0.5, 4.0]), 0.06, (1.0, 1.0, 0.7)
     sizes = [BodySize(ratio, share, focal) for ratio, focal in zip(ratios, (0.0, 0.2, 0.0), strict=True)]
-    joints, std, noise = np.tile(root, (3, 15, 1)), np.full((3, 15), 0.06), np.full(3, 0.02)
-    covariance, wider, small = estimate_root_covariance(joints, std, noise, sizes)
+    seen = ExtremityEvidence.without_image(np.tile(root, (3, 15, 1)))._replace(noise=np.full(3, 0.02))
+    known = np.full((3, 15), 0.01), seen, seen.core, np.array(sizes)
+    std, (covariance, wider, small) = describe_cores(*known, np.full((3, 3), np.nan), np.array(HIPS))
     variances, axes = np.linalg.eigh(covariance)
-    own, both = 0.06**2, 0.02**2
+    own, both = std[0, 0] ** 2, 0.02**2
     expected = [own / 6 + both, own / 6 + both, own * 2 / 3 + both + share**2 * root @ root]
     np.testing.assert_allclose(variances, expected, rtol=1e-9)
     assert abs(axes[:, 2] @ root) == pytest.approx(np.linalg.norm(root))
     np.testing.assert_allclose(wider - covariance, np.diag([0, 0, (0.2 * root[2]) ** 2]), atol=1e-12)
     np.testing.assert_allclose(small, 0.7**2 * covariance, rtol=1e-12)
+    _, (displaced, *_) = describe_cores(*known, np.tile([0.0, 0.1, 0.2], (3, 1)), np.array(HIPS))
+    np.testing.assert_allclose(displaced - covariance, np.outer([0, 0.1, 0.2], [0, 0.1, 0.2]), atol=1e-12)
 
 
 FACE = [BODY26.index(n) for n in ('nose', 'leye', 'reye', 'lear', 'rear')]
@@ -161,10 +167,10 @@ def test_a_person_who_reaches_the_camera_stays_there(walk_model: BasePoses) -> N
     tracker, _ = track_walk(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, -2.5])
     (track,) = tracker.tracks
     solution = track.solved
-    depth = solution.sample_joints(track.observed.times, SEEN_FRAMES - 1, np.zeros(1))[0, :, 2]
+    depth = locate_past(Shown.of([track]))[0][0, :, 2]
     nearer = [0.0, 0.0, depth.max() - 2 * depth.mean() + 0.6]  # m; then some of the way is left
     moved = replace(solution, roots=solution.roots + nearer)
-    near = change(track, solution=moved, motion_filter=UNFILTERED, footing=None)
+    near = change(track, solution=moved, filters=UNFILTERED)
     predicted = [predict(near, (SEEN_FRAMES + gap) * STEP_NS) for gap in range(20)]
     depth = predicted[-1].joints[:CORE_COUNT, 2]
     assert 2 * depth.mean() - depth.max() == pytest.approx(MIN_CLEARANCE_M, abs=0.01)

@@ -4,12 +4,14 @@
 """Solutions of a track: interpolated, of another model, moved on, and refined in their newest frames."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from mocap_ros.engine.motion import sample_joints
 from mocap_ros.engine.refinement import NewestFrames
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
@@ -105,7 +107,7 @@ def test_joints_between_frames_are_interpolated(truth: TrackSolution) -> None:
     solution, times = replace(truth, stature_ratio=1.1), -np.cumsum(np.linspace(0.02, 0.05, FRAMES))[::-1]
     joints = (solution.compute_joints(ALL) + solution.roots[:, None]) / 1.1
     wanted = np.array([times[0] - 0.01, times[0], -0.17, -0.1, times[4], times[-1]])
-    found = solution.sample_joints(times, FRAMES - 1, times[-1] - wanted)
+    (found,) = sample_joints(times[-1] - wanted, [FRAMES - 1], [SimpleNamespace(times=times)], [solution])
     assert np.isnan(found[0]).all()
     expected = [np.interp(wanted[1:], times, column) for column in joints.reshape(FRAMES, -1).T]
     np.testing.assert_allclose(found[1:].reshape(5, -1).T, expected, atol=1e-12)

@@ -7,7 +7,7 @@ A bone with the direction e in the T-pose has at every frame a rotation R and a 
 
     R e = (x_end - x_start) / |x_end - x_start|,    l = median over time of |x_end - x_start|.
 
-How a bone is turned about e follows from the orientation Q of its segment (`solvers.body_segments`), where it is
+How a bone is turned about e follows from the orientation Q of its segment (`solvers.extremities`), where it is
 known: R = S Q Q_0^T, with Q_0 the axes of the segment in the T-pose and S the smallest rotation that fulfils the
 formula above, since bone and segment differ a little. Else R is the smallest rotation from the parent bone.
 
