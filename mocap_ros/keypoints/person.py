@@ -17,7 +17,7 @@ OTHER_CLASSES = frozenset((
 ))  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Person2D:
     """Keypoints of one person in one image."""
 

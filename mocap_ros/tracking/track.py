@@ -52,7 +52,7 @@ class Track:
     extremities: Extremities  # face, feet and hands with the detector's labels
     is_evidence: NDArray[np.bool_]  # (F, J) as of `Detection`
     # the same frames with swaps undone, their lifted poses, and one virtual camera that faces the person in all of
-    # them; its times begin with 0 at the first frame of the window
+    # them; its times count from the person's first frame
     observed: ObservedWindow = field(init=False)
     given_id: str = ''  # name that the detector gave the person last; empty if it gave none
     has_newest_id: bool = False  # whether it gave a name in the newest frame
@@ -81,6 +81,7 @@ class Track:
         rays, weight, *others = (a[None][:0] for a in arrays)
         camera = intrinsics, focal, is_tentative
         track = Track(name, stamp_ns, swap_filter, *camera, rays, weight, Extremities(*others), weight > 0)
+        track._correct_sides(np.zeros(0), None)
         track.add_frame(stamp_ns, detection, window_s=0.0)
         return track
 
@@ -113,13 +114,13 @@ class Track:
     @property
     def times_s(self) -> Array:
         """Times (F,) in s of the frames, that of the newest is 0."""
-        stamps_ns = np.array(self.stamps_ns)
+        stamps_ns = np.fromiter(self.stamps_ns, np.int64)
         return np.asarray((stamps_ns - stamps_ns[-1]) / NS_PER_S)
 
     @property
     def is_newest_swapped(self) -> bool:
         """Whether left and right of the body or of a part of it were swapped in the newest frame."""
-        return bool(self.swap_filter.is_swapped[-1].any())
+        return bool(np.count_nonzero(self.swap_filter.is_swapped[-1]))
 
     def copy(self) -> Track:
         """Return the track as it is now."""
@@ -157,16 +158,15 @@ class Track:
         self.is_evidence = np.concatenate([self.is_evidence[dropped:], detection.is_evidence[None]])
         self.extremities = self.extremities.append_frame(detection.extremities, dropped)
         self.frames_seen += 1
-        self.is_tentative &= is_new(self.frames_seen, self.age_s)
-        self._correct_sides(lifted)
+        self.is_tentative = self.is_tentative and is_new(self.frames_seen, time_s)
+        self._correct_sides(np.concatenate([self.observed.times[dropped:], [time_s]]), lifted)
 
-    def _correct_sides(self, lifted: LiftedPoses | None) -> None:
+    def _correct_sides(self, times: Array, lifted: LiftedPoses | None) -> None:
         """Undo the swaps of left and right, and face the person; the first frames have lifted poses."""
         rays, weight, extremities = exchange_body_sides(
             self.rays, self.weight, self.extremities, self.swap_filter.is_swapped
         )
         camera = VirtualCamera.look_at_mean_position(rays, weight, self.intrinsics)
-        times = (np.fromiter(self.stamps_ns, np.int64) - self.stamps_ns[0]) / NS_PER_S
         seen = times, rays, weight, camera, self.focal
         self.observed = ObservedWindow(*seen, lifted, extremities, self.is_evidence)
 
@@ -183,7 +183,7 @@ class Track:
         self.intrinsics, self.focal, self.filters = intrinsics, focal, restart_motion(self.filters)
         self.rays, self.swap_filter = convert(self.rays), self.swap_filter.convert_points(convert)
         self.extremities = Extremities(convert(self.extremities.rays), self.extremities.weight)
-        self._correct_sides(None)
+        self._correct_sides(self.observed.times, None)
 
     def select_frames(self, step_s: float, span_s: float) -> NDArray[np.intp]:
         """Return the indices of the best seen frame of each `step_s` s up to `span_s` s, with the newest."""
