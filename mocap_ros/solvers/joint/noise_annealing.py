@@ -84,10 +84,10 @@ def anneal_stepwise(
     frames = batch.find_best_seen(COARSE_FRAME_STEP_S)
     some, coarse = batch.select(frames), state.select(frames)
     share = weigh_motion(batch) * some.counts / batch.counts
+    objective = JointObjective.build(some, model, config, None, share)
     for level, least in zip(COARSE_NOISE_M, (*COARSE_NOISE_M[1:], FINE_NOISE_M[0]), strict=True):
         k = max(int((model.std >= MIN_STD_OVER_NOISE * level).sum()), MIN_COMPONENTS)
-        objective = JointObjective.build(some, model, config, noise, share).truncate(k)
-        problem = objective.compile(coarse._replace(theta=coarse.theta[:, :k]))
+        problem = objective.with_noise(noise).truncate(k).compile(coarse._replace(theta=coarse.theta[:, :k]))
         yield from minimise_stepwise(problem, config.max_iterations, tolerance, damping)
         iterations += problem.iterations
         found = read_state(problem)
@@ -95,15 +95,16 @@ def anneal_stepwise(
         noise, damping = update_noise(problem, least), CONTINUED_DAMPING
         yield
     activity = measure_activities(coarse, some, batch)
-    state, settle_steps = batch.interpolate(coarse, frames), 1
+    objective = JointObjective.build(batch, model, config, noise, None, activity)
+    problem = objective.compile(batch.interpolate(coarse, frames), 1, at_reference=True)
     for least in (*FINE_NOISE_M[1:], 0.0):
-        objective = JointObjective.build(batch, model, config, noise, None, activity)
-        problem = objective.compile(state, settle_steps, at_reference=True)
         yield from minimise_stepwise(problem, config.max_iterations, tolerance, damping)
         iterations += problem.iterations
-        state, settle_steps, before = read_state(problem), 0, noise
-        noise = update_noise(problem, least)
+        before, noise = noise, update_noise(problem, least)
+        objective = JointObjective.build(batch, model, config, noise, None, activity)
+        problem.weigh(objective.noise_ratio, objective.factors)
+        problem.start(*read_state(problem))
         yield
         if np.array_equal(noise, before):
             break
-    return Annealed(JointObjective.build(batch, model, config, noise, None, activity).compile(state), iterations)
+    return Annealed(problem, iterations)

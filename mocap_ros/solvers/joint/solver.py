@@ -194,25 +194,3 @@ def make_reconstructions(
             )
         )
     return tuple(out)
-
-
-def make_reconstruction(
-    problem: engine.JointProblem,
-    window: Window,
-    unit: float,
-    status: SolverStatus,
-    history: Sequence[float],
-    iterations: int,
-) -> Reconstruction:
-    """Return the reconstruction of a batch of one sequence, whose image points were divided by `unit` px/m."""
-    joints, scale, translation, residual = problem.describe(np.array([unit]))
-    return Reconstruction(
-        joints=joints,
-        theta=problem.read('theta'),
-        cameras=WeakPerspectiveCameras(scale, problem.read('rotation')),
-        translation=interpolate_unseen(translation, window),
-        residual=residual,
-        status=status,
-        history=tuple(history),
-        iterations=iterations,
-    )

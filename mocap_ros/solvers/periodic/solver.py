@@ -40,10 +40,10 @@ from mocap_ros.solvers import joint
 from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.joint.differences import invert_time_steps, weigh_velocity_change
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, JointObjective
-from mocap_ros.solvers.joint.solver import WARM_DAMPING, make_reconstruction
+from mocap_ros.solvers.joint.solver import WARM_DAMPING
 from mocap_ros.solvers.levenberg_marquardt import Stepwise, minimise_stepwise, run_to_end
 from mocap_ros.solvers.periodic.fourier import fit_initial_series, variance_shares
-from mocap_ros.solvers.window import InitialValues, Reconstruction, SolverStatus, Window
+from mocap_ros.solvers.window import InitialValues, Reconstruction, SolverStatus, Window, interpolate_unseen
 
 MAX_INITIAL_ITERATIONS = 12  # steps of the joint solver for initial values; a coarse result is sufficient
 NOISE_ROUNDS = 2  # estimates of the image noise, each after a minimisation under the last estimate
@@ -146,9 +146,20 @@ def _solve(
     yield from search.run(config.tolerance)
     yield
     search.problem.restart()
-    body, iterations = search.problem.body, config.max_iterations - search.remaining_trials
-    result = make_reconstruction(body, window, unit, search.status, search.history, iterations)
-    return PeriodicReconstruction(**vars(result), noise=noise, cadence=search.problem.point.omega / (2 * np.pi))
+    body = search.problem.body
+    joints, scale, translation, residual = body.describe(units)
+    return PeriodicReconstruction(
+        joints=joints,
+        theta=body.read('theta'),
+        cameras=WeakPerspectiveCameras(scale, body.read('rotation')),
+        translation=interpolate_unseen(translation, window),
+        residual=residual,
+        status=search.status,
+        history=tuple(search.history),
+        iterations=config.max_iterations - search.remaining_trials,
+        noise=noise,
+        cadence=search.problem.point.omega / (2 * np.pi),
+    )
 
 
 def _choose_initial_values(
