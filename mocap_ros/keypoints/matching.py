@@ -271,15 +271,16 @@ class _Matcher(Generic[P]):
 
     def finish(self) -> Matches[P]:
         """Return the matches."""
-        detections = list(self.detections)
+        people = {d: [d] for d in range(len(self.detections)) if d not in self.whole_of}
+        detections = [*self.detections]
         for part, whole in self.whole_of.items():
+            people[whole].append(part)
             detections[whole] = detections[whole].join(self.detections[part])
-        people = [d for d in range(len(detections)) if d not in self.whole_of]
         tracks = [self.tracks[self.track_of[d]] if d in self.track_of else None for d in people]
-        unmatched = [p for p in range(len(self.tracks)) if p not in self.track_of.values()]
         new = [d for d in people if d not in self.track_of]
-        replaced = [self.tracks[p] for p in unmatched if any(self._is_replaced(p, d) for d in new)]
-        members = [[d, *(part for part, whole in self.whole_of.items() if whole == d)] for d in people]
+        unmatched = {*range(len(self.tracks))}.difference(self.track_of.values()) if new else ()
+        replaced = [self.tracks[p] for p in sorted(unmatched) if any(self._is_replaced(p, d) for d in new)]
+        members = [*people.values()]
         return Matches([detections[d] for d in people], tracks, replaced, members, bool(self.exchanged))
 
     def _is_replaced(self, p: int, d: int) -> bool:

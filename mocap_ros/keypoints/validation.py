@@ -71,8 +71,10 @@ def describe_other_unit(points: Array, score: Array, image_width: int) -> str:
 
     Points and scores are those of `mark_unseen`; a width of 0 px is unknown.
     """
+    if np.count_nonzero(np.abs(points) > MAX_METRES) or 0 < image_width <= TINY_IMAGE_WIDTH:
+        return ''
     seen = points[score > 0]
-    if len(seen) < MIN_JUDGED_POINTS or 0 < image_width <= TINY_IMAGE_WIDTH or (np.abs(seen) > MAX_METRES).any():
+    if len(seen) < MIN_JUDGED_POINTS:
         return ''
     low, high = NORMALISED_RANGE
     if ((seen >= low) & (seen <= high)).all():
