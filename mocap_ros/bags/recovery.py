@@ -33,7 +33,7 @@ from mocap_ros.bags.reader import (
     find_number_and_name,
     list_bag_files,
 )
-from mocap_ros.bags.recorder import Recorder, choose_partial_path, remove_partial
+from mocap_ros.bags.recorder import RecordedMessage, Recorder, choose_partial_path, remove_partial
 from mocap_ros.bags.rosbag2 import ROSBAG2, Topic, make_topic
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import MALFORMED, InputError, RecordingError
@@ -182,14 +182,16 @@ class _FileCopy:
                 type_hash, text = channel.metadata.get('topic_type_hash', ''), schema.data.decode(errors='replace')
                 return Topic(channel.topic, schema.name, text, schema.encoding, type_hash, _convert_qos(qos))
 
-            self._write(channel.topic, schema.name, describe, message.data, message.log_time, message.publish_time)
+            times_ns = message.log_time, message.publish_time
+            self._write(RecordedMessage(channel.topic, schema.name, message.data, *times_ns, None), describe)
 
     def _copy_sqlite(self, file: Path, size: int) -> Iterator[int]:
         try:
             with Reader(file) as reader:
                 count, number = reader.message_count, 0
                 for number, (c, time_ns, data) in enumerate(reader.messages(), 1):
-                    self._write(c.topic, c.msgtype, partial(_describe_connection, c), data, time_ns, time_ns)
+                    message = RecordedMessage(c.topic, c.msgtype, data, time_ns, time_ns, None)
+                    self._write(message, partial(_describe_connection, c))
                     yield size * number // count
                 if number < count:
                     self._report_loss(f'{count - number} of {count} messages belong to no topic')
@@ -199,16 +201,9 @@ class _FileCopy:
             reason = describe_error(error)
             self._report_loss(f'SQLite cannot read it: {reason}; `sqlite3 {self._name} .recover` may save more')
 
-    def _write(
-        self,
-        topic: str,
-        msgtype: str,
-        describe: Callable[[], Topic],
-        data: bytes,
-        log_time_ns: int,
-        publish_time_ns: int,
-    ) -> None:
+    def _write(self, message: RecordedMessage, describe: Callable[[], Topic]) -> None:
         """Write a message; add its topic, which `describe` returns, before the first one."""
+        topic, msgtype, data, *_ = message
         declared = self._recorder.topics.get(topic)
         if declared is None:
             self._recorder.add_topic(_repair_definition(describe()))
@@ -224,7 +219,7 @@ class _FileCopy:
                 self._rejected[topic, 'they cannot be decompressed'] += 1
                 return
         self._begin_file()
-        self._recorder.write(topic, msgtype, data, log_time_ns, publish_time_ns, repeat_keys=None)
+        self._recorder.write(*message._replace(data=data))
         self._report.messages[topic] += 1
 
     def _begin_file(self) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
-from mocap_ros.errors import InputError, SkeletonError
+from mocap_ros.errors import InputError, naming
 from mocap_ros.geometry.rigid_transform import NO_ROTATION
 from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.cdr import Header, read_stamp
@@ -94,10 +94,8 @@ def read_people(raw: bytes, numbers: PersonNumbers) -> People:
     names = {p.skeleton for p in people}
     if len(names) > 1:
         raise InputError(f'people: skeletons {", ".join(sorted(names))}; expected one')
-    try:
+    with naming('people[0].skeleton'):
         skeleton = keypoint_layout(names.pop())
-    except SkeletonError as error:
-        raise InputError(f'people[0].skeleton: {error}') from None
     joints = len(skeleton.joints)
     for i, person in enumerate(people):
         if len(person.joints) != joints or len(person.joint_std) != joints:

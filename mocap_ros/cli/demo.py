@@ -142,7 +142,7 @@ def _run_node(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
 
 def load_demo_scene(bag: Path, sequence: KeypointSequence) -> Scene:
     """Return what is drawn of a bag that the node recorded, with the truth of the sequence played to it."""
-    scene, _, _ = load_scene(bag, SceneOptions(Config(), models={}))
+    scene, _ = load_scene(bag, SceneOptions(Config(), models={}))
     scene = replace(scene, title=TITLE)
     if sequence.truth is None:
         return scene

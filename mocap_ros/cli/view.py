@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
     check_output(output, *sources)
     options = SceneOptions(config, load_models(args, config), read_input_options(args, config), is_picture)
     with ShareBar('view') as report:
-        scene, lines, judged = load_scene(args.input, options, report)
+        scene, lines = load_scene(args.input, options, report)
     for line in lines:
         print_note(line)
     notes: list[str] = []
@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
     for line in notes:
         print_note(line)
     print_result(output)
-    return finish(args.input, *judged, is_strict=args.strict) if judged else 0
+    return finish(args.input, scene.summary, scene.is_wrong, is_strict=args.strict) if scene.summary else 0
 
 
 def _check_times(

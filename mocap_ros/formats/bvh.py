@@ -154,10 +154,8 @@ def _read_motion(lines: Iterator[tuple[int, str]], columns: int) -> tuple[float,
     values = ''.join(line for _, line in lines)
     if not (frames >= 1 and 0 < frame_time < np.inf and values.strip()):
         raise InputError('MOTION: no frames')
-    try:
+    with naming('MOTION', 'expected numbers, as many in each line'):
         motion = np.loadtxt(io.StringIO(values), ndmin=2, comments=None)
-    except ValueError as error:
-        raise InputError(f'MOTION: {error}') from None
     if motion.shape != (frames, columns):
         raise InputError(
             f'MOTION: {motion.shape[0]} frames of {motion.shape[1]} values, expected {frames:g} of {columns}'

@@ -14,7 +14,7 @@ import numpy as np
 
 from mocap_ros.arrays import Array, copy_as_float64
 from mocap_ros.config import NodeConfig
-from mocap_ros.errors import InputError, SkeletonError
+from mocap_ros.errors import InputError, naming
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import describe_other_unit, find_first_fault, mark_unseen
@@ -107,14 +107,12 @@ def _read_joint_names(person: Any, count: int, limits: NodeConfig) -> tuple[str,
         raise InputError(f'skeleton: empty, and no joint_names; known: {", ".join(LAYOUT_NAMES)}')
     joint_names = tuple(validate_text(n, 'joint_names', limits) for n in person.joint_names)
     field, subject = ('joint_names', 'there are') if joint_names else ('skeleton', f'{layout_name!r} has')
-    try:
+    with naming(field):
         joints = joint_names or _find_layout_joints(layout_name)
         if len(joints) != count:
-            raise InputError(f'{field}: {subject} {len(joints)} joints, x has {count}')
+            raise InputError(f'{subject} {len(joints)} joints, x has {count}')
         if joint_names:
             build_joint_map(joints)
-    except SkeletonError as error:
-        raise InputError(f'{field}: {error}') from None
     return joints
 
 

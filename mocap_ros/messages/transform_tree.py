@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from mocap_ros.errors import InputError
+from mocap_ros.errors import InputError, naming
 from mocap_ros.geometry.rigid_transform import RigidTransform, interpolate
 from mocap_ros.messages.cdr import Header, decode_input, validate_stamp
 from mocap_ros.messages.transforms import (
@@ -206,11 +206,9 @@ def _decode(raw: bytes) -> Sequence[Any]:
 def _read_transform(index: int, stamped: Any) -> tuple[str, str, int, RigidTransform]:
     """Return child, parent, stamp in ns and transform of a TransformStamped; the index is for error messages."""
     child, parent = stamped.child_frame_id.lstrip('/'), stamped.header.frame_id.lstrip('/')
-    if not child or not parent or child == parent:
-        raise InputError(f'transforms[{index}]: child_frame_id {child!r} in header.frame_id {parent!r}')
     translation, rotation = stamped.transform.translation, stamped.transform.rotation
     numbers = (translation.x, translation.y, translation.z, rotation.x, rotation.y, rotation.z, rotation.w)
-    try:
+    with naming(f'transforms[{index}]'):
+        if not child or not parent or child == parent:
+            raise InputError(f'child_frame_id {child!r} in header.frame_id {parent!r}')
         return child, parent, validate_stamp(stamped.header.stamp), RigidTransform.from_numbers(numbers)
-    except InputError as error:
-        raise InputError(f'transforms[{index}]: {error}') from None

@@ -34,6 +34,7 @@ class BridgeNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__(BRIDGE_NAME)
         self._values = declare_parameters(self, BRIDGE_PARAMETERS, 'the option --help')
+        self.has_autostart = bool(self._values['autostart'])
         self._versions = MessageVersions()
         self._outputs = Publishers(self, self._versions)
         self._bridge = Bridge([])
@@ -43,11 +44,6 @@ class BridgeNode(ManagedNode):
         self._log = ThrottledLog(self.get_logger())
         self._counts: Counter[str] = Counter()  # of messages by topic
         self._has_warned_of_bodies = False
-
-    def start(self) -> None:
-        """Configure and activate the node, unless the parameter `autostart` is false."""
-        if self._values['autostart']:
-            super().start()
 
     def configure(self) -> None:
         """Create the publishers of the consumers whose types are installed."""

@@ -54,13 +54,9 @@ class MocapNode(ManagedNode):
         self._run_timers: list[Any] = []  # while active
         declared = declare_parameters(self, [*parameters()], '`mocap-ros config --all`')
         self._config = with_values(Config(), declared)
+        self.has_autostart = self._config.node.autostart
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
-
-    def start(self) -> None:
-        """Configure and activate the node, unless the parameter `node.autostart` is false."""
-        if self._config.node.autostart:
-            super().start()
 
     def configure(self) -> None:
         """Load the model, and create publishers and services."""

@@ -56,9 +56,11 @@ class ManagedNode(LifecycleNode):
         """End the work, also where `start_run` failed half-way or was not called."""
         raise NotImplementedError
 
+    has_autostart = True  # whether `start` does anything
+
     def start(self) -> None:
         """Configure and activate the node; if that fails, the reason is logged, and the node keeps running."""
-        if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+        if self.has_autostart and self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
             self.trigger_activate()
 
     def close(self) -> None:

@@ -24,12 +24,7 @@ LATCHED = DurabilityPolicy.TRANSIENT_LOCAL
 
 # The policies that `qos_overrides` parameters of a subscription set: those that rclpy chooses by default, and the
 # durability, in which publishers of transforms differ.
-OVERRIDABLE_POLICIES = (
-    QoSPolicyKind.HISTORY,
-    QoSPolicyKind.DEPTH,
-    QoSPolicyKind.RELIABILITY,
-    QoSPolicyKind.DURABILITY,
-)
+OVERRIDABLE_POLICIES = tuple(QoSPolicyKind[name] for name in ('HISTORY', 'DEPTH', 'RELIABILITY', 'DURABILITY'))
 
 # Best effort is compatible with reliable and with best-effort publishers, reliable with both kinds of subscribers.
 INPUT_QOS = QoSProfile(depth=INPUT_QUEUE_DEPTH, reliability=BEST_EFFORT)

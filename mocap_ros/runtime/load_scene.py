@@ -43,7 +43,7 @@ from mocap_ros.runtime.input_camera import KNOWN
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, find_input_kind, require_kind
 from mocap_ros.runtime.load_keypoints import InputOptions, load_bag, load_people
 from mocap_ros.runtime.load_results import RecordedPeople, find_skeletons_topic, holds_result, load_result
-from mocap_ros.runtime.summary import WRONG, RunSummary, Summary, summarise
+from mocap_ros.runtime.summary import WRONG, RunSummary, summarise
 from mocap_ros.runtime.whole_recording import reconstruct_people, reconstruct_whole
 from mocap_ros.skeleton import CMU15, Skeleton, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
@@ -85,18 +85,16 @@ class SceneOptions(NamedTuple):
     only_one: bool = False  # whether to reconstruct only the person who is seen most
 
 
-def load_scene(
-    path: Path, options: SceneOptions, report: Report = lambda _: None
-) -> tuple[Scene, list[str], tuple[str, bool] | None]:
+def load_scene(path: Path, options: SceneOptions, report: Report = lambda _: None) -> tuple[Scene, list[str]]:
     """Load what is drawn of an input or a result; `report` gets the share of the work after the input is read.
 
-    Returns the scene, lines for the user about people and messages that were left out, and the summary in words
-    with whether the input is wrong; None for a result without one, and a bag without keypoints.
+    Returns the scene, and lines for the user about people and messages that were left out. It has no summary for a
+    result without one, and a bag without keypoints.
     """
     kind = require_kind(path, VIEWED_KINDS, VIEWED_FORMATS)
     try:
         if kind is InputKind.RESULT:
-            return _load_result_scene(path, options.input.person)
+            return _load_result_scene(path, options.input.person), []
         if kind is InputKind.BAG and holds_result(path):
             return _load_bag_scene(path, options, report)
         reading = options.input._replace(node=options.config.node)
@@ -105,8 +103,7 @@ def load_scene(
         sequences = sorted(sequences, key=lambda s: -int((s.keypoints[..., 2] > 0).any(axis=1).sum()))
         if len(sequences) > MAX_PEOPLE:
             lines.append(f'{path}: {len(sequences) - MAX_PEOPLE} more people are not shown, who are seen less')
-        scene, summary = _reconstruct_people(path, sequences[:MAX_PEOPLE], options, report, lines)
-        return scene, lines, (str(summary), summary.is_wrong)
+        return _reconstruct_people(path, sequences[:MAX_PEOPLE], options, report, lines), lines
     except InputError as error:
         prefix = '' if str(error).startswith(str(path)) else f'{path}: '
         raise InputError(f'{prefix}{error}') from None
@@ -114,8 +111,8 @@ def load_scene(
 
 def _reconstruct_people(
     path: Path, sequences: Sequence[KeypointSequence], options: SceneOptions, report: Report, lines: list[str]
-) -> tuple[Scene, Summary]:
-    """Return the scene of some people, and what they rest on; `lines` gets one for each who fails."""
+) -> Scene:
+    """Return the scene of some people; `lines` gets one for each who fails."""
     config = options.config
     stamps = np.unique(np.concatenate([sequence.stamps_ns for sequence in sequences]))
     intrinsics = sequences[0].intrinsics(config.tracker.nominal_focal_length)
@@ -142,7 +139,7 @@ def _reconstruct_people(
     vertical = average_vertical(
         np.concatenate([r.vertical for r in results]), np.concatenate([r.vertical_std for r in results])
     )
-    scene = Scene(
+    return Scene(
         title=path.name,
         stamps_ns=stamps.tolist(),
         people=tuple(people),
@@ -153,8 +150,9 @@ def _reconstruct_people(
         skeleton=skeleton,
         vertical=vertical if height is None else world[2, :3],
         camera_height=height,
+        summary=str(summary),
+        is_wrong=summary.is_wrong,
     )
-    return scene, summary
 
 
 def select_true_joints(joints: Array, names: Sequence[str], skeleton: Skeleton = CMU15) -> Array32 | None:
@@ -198,7 +196,7 @@ def _make_person(
     )
 
 
-def _load_result_scene(path: Path, person: str | None) -> tuple[Scene, list[str], tuple[str, bool] | None]:
+def _load_result_scene(path: Path, person: str | None) -> Scene:
     """Load the scene of a result file; in one without camera, the cameras of the frames give its intrinsics."""
     result, _ = load_result(path, person)
     arrays, count = (
@@ -219,7 +217,7 @@ def _load_result_scene(path: Path, person: str | None) -> tuple[Scene, list[str]
         intrinsics, size = recover_intrinsics(average_core(result.joints, result.skeleton), scale, translation)
     intrinsics, frames = replace(intrinsics, is_focal_known=bool(is_focal_known)), np.arange(count)
     grade, summary = (arrays.read_texts(k, ())[0] if k in arrays else '' for k in ('grade', 'summary'))
-    scene = Scene(
+    return Scene(
         title=path.name,
         stamps_ns=result.stamps_ns,
         people=(_make_person('person_1', frames, result, result.residual, intrinsics, contact),),
@@ -229,8 +227,9 @@ def _load_result_scene(path: Path, person: str | None) -> tuple[Scene, list[str]
         skeleton=result.skeleton,
         vertical=upward,
         camera_height=height,
+        summary=summary,
+        is_wrong=grade == WRONG,
     )
-    return scene, [], (summary, grade == WRONG) if summary else None
 
 
 def recover_intrinsics(roots: Array, scale: Array, translation: Array) -> tuple[Intrinsics, tuple[int, int]]:
@@ -259,9 +258,7 @@ def average_core(joints: NDArray[Any], skeleton: Skeleton) -> Array:
     return np.asarray(np.nan_to_num(core, posinf=0, neginf=0).sum(axis=1) / np.where(count, count, np.nan))
 
 
-def _load_bag_scene(
-    path: Path, options: SceneOptions, report: Report
-) -> tuple[Scene, list[str], tuple[str, bool] | None]:
+def _load_bag_scene(path: Path, options: SceneOptions, report: Report) -> tuple[Scene, list[str]]:
     """Load the scene of a bag of skeletons, with its keypoints if it has any, and the inputs that it dropped.
 
     What its people rest on is judged by these keypoints, as in the recorded run.
@@ -294,26 +291,17 @@ def _load_bag_scene(
     vertical = average_vertical(known[:, :3], known[:, 3])
     scene = _build_bag_scene(people, reading.person, detections, drops)
     notes = [*detections.notes, *([f'{len(faults)} messages left out; {faults[0]}'] if faults else [])]
-    camera = replace(scene.intrinsics, image_size=scene.image_size)
-    judged = _judge_run(run, arrays, detections, camera, options.config) if detections.people else None
-    return replace(scene, title=path.name, vertical=vertical), [f'{path}: {note}' for note in notes], judged
-
-
-def _judge_run(
-    run: RunSummary,
-    arrays: Iterable[RecordedSkeletons],
-    detections: Detections,
-    camera: Intrinsics,
-    config: Config,
-) -> tuple[str, bool]:
-    seen = dict(zip(detections.stamps_ns, detections.people, strict=True))
-    source = KNOWN if camera.is_focal_known else 'as recorded'
-    for stamp_ns, people, upward, std in arrays:
-        vertical = CameraVertical(upward, std, is_given=std < MAX_GIVEN_STD) if std > 0 else None
-        run.add(stamp_ns, seen.get(stamp_ns, ()), people, camera, source, vertical, config)
-        run.advance_judgement(config)
-    summary = run.summarise()
-    return str(summary), summary.is_wrong
+    scene = replace(scene, title=path.name, vertical=vertical)
+    if seen := dict(zip(detections.stamps_ns, detections.people, strict=True)):
+        camera = replace(scene.intrinsics, image_size=scene.image_size)
+        source = KNOWN if camera.is_focal_known else 'as recorded'
+        for stamp_ns, shown, upward, std in arrays:
+            found = CameraVertical(upward, std, is_given=std < MAX_GIVEN_STD) if std > 0 else None
+            run.add(stamp_ns, seen.get(stamp_ns, ()), shown, camera, source, found, options.config)
+            run.advance_judgement(options.config)
+        summary = run.summarise()
+        scene = replace(scene, summary=str(summary), is_wrong=summary.is_wrong)
+    return scene, [f'{path}: {note}' for note in notes]
 
 
 def _build_bag_scene(

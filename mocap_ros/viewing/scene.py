@@ -120,6 +120,8 @@ class Scene:
     vertical: Array = field(default_factory=lambda: np.full(3, np.nan))
     camera_height: float | None = None  # m, over the floor; None where it is not known
     images: SceneImages | None = None  # behind the points
+    summary: str = ''  # what the people rest on, in words; empty where that is not known
+    is_wrong: bool = False  # whether the input is wrong, as the summary says
 
     @cached_property
     def times(self) -> Array:

@@ -186,9 +186,8 @@ def test_many_refused_messages_make_an_input_doubtful(
     assert (summary.grade, summary.is_wrong) == (grade, grade == 'wrong')
     assert summary.reason.startswith(count)
     if accepted:
-        _, _, judged = load_scene(tmp_path / 'out', SceneOptions(FAST_CONFIG, {}))
-        assert judged is not None
-        assert judged[0].partition(';')[0] == str(summary).partition(';')[0], 'likewise when it is viewed'
+        scene, _ = load_scene(tmp_path / 'out', SceneOptions(FAST_CONFIG, {}))
+        assert scene.summary.partition(';')[0] == str(summary).partition(';')[0], 'likewise when it is viewed'
 
 
 # Parameters of a recorded run.

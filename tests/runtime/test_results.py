@@ -322,7 +322,7 @@ def bag(sequence: KeypointSequence, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 def test_a_bag_is_drawn_as_it_was_recorded(bag: Path, sequence: KeypointSequence) -> None:
-    scene, (line,), _ = load_scene(bag, OPTIONS)
+    scene, (line,) = load_scene(bag, OPTIONS)
     assert '1 messages left out; /keypoints: message 9: ' in line
     assert scene.image_size == sequence.image_size
     assert scene.stamps_ns == sequence.stamps_ns
@@ -354,7 +354,7 @@ def test_a_bag_is_drawn_as_it_was_recorded(bag: Path, sequence: KeypointSequence
 
 
 def test_one_person_of_a_bag_is_shown_alone(bag: Path) -> None:
-    scene, _, _ = load_scene(bag, OPTIONS._replace(input=InputOptions(person='ben')))
+    scene, _ = load_scene(bag, OPTIONS._replace(input=InputOptions(person='ben')))
     assert [person.id for person in scene.people] == ['ben']
     with pytest.raises(InputError, match="no person 'carl'"):
         load_scene(bag, OPTIONS._replace(input=InputOptions(person='carl')))
@@ -363,7 +363,7 @@ def test_one_person_of_a_bag_is_shown_alone(bag: Path) -> None:
 
 
 def test_a_bag_of_keypoints_shows_all_people(bag: Path) -> None:
-    scene, _, _ = load_scene(bag.with_name('in'), OPTIONS)
+    scene, _ = load_scene(bag.with_name('in'), OPTIONS)
     assert [person.id for person in scene.people] == ['anna', 'ben']
     assert all((np.diff(person.frames) == 1).all() for person in scene.people)
     anna, ben = scene.people
@@ -380,9 +380,8 @@ def test_a_sequence_file_and_its_results_look_the_same(
     if is_calibrated:
         sequence = replace(sequence, camera_matrix=np.array([[480.0, 0, 320], [0, 480, 240], [0, 0, 1]]))
     save_sequence(tmp_path / 'in.npz', sequence)
-    whole, _, judged = load_scene(tmp_path / 'in.npz', OPTIONS)
-    assert judged is not None
-    assert judged[0].startswith('good; 1 person')
+    whole, _ = load_scene(tmp_path / 'in.npz', OPTIONS)
+    assert whole.summary.startswith('good; 1 person')
     (person,) = whole.people
     intrinsics = sequence.intrinsics(OPTIONS.config.tracker.nominal_focal_length)
     result = reconstruct_sequence(
@@ -394,9 +393,8 @@ def test_a_sequence_file_and_its_results_look_the_same(
         path = tmp_path / f'result{suffix}'
         summary = summarise([sequence], [result], OPTIONS.config)
         save_results.save(path, save_results.ReconstructedSequence(sequence, result, summary))
-        scene, _, judged = load_scene(path, OPTIONS)
-        assert judged is not None
-        assert (judged == (str(summary), False)) == (suffix == '.npz')
+        scene, _ = load_scene(path, OPTIONS)
+        assert (scene.summary == str(summary)) == (suffix == '.npz')
         (stored,) = scene.people
         assert stored.joints == pytest.approx(person.joints, abs=1e-4)
         assert stored.image == pytest.approx(person.image, abs=1)
@@ -409,7 +407,7 @@ def test_a_sequence_file_and_its_results_look_the_same(
     with np.load(tmp_path / 'result.npz') as archive:  # as earlier versions wrote it
         old = {key: archive[key] for key in archive if not key.startswith(('keypoint', 'image_size', 'camera'))}
     np.savez(tmp_path / 'old.npz', **old)
-    scene, _, _ = load_scene(tmp_path / 'old.npz', OPTIONS)
+    scene, _ = load_scene(tmp_path / 'old.npz', OPTIONS)
     assert scene.people[0].image == pytest.approx(person.image, abs=1)
     assert not scene.keypoints
 
