@@ -665,37 +665,39 @@ cdef class Body:
                         (person.offsets[p][i] - old[p][i]) / step_s - person.velocity[p][i]
                     )
 
-    def complete(self, double[:, :] states, Vector sizes, cores):
-        """Return joints, deviations, velocities and their deviations (P, 26, ...), orientations, and what is inferred.
+    def complete(
+        self, double[:, :] states, Vector sizes, Stack joints, const double[:, :] std, Stack velocity, Rows velocity_std
+    ):
+        """Return all joints with what is known of them, (P, 26, ...), of people who are enlarged to their sizes (P,).
 
-        States (P, N) are of people of the assumed size, which `sizes` (P,) enlarge; `cores` begin with the same four
-        of the core, in m and m/s. Orientations are quaternions (P, 26, 4) x, y, z, w of the segments that turn about
-        the joints or hold them; of some, (P, 26), the turn about themselves is inferred. Errors of an offset and of
-        the core joint are independent.
+        States (P, N) and cores (P, 15, ...), in m and m/s with their deviations, are of the assumed size. After these
+        four come quaternions x, y, z, w of the segments that turn about the joints or hold them, and whether their
+        turn about themselves is inferred; then the middles (P, 3) m of the cores. Errors of an offset and of the core
+        joint are independent.
         """
-        cdef const double[:, :, :] joints = cores[0], velocity = cores[2]
-        cdef const double[:, :] std = cores[1], velocity_std = cores[3]
         cdef State* state
         cdef Py_ssize_t n, j, k, i, anchor, people = joints.shape[0], count = CORE + POINTS
-        cdef double size, spread
+        cdef double size, share
         arrays = (np.empty((people, count, 3)), np.empty((people, count)), np.empty((people, count, 3)),
-                  np.empty((people, count)), np.empty((people, count, 4)), np.empty((people, count), np.bool_))
+                  np.empty((people, count)), np.empty((people, count, 4)), np.empty((people, count), np.bool_),
+                  np.zeros((people, 3)))
         cdef double[:, :, ::1] out_joints = arrays[0], out_velocity = arrays[2], out_turns = arrays[4]
-        cdef double[:, ::1] out_std = arrays[1], out_velocity_std = arrays[3]
+        cdef double[:, ::1] out_std = arrays[1], out_velocity_std = arrays[3], middles = arrays[6]
         cdef unsigned char[:, ::1] is_inferred = arrays[5].view(np.uint8)
         for n in range(people):
-            state = <State*> &states[n, 0]
+            state, size = <State*> &states[n, 0], sizes[n]
             for j in range(count):
-                k, anchor, size = 0, j, 0
+                k, anchor, share = 0, j, 0  # core joints have no offsets
                 if j >= CORE:
-                    k, size = j - CORE, sizes[n]
+                    k, share = j - CORE, 1
                     anchor = self.part_segments[self.part_of[k]]
                 for i in range(3):
-                    out_joints[n, j, i] = joints[n, anchor, i] + size * state.offsets[k][i]
-                    out_velocity[n, j, i] = velocity[n, anchor, i] + size * state.velocity[k][i]
-                out_std[n, j] = hypot(std[n, anchor], size * state.offset_std[k])
-                spread = ANGULAR_SPEED_STD * size * sqrt(dot(state.offsets[k], state.offsets[k]))
-                out_velocity_std[n, j] = hypot(velocity_std[n, anchor], spread)
+                    out_joints[n, j, i] = size * (joints[n, anchor, i] + share * state.offsets[k][i])
+                    out_velocity[n, j, i] = size * (velocity[n, anchor, i] + share * state.velocity[k][i])
+                    middles[n, i] += (1 - share) * out_joints[n, j, i] / CORE
+                out_std[n, j] = size * hypot(std[n, anchor], share * state.offset_std[k])
+                share *= ANGULAR_SPEED_STD * sqrt(dot(state.offsets[k], state.offsets[k]))
+                out_velocity_std[n, j] = size * hypot(velocity_std[n, anchor], share)
                 memcpy(&out_turns[n, j, 0], state.quaternions[anchor], 4 * sizeof(double))
                 is_inferred[n, j] = not state.is_turn_known[anchor] > 0
         return arrays

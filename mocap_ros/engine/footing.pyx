@@ -55,6 +55,7 @@ cdef double FORGOTTEN = 2 * atanh(0.05)  # |log f| of p within 0.025 of 1/2; so 
 cdef struct Memory:  # what is kept of the frames before, the fields of `solvers.footing.FOOTING`
     double time_s
     double log_odds[POINTS]
+    double standing[FEET]
     double core[CORE * 3]
     double found[TWO]
     double matrix[TWO * TWO]
@@ -409,7 +410,7 @@ def follow_contacts(
     double[:, :] footings, Vector times, windows, frames, Stack core, double[:, :, ::1] feet, Vector upward,
     const long long[:, ::1] legs, Indices others,
 ):
-    """Overwrite the logarithms of the odds by those in a frame of each window, in which later ones take no part.
+    """Overwrite odds, and what follows for feet, by those in a frame of each window, in which later ones take no part.
 
     `footings` and `times` as of `advance`; windows P `ObservedWindow`, frames indices in them; core (P, J, 3) m; else
     as `find_contacts`.
@@ -431,6 +432,8 @@ def follow_contacts(
         for k in range(POINTS):
             if isnan(evidence[k]) and fabs(own.log_odds[k]) < FORGOTTEN:
                 own.log_odds[k] = NAN
+        for k in range(FEET):
+            own.standing[k] = 1 / (1 + exp(-fmax(own.log_odds[2 * k], own.log_odds[2 * k + 1])))
 
 
 def advance(

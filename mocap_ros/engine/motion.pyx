@@ -426,7 +426,7 @@ def correct_velocity(
 def describe_cores(Rows posterior, evidence, Stack joints, Rows sizes, Rows shifts, Indices hips):
     """Return the deviations (P, J) m of joints, as of `models.joint_std`, and the covariances (P, 3, 3) m^2 of roots.
 
-    All but the covariances, `tracking.body_size`'s, are of people of the assumed size. `posterior` (P, J) m of the solver;
+    The covariances are `tracking.body_size`'s, but for the ratio. `posterior` (P, J) m of the solver;
     `evidence` an `ExtremityEvidence`; `joints` (P, J, 3) m; `sizes` (P, 3) the attributes of `BodySize`; `shifts`
     (P, 3) m by which inertia and feet displace people, NaN if unknown.
     """
@@ -435,7 +435,7 @@ def describe_cores(Rows posterior, evidence, Stack joints, Rows sizes, Rows shif
     cdef Vector noise = evidence.noise
     cdef Py_ssize_t p, j, i, a
     cdef bint is_seen
-    cdef double length, variance, deep, ratio
+    cdef double length, variance, deep
     cdef double[3] root
     cdef const double* lifted
     result, covariances = np.empty((posterior.shape[0], posterior.shape[1])), np.empty((posterior.shape[0], 3, 3))
@@ -453,13 +453,13 @@ def describe_cores(Rows posterior, evidence, Stack joints, Rows sizes, Rows shif
                 std[p, j] = LIFTER_INFERRED * length
         for i in range(3):
             root[i] = (joints[p, hips[0], i] + joints[p, hips[1], i]) / 2
-        ratio, variance = square(sizes[p, 0]), square((std[p, hips[0]] + std[p, hips[1]]) / 2)
+        variance = square((std[p, hips[0]] + std[p, hips[1]]) / 2)
         deep = variance * (ALONG - ACROSS) / dot(root, root) + square(sizes[p, 1])
         for i in range(3):
             for a in range(3):
-                covariance[p, i, a] = ratio * deep * root[i] * root[a]
+                covariance[p, i, a] = deep * root[i] * root[a]
                 if isfinite(shifts[p, i] * shifts[p, a]):
-                    covariance[p, i, a] += ratio * shifts[p, i] * shifts[p, a]
-            covariance[p, i, i] += ratio * (ACROSS * variance + square(noise[p]))
-        covariance[p, 2, 2] += ratio * square(sizes[p, 2] * root[2])
+                    covariance[p, i, a] += shifts[p, i] * shifts[p, a]
+            covariance[p, i, i] += ACROSS * variance + square(noise[p])
+        covariance[p, 2, 2] += square(sizes[p, 2] * root[2])
     return result, covariances

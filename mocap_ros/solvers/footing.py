@@ -107,6 +107,7 @@ FOOTING = np.dtype(
     [
         ('time_s', float),  # s, of the newest frame
         ('log_odds', float, len(FEET)),  # logarithms of the odds that heels and toes stand; NaN where unknown
+        ('standing', float, 2),  # probabilities that heel or toe of the left and of the right foot stand, likewise
         ('core', float, (CORE_COUNT, 3)),  # m, in the axes of the camera
         ('found', float, (2, 3, 3)),  # m, unknowns u of the frame before and of this one
         ('matrix', float, (18, 18)),  # 1/m^2, lower triangle, and the right side, of the unknowns of both
@@ -141,8 +142,3 @@ def plant_newest(
     feet, up = offsets.take(FEET, axis=1), UNKNOWN if upward is None else upward
     engine.follow_contacts(footings, times, windows, frames, core, feet, up, LEGS, FEET)
     engine.advance(footings, times, noise, core, feet, LEGS)
-
-
-def find_standing(log_odds: Array) -> Array:
-    """Return the probabilities (P, 2) that heel or toe of each foot stand, by the log odds (P, 4)."""
-    return np.asarray(1 / (1 + np.exp(-np.fmax(log_odds[:, ::2], log_odds[:, 1::2]))))

@@ -65,7 +65,7 @@ def _select(*names: str) -> slice:
 
 # Columns of the filters (P, R) of people.
 OF_MOTION, OF_FOOTING, OF_EXTREMITIES = map(_select, ('motion', 'footing', 'extremities'))
-STANDING_TIME, STANDING_CORE, LOG_ODDS = (_select('footing', n) for n in ('time_s', 'core', 'log_odds'))
+STANDING_TIME, STANDING_CORE, STANDING = (_select('footing', n) for n in ('time_s', 'core', 'standing'))
 SHIFT = slice(_select('footing', 'found').start + 9, _select('footing', 'found').start + 12)  # c_t
 OFFSETS = _select('extremities', 'offsets')
 UNFILTERED = np.concatenate([np.full(OF_EXTREMITIES.start, np.nan), START])  # (R,) before the first frame

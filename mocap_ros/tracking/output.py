@@ -23,16 +23,16 @@ from mocap_ros.models.velocity_correction import SPANS_S, VelocityPast
 from mocap_ros.people import HIPS, Motion, Person3D
 from mocap_ros.skeleton import Skeleton
 from mocap_ros.solvers.extremities import BODY, ExtremityEvidence, collect_evidence
-from mocap_ros.solvers.footing import find_standing, plant_newest
+from mocap_ros.solvers.footing import plant_newest
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.tracking.body_size import BodySize
 from mocap_ros.tracking.motion_filter import (
-    LOG_ODDS,
     OF_EXTREMITIES,
     OF_FOOTING,
     OF_MOTION,
     OFFSETS,
     SHIFT,
+    STANDING,
     STANDING_CORE,
     STANDING_TIME,
 )
@@ -146,43 +146,19 @@ def stand(shown: Shown, motion: CoreMotion) -> None:
     motion.joints[is_known] = shown.filters[is_known, STANDING_CORE].reshape(-1, *motion.joints.shape[1:])
 
 
-class Cores(NamedTuple):
-    """The cores of P people in the camera's optical frame, as in `Person3D`."""
-
-    joints: Array  # (P, J, 3) m
-    std: Array  # (P, J) m
-    velocity: Array  # (P, J, 3) m/s
-    velocity_std: Array  # (P, J) m/s
-    root_covariance: Array  # (P, 3, 3) m^2
-    root_velocity_covariance: Array  # (P, 3, 3) m^2/s^2
-
-    @staticmethod
-    def of_people(shown: Shown, motion: CoreMotion, seen: ExtremityEvidence, sizes: Sequence[BodySize]) -> Cores:
-        """Return the cores of P >= 1 people, enlarged to their sizes."""
-        std, root_covariance = describe_cores(shown, motion.joints, seen, sizes)
-        ratio = np.array([[size.ratio] for size in sizes])
-        wide = ratio[..., None]
-        return Cores(
-            motion.joints * wide,
-            std * ratio,
-            motion.velocity * wide,
-            motion.velocity_std * ratio,
-            root_covariance,
-            motion.root_velocity_covariance * wide**2,
-        )
-
-
 def describe_cores(
     shown: Shown, joints: Array, seen: ExtremityEvidence, sizes: Sequence[BodySize]
 ) -> tuple[Array, Array]:
-    """Return deviations (P, J) m of joints of the assumed size, and covariances (P, 3, 3) m^2 of roots."""
+    """Return the deviations (P, J) m of joints and the covariances (P, 3, 3) m^2 of roots, of the assumed size."""
     posterior = np.array([s.joint_std / s.stature_ratio for s in shown.solutions])
     return engine.describe_cores(posterior, seen, joints, np.array(sizes), shown.filters[:, SHIFT].copy(), _HIPS)
 
 
 def make_people(
     shown: Shown,
-    cores: Cores,
+    cores: CoreMotion,
+    std: Array,
+    root_covariance: Array,
     weight: Array,
     sizes: Sequence[BodySize],
     skeleton: Skeleton,
@@ -190,16 +166,19 @@ def make_people(
 ) -> list[Person3D]:
     """Return the people in the frame.
 
-    `cores` are enlarged to the sizes; `weight` (P, 26) are the scores of the joints; `unseen_for` (P,) s of people
-    who are predicted.
+    `cores`, with the deviations (P, 15) m and the covariances (P, 3, 3) m^2 of roots, are of the assumed size;
+    `weight` (P, 26) are the scores of the joints; `unseen_for` (P,) s of people who are predicted.
     """
-    intrinsics, roots, is_seen = shown.tracks[0].intrinsics, cores.joints.mean(axis=1), unseen_for is None
+    ratio, is_seen = np.array([size.ratio for size in sizes]), unseen_for is None
+    known = cores.joints, std, cores.velocity, cores.velocity_std
+    *whole, roots = BODY.complete(shown.filters[:, OF_EXTREMITIES], ratio, *known)
+    intrinsics, area = shown.tracks[0].intrinsics, (ratio * ratio)[:, None, None]
     scales, translations = (intrinsics.focal / roots[:, 2]).tolist(), intrinsics.project(roots)
-    whole = BODY.complete(shown.filters[:, OF_EXTREMITIES], np.array([s.ratio for s in sizes]), cores)
+    root_covariance, root_velocity_covariance = area * root_covariance, area * cores.root_velocity_covariance
     joints, std, velocity, velocity_std, turns, turn_inferred, inferred = (
         values[:, : len(skeleton.joints)] for values in (*whole, weight == 0)
     )
-    contact = find_standing(shown.filters[:, LOG_ODDS])
+    contact = shown.filters[:, STANDING].copy()
     people = []
     for p, (track, frame, solution) in enumerate(zip(shown.tracks, shown.frames, shown.solutions, strict=True)):
         classification = track.schedule.classification
@@ -221,8 +200,8 @@ def make_people(
                 tentative=track.is_tentative,
                 velocity=velocity[p],
                 velocity_std=velocity_std[p],
-                root_covariance=cores.root_covariance[p],
-                root_velocity_covariance=cores.root_velocity_covariance[p],
+                root_covariance=root_covariance[p],
+                root_velocity_covariance=root_velocity_covariance[p],
                 age=(track.stamps_ns[frame] - track.first_ns) / NS_PER_S + age_s,
                 unseen_for=age_s,
                 skeleton=skeleton,

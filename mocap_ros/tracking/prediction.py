@@ -23,7 +23,7 @@ from mocap_ros.solvers.extremities import ExtremityEvidence, collect_evidence
 from mocap_ros.tracking.body_size import BodySize
 from mocap_ros.tracking.motion_filter import SHIFT
 from mocap_ros.tracking.output import (
-    Cores,
+    CoreMotion,
     Shown,
     describe_cores,
     find_motion,
@@ -54,22 +54,22 @@ def predict_people(
     times = np.array(ages)[:, None] + [0.0, VELOCITY_SPAN_S]
     _, ahead = _predict(tracks, times, upward, sizes)
     shown = Shown.of(tracks)
-    motion = find_published_motion(shown, *locate_past(shown))
-    stand(shown, motion)
-    seen = collect_evidence(motion.joints, shown.windows, shown.noise, shown.frames)
-    last = Cores.of_people(shown, motion, seen, sizes)
-    cores = Cores(
+    last = find_published_motion(shown, *locate_past(shown))
+    stand(shown, last)
+    seen = collect_evidence(last.joints, shown.windows, shown.noise, shown.frames)
+    _, root_covariance = describe_cores(shown, last.joints, seen, sizes)
+    velocity_std = VELOCITY_STD_M_S / np.array([[size.ratio] for size in sizes])
+    cores = CoreMotion(
         last.joints + ahead.joints[:, 0],
-        ahead.std[:, 0],
         (ahead.joints[:, 1] - ahead.joints[:, 0]) / VELOCITY_SPAN_S,
-        np.hypot(last.velocity_std, VELOCITY_STD_M_S),
-        last.root_covariance + ahead.root_covariance[:, 0],
-        last.root_velocity_covariance + VELOCITY_STD_M_S**2 / 3 * np.eye(3),
+        np.hypot(last.velocity_std, velocity_std),
+        last.root_velocity_covariance + velocity_std[..., None] ** 2 / 3 * np.eye(3),
     )
-    unseen = ExtremityEvidence.without_image(cores.joints / np.array([[[size.ratio]] for size in sizes]))
+    unseen = ExtremityEvidence.without_image(cores.joints)
     now = np.array([stamp_ns - t.first_ns for t in tracks]) / NS_PER_S
     follow_extremities(shown, unseen, now, is_steady=False)
-    return make_people(shown, cores, unseen.weight, sizes, skeleton, ages)
+    root_covariance += ahead.root_covariance[:, 0]
+    return make_people(shown, cores, ahead.std[:, 0], root_covariance, unseen.weight, sizes, skeleton, ages)
 
 
 def predict_ahead(
@@ -88,8 +88,9 @@ def predict_ahead(
     shown = Shown.of(tracks)
     seen = collect_evidence(past.joints, shown.windows, shown.noise, shown.frames)
     _, covariances = describe_cores(shown, past.joints, seen, sizes)
-    joints = past.joints * np.array([size.ratio for size in sizes])[:, None, None]
-    predicted = joints[:, None] + ahead.joints, ahead.std, covariances[:, None] + ahead.root_covariance
+    ratio = np.array([size.ratio for size in sizes])[:, None, None, None]
+    joints, covariances = past.joints[:, None] + ahead.joints, covariances[:, None] + ahead.root_covariance
+    predicted = ratio * joints, ratio[..., 0] * ahead.std, ratio**2 * covariances
     return [
         [PredictedPerson(track.id, *then) for then in zip(*of_person, strict=True)]
         for track, *of_person in zip(tracks, *predicted, strict=True)
@@ -121,20 +122,16 @@ def _predict(
 ) -> tuple[Past, Displacements]:
     """Return what is known of N >= 1 people, and predictions at times (N, T) in s after that.
 
-    Predictions are enlarged to the people's sizes. Who is not nearer already stays `MIN_CLEARANCE_M` before the
-    camera.
+    Both are of the assumed size. Who is not nearer already stays `MIN_CLEARANCE_M` before the camera.
     """
     past = sample_past(tracks, upward)
     ahead = load_motion_predictor().predict(past, times)
     depths = past.joints[:, None, :, 2]
-    ratio = np.array([size.ratio for size in sizes])[:, None, None]
-    least = np.minimum(_measure_clearance(depths), MIN_CLEARANCE_M / ratio[..., 0])
+    clearance = MIN_CLEARANCE_M / np.array([[size.ratio] for size in sizes])
+    least = np.minimum(_measure_clearance(depths), clearance)
     too_near = np.maximum(least - _measure_clearance(depths + ahead.joints[..., 2]), 0.0)
     moved = ahead.joints + too_near[..., None, None] * OPTICAL_AXIS
-    displaced = Displacements(
-        moved * ratio[..., None], ahead.std * ratio, ahead.root_covariance * ratio[..., None] ** 2
-    )
-    return past, displaced
+    return past, ahead._replace(joints=moved)
 
 
 def _measure_clearance(depths: Array) -> Array:

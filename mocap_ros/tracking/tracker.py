@@ -47,7 +47,7 @@ from mocap_ros.tracking.body_size import BodySize, FloorContact, assume_size, re
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, FRAME_BUDGET_WITHOUT_LIFTER, DeferredWork
 from mocap_ros.tracking.delayed_output import find_delayed_frame
 from mocap_ros.tracking.hypotheses import HypothesisChecker
-from mocap_ros.tracking.output import Cores, Shown, follow_motion, make_people
+from mocap_ros.tracking.output import Shown, describe_cores, follow_motion, make_people
 from mocap_ros.tracking.prediction import predict_ahead, predict_people
 from mocap_ros.tracking.refinement import Refinement, refine
 from mocap_ros.tracking.schedule import MIN_CHECK_INTERVAL_S
@@ -451,7 +451,8 @@ class Tracker:
                     before, stamp_ns = track.floor_contact, self.output_stamp_ns
                     track.floor_contact = FloorContact.advance(before, stamp_ns, *known)
         sizes = [*map(self._find_size, tracks)]
-        return make_people(shown, Cores.of_people(shown, motion, seen, sizes), seen.weight, sizes, self._skeleton)
+        spread = describe_cores(shown, motion.joints, seen, sizes)
+        return make_people(shown, motion, *spread, seen.weight, sizes, self._skeleton)
 
     def _find_size(self, track: Track) -> BodySize:
         """Return what is known of a person's size; the detector may say who it is when the track has a name."""

@@ -18,7 +18,6 @@ from mocap_ros.solvers.footing import (
     HEELS_AND_TOES,
     LEGS,
     find_contacts,
-    find_standing,
     plant_newest,
     plant_sequence,
 )
@@ -268,7 +267,7 @@ def test_what_is_known_live_is_what_the_newest_frame_shows(rate_hz: float) -> No
         observed: Any = SimpleNamespace(times=cut[2], rays=seen, weight=weights, extremities=others)
         core = joints[frame, :15].copy()
         live.plant(time_s, core, offsets[frame], observed, frame)
-        (found[frame],) = find_standing(live.state['log_odds'])
+        found[frame] = live.state['standing'][0]
         newest = find_contacts(*cut[:2], joints[until], UPWARD, cut[2])[-1]
         expected[frame] = np.fmax(newest[::2], newest[1::2])
     assert np.isnan(found[:2]).all()
@@ -279,5 +278,5 @@ def test_what_is_known_live_is_what_the_newest_frame_shows(rate_hz: float) -> No
     is_forgotten = np.zeros(150, bool)
     for ago in range(150):
         live.plant(times[-1] + 1 + ago, core, offsets[-1], observed, frame)
-        is_forgotten[ago] = np.isnan(find_standing(live.state['log_odds'])[0, 1])
+        is_forgotten[ago] = np.isnan(live.state['standing'][0, 1])
     assert np.argmax(is_forgotten) / rate_hz == pytest.approx(2.92, abs=0.05)
