@@ -11,7 +11,7 @@
       + gamma  int |dM / dt|^2 dt + kappa int |d^2 M / dt^2|^2 dt              movement of the camera, M = s C[:2]
       + nu     mean_t |tilt_t|^2                                               level cameras
 
-P_tj has the weights theta_t; u_t = (theta_t, psi_t) are Fourier series (`solvers.periodic.fourier`), psi the turn of
+P_tj has the weights theta_t; u_t = (theta_t, psi_t) are Fourier series (`solvers.periodic`), psi the turn of
 the body with every stride, Rz a rotation about its vertical, C_t the camera without the strides, rho Cauchy's loss.
 The tilt is x and z of C_t e_z, for base poses aligned by heading. The paper weighs changes of the camera (eq. 12) and
 has neither prior nor tilt. The unknowns of a step are
@@ -54,7 +54,7 @@ import numpy as np
 from mocap_ros.engine.block_banded import log_determinant
 from mocap_ros.engine.joint import DAMPINGS
 
-from mocap_ros.engine.blas cimport add_outer, factorise, multiply, multiply_vector, solve_rows
+from mocap_ros.engine.blas cimport add_outer, factorise, multiply, multiply_transposed, multiply_vector, solve_rows
 from mocap_ros.engine.block_banded cimport Factor, factorise_blocks, solve_backward, solve_forward
 from mocap_ros.engine.geometry cimport multiply as multiply_3x3, rotation_from_vector
 from scipy.linalg.cython_blas cimport dsyrk, dtrsv
@@ -535,6 +535,49 @@ cdef class PeriodicProblem:
             self.status = MAX_ITERATIONS if is_definite else SINGULAR
         self.damping = max(self.damping * (DAMPING_AFTER_SUCCESS if is_better else DAMPING_AFTER_FAILURE), MIN_DAMPING)
         return int(is_better), int(self.status != CONVERGED)
+
+
+def fit_series(
+    const double[::1] times, const double[:, ::1] theta, const double[::1] frequencies, const double[::1] ridge
+):
+    """Fit series to weights at many frequencies: c_l = (T^T T + D)^-1 T^T theta_l, T the terms (N, P) of one.
+
+    Args:
+        times: (N,) s from the time t0 at which the phases are 0.
+        theta: (K, N) m.
+        frequencies: (C,) rad/s.
+        ridge: (P,) the diagonal of D.
+
+    Returns:
+        Coefficients (C, K, P) in m and what they explain, sum_l c_l^T T^T theta_l, (C,) m^2.
+    """
+    cdef int N = times.shape[0], K = theta.shape[0], P = ridge.shape[0], f, t, h, p, k
+    cdef double c, s
+    fits, explained = np.empty((frequencies.shape[0], K, P)), np.zeros(frequencies.shape[0])
+    cdef double[:, :, ::1] out = fits
+    cdef double[::1] total = explained
+    cdef double[:, ::1] terms = np.ones((P, N)), matrix = np.empty((P, P)), right = np.empty((K, P))
+    with nogil:
+        for f in range(frequencies.shape[0]):
+            for t in range(N):
+                c, s = cos(frequencies[f] * times[t]), sin(frequencies[f] * times[t])
+                terms[1, t], terms[2, t] = c, s
+                for h in range(2, P // 2 + 1):
+                    terms[2 * h - 1, t] = c * terms[2 * h - 3, t] - s * terms[2 * h - 2, t]
+                    terms[2 * h, t] = s * terms[2 * h - 3, t] + c * terms[2 * h - 2, t]
+            memset(&matrix[0, 0], 0, P * P * sizeof(double))
+            for p in range(P):
+                matrix[p, p] = ridge[p]
+            add_outer(P, N, 1, &terms[0, 0], &matrix[0, 0])
+            multiply_transposed(K, N, P, 1, &theta[0, 0], &terms[0, 0], 0, &right[0, 0])
+            memcpy(&out[f, 0, 0], &right[0, 0], K * P * sizeof(double))
+            factorise(P, &matrix[0, 0])
+            solve_rows(P, K, &matrix[0, 0], &out[f, 0, 0], False)
+            solve_rows(P, K, &matrix[0, 0], &out[f, 0, 0], True)
+            for k in range(K):
+                for p in range(P):
+                    total[f] += out[f, k, p] * right[k, p]
+    return fits, explained
 
 
 def measure_repetition(const double[::1] times, const double[:, ::1] theta, double cadence):

@@ -36,8 +36,13 @@ from mocap_ros.solvers import joint, periodic
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
 from mocap_ros.solvers.joint.solver import JointReconstruction
 from mocap_ros.solvers.levenberg_marquardt import Stepwise, run_to_end
-from mocap_ros.solvers.periodic.fourier import MAX_CADENCE_HZ, MIN_CADENCE_HZ, MIN_CYCLES
-from mocap_ros.solvers.periodic.solver import EstimatedPoses, PeriodicReconstruction
+from mocap_ros.solvers.periodic import (
+    MAX_CADENCE_HZ,
+    MIN_CADENCE_HZ,
+    MIN_CYCLES,
+    EstimatedPoses,
+    PeriodicReconstruction,
+)
 from mocap_ros.solvers.window import InitialValues, Window
 
 # Names of the models whose motion can be periodic.

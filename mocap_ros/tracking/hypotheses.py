@@ -49,7 +49,7 @@ from mocap_ros.solvers.joint.solver import (
 )
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, explains_as_well, let_base_poses_lead
 from mocap_ros.solvers.levenberg_marquardt import Stepwise
-from mocap_ros.solvers.periodic.solver import EstimatedPoses
+from mocap_ros.solvers.periodic import EstimatedPoses
 from mocap_ros.solvers.window import InitialValues, Window, choose_initial_values
 from mocap_ros.tracking.schedule import Classification
 from mocap_ros.tracking.solution import TrackSolution, select_start

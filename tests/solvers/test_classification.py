@@ -21,7 +21,7 @@ from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.classification import PeriodicFit, fit_periodic_stepwise, is_periodic, measure_jitter
 from mocap_ros.solvers.leading_prior import MAX_NOISE, MAX_NOISE_RATIO, NEGLIGIBLE_NOISE, explains_as_well
 from mocap_ros.solvers.levenberg_marquardt import run_to_end
-from mocap_ros.solvers.periodic.solver import EstimatedPoses
+from mocap_ros.solvers.periodic import EstimatedPoses
 from mocap_ros.solvers.window import Window
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.training.fit_base_poses import fit_base_poses

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mocap_ros.config import SolverConfig
-from mocap_ros.engine.periodic import PeriodicProblem, measure_repetition
+from mocap_ros.engine.periodic import PeriodicProblem, fit_series, measure_repetition
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
@@ -20,8 +20,7 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import periodic
 from mocap_ros.solvers.classification import MAX_STRETCH, REPEATED_S, measure_best_repetition
 from mocap_ros.solvers.joint.batch import Batch
-from mocap_ros.solvers.periodic.fourier import make_terms
-from mocap_ros.solvers.periodic.solver import build_objective, weigh_movement
+from mocap_ros.solvers.periodic import build_objective, weigh_movement
 from mocap_ros.solvers.window import Window
 from tests.support.synthetic_walk import BODY_TO_OPTICAL, Walk, make_walk, mpjpe_mm
 
@@ -131,6 +130,23 @@ def dense_matrices(equations: PeriodicProblem) -> tuple[np.ndarray, np.ndarray, 
     return series, equations.mixed_matrix.reshape(size, -1).T, image_matrix + prior_matrix, prior_matrix
 
 
+def make_terms(omega: float, times: np.ndarray) -> np.ndarray:
+    angles = [h * omega * times for h in range(1, HARMONICS + 1)]
+    return np.stack([np.ones_like(times), *(f(a) for a in angles for f in (np.cos, np.sin))], axis=1)
+
+
+def test_series_are_those_of_the_least_squares_with_a_ridge(rng: np.random.Generator) -> None:
+    times, theta, frequencies = np.sort(rng.uniform(-1, 1, 30)), rng.normal(size=(30, 3)), np.array([3.0, 5.0])
+    ridge = rng.uniform(1, 2, 2 * HARMONICS + 1)
+    fits, explained = fit_series(times, np.ascontiguousarray(theta.T), frequencies, ridge)
+    for fit, value, omega in zip(fits, explained, frequencies, strict=True):
+        stacked = np.concatenate([make_terms(omega, times), np.diag(np.sqrt(ridge))])
+        right = np.concatenate([theta, np.zeros((len(ridge), 3))])
+        expected, misfit, *_ = np.linalg.lstsq(stacked, right)
+        assert fit == pytest.approx(expected.T, rel=1e-9)
+        assert value == pytest.approx((theta**2).sum() - misfit.sum())
+
+
 @pytest.mark.parametrize('term', ['image', 'prior', 'movement', 'level'])
 def test_gradient_is_half_that_of_the_cost(walk_model: BasePoses, rng: np.random.Generator, term: str) -> None:
     case = make_case(walk_model, rng, term)
@@ -205,11 +221,11 @@ def test_equations_that_are_not_positive_definite_have_no_step(case: Case) -> No
 
 def test_equations_of_the_body_follow_by_the_chain_rule(walk_model: BasePoses, rng: np.random.Generator) -> None:
     case, k, cameras = make_case(walk_model, rng, 'image'), COMPONENTS, slice(COMPONENTS, COMPONENTS + 4)
-    equations, harmonics = begin(case), np.arange(1, HARMONICS + 1)
+    equations = begin(case)
     body = equations.body
 
     def evaluate(values: Values) -> np.ndarray:
-        return make_terms(values[1] * case.times[:, None] * harmonics) @ values[0]
+        return make_terms(values[1], case.times) @ values[0]
 
     # d (theta, psi) / d x, and d (theta, v, log s) / d (x, w, log s) of every frame
     series = differentiate(case.values, evaluate)[:SERIES_UNKNOWNS].reshape(-1, FRAMES, k + 1)

@@ -1,14 +1,20 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The solver of the periodic model: Levenberg-Marquardt over Fourier series and cameras.
+"""The periodic model (TPAMI 2016, section 3.3): Levenberg-Marquardt over Fourier series and cameras.
 
 It minimises the objective E of `engine.periodic` over the coefficients of the series, their frequency omega and
-the cameras. The prior of the coefficients counts once a window: the variance of a weight is shared among the terms
-of its series (`fourier.variance_shares`), with less for constants.
+the cameras. The base-pose weights and the heading are Fourier series of time,
+
+    u_l(t) = c_0l + sum_h [a_hl cos(h omega (t - t0)) + b_hl sin(h omega (t - t0))],    h = 1 ... H
+
+for l = 1 ... K (weights, m) and l = K + 1 (heading, rad), with one fundamental frequency omega (eq. 17 has one for
+each) and t0 the mean of the times. They are linear in the P = 2 H + 1 coefficients, u_l(t) = sum_p terms_tp c_pl,
+whose order is constant, cos, sin, cos 2, sin 2 and so on. The prior of the coefficients counts once a window: the
+variance of a weight is shared among the terms of its series, with less for constants.
 
 1. Initial values: the weights theta of poses found without periodicity; a series fitted to them, its cadence
-   from a scan (`fourier.fit_initial_series`).
+   from a scan (`fit_initial_series`).
 2. Hypotheses, if the noise is large: a second cadence, and a camera that hardly moves. E is minimised from each,
    and the one with the highest evidence is kept, the cameras integrated over by Laplace's method:
 
@@ -42,7 +48,6 @@ from mocap_ros.solvers.joint.differences import invert_time_steps, weigh_velocit
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, JointObjective
 from mocap_ros.solvers.joint.solver import WARM_DAMPING
 from mocap_ros.solvers.levenberg_marquardt import Stepwise, minimise_stepwise, run_to_end
-from mocap_ros.solvers.periodic.fourier import fit_initial_series, variance_shares
 from mocap_ros.solvers.window import InitialValues, Reconstruction, SolverStatus, Window, interpolate_unseen
 
 MAX_INITIAL_ITERATIONS = 12  # steps of the joint solver for initial values; a coarse result is sufficient
@@ -54,6 +59,15 @@ MIN_NOISE_FOR_HYPOTHESES = 0.03
 # relative decrease of E; hypotheses compared before they had converged selected half the true cadence.
 HYPOTHESIS_TOLERANCE = 2e-3
 INITIAL_TRANSLATION_STEPS = 2  # the first least squares step is not yet at the optimum of the robust loss
+MIN_CADENCE_HZ = 0.5  # Hz, full cycles; the slowest walk, as `ClassifierConfig.walk_cadence`
+MAX_CADENCE_HZ = 2.2  # Hz, full cycles; about that of a sprint
+CADENCE_STEP_HZ = 0.02  # Hz; half a step shifts the phase over a window of 2 s by 2 % of a cycle
+MIN_CYCLES = 0.8  # cycles in the window; a lower cadence would look like a drift
+MIN_LOG_CADENCE_RATIO = 0.25  # a second cadence differs by a factor of 1.28, or it would end in the same minimum
+RIDGE = 0.2  # weight of c^T diag(1 / share) c against the mean squared misfit; chosen on CMU walks and runs
+# Shares of a weight's variance over time and persons, chosen on CMU walks and runs.
+CONSTANT_SHARE = 0.4  # of the constant term
+HARMONIC_SHARE = 0.4  # of the first harmonic; the h-th has 1 / h^2 of it
 # Properties of walks and runs.
 MODEL_ERROR = 0.01  # m; error of a coordinate from what a periodic motion cannot explain, added to the image noise
 STILL_CAMERA_FACTOR = 300.0  # on the weight of the camera's velocity if the camera is supposed to stand still
@@ -177,6 +191,41 @@ def _choose_initial_values(
     theta = model.weights(initial.joints @ np.swapaxes(to_body, -1, -2))
     cameras = WeakPerspectiveCameras(initial.scale, np.swapaxes(to_body, -1, -2))
     return InitialValues(theta, cameras), initial.noise
+
+
+def fit_initial_series(theta: Array, times: Array, config: SolverConfig) -> list[tuple[Array, float]]:
+    """Fit series to the weights of a non-periodic reconstruction, with the two most likely cadences of a scan.
+
+    Returns the coefficients (P, K + 1) and omega in rad/s of each.
+
+    For every cadence, with the diagonal ridge D = RIDGE N diag(1 / share_p), the coefficients minimise
+
+        |theta_l - T c_l|^2 + c_l^T D c_l = |theta_l|^2 - c_l^T T^T theta_l    at  c_l = (T^T T + D)^-1 T^T theta_l
+
+    so the best has the largest c^T T^T theta, summed over base poses. The heading begins as zero. The second
+    cadence is the best of those unlike the first; it is the first if there are none.
+    """
+    scanned, count = list_scanned_frequencies(times), len(times)
+    ridge = RIDGE * count / variance_shares(config.harmonics)
+    fits, explained = engine.fit_series(times - times.mean(), np.ascontiguousarray(theta.T), scanned, ridge)
+    first = explained.argmax()
+    is_other = np.abs(np.log(scanned / scanned[first])) > MIN_LOG_CADENCE_RATIO
+    second = np.where(is_other, explained, -np.inf).argmax() if is_other.any() else first
+    heading = np.zeros((len(ridge), 1))
+    return [(np.concatenate([fits[i].T, heading], axis=1), float(scanned[i])) for i in (first, second)]
+
+
+def list_scanned_frequencies(times: Array) -> Array:
+    """Return the frequencies (C,) in rad/s among which that of a window with these times (N,) s is searched."""
+    span = max(float(np.ptp(times)), 1e-3)
+    lowest = min(max(MIN_CADENCE_HZ, MIN_CYCLES / span), MAX_CADENCE_HZ)
+    return 2 * np.pi * np.arange(lowest, MAX_CADENCE_HZ + CADENCE_STEP_HZ / 2, CADENCE_STEP_HZ)
+
+
+def variance_shares(harmonics: int) -> Array:
+    """Return the share (2 H + 1,) of a weight's variance that the prior gives to each term."""
+    harmonic = HARMONIC_SHARE / np.arange(1, harmonics + 1) ** 2
+    return np.append(CONSTANT_SHARE, np.repeat(harmonic, 2))
 
 
 def measure_noise_ratio(noise: float) -> float:
