@@ -24,7 +24,7 @@ cdef extern from *:
     #define MIN_TOTAL_WEIGHT 1e-9  /* guards divisions by sums of confidence scores */
     #define MIN_SEEN_JOINTS 3      /* core joints of the newest frame; fewer say hardly anything of a pose */
 
-    /* y += a C, z += b C for rows C of codes, four rows at a time to fetch and store y and z less often. Processors
+    /* y += a C, z += b C for rows C of codes, eight rows at a time to fetch and store y and z less often. Processors
        with AVX2 or AVX-512 convert and multiply 8 or 16 codes at once, which no compiler does by itself as well. */
     #define SUM(name, code) \\
     static void name(const code *codes, Py_ssize_t width, const long long *rows, Py_ssize_t count, const float *a, \\
@@ -43,17 +43,17 @@ cdef extern from *:
     __attribute__((target(features))) \\
     static void name(const code *codes, Py_ssize_t width, const long long *rows, Py_ssize_t count, const float *a, \\
                      const float *b, float *y, float *z) { \\
-        for (Py_ssize_t n = 0; n < count; n += 4) { \\
-            const code *row[4]; \\
-            vector p[4], q[4]; \\
-            for (int k = 0; k < 4; k++) { \\
+        for (Py_ssize_t n = 0; n < count; n += 8) { \\
+            const code *row[8]; \\
+            vector p[8], q[8]; \\
+            for (int k = 0; k < 8; k++) { \\
                 row[k] = codes + rows[n + k] * width; \\
                 p[k] = set(a[n + k]); \\
                 q[k] = set(b[n + k]); \\
             } \\
             for (Py_ssize_t o = 0; o < width; o += lanes) { \\
                 vector s = load(y + o), t = load(z + o); \\
-                for (int k = 0; k < 4; k++) { \\
+                for (int k = 0; k < 8; k++) { \\
                     const vector w = convert(from((const void *) (row[k] + o))); \\
                     s = multiply_add(p[k], w, s); \\
                     t = multiply_add(q[k], w, t); \\
@@ -91,7 +91,7 @@ cdef extern from *:
                       float*) noexcept nogil
 
 cdef enum:
-    TILE = 64  # rows of weights, a multiple of 4; few enough to stay in the cache
+    TILE = 64  # rows of weights, a multiple of 8; few enough to stay in the cache
 
 ctypedef fused Code:
     signed char
@@ -320,7 +320,7 @@ cdef void apply_layer(
                 x, y = inputs[n, 0, i], inputs[n, 1, i]
                 used[count], factors[count], factors[TILE + count] = i, x * scales[i], y * scales[i]
                 count += (x != 0) | (y != 0)  # without a branch, which no processor could predict
-            while count % 4 > 0:
+            while count % 8 > 0:
                 used[count] = 0
                 factors[count] = factors[TILE + count] = 0
                 count += 1
