@@ -135,23 +135,23 @@ cdef void sample_history(
 
 
 def sample_histories(people, Py_ssize_t joints, Vector slots, double max_gap_s, double tolerance_s):
-    """Return the points (N, T, J, 2) and scores (N, T, J) at the slots before some frames; 0 where not seen.
+    """Return the points (N, T, J, 2) and scores (N, T, J) at the slots before some frames, 0 where not seen.
 
-    Rules are those of `models.lifter_input.sample_histories`; slots (T,) s before the frames increase.
+    The rotations (N, 3, 3) of these frames are returned too. Rules are those of `models.lifter_input.sample_histories`; slots (T,) s before the frames increase.
 
     Args:
         people: of each person the times (F,) s, the frames, the rotations (F, 3, 3), or (1, 3, 3) for all frames, of the
             cameras that see the rays, and groups of joints, one after the other: rays (F, J_i, 2) and scores (F, J_i).
         joints: J; those that no group has are not seen.
     """
-    cdef Py_ssize_t n = 0, first, row
+    cdef Py_ssize_t n = 0, row = 0, first
     cdef Vector times
     cdef Stack rotation, rays
     cdef Rows weight
     shape = sum([len(frames) for _, frames, _, _ in people]), slots.shape[0], joints
-    sampled, sampled_weight = np.zeros((*shape, 2)), np.zeros(shape)
+    sampled, sampled_weight, cameras = np.zeros((*shape, 2)), np.zeros(shape), np.empty((shape[0], 3, 3))
     cdef double[:, :, :, ::1] out = sampled
-    cdef double[:, :, ::1] out_weight = sampled_weight
+    cdef double[:, :, ::1] out_weight = sampled_weight, camera = cameras
     for times, frames, rotation, groups in people:
         first = 0
         for rays, weight in groups:
@@ -160,37 +160,38 @@ def sample_histories(people, Py_ssize_t joints, Vector slots, double max_gap_s, 
                 sample_history(
                     rays, weight, times, frame, rotation, slots, max_gap_s, tolerance_s, out[row], out_weight[row], first
                 )
+                camera[row] = rotation[min(<Py_ssize_t> frame, rotation.shape[0] - 1)]
                 row += 1
             first += weight.shape[1]
-        n += len(frames)
-    return sampled, sampled_weight
+        n = row
+    return sampled, sampled_weight, cameras
 
 
-def append_lifted(windows, Stack joints, Stack std):
+def append_lifted(windows, Stack joints, Stack std, Stack cameras):
     """Return the lifted poses and standard deviations (F, J, 3) of windows, with those of their last frames.
 
     Windows are `solvers.observed_window.ObservedWindow`, the poses before in the axes of the real camera. The new ones
-    (N, J, 3), of one window after the other, are in the axes of the virtual cameras.
+    (N, J, 3), of one window after the other, are in the axes to which the rotations `cameras` (N, 3, 3) lead.
     """
     cdef Py_ssize_t n = 0, t, j, i, known, frames, J = joints.shape[1]
-    cdef Stack rotation, before, before_std
+    cdef Stack before, before_std
     cdef double[:, :, ::1] out, out_std
-    cdef const double* turn
     all_lifted = []
     for window in windows:
-        rotation, frames, known = window.virtual_camera.rotation.reshape(-1, 3, 3), len(window.times), 0
+        frames, known = len(window.times), window.lifted_frames
         lifted = np.empty((frames, J, 3)), np.empty((frames, J, 3))
         out, out_std = lifted
-        if window.lifted is not None:
+        if known > 0:
             before, before_std = window.lifted.joints, window.lifted.std
-            known = before.shape[0]
             out[:known], out_std[:known] = before, before_std
         for t in range(known, frames):
-            turn = &rotation[min(t, rotation.shape[0] - 1), 0, 0]
+            out_std[t] = std[n]
             for j in range(J):
                 for i in range(3):
-                    out[t, j, i] = joints[n, j, 0] * turn[i] + joints[n, j, 1] * turn[3 + i] + joints[n, j, 2] * turn[6 + i]
-                    out_std[t, j, i] = std[n, j, i]
+                    out[t, j, i] = (
+                        joints[n, j, 0] * cameras[n, 0, i] + joints[n, j, 1] * cameras[n, 1, i]
+                        + joints[n, j, 2] * cameras[n, 2, i]
+                    )
             n += 1
         all_lifted.append(lifted)
     return all_lifted

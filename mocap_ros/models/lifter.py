@@ -18,7 +18,7 @@ Shapes: N histories, T slots, J joints of `skeleton.BODY26`, J_c of its core `sk
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -58,13 +58,6 @@ class LiftedPoses:
         return LiftedPoses(
             np.ascontiguousarray(self.joints[:, :CORE_COUNT]), np.ascontiguousarray(self.std[:, :CORE_COUNT])
         )
-
-
-def concatenate_lifted(parts: Sequence[LiftedPoses]) -> LiftedPoses:
-    """Concatenate the frames of all parts."""
-    if len(parts) == 1:
-        return parts[0]
-    return LiftedPoses(np.concatenate([p.joints for p in parts]), np.concatenate([p.std for p in parts]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,7 +49,7 @@ def sample_histories(points: Array, weight: Array, times: Array, frames: NDArray
     """
     seen = np.ascontiguousarray(points, float), np.ascontiguousarray(weight, float)
     person = np.ascontiguousarray(times, float), frames.tolist(), np.eye(3)[None], [seen]
-    return engine.sample_histories([person], weight.shape[1], *SLOTS)
+    return engine.sample_histories([person], weight.shape[1], *SLOTS)[:2]
 
 
 def weigh_vertical(vertical: Array, std: Array) -> Array:

@@ -62,16 +62,22 @@ from mocap_ros.solvers.classification import choose_category
 from mocap_ros.solvers.extremities import SEGMENT_OF, attach, collect_evidence, smooth_extremities
 from mocap_ros.solvers.floor import POSE_SHARE, SIZE_RANGE, Stander, fit_floor
 from mocap_ros.solvers.footing import find_contacts, plant_sequence
-from mocap_ros.solvers.image_roll import find_camera_roll, find_roll, lift_turned, turn_about_axis, turn_upright
+from mocap_ros.solvers.image_roll import find_camera_roll, find_roll, turn_about_axis
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, explains_as_well, let_base_poses_lead
 from mocap_ros.solvers.observed_window import (
     ObservedWindow,
-    append_lifted,
     observe_sequence,
     sample_unlifted_histories,
 )
-from mocap_ros.solvers.vertical import AUTO, Vertical, find_vertical, read_given_vertical
+from mocap_ros.solvers.vertical import (
+    AUTO,
+    Vertical,
+    find_vertical,
+    lift_under_vertical,
+    read_given_vertical,
+    turn_towards_vertical,
+)
 from mocap_ros.solvers.window import Reconstruction, Window
 
 Report = Callable[[float], None]  # gets the share, 0 to 1, of the work that is done
@@ -229,8 +235,7 @@ def _reconstruct(
         if ALL_MOTIONS in models:
             models = {ALL_MOTIONS: models[ALL_MOTIONS]}
         lifted, vertical = _lift(observed, lifter, config.tracker)
-        observed = replace(observed)
-        append_lifted([observed], lifted)
+        observed = _add_lifted(observed, lifted)
         report(LIFTED_SHARE)
         category, solution = _solve_with_lifter(observed, vertical, lifter, models, config, report)
     camera = observed.virtual_camera
@@ -424,21 +429,25 @@ def _lift(
 
     The lifter gets a vertical that is given, for those with a straight leg; `known` is one that was found before.
     """
-    camera, given = observed.virtual_camera, read_given_vertical(config)
+    given = read_given_vertical(config)
     if given is not None:
         known, roll = _repeat_vertical(given, len(observed.times)), find_roll(given.direction)
     else:
         roll = _find_camera_roll(observed)
+    points, weight, cameras = sample_unlifted_histories([observed], roll)
     in_lifter = None
-    if given is not None and known is not None:
-        in_lifter = camera.to_virtual_camera(known.direction[:, None])[:, 0], known.std
-    points, weight, _ = sample_unlifted_histories([observed])
-    lifted = lift_turned(lifter, points, weight, roll, in_lifter)
+    if given is not None:
+        in_lifter = cameras @ given.direction, np.full(len(cameras), given.std)
+    lifted = lift_under_vertical(lifter, points, weight, in_lifter)
     if known is None:
-        known = choose_vertical(observed, camera.to_real_camera(lifted.joints), config)
-    cameras = np.broadcast_to(camera.rotation, (len(lifted.joints), 3, 3))
-    stances = Stances.of(lifted.joints, np.ascontiguousarray(cameras))
-    return turn_upright(lifted, stances, cameras, *known, roll), known
+        known = choose_vertical(observed, lifted.joints @ cameras, config)
+    lifted = turn_towards_vertical(lifted, Stances.of(lifted.joints, cameras), cameras, *known)
+    return LiftedPoses(turn_about_axis(lifted.joints, -roll), lifted.std), known
+
+
+def _add_lifted(observed: ObservedWindow, lifted: LiftedPoses) -> ObservedWindow:
+    in_real_camera = observed.virtual_camera.to_real_camera(lifted.joints)
+    return replace(observed, lifted=LiftedPoses(in_real_camera, lifted.std))
 
 
 def _solve_with_lifter(
@@ -460,13 +469,11 @@ def _solve_with_lifter(
     believed = hide_unexplained_points(observed, window, solution)
     if believed is not observed:
         lifted, _ = _lift(replace(believed, lifted=None), lifter, config.tracker, vertical)
-        observed = replace(observed, lifted=None)
-        append_lifted([observed], lifted)
+        observed = _add_lifted(observed, lifted)
         _, solution = _solve(observed.build_solver_window(), models, config.solver)
     report(SOLVED_AGAIN_SHARE)
     again, _ = _lift(draw_points(believed, solution), lifter, config.tracker, vertical)
-    observed = replace(observed, lifted=None)
-    append_lifted([observed], turn_like(again, solution.joints))
+    observed = _add_lifted(observed, turn_like(again, solution.joints))
     return _solve(observed.build_solver_window(), models, config.solver)
 
 

@@ -26,12 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
-from mocap_ros.engine import vertical as engine
-from mocap_ros.models.lifter import LiftedPoses, Lifter
-from mocap_ros.models.upward_direction import Stances
-from mocap_ros.skeleton import CMU15, CORE_COUNT
-from mocap_ros.solvers.observed_window import RAY_FOCAL
-from mocap_ros.solvers.vertical import LEVEL_DEG, MAX_STEP_S, MEMORY_S
+from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers.vertical import MAX_STEP_S, MEMORY_S
 from mocap_ros.units import NS_PER_S
 
 LOOK_S = 0.1  # s, after which a tracker looks again
@@ -164,58 +160,6 @@ class CameraSide:
         )
         if against_s > max(TURNED_S, TURNED_FACTOR * for_s, self.seen_s / 2):
             self.is_upside_down = not self.is_upside_down
-
-
-def lift_turned(
-    lifter: Lifter, points: Array, weight: Array, roll: float, vertical: tuple[Array, Array] | None
-) -> LiftedPoses:
-    """Lift histories in images that are turned by an angle in rad; the poses are in the axes of the unturned ones.
-
-    The lifter gets a vertical that is given as well, to the share to which the poses without it stand.
-
-    Args:
-        lifter: the lifter.
-        points: (N, T, J, 2) histories in rays, as `Lifter.lift` takes them.
-        weight: (N, T, J) scores.
-        roll: rad, the angle.
-        vertical: (N, 3) vertical in the axes of the camera of the points, and its standard deviation (N,) rad;
-            None where none is given.
-    """
-    points = turn_about_axis(points, roll)
-    lifted = lifter.lift(points, weight, RAY_FOCAL)
-    if vertical is not None:
-        under = lifter.lift(points, weight, RAY_FOCAL, turn_about_axis(vertical[0], roll), vertical[1])
-        share = Stances.of(lifted.joints).standing[:, None, None]
-        pairs = (lifted.joints, under.joints), (lifted.std, under.std)
-        lifted = LiftedPoses(*(a + share * (b - a) for a, b in pairs))
-    return LiftedPoses(turn_about_axis(lifted.joints, -roll), lifted.std)
-
-
-def turn_upright(
-    lifted: LiftedPoses, stances: Stances, cameras: Array, vertical: Array, std: Array, roll: float = 0.0
-) -> LiftedPoses:
-    """Return lifted poses turned towards the vertical in the turned images (formulas of `vertical`).
-
-    Args:
-        lifted: poses of N frames in the axes of their virtual cameras, NaN where they are not known.
-        stances: what they show, in the axes of the real camera.
-        cameras: (N, 3, 3) rotations from these axes to the virtual cameras'.
-        vertical: (N, 3), or (1, 3) for all, vertical in the axes of the real camera.
-        std: (N,) or (1,) rad, its standard deviation.
-        roll: rad, the angle by which the images are turned.
-    """
-    turned = turn_about_axis(cameras.swapaxes(-1, -2), roll).swapaxes(-1, -2)
-    joints = engine.turn_poses(
-        turn_about_axis(lifted.joints, roll),
-        lifted.std,
-        np.ascontiguousarray(turned),
-        *stances,
-        np.ascontiguousarray(vertical),
-        std,
-        CORE_COUNT,
-        *LEVEL_DEG,
-    )
-    return LiftedPoses(turn_about_axis(joints, -roll), lifted.std)
 
 
 def turn_about_axis(vectors: Array, roll: float) -> Array:

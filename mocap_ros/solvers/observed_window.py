@@ -13,6 +13,7 @@ only `ObservedWindow.build_solver_window` makes them px.
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -87,6 +88,11 @@ class ObservedWindow:
         return ObservedWindow(times, rays, weight, camera, focal, None, extremities, is_evidence)
 
     @property
+    def lifted_frames(self) -> int:
+        """Number of the first frames, those that have lifted poses."""
+        return 0 if self.lifted is None else len(self.lifted.joints)
+
+    @property
     def evidence(self) -> Array:
         """Scores (F, J) of the joints as the solvers see them: 0 for those that were derived from others."""
         return self.weight if self.is_evidence is None else self.weight * self.is_evidence
@@ -147,26 +153,29 @@ class ObservedWindow:
         )
 
 
-def sample_unlifted_histories(windows: Sequence[ObservedWindow]) -> tuple[Array, Array, list[int]]:
+def sample_unlifted_histories(windows: Sequence[ObservedWindow], roll: float = 0.0) -> tuple[Array, Array, Array]:
     """Return rays (N, T, J, 2) and scores (N, T, J) of the frames not lifted yet, for `Lifter.lift`.
 
-    The frames of all windows are one after the other; their numbers are returned too.
+    The frames of all windows are one after the other. Their virtual cameras are turned about their axes, so that
+    images turn clockwise by `roll` rad; the rotations (N, 3, 3) from the real camera to these are returned too.
     """
-    people, counts = [], []
+    people = []
+    turn = np.array([
+        [math.cos(roll), -math.sin(roll), 0.0], [math.sin(roll), math.cos(roll), 0.0], [0.0, 0.0, 1.0]
+    ])  # fmt: skip
     for window in windows:
-        first, end = 0 if window.lifted is None else len(window.lifted.joints), len(window.times)
         groups = [(window.rays, window.weight)]
         if window.extremities is not None:
             groups.append(window.extremities)
         rotation = window.virtual_camera.rotation.reshape(-1, 3, 3)
-        people.append((window.times, range(first, end), rotation, groups))
-        counts.append(end - first)
-    return *engine.sample_histories(people, JOINT_COUNT, *SLOTS), counts
+        rotation = turn @ rotation if roll else rotation
+        people.append((window.times, range(window.lifted_frames, len(window.times)), rotation, groups))
+    return engine.sample_histories(people, JOINT_COUNT, *SLOTS)
 
 
-def append_lifted(windows: Sequence[ObservedWindow], lifted: LiftedPoses) -> None:
-    """Add lifted poses, in the units of rays and the axes of the virtual cameras, of the frames not lifted yet."""
-    poses = engine.append_lifted(windows, lifted.joints, lifted.std)
+def append_lifted(windows: Sequence[ObservedWindow], lifted: LiftedPoses, cameras: Array) -> None:
+    """Add lifted poses, in the units of rays, of the frames not lifted yet, in the axes of cameras as above."""
+    poses = engine.append_lifted(windows, lifted.joints, lifted.std, cameras)
     for window, (joints, std) in zip(windows, poses, strict=True):
         window.lifted = LiftedPoses(joints, std)
 

@@ -48,7 +48,10 @@ from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
 from mocap_ros.engine import vertical as engine
 from mocap_ros.errors import ConfigError
+from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.upward_direction import Stances
+from mocap_ros.skeleton import CORE_COUNT
+from mocap_ros.solvers.observed_window import RAY_FOCAL
 from mocap_ros.units import NS_PER_S
 
 AUTO, NONE = 'auto', 'none'  # values of `tracker.vertical` besides three numbers
@@ -197,6 +200,41 @@ def read_given_vertical(config: TrackerConfig) -> Vertical | None:
             "the camera, such as '0 -1 0' of a level camera"
         )
     return Vertical.give(direction / np.linalg.norm(direction))
+
+
+def lift_under_vertical(
+    lifter: Lifter, points: Array, weight: Array, vertical: tuple[Array, Array] | None
+) -> LiftedPoses:
+    """Lift histories (N, T, J, 2) of rays, with scores (N, T, J), also under a vertical that is given.
+
+    The vertical (N, 3) in the axes of the points, with its standard deviation (N,) rad, counts to the share to
+    which the poses without it stand.
+    """
+    lifted = lifter.lift(points, weight, RAY_FOCAL)
+    if vertical is None:
+        return lifted
+    under, share = (
+        lifter.lift(points, weight, RAY_FOCAL, *vertical),
+        Stances.of(lifted.joints).standing[:, None, None],
+    )
+    pairs = (lifted.joints, under.joints), (lifted.std, under.std)
+    return LiftedPoses(*(a + share * (b - a) for a, b in pairs))
+
+
+def turn_towards_vertical(
+    lifted: LiftedPoses, stances: Stances, cameras: Array, vertical: Array, std: Array
+) -> LiftedPoses:
+    """Return lifted poses turned towards the vertical (formulas of this module).
+
+    Args:
+        lifted: poses of N frames in the axes of their virtual cameras, NaN where they are not known.
+        stances: what they show, in the axes of the real camera.
+        cameras: (N, 3, 3) rotations from these axes to the virtual cameras'.
+        vertical: (N, 3), or (1, 3) for all, vertical in the axes of the real camera.
+        std: (N,) or (1,) rad, its standard deviation.
+    """
+    given = lifted.joints, lifted.std, cameras, *stances, np.ascontiguousarray(vertical), std
+    return LiftedPoses(engine.turn_poses(*given, CORE_COUNT, *LEVEL_DEG), lifted.std)
 
 
 def find_vertical(times: Array, stances: Stances, *, is_turned: bool = False) -> tuple[Array, Array]:

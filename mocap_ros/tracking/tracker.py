@@ -37,12 +37,12 @@ from mocap_ros.models.model_file import load_prior_lifter, load_velocity_correct
 from mocap_ros.models.upward_direction import Stances
 from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
 from mocap_ros.skeleton import keypoint_layout
-from mocap_ros.solvers.image_roll import CameraSide, find_roll, lift_turned, turn_upright
+from mocap_ros.solvers.image_roll import CameraSide, find_roll
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, let_base_poses_lead
 from mocap_ros.solvers.observed_window import append_lifted, sample_unlifted_histories
 from mocap_ros.solvers.vertical import AUTO as AUTO_VERTICAL
 from mocap_ros.solvers.vertical import NONE as NO_VERTICAL
-from mocap_ros.solvers.vertical import Vertical, read_given_vertical
+from mocap_ros.solvers.vertical import Vertical, lift_under_vertical, read_given_vertical, turn_towards_vertical
 from mocap_ros.tracking.body_size import BodySize, FloorContact, assume_size, read_body_heights
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, FRAME_BUDGET_WITHOUT_LIFTER, DeferredWork
 from mocap_ros.tracking.delayed_output import find_delayed_frame
@@ -341,24 +341,24 @@ class Tracker:
         if self._lifter is None or not tracks:
             return
         windows = [t.observed for t in tracks]
-        points, weight, counts = sample_unlifted_histories(windows)
-        newest = [end - 1 for end in accumulate(counts)]
-        counted = zip(windows, counts, strict=True)
-        cameras = np.array([o.virtual_camera.rotation for o, count in counted for _ in range(count)])
+        newest = [end - 1 for end in accumulate(len(o.times) - o.lifted_frames for o in windows)]
         if self._side.is_due(stamp_ns):
             rays, scores = np.array([t.rays[-1] for t in tracks]), np.array([t.weight[-1] for t in tracks])
             self._side.advance(stamp_ns, rays, scores)
         known, given, roll = self._vertical, None, math.pi if self._side.is_upside_down else 0.0
         if known is not None and known.is_given:
-            roll, given = find_roll(known.direction), (cameras @ known.direction, np.full(len(cameras), known.std))
-        lifted = lift_turned(self._lifter, points, weight, roll, given)
+            roll = find_roll(known.direction)
+        points, weight, cameras = sample_unlifted_histories(windows, roll)
+        if known is not None and known.is_given:
+            given = cameras @ known.direction, np.full(len(cameras), known.std)
+        lifted = lift_under_vertical(self._lifter, points, weight, given)
         if self.config.tracker.vertical != NO_VERTICAL:
             stances = Stances.of(lifted.joints, cameras)
             if known is not None:
                 towards = known.direction[None], np.array([known.std])
-                lifted = turn_upright(lifted, stances, cameras, *towards, roll)
+                lifted = turn_towards_vertical(lifted, stances, cameras, *towards)
             self._find_vertical(stamp_ns, tracks, newest, stances)
-        append_lifted(windows, lifted)
+        append_lifted(windows, lifted, cameras)
 
     def _find_vertical(
         self, stamp_ns: int, tracks: Sequence[Track], newest: Sequence[int], stances: Stances

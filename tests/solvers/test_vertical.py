@@ -22,8 +22,14 @@ from mocap_ros.models.upward_direction import Stances
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers import vertical as module
-from mocap_ros.solvers.image_roll import CameraSide, find_camera_roll, find_sides, lift_turned, turn_upright
-from mocap_ros.solvers.vertical import Vertical, find_vertical, read_given_vertical
+from mocap_ros.solvers.image_roll import CameraSide, find_camera_roll, find_sides
+from mocap_ros.solvers.vertical import (
+    Vertical,
+    find_vertical,
+    lift_under_vertical,
+    read_given_vertical,
+    turn_towards_vertical,
+)
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.bodies import angles_deg
 from tests.support.synthetic_walk import make_walk, with_scores
@@ -157,12 +163,12 @@ def test_the_lifter_gets_a_vertical_for_those_who_stand_alone(monkeypatch: pytes
         return LiftedPoses(poses - [0, is_given, 0], np.full_like(poses, 2.0 if is_given else 1.0))
 
     monkeypatch.setattr(Lifter, 'lift', lift)
-    lifter, history = load_prior_lifter('learned', CMU15), (np.zeros((2, 1, 15, 2)), np.ones((2, 1, 15)), 0.0)
+    lifter, history = load_prior_lifter('learned', CMU15), (np.zeros((2, 1, 15, 2)), np.ones((2, 1, 15)))
     assert lifter is not None
-    lifted = lift_turned(lifter, *history, (np.tile(UP, (2, 1)), np.full(2, 0.02)))
+    lifted = lift_under_vertical(lifter, *history, (np.tile(UP, (2, 1)), np.full(2, 0.02)))
     assert lifted.joints == pytest.approx(np.stack([POSES['standing'] - [0, 1, 0], POSES['seated']]))
     assert lifted.std[:, 0, 0].tolist() == [2, 1]
-    assert lift_turned(lifter, *history, None).joints == pytest.approx(poses)
+    assert lift_under_vertical(lifter, *history, None).joints == pytest.approx(poses)
 
 
 def test_poses_are_turned_towards_the_vertical_by_how_uncertain_their_depths_are() -> None:
@@ -173,7 +179,7 @@ def test_poses_are_turned_towards_the_vertical_by_how_uncertain_their_depths_are
         angles = np.array([0.1, -0.05])
         stances = Stances.of(lifted.joints)
         vertical = Rotation.from_rotvec(angles[:, None] * [1, 0, 0]).apply(stances.upward)
-        joints = turn_upright(lifted, stances, NO_TURN, vertical, np.full(2, 0.03)).joints
+        joints = turn_towards_vertical(lifted, stances, NO_TURN, vertical, np.full(2, 0.03)).joints
         turn = Rotation.from_matrix(fit_rotation(lifted.joints, joints)).as_rotvec()
         assert turn[:, 1:] == pytest.approx(0, abs=1e-9), 'about the horizontal axis alone'
         turned.append(turn[:, 0] / angles)
@@ -181,7 +187,9 @@ def test_poses_are_turned_towards_the_vertical_by_how_uncertain_their_depths_are
     assert (turned[0] < 0.3).all()
     assert ((turned[1] > 0.5) & (turned[1] < 1)).all()
     lying = Rotation.from_rotvec([1.2, 0, 0]).apply(stances.upward)
-    assert turn_upright(lifted, stances, NO_TURN, lying, np.full(2, 0.03)).joints == pytest.approx(lifted.joints)
+    assert turn_towards_vertical(lifted, stances, NO_TURN, lying, np.full(2, 0.03)).joints == pytest.approx(
+        lifted.joints
+    )
 
 
 def test_a_given_vertical_is_never_changed_by_what_people_do(rng: np.random.Generator) -> None:

@@ -21,7 +21,6 @@ from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rotations import rotation_from_vector, vector_from_rotation
 from mocap_ros.models.base_poses import BasePoses, arrange_model
-from mocap_ros.models.lifter import concatenate_lifted
 from mocap_ros.solvers.joint.differences import MIN_TIME_STEP_S
 from mocap_ros.solvers.window import InitialValues, Window
 
@@ -73,8 +72,9 @@ class Batch:
         if poses:
             if len(poses) < len(windows):
                 raise InputError('some windows of the batch have lifted poses and some have not')
-            all_poses = concatenate_lifted(poses)
-            joints, std = all_poses.joints, all_poses.std
+            joints, std = (
+                np.concatenate(arrays) for arrays in zip(*((p.joints, p.std) for p in poses), strict=True)
+            )
             is_known = np.isfinite(joints)
             lifted = np.where(is_known, joints, 0.0) / per_frame[:, None, None]
             precision = is_known / np.maximum(std / per_frame[:, None, None], MIN_STD_M) ** 2
