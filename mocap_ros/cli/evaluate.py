@@ -35,7 +35,7 @@ from mocap_ros.runtime.input_kind import InputKind, require_kind
 from mocap_ros.runtime.load_keypoints import load_sequence_file
 from mocap_ros.runtime.load_results import load_result
 from mocap_ros.runtime.summary import summarise
-from mocap_ros.runtime.whole_recording import reconstruct_people, reconstruct_whole
+from mocap_ros.runtime.whole_recording import reconstruct_people
 
 # Columns of the table: key of the record, title, unit and number format.
 COLUMNS = (
@@ -98,9 +98,7 @@ def run(args: argparse.Namespace) -> int:
                 sequence = load_sequence_file(path) if args.truth else truths.setdefault(path, _load_truth(path))
                 start_s = time.perf_counter()
                 with name_file_in_errors(path):
-                    people, _ = reconstruct_people(
-                        [sequence], lambda s, share: reconstruct_whole(s, models, config, share), config, part
-                    )
+                    people, _ = reconstruct_people([sequence], models, config, part)
                 found = people[0].result
                 timing = {'seconds': time.perf_counter() - start_s}
                 summary = summarise([sequence], [found], config)

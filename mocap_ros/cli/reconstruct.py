@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,19 +24,17 @@ from mocap_ros.cli.inputs import (
 )
 from mocap_ros.cli.options import CONFIG_OPTIONS, STRICT_OPTIONS, Options, derive_output_stem, load_config, option
 from mocap_ros.cli.terminal import ShareBar, finish, print_note, print_result, show_stages
-from mocap_ros.config import Config, load_yaml, with_values
+from mocap_ros.config import load_yaml, with_values
 from mocap_ros.errors import InputError
 from mocap_ros.formats.bvh import BLENDER_IMPORT
-from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
 from mocap_ros.formats.text_files import check_output, read_text, replace_output
 from mocap_ros.geometry.level import average_vertical
-from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.keyframes.taylor import DepthChoice, parse_depth_choices
-from mocap_ros.offline.whole_sequence import Report, SequenceResult, describe_height_faults
+from mocap_ros.offline.whole_sequence import SequenceResult, describe_height_faults, reconstruct_without_floor
 from mocap_ros.runtime import save_results
 from mocap_ros.runtime.summary import summarise
-from mocap_ros.runtime.whole_recording import reconstruct_people, reconstruct_whole
+from mocap_ros.runtime.whole_recording import reconstruct_people
 
 MAX_ENDING = 64  # characters of a person's id in the name of a file
 MAX_CHOICES_BYTES = 16 << 20  # bytes; guards against parsing a huge file as keyframes
@@ -85,10 +84,10 @@ def run(args: argparse.Namespace) -> int:
     sequences, endings = load_sequences(args, config, all_people=args.all_people), ['']
     if args.all_people:
         endings = choose_endings([sequence.person_id for sequence in sequences])
-    method, is_all_saved = _choose_method(args, models, config), True
+    method, is_all_saved = _choose_method(args), True
     with ShareBar('reconstruct') as report:
         with name_file_in_errors(args.input):
-            people, notes = reconstruct_people(sequences, method, config, report)
+            people, notes = reconstruct_people(sequences, models, config, report, method)
         for note in notes:
             print_note(f'{args.input}: {note}')
         found, results = [person.sequence for person in people], [person.result for person in people]
@@ -139,22 +138,19 @@ def add_ending(path: Path, ending: str) -> Path:
     return path.with_name(path.name.removesuffix(suffix) + ending + suffix)
 
 
-def _choose_method(
-    args: argparse.Namespace, models: Mapping[str, BasePoses], config: Config
-) -> Callable[[KeypointSequence, Report], SequenceResult]:
+def _choose_method(args: argparse.Namespace) -> Callable[..., SequenceResult]:
     choices: tuple[DepthChoice, ...] = ()
     if args.choices is not None:
         text = read_text(args.choices, max_bytes=MAX_CHOICES_BYTES)
         choices = parse_depth_choices(load_yaml(text, str(args.choices)), str(args.choices))
 
-    def by_keyframes(sequence: KeypointSequence, _: Report) -> SequenceResult:
-        observations = extract_observations(sequence, config.tracker.nominal_focal_length)
+    def by_keyframes(*given: Any) -> SequenceResult:
+        points, names, times, camera, models, config, _ = given
+        observed = points, names, times, camera
         with show_stages() as set_stage:
-            return keyframe_method.reconstruct(*observations, models, config, choices, set_stage).result
+            return keyframe_method.reconstruct(*observed, models, config, choices, set_stage).result
 
-    if args.method == 'keyframes':
-        return by_keyframes
-    return lambda sequence, report: reconstruct_whole(sequence, models, config, report)
+    return by_keyframes if args.method == 'keyframes' else reconstruct_without_floor
 
 
 def _save(

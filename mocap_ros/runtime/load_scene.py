@@ -44,7 +44,7 @@ from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, Input
 from mocap_ros.runtime.load_keypoints import InputOptions, load_bag, load_people
 from mocap_ros.runtime.load_results import RecordedPeople, find_skeletons_topic, holds_result, load_result
 from mocap_ros.runtime.summary import WRONG, RunSummary, summarise
-from mocap_ros.runtime.whole_recording import reconstruct_people, reconstruct_whole
+from mocap_ros.runtime.whole_recording import reconstruct_people
 from mocap_ros.skeleton import CMU15, Skeleton, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.overlay import StampedImage
@@ -119,9 +119,7 @@ def _reconstruct_people(
     people: list[ScenePerson] = []
     keypoints: dict[Skeleton, list[SceneKeypoints]] = {}
     report(0.0)
-    found, left_out = reconstruct_people(
-        sequences, lambda s, part: reconstruct_whole(s, options.models, config, part), config, report
-    )
+    found, left_out = reconstruct_people(sequences, options.models, config, report)
     shown, results = [person.sequence for person in found], [person.result for person in found]
     lines.extend(f'{path}: {line}' for line in left_out)
     lines.extend(f'{path}: tracker.camera_height {fault}' for fault in describe_height_faults(results))

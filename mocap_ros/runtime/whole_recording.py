@@ -32,30 +32,25 @@ class Reconstructed(NamedTuple):
     result: SequenceResult
 
 
-def reconstruct_whole(
-    sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config, report: Report
-) -> SequenceResult:
-    """Reconstruct one person from all frames; `reconstruct_people` finds the floor."""
-    observations = extract_observations(sequence, config.tracker.nominal_focal_length)
-    return reconstruct_without_floor(*observations, models, config, report)
-
-
 def reconstruct_people(
     sequences: Sequence[KeypointSequence],
-    reconstruct: Callable[[KeypointSequence, Report], SequenceResult],
+    models: Mapping[str, BasePoses],
     config: Config,
     report: Report,
+    method: Callable[..., SequenceResult] = reconstruct_without_floor,
 ) -> tuple[list[Reconstructed], list[str]]:
     """Reconstruct the people of a recording, who share the floor; one who fails does not stop the others.
 
-    Returns those who were reconstructed, and a line for each of the others.
+    `method` has the arguments of `reconstruct_without_floor`. Returns those who were reconstructed, and a line for
+    each of the others.
     """
     found: list[Reconstructed] = []
     left_out: list[str] = []
     for index, sequence in enumerate(sequences):
         person_id = sequence.person_id or f'person_{index + 1}'
+        observations = extract_observations(sequence, config.tracker.nominal_focal_length)
         try:
-            result = reconstruct(sequence, report_part(report, index, len(sequences)))
+            result = method(*observations, models, config, report_part(report, index, len(sequences)))
         except (InputError, np.linalg.LinAlgError) as error:
             if len(sequences) == 1:
                 raise InputError(str(error)) from None
