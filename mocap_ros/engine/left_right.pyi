@@ -22,3 +22,6 @@ def continue_paths(
     upper: Indices,
     lower: Indices,
 ) -> tuple[Array, NDArray[np.int8], Array, NDArray[np.bool_]]: ...
+def exchange_sides(
+    points: Array, weight: Array, is_swapped: NDArray[np.uint8], mirror: Indices, part: Indices
+) -> tuple[Array, Array]: ...

@@ -204,3 +204,17 @@ def continue_paths(
         for p in range(PARTS):
             decisions[f, p] = is_swapped(states[best, f], p)
     return arrays
+
+
+def exchange_sides(Stack points, Rows weight, const unsigned char[:, ::1] is_swapped, Indices mirror, Indices part):
+    """Return points (F, J, 2) and weights (F, J) with left and right of some parts (F, 3) exchanged."""
+    cdef Py_ssize_t f, j, source
+    arrays = np.empty((weight.shape[0], weight.shape[1], 2)), np.empty((weight.shape[0], weight.shape[1]))
+    cdef double[:, :, ::1] out = arrays[0]
+    cdef double[:, ::1] out_weight = arrays[1]
+    for f in range(weight.shape[0]):
+        for j in range(weight.shape[1]):
+            source = mirror[j] if part[j] >= 0 and is_swapped[f, part[j]] else j
+            out[f, j, 0], out[f, j, 1] = points[f, source, 0], points[f, source, 1]
+            out_weight[f, j] = weight[f, source]
+    return arrays

@@ -180,6 +180,4 @@ def exchange_sides(
     """Return points (F, J, 2) and weights (F, J) with left and right of some parts (F, 3) exchanged."""
     if not np.count_nonzero(is_swapped):
         return points, weight
-    is_moved = is_swapped[:, sides.part] & (sides.part >= 0)
-    source = np.where(is_moved, sides.mirror, np.arange(len(sides.mirror)))
-    return np.take_along_axis(points, source[..., None], axis=1), np.take_along_axis(weight, source, axis=1)
+    return engine.exchange_sides(points, weight, is_swapped.view(np.uint8), sides.mirror, sides.part)

@@ -20,7 +20,8 @@ from mocap_ros.keypoints.joint_map import MIN_TARGET_JOINTS, build_joint_map
 from mocap_ros.keypoints.left_right import BodySides, exchange_sides
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, EXTREMITY_COUNT, Skeleton
 
-_BODY_SIDES = BodySides.of(BODY26)
+_SIDES = BodySides.of(BODY26)
+_EXTREMITY_SIDES = _SIDES._replace(mirror=_SIDES.mirror[CORE_COUNT:] - CORE_COUNT, part=_SIDES.part[CORE_COUNT:])
 
 # 1; feet and hands are nearer to the ankle or wrist, and the points of a face nearer to the middle of the
 # shoulders, than these shares of the diagonal of the core's points, also where only the trunk or a leg is seen.
@@ -58,6 +59,10 @@ class Extremities(NamedTuple):
             np.concatenate([self.rays[dropped:], newest.rays[None]]),
             np.concatenate([self.weight[dropped:], newest.weight[None]]),
         )
+
+    def exchange_sides(self, is_swapped: NDArray[np.bool_]) -> Extremities:
+        """Return those with left and right of parts (F, 3) of the body exchanged."""
+        return Extremities(*exchange_sides(self.rays, self.weight, is_swapped, _EXTREMITY_SIDES))
 
 
 def convert_to_rays(
@@ -110,14 +115,3 @@ def join_body(rays: Array, weight: Array, extremities: Extremities | None) -> tu
         np.concatenate([rays, extremities.rays], axis=-2),
         np.concatenate([weight, extremities.weight], axis=-1),
     )
-
-
-def exchange_body_sides(
-    rays: Array, weight: Array, extremities: Extremities, is_swapped: NDArray[np.bool_]
-) -> tuple[Array, Array, Extremities]:
-    """Exchange left and right of parts (F, 3) of bodies in F frames as `left_right.exchange_sides` does."""
-    if not np.count_nonzero(is_swapped):
-        return rays, weight, extremities
-    body = exchange_sides(*join_body(rays, weight, extremities), is_swapped, _BODY_SIDES)
-    core = [np.ascontiguousarray(array[:, :CORE_COUNT]) for array in body]
-    return core[0], core[1], Extremities(*(np.ascontiguousarray(array[:, CORE_COUNT:]) for array in body))

@@ -30,7 +30,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera, solver_focal
 from mocap_ros.keypoints.association import measure_sizes, show_people
 from mocap_ros.keypoints.left_right import BodySides, exchange_sides, find_swapped_parts
-from mocap_ros.keypoints.rays import Extremities, convert_to_rays, exchange_body_sides, join_body
+from mocap_ros.keypoints.rays import Extremities, convert_to_rays, join_body
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.models.lifter_input import JOINT_COUNT, SLOTS
 from mocap_ros.skeleton import CMU15, Skeleton
@@ -216,10 +216,8 @@ def observe_sequence(
         sides = BodySides.of(skeleton)
         shots = find_shots(rays, weight, times) if find_shots is not None else [slice(None)]
         swapped = np.concatenate([find_swapped_parts(times[s], rays[s], weight[s], sides) for s in shots])
-        if extremities is None:
-            rays, weight = exchange_sides(rays, weight, swapped, sides)
-        else:
-            rays, weight, extremities = exchange_body_sides(rays, weight, extremities, swapped)
+        rays, weight = exchange_sides(rays, weight, swapped, sides)
+        extremities = None if extremities is None else extremities.exchange_sides(swapped)
     focal = solver_focal(intrinsics, config.perspective)
     return ObservedWindow.facing_person(times, rays, weight, intrinsics, focal, extremities, is_evidence)
 

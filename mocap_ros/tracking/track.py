@@ -20,9 +20,9 @@ from mocap_ros.arrays import Array
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.keypoints.identities import is_new
-from mocap_ros.keypoints.left_right import SwapFilter
+from mocap_ros.keypoints.left_right import SwapFilter, exchange_sides
 from mocap_ros.keypoints.matching import Detection
-from mocap_ros.keypoints.rays import Extremities, exchange_body_sides
+from mocap_ros.keypoints.rays import Extremities
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.tracking.body_size import FloorContact
@@ -163,9 +163,9 @@ class Track:
 
     def _correct_sides(self, times: Array, lifted: LiftedPoses | None) -> None:
         """Undo the swaps of left and right, and face the person; the first frames have lifted poses."""
-        rays, weight, extremities = exchange_body_sides(
-            self.rays, self.weight, self.extremities, self.swap_filter.is_swapped
-        )
+        is_swapped, sides = self.swap_filter.is_swapped, self.swap_filter.sides
+        rays, weight = exchange_sides(self.rays, self.weight, is_swapped, sides)
+        extremities = self.extremities.exchange_sides(is_swapped)
         camera = VirtualCamera.look_at_mean_position(rays, weight, self.intrinsics)
         seen = times, rays, weight, camera, self.focal
         self.observed = ObservedWindow(*seen, lifted, extremities, self.is_evidence)

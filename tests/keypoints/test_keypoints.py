@@ -14,8 +14,8 @@ from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_image_size
 from mocap_ros.keypoints.joint_map import JointMap, build_joint_map
-from mocap_ros.keypoints.left_right import PARTS
-from mocap_ros.keypoints.rays import Extremities, convert_to_rays, exchange_body_sides, join_body
+from mocap_ros.keypoints.left_right import PARTS, BodySides, exchange_sides
+from mocap_ros.keypoints.rays import Extremities, convert_to_rays, join_body
 from mocap_ros.keypoints.validation import PointPlaces, mark_unseen
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, LAYOUT_NAMES, keypoint_layout
 
@@ -218,8 +218,10 @@ def test_feet_hands_and_face_go_with_their_limbs(part: str, exchanged: set[str],
     points, weight = rng.normal(size=(3, 26, 2)), rng.uniform(0.1, 1, (3, 26))
     is_swapped = np.zeros((3, len(PARTS)), bool)
     is_swapped[1, PARTS.index(part)] = True
-    parts = points[:, :15], weight[:, :15], Extremities(points[:, 15:], weight[:, 15:])
-    new_points, new_weight = join_body(*exchange_body_sides(*parts, is_swapped))
+    core = points[:, :CORE_COUNT].copy(), weight[:, :CORE_COUNT].copy()
+    others = Extremities(points[:, CORE_COUNT:].copy(), weight[:, CORE_COUNT:].copy())
+    body = *exchange_sides(*core, is_swapped, BodySides.of(CMU15)), others.exchange_sides(is_swapped)
+    new_points, new_weight = join_body(*body)
     assert (new_points[[0, 2]] == points[[0, 2]]).all()
     for i, (joint, twin) in enumerate(zip(BODY26.joints, BODY26.mirror, strict=True)):
         source = twin if 'l' + joint[1:] in exchanged and joint[0] in 'lr' else i
