@@ -7,7 +7,7 @@
 Sizes: J joints, P people who are expected, D detections. A joint is known or seen if its weight is positive.
 """
 
-from libc.math cimport INFINITY, NAN, fabs, hypot, log, sqrt
+from libc.math cimport INFINITY, NAN, fabs, hypot, isfinite, log, sqrt
 from libc.stdlib cimport free, malloc
 
 import numpy as np
@@ -176,19 +176,28 @@ def choose_pairs(const double[:, :] costs not None):
     Each row i in turn gets a column j along the shortest augmenting path, by reduced costs c_ij - u_i - v_j >= 0
     (Kuhn and Munkres; `scipy.optimize.linear_sum_assignment` is slow to import). Rows and columns count from 1.
     """
-    if not np.isfinite(costs).all():
-        raise ValueError('a cost is not finite')
     cdef bint transposed = costs.shape[0] > costs.shape[1]
-    cdef Rows cost = np.ascontiguousarray(costs.T if transposed else costs)
+    cdef const double[:, :] cost = costs.T if transposed else costs
     cdef Py_ssize_t row, i, j, column, following = 0, rows = cost.shape[0], columns = cost.shape[1]
-    cdef double[::1] u = np.zeros(rows + 1), v = np.zeros(columns + 1)
-    cdef double[::1] shortest = np.empty(columns + 1)  # reduced cost of the path to each column
-    cdef long long[::1] row_of = np.zeros(columns + 1, np.int64), before = np.zeros(columns + 1, np.int64)
-    cdef unsigned char[::1] is_passed = np.empty(columns + 1, np.uint8)
+    cdef double[:, ::1] numbers = np.zeros((3, columns + 1))
+    cdef long long[:, ::1] indices = np.zeros((3, columns + 1), np.int64)
+    cdef double* u = &numbers[0, 0]
+    cdef double* v = &numbers[1, 0]
+    cdef double* shortest = &numbers[2, 0]  # reduced cost of the path to each column
+    cdef long long* row_of = &indices[0, 0]
+    cdef long long* before = &indices[1, 0]
+    cdef long long* is_passed = &indices[2, 0]
     cdef double least
+    result = np.full(costs.shape[0], -1)
+    cdef long long[::1] person_of = result
+    for i in range(rows):
+        for j in range(columns):
+            if not isfinite(cost[i, j]):
+                raise ValueError('a cost is not finite')
     for row in range(1, rows + 1):
         row_of[0], column = row, 0
-        shortest[:], is_passed[:] = INFINITY, 0
+        for j in range(columns + 1):
+            shortest[j], is_passed[j] = INFINITY, 0
         while row_of[column] > 0:
             i, least, is_passed[column] = row_of[column], INFINITY, 1
             for j in range(1, columns + 1):
@@ -208,9 +217,9 @@ def choose_pairs(const double[:, :] costs not None):
         while column > 0:
             row_of[column] = row_of[before[column]]
             column = before[column]
-    chosen = np.array(row_of)[1:] - 1
-    if transposed:
-        return chosen
-    column_of = np.full(rows, -1)
-    column_of[chosen[chosen >= 0]] = np.flatnonzero(chosen >= 0)
-    return column_of
+    for j in range(1, columns + 1):
+        if row_of[j] > 0 and transposed:
+            person_of[j - 1] = row_of[j] - 1
+        elif row_of[j] > 0:
+            person_of[row_of[j] - 1] = j - 1
+    return result

@@ -92,5 +92,5 @@ def measure_distances(expected: SeenPeople, detected: SeenPeople, min_shared: in
 
 def choose_pairs(cost: Array, is_permitted: Mask) -> list[int | None]:
     """Return the person of each detection at the least sum of costs (D, P); None where not permitted."""
-    chosen = engine.choose_pairs(np.ascontiguousarray(cost, float)).tolist()
+    chosen = engine.choose_pairs(cost).tolist()
     return [p if p >= 0 and is_permitted[d, p] else None for d, p in enumerate(chosen)]

@@ -220,17 +220,19 @@ class _Matcher(Generic[P]):
         free_p = [p for p in range(len(self.tracks)) if p not in self.track_of.values()]
         if not free_d or not free_p:
             return
-        distances, age_s = self.distances[free_d][:, free_p], self.age_s[free_p]
-        new_id_gates = NEW_ID_GATE + NEW_ID_GATE_GROWTH_PER_S * age_s
-        is_tentative = np.array([self.tracks[p].is_tentative for p in free_p])
-        has_steady_id = np.array([self.tracks[p].given_id == self.tracks[p].id for p in free_p])
-        has_new_id = np.array([self.detections[d].given_id != '' for d in free_d])
-        gates = np.where(has_new_id[:, None] & has_steady_id & ~is_tentative, new_id_gates, self.gates[free_p])
-        is_permitted = (distances < gates) & self.has_size[free_d][:, free_p]
-        extra = GATE_GROWTH_PER_S * age_s + TENTATIVE_COST * is_tentative
+        tentative_costs = [TENTATIVE_COST * self.tracks[p].is_tentative for p in free_p]
+        extra = GATE_GROWTH_PER_S * self.age_s[free_p] + tentative_costs
         # No match costs the same for all: otherwise a detection of a new person would let the one who was
         # lost for longest, for whom no match costs most, have the detection of another one.
-        cost = np.where(is_permitted, distances + extra, (self.gates[free_p] + extra).max())
+        cost = np.full((len(free_d), len(free_p)), (self.gates[free_p] + extra).max())
+        is_permitted = np.zeros(cost.shape, bool)
+        is_near = (self.has_size & (self.distances < self.gates))[free_d][:, free_p]
+        for row, column in zip(*(indices.tolist() for indices in is_near.nonzero()), strict=True):
+            d, p = free_d[row], free_p[column]
+            track, is_named = self.tracks[p], self.detections[d].given_id != ''
+            is_other_id = is_named and track.given_id == track.id and not track.is_tentative
+            if not is_other_id or self.distances[d, p] < NEW_ID_GATE + NEW_ID_GATE_GROWTH_PER_S * self.age_s[p]:
+                cost[row, column], is_permitted[row, column] = self.distances[d, p] + extra[column], True
         for d, index in zip(free_d, choose_pairs(cost, is_permitted), strict=True):
             if index is not None:
                 self.track_of[d] = free_p[index]
