@@ -41,11 +41,6 @@ cdef inline void multiply_vector_transposed(
     dgemv(b"N", &n, &m, &factor, <double*> a, &n, <double*> x, &one, &keep, out, &one)
 
 
-cdef inline void add_square(int m, int n, double factor, const double* a, double keep, double* out) noexcept nogil:
-    """C = keep C + factor A^T A: A (m, n), C (n, n). For such sizes dgemm is faster than dsyrk."""
-    dgemm(b"N", b"T", &n, &n, &m, &factor, <double*> a, &n, <double*> a, &n, &keep, out, &n)
-
-
 cdef inline void add_outer(int n, int k, double factor, const double* a, double* out) noexcept nogil:
     """C = C + factor A A^T: A (n, k), C (n, n)."""
     cdef double keep = 1

@@ -21,17 +21,21 @@ with v the variance of the image noise over that of the reference of 10 mm. The 
 the camera, the 6 elements of s R[:2], the 6 of R[:2], and log s.
 
 Normal equations (A - G G^T / F) x = -g, A block banded (`block_banded`). Terms of the joints' positions have
-Gauss-Newton matrices M_j (3, 3) and half gradients m_j (3,) by q_j. With M_j = L_j L_j^T and J_j = dq_j / dx (3, n),
-the rows L_j^T J_j of all joints form one matrix, whose square is added to the block of the frame. The elimination of
-the translation subtracts u u^T / w, u = sum_j J_j^T U_j, with U_j (3, 2) the mixed second derivatives by q_j and the
-translation, and w the second derivative by the translation.
+Gauss-Newton matrices M_j (3, 3) and half gradients m_j (3,) by q_j, and U_j (3, 2) are the mixed second derivatives
+by q_j and the translation. In the body frame, where dq_j / dx = s R J_j and the first K columns of J_j are always
+the same, these are S_j = s^2 R^T M_j R, s R^T m_j and s R^T U_j. Bones add their matrices to those of the joints at
+their ends. One product then gives the block of a frame, its gradient, and u = sum_j J_j^T s R^T U_j:
+
+    J^T (S J, m, U),    less u u^T / w for the elimination of the translation
+
+with w the second derivative by the translation.
 
 The mean bone lengths are eliminated exactly: with G the gradients of sum_t sqrt(beta_b) l_tb, a column a bone, they
 subtract G G^T / F, of rank B. The Gauss-Newton matrix lacks the second derivatives of the lengths, and then needs
-several times as many steps; those of bones that are too long are positive semidefinite and are put in. By Woodbury's
-identity, with A = L L^T under damping, y = L^-1 g and V = L^-1 G,
+several times as many steps; those of bones that are too long are positive semidefinite and are put in. The means
+are B unknowns z more, which are eliminated last. With A = U^T U under damping, y = U^-T g and V = U^-T G,
 
-    x = -L^-T (y + V (I - V^T V / F)^-1 V^T y / F)
+    (F I - V^T V) z = -V^T y,    x = -U^-1 (y - V z)
 
 Sequences are not coupled: each has a damping of its own, and steps until it has converged.
 
@@ -44,11 +48,41 @@ from libc.string cimport memcpy, memset
 
 import numpy as np
 
-from mocap_ros.engine.blas cimport (
-    add_square, factorise, multiply, multiply_transposed, multiply_vector, multiply_vector_transposed, solve_rows,
+from mocap_ros.engine.blas cimport multiply_vector, multiply_vector_transposed
+from mocap_ros.engine.block_banded cimport (
+    TILE_COLUMNS, TILE_ROWS, System, add_products, add_up, factorise_blocks, pad_columns, pad_rows, solve_backward,
+    solve_forward,
 )
 from mocap_ros.engine.geometry cimport multiply as multiply_3x3, rotation_from_vector
-from mocap_ros.engine.block_banded cimport Factor, factorise_blocks, solve_backward, solve_forward
+
+cdef extern from *:
+    """
+    /* T = S J: S (3, 3), J (3, size). */
+    WIDE static void weigh_rows(Py_ssize_t size, const double *s, const double *j, double *__restrict t) {
+        for (Py_ssize_t i = 0; i < size; i++)
+            for (int row = 0; row < 3; row++)
+                t[row * size + i] = s[3 * row] * j[i] + s[3 * row + 1] * j[size + i]
+                                  + s[3 * row + 2] * j[2 * size + i];
+    }
+
+    /* Write u^T Q, with the direction u of a bone and the changes Q (3, K) of its vector with the weights. Add its
+       matrix (a u u^T + c (I - u u^T)) times Q to the rows of its outer joint, and subtract it from the inner's. */
+    WIDE static void add_bone(Py_ssize_t K, Py_ssize_t size, const double *u, const double *q, double a, double c,
+                              double *__restrict along, double *__restrict outer, double *__restrict inner) {
+        for (Py_ssize_t i = 0; i < K; i++)
+            along[i] = u[0] * q[i] + u[1] * q[K + i] + u[2] * q[2 * K + i];
+        for (int row = 0; row < 3; row++)
+            for (Py_ssize_t i = 0; i < K; i++) {
+                double force = c * q[row * K + i] + (a - c) * u[row] * along[i];
+                outer[row * size + i] += force;
+                inner[row * size + i] -= force;
+            }
+    }
+    """
+    void weigh_rows(Py_ssize_t, const double*, const double*, double*) noexcept nogil
+    void add_bone(
+        Py_ssize_t, Py_ssize_t, const double*, const double*, double, double, double*, double*, double*
+    ) noexcept nogil
 
 cdef enum:
     CAMERA = 4  # unknowns of a camera: rotation vector and log s
@@ -101,47 +135,15 @@ cdef struct Frame:
 
 
 cdef struct Joint:
-    # L_j of M_j = (l00 0 0; 0 l11 0; l20 l21 l22)(...)^T, U_j = v (1 0; 0 1; a b), and m_j.
-    double l00, l11, l20, l21, l22
+    # M_j = v E^T E + diag(stiffness), U_j = v E^T, E = (1 0 a; 0 1 b), and m_j.
     double v, a, b
-    double gradient[3]
-    double pull[2]  # half gradient by the translation
+    double[3] stiffness, gradient
+    double[2] pull  # half gradient by the translation
 
 
 cdef inline double compute_loss(double squared, double c) noexcept nogil:
     """Return rho."""
     return squared if c == INFINITY else c * c * log1p(squared / (c * c))
-
-
-cdef int write_rows(
-    const Joint* m, const double* camera, const double* q, const double* basis, int k, double* out
-) noexcept nogil:
-    """Write L^T J (3, n) of one joint, and return the number of rows: 2 where the third is 0.
-
-    `camera` (3, 3) is s R; `basis` (3, K) the change of the joint with the weights, body frame.
-    """
-    cdef int row, i, n = k + CAMERA, rows = 3 if m.l22 > 0 else 2
-    cdef double a, b, c, x = q[0], y = q[1], z = q[2], of_own, of_depth
-    cdef double* one
-    for row in range(rows):
-        of_own = m.l00 if row == 0 else m.l11 if row == 1 else 0
-        of_depth = m.l20 if row == 0 else m.l21 if row == 1 else m.l22
-        a = of_own * camera[3 * row] + of_depth * camera[6]
-        b = of_own * camera[3 * row + 1] + of_depth * camera[7]
-        c = of_own * camera[3 * row + 2] + of_depth * camera[8]
-        one = out + row * n
-        for i in range(k):
-            one[i] = a * basis[i] + b * basis[k + i] + c * basis[2 * k + i]
-        one[k], one[k + 1], one[k + 2], one[k + 3] = of_depth * y, -of_depth * x, 0, of_depth * z
-        if row == 0:
-            one[k + 1] += of_own * z
-            one[k + 2] -= of_own * y
-            one[k + 3] += of_own * x
-        elif row == 1:
-            one[k] -= of_own * z
-            one[k + 2] += of_own * x
-            one[k + 3] += of_own * y
-    return rows
 
 
 cdef void write_features(Frame* f) noexcept nogil:
@@ -228,16 +230,14 @@ cdef class JointProblem:
         arrays: `models.base_poses.ModelArrays` of its model.
 
     Attributes:
-        diagonal: (N, n, n) blocks of the normal equations; only their lower triangles are written.
+        diagonal: (N, n, n) blocks of the normal equations; only their upper triangles are written.
         gradient: (N, n) half the gradient.
         bone_vectors: (N, n, B) G.
-        coupling: (N, D, n) diagonals of the blocks in the rows of frame t + d + 1 and the columns of frame t.
-        corners: (N, D, 4, 4) what is added to these in the rows and columns of the cameras.
+        coupling: (N, D, K + 16) blocks in the rows of frame t + d + 1 and the columns of frame t: the diagonal of the
+            weights, and the block of the cameras (4, 4).
         cost: (P,) m^2.
-        damping: (P,) of the next step.
         iterations: (P,) number of steps that were tried.
         status: (P,) `SolverStatus`.
-        is_done: (P,) whether a sequence steps no more.
     """
 
     cdef readonly int sequences, frames, joints, bones_count, components, unknowns, distances  # P, N, J, B, K, n, D
@@ -257,24 +257,19 @@ cdef class JointProblem:
     cdef int width
     cdef dict fields
     # the normal equations, for Python and in typed views
-    cdef readonly object diagonal, gradient, bone_vectors, coupling, corners
-    cdef double[:, :, ::1] blocks, vectors, couplings
-    cdef double[:, :, :, ::1] corner_blocks
-    cdef double[:, ::1] right
+    cdef readonly object diagonal, gradient, bone_vectors, coupling
+    cdef double[:, :, ::1] equations  # (N, n, n + 3) A, g and u, filled up for `block_banded`
+    cdef double[:, :, ::1] vectors, couplings
     # the state of Levenberg-Marquardt, likewise
-    cdef readonly object cost, damping, iterations, status, is_done
+    cdef readonly object cost, iterations, status
     cdef double[::1] costs, dampings
     cdef long long[::1] tried, ends
     cdef unsigned char[::1] done, outdated, has_step
-    cdef double[:, :, ::1] last_inverse  # (P, n, n) of the last step: X of the last frame
-    # working memory of one sequence
-    cdef double[:, :, ::1] work, inverse, system, solved, feature_jacobian
-    cdef double[:, :, :, ::1] below
-    cdef char[:, ::1] is_coupled
-    cdef double[:, ::1] step, rows, scratch, reduced, inner, by_basis, by_weights
-    cdef double[::1] correction, pose
-    cdef double[12] by_camera
-    cdef double[2] by_translation
+    cdef double[:, :, ::1] last_factor  # (P, n, n) of the last step: U_tt of the last frame, filled up
+    # working memory: J and (S J, m, U), (3 J, n + 3) filled up; the rows of a sequence, and of a frame alone
+    cdef double[:, ::1] jacobian, weighted, alone, border, products, step, by_translation
+    cdef double[:, :, ::1] system, feature_jacobian
+    cdef double[::1] along, pose
 
     def __init__(self, objective, arrays):
         batch, K, differences = objective.batch, len(objective.prior), objective.differences
@@ -298,39 +293,33 @@ cdef class JointProblem:
         cdef int N = self.frames, J = self.joints, B = self.bones_count, n = K + CAMERA
         cdef int D = max((d.order for d in differences), default=1)
         self.unknowns, self.distances = n, D
-        self.fields, self.width = {}, 0
-        for name, size, shape in (
-            ('theta', K, (N, K)), ('features', FEATURES, (N, FEATURES)), ('rotation', 9, (N, 3, 3)),
-            ('log_scale', 1, N), ('translation', 2, (N, 2)), ('scaled_pose', 3 * J, (N, J, 3)), ('depth', J, (N, J)),
-            ('error', 2 * J, (N, J, 2)), ('squared', J, (N, J)), ('direction', 3 * B, (N, B, 3)),
-            ('length', B, (N, B)), ('excess', B, (N, B)),
-        ):
-            self.fields[name] = self.width, size, shape
-            self.width += size
+        self.width = K + FEATURES + 12 + 7 * J + 5 * B
+        self.fields = {  # first number, end and shape of what Python reads
+            'theta': (0, K, (N, K)), 'rotation': (K + 13, K + 22, (N, 3, 3)), 'log_scale': (K + 22, K + 23, N),
+            'translation': (K + 23, K + 25, (N, 2)), 'squared': (K + 25 + 6 * J, K + 25 + 7 * J, (N, J)),
+        }
         self.point = np.zeros((N, self.width))
         self.current, self.trial = self.point, np.zeros((N, self.width))
         self.linearised = np.zeros((N, self.width))
-        self.diagonal, self.gradient = np.empty((N, n, n)), np.empty((N, n))
-        self.bone_vectors = np.empty((N, n, B))
-        self.coupling, self.corners = np.empty((N, D, n)), np.empty((N, D, CAMERA, CAMERA))
-        self.blocks, self.right, self.vectors = self.diagonal, self.gradient, self.bone_vectors
-        self.couplings, self.corner_blocks = self.coupling, self.corners
-        self.last_inverse = np.zeros((self.sequences, n, n))
-        self.cost, self.damping = np.zeros(self.sequences), np.zeros(self.sequences)
+        cdef int rows = pad_rows(n), size = pad_columns(n), width = pad_columns(n + 3), right = pad_columns(B + 1)
+        equations = np.zeros((N, rows, width))
+        self.equations, self.diagonal, self.gradient = equations, equations[:, :n, :n], equations[:, :n, n]
+        self.bone_vectors = np.zeros((N, n, B))
+        self.coupling = np.empty((N, D, K + CAMERA * CAMERA))
+        self.vectors, self.couplings = self.bone_vectors, self.coupling
+        self.last_factor = np.zeros((self.sequences, rows, size))
+        self.cost, self.dampings = np.zeros(self.sequences), np.zeros(self.sequences)
         self.iterations, self.status = np.zeros(self.sequences, np.int64), np.zeros(self.sequences, np.int64)
-        self.is_done = np.zeros(self.sequences, np.bool_)
-        self.costs, self.dampings, self.tried, self.ends = self.cost, self.damping, self.iterations, self.status
-        self.done = self.is_done.view(np.uint8)
-        self.outdated, self.has_step = np.zeros(self.sequences, np.uint8), np.zeros(self.sequences, np.uint8)
-        self.work, self.inverse = np.empty((largest, n, n)), np.empty((largest, n, n))
-        self.below, self.is_coupled = np.empty((largest, D, n, n)), np.empty((largest, D), np.int8)
-        self.system, self.solved = np.empty((largest, n, B + 1)), np.empty((largest, n, B + 1))
-        self.step = np.empty((largest, n))
-        self.feature_jacobian = np.empty((largest, FEATURES, CAMERA))
-        self.rows = np.empty((3 * J + 4 * B + 2, n))
-        self.scratch, self.reduced, self.inner = np.empty((n, n)), np.empty((B + 1, B + 1)), np.empty((B, B))
-        self.by_basis, self.by_weights = np.empty((3, 3 * J)), np.empty((3, K))
-        self.correction, self.pose = np.empty(B + 1), np.empty(3 * J)
+        self.costs, self.tried, self.ends = self.cost, self.iterations, self.status
+        self.done, self.outdated, self.has_step = np.zeros((3, self.sequences), np.uint8)
+        self.jacobian, self.weighted = np.zeros((3 * J, width)), np.zeros((3 * J, width))
+        self.jacobian[:, :K] = self.basis
+        self.system = np.zeros((largest, rows, (1 + D) * size + right))
+        self.alone = np.zeros((rows, size + pad_columns(3 * J)))
+        self.products = np.zeros((right, right))
+        self.border = np.zeros((pad_rows(B), pad_columns(B) + TILE_COLUMNS))
+        self.step, self.feature_jacobian = np.zeros((largest, size)), np.empty((largest, FEATURES, CAMERA))
+        self.along, self.pose, self.by_translation = np.empty(K), np.empty(3 * J), np.zeros((2, width))
 
     cdef inline Frame view(self, double* numbers) noexcept nogil:
         cdef int J = self.joints, B = self.bones_count
@@ -459,137 +448,132 @@ cdef class JointProblem:
         cdef Joint m
         cdef int i
         cdef double c = self.robust_scale_of(p), c2 = self.lifter_robust_scale * self.lifter_robust_scale
-        cdef double d = f.depth[j], x = f.error[2 * j], y = f.error[2 * j + 1], u, squared = 0, distance
-        cdef double stiffness[3]
+        cdef double d = f.depth[j], x = f.error[2 * j], y = f.error[2 * j + 1], u, squared = 0
+        cdef double distance[3]
         u = self.score[t, j] / (self.noise_ratio[p] * self.noise_ratio[p]) / (1 + f.squared[j] / (c * c))
         m.a, m.b = -(x + self.image[t, j, 0]) / self.focal[t], -(y + self.image[t, j, 1]) / self.focal[t]
         m.v = u / (d * d)
         m.pull[0], m.pull[1] = u / d * x, u / d * y
         m.gradient[0], m.gradient[1], m.gradient[2] = m.pull[0], m.pull[1], u / d * (m.a * x + m.b * y)
-        memset(stiffness, 0, sizeof(stiffness))
+        memset(m.stiffness, 0, sizeof(m.stiffness))
         if with_lifted:
             for i in range(3):
-                distance = f.scaled_pose[3 * j + i] - self.lifted[t, j, i]
-                squared += self.precision[t, j, i] * distance * distance
+                distance[i] = f.scaled_pose[3 * j + i] - self.lifted[t, j, i]
+                squared += self.precision[t, j, i] * distance[i] * distance[i]
             for i in range(3):
-                stiffness[i] = self.lifter_weight * self.precision[t, j, i] / (1 + squared / c2)
-                m.gradient[i] += stiffness[i] * (f.scaled_pose[3 * j + i] - self.lifted[t, j, i])
-        m.l00, m.l11 = sqrt(m.v + stiffness[0]), sqrt(m.v + stiffness[1])
-        m.l20 = m.v * m.a / m.l00 if m.l00 > 0 else 0
-        m.l21 = m.v * m.b / m.l11 if m.l11 > 0 else 0
-        m.l22 = 0
-        if with_lifted:
-            m.l22 = sqrt(max(m.v * (m.a * m.a + m.b * m.b) + stiffness[2] - m.l20 * m.l20 - m.l21 * m.l21, 0.0))
+                m.stiffness[i] = self.lifter_weight * self.precision[t, j, i] / (1 + squared / c2)
+                m.gradient[i] += m.stiffness[i] * distance[i]
         return m
 
-    cdef double write_joint_rows(
-        self, int p, int t, Frame* f, bint with_lifted, int* rows, double* out
-    ) noexcept nogil:
-        """Write the rows (rows, n) of all joints, and their number; return w of the translation.
-
-        Kept are sum_j J_j^T (m_j, U_j), in `by_weights` and `by_camera`.
-        """
-        cdef int j, i, a, J = self.joints, K = self.components, n = self.unknowns
-        cdef double w = 0, scale = exp(f.log_scale[0])
-        cdef double camera[9]
-        cdef double vector[3]
+    cdef void write_jacobian(self, const Frame* f) noexcept nogil:
+        """Write the columns of the camera of J: r_a x P_j for the rotations, with r_a the rows of R, and P_j."""
+        cdef int j, a, i, K = self.components
+        cdef double scale = exp(f.log_scale[0])
+        cdef double pose[3]
         cdef const double* q
+        cdef const double* r
+        cdef double* out
+        for j in range(self.joints):
+            q, r, out = f.scaled_pose + 3 * j, f.rotation, &self.jacobian[3 * j, K]
+            for i in range(3):
+                pose[i] = (r[i] * q[0] + r[3 + i] * q[1] + r[6 + i] * q[2]) / scale
+                self.jacobian[3 * j + i, K + 3] = pose[i]
+            for a in range(3):
+                for i in range(3):
+                    self.jacobian[3 * j + i, K + a] = (
+                        r[3 * a + (i + 1) % 3] * pose[(i + 2) % 3] - r[3 * a + (i + 2) % 3] * pose[(i + 1) % 3]
+                    )
+
+    cdef double write_weighted_jacobian(self, int p, int t, Frame* f) noexcept nogil:
+        """Write (S J, m, U) of a frame and the half gradient by the translation, and return w."""
+        cdef int j, b, i, k, row, column, n = self.unknowns, K = self.components, size = self.jacobian.shape[1]
+        cdef double w = 0, scale = exp(f.log_scale[0]), across, weight
+        cdef double camera[9]
+        cdef double own[18]  # (M s R, m, U) by columns, then s R^T times it
+        cdef double body[9]
         cdef Joint m
         for i in range(9):
             camera[i] = scale * f.rotation[i]
-        memset(self.by_camera, 0, sizeof(self.by_camera))
-        memset(self.by_translation, 0, sizeof(self.by_translation))
-        rows[0] = 0
-        for j in range(J):
-            m, q = self.linearise_joint(p, t, j, f, with_lifted), f.scaled_pose + 3 * j
-            if m.l00 > 0 or m.l11 > 0 or m.l22 > 0:
-                rows[0] += write_rows(&m, camera, q, &self.basis[3 * j, 0], K, out + rows[0] * n)
+        self.by_translation[0, n] = self.by_translation[1, n] = 0
+        for j in range(self.joints):
+            m = self.linearise_joint(p, t, j, f, self.lifted.shape[0] > 0)
             w += m.v
-            self.by_translation[0] += m.pull[0]
-            self.by_translation[1] += m.pull[1]
-            for a in range(3):
-                if a == 0:
-                    vector[0], vector[1], vector[2] = m.gradient[0], m.gradient[1], m.gradient[2]
-                elif a == 1:
-                    vector[0], vector[1], vector[2] = m.v, 0, m.v * m.a
-                else:
-                    vector[0], vector[1], vector[2] = 0, m.v, m.v * m.b
-                for i in range(3):
-                    self.by_basis[a, 3 * j + i] = (
-                        camera[i] * vector[0] + camera[3 + i] * vector[1] + camera[6 + i] * vector[2]
+            for i in range(3):
+                own[3 * i] = m.v * (camera[i] + m.a * camera[6 + i])
+                own[3 * i + 1] = m.v * (camera[3 + i] + m.b * camera[6 + i])
+                own[3 * i + 2] = m.a * own[3 * i] + m.b * own[3 * i + 1] + m.stiffness[2] * camera[6 + i]
+                own[3 * i] += m.stiffness[0] * camera[i]
+                own[3 * i + 1] += m.stiffness[1] * camera[3 + i]
+                own[9 + i] = m.gradient[i]
+            own[12], own[13], own[14], own[15], own[16], own[17] = m.v, 0, m.v * m.a, 0, m.v, m.v * m.b
+            for i in range(3):
+                for column in range(3):
+                    body[3 * i + column] = (
+                        camera[i] * own[3 * column] + camera[3 + i] * own[3 * column + 1]
+                        + camera[6 + i] * own[3 * column + 2]
                     )
-                self.by_camera[4 * a] += q[1] * vector[2] - q[2] * vector[1]
-                self.by_camera[4 * a + 1] += q[2] * vector[0] - q[0] * vector[2]
-                self.by_camera[4 * a + 2] += q[0] * vector[1] - q[1] * vector[0]
-                self.by_camera[4 * a + 3] += q[0] * vector[0] + q[1] * vector[1] + q[2] * vector[2]
-        multiply(3, 3 * J, K, 1, &self.by_basis[0, 0], &self.basis[0, 0], 0, &self.by_weights[0, 0])
+            weigh_rows(size, body, &self.jacobian[3 * j, 0], &self.weighted[3 * j, 0])
+            for i in range(3):
+                for column in range(3):
+                    self.weighted[3 * j + i, n + column] = (
+                        camera[i] * own[9 + 3 * column] + camera[3 + i] * own[10 + 3 * column]
+                        + camera[6 + i] * own[11 + 3 * column]
+                    )
+            for i in range(2):
+                self.by_translation[i, n] += m.pull[i]
+        for b in range(self.bones_count):
+            row, i = 3 * self.children[b], 3 * self.parents[b]
+            weight = self.bone_weight[b]
+            across = weight * max(f.excess[b] / f.length[b], 0.0)
+            add_bone(
+                K, size, f.direction + 3 * b, &self.bones[3 * b, 0], weight, across, &self.along[0],
+                &self.weighted[row, 0], &self.weighted[i, 0],
+            )
+            for k in range(K):
+                self.vectors[t, k, b] = sqrt(weight) * self.along[k]
+                self.equations[t, k, n] += weight * f.excess[b] * self.along[k]
         return w
-
-    cdef void write_sum(self, int a, double* out) noexcept nogil:
-        """Write (n,) of what `write_joint_rows` keeps: 0 is sum_j J_j^T m_j, 1 and 2 are the columns of u."""
-        memcpy(out, &self.by_weights[a, 0], self.components * sizeof(double))
-        memcpy(out + self.components, self.by_camera + CAMERA * a, CAMERA * sizeof(double))
 
     cdef void linearise(self, int p) noexcept nogil:
         """Write the normal equations of a sequence at the current point."""
-        cdef int start = self.starts[p], count = self.counts[p], t, i, n = self.unknowns, K = self.components
-        cdef int B = self.bones_count, D = self.distances, rows, b
-        cdef double w, curvature, across, along, pull
-        cdef double* out
-        cdef double* vectors
-        cdef double* gradient
-        cdef const double* u
-        cdef const double* flat
+        cdef int start = self.starts[p], count = self.counts[p], t, i, j, a, n = self.unknowns, D = self.distances
+        cdef int size = self.equations.shape[2], rows = self.equations.shape[1]
+        cdef double w
+        cdef double* u = &self.by_translation[0, 0]
         cdef Frame f
         memcpy(&self.linearised[start, 0], &self.current[start, 0], count * self.width * sizeof(double))
-        memset(&self.blocks[start, 0, 0], 0, count * n * n * sizeof(double))
-        memset(&self.right[start, 0], 0, count * n * sizeof(double))
-        memset(&self.vectors[start, 0, 0], 0, count * n * B * sizeof(double))
-        memset(&self.couplings[start, 0, 0], 0, count * D * n * sizeof(double))
-        memset(&self.corner_blocks[start, 0, 0, 0], 0, count * D * CAMERA * CAMERA * sizeof(double))
+        memset(&self.couplings[start, 0, 0], 0, count * D * self.couplings.shape[2] * sizeof(double))
         self.outdated[p] = False
         for t in range(start, start + count):
+            for i in range(rows):
+                j = i // TILE_COLUMNS * TILE_COLUMNS
+                memset(&self.equations[t, i, j], 0, (size - j) * sizeof(double))
             if not self.is_free[t]:
                 continue
             f = self.view(&self.current[t, 0])
-            gradient, vectors, out = &self.right[t, 0], &self.vectors[t, 0, 0], &self.rows[0, 0]
-            w = self.write_joint_rows(p, t, &f, self.lifted.shape[0] > 0, &rows, out)
-            self.write_sum(0, gradient)
-            out += rows * n
-            for b in range(B):
-                u, flat = f.direction + 3 * b, &self.bones[3 * b, 0]
-                # of the matrix w u u^T + c (I - u u^T), the root: one row along u, and three across it if c > 0
-                curvature = sqrt(self.bone_weight[b] * max(f.excess[b] / f.length[b], 0.0))
-                pull = sqrt(self.bone_weight[b])
-                for i in range(K):
-                    along = u[0] * flat[i] + u[1] * flat[K + i] + u[2] * flat[2 * K + i]
-                    vectors[i * B + b] = pull * along
-                    gradient[i] += pull * pull * f.excess[b] * along
-                    out[i] = pull * along
-                    if curvature > 0:
-                        out[n + i] = curvature * (flat[i] - u[0] * along)
-                        out[2 * n + i] = curvature * (flat[K + i] - u[1] * along)
-                        out[3 * n + i] = curvature * (flat[2 * K + i] - u[2] * along)
-                for i in range(4 if curvature > 0 else 1):
-                    memset(out + i * n + K, 0, CAMERA * sizeof(double))
-                out += (4 if curvature > 0 else 1) * n
-                rows += 4 if curvature > 0 else 1
-            add_square(rows, n, 1, &self.rows[0, 0], 0, &self.blocks[t, 0, 0])
+            self.write_jacobian(&f)
+            w = self.write_weighted_jacobian(p, t, &f)
+            for i from 0 <= i < n by TILE_ROWS:
+                for j from i // TILE_COLUMNS * TILE_COLUMNS <= j < size by TILE_COLUMNS:
+                    add_products(
+                        0, 3 * self.joints, 1, &self.jacobian[0, i], &self.weighted[0, j], size,
+                        &self.equations[t, i, j], size, NULL,
+                    )
             if w > 0:
-                out = &self.rows[0, 0]
-                self.write_sum(1, out)
-                self.write_sum(2, out + n)
                 for i in range(n):
-                    gradient[i] -= (out[i] * self.by_translation[0] + out[n + i] * self.by_translation[1]) / w
-                add_square(2, n, -1 / w, out, 1, &self.blocks[t, 0, 0])
-            for i in range(K):
-                self.blocks[t, i, i] += self.prior[i]
-                gradient[i] += self.prior[i] * f.theta[i]
+                    for a in range(2):
+                        u[a * size + i] = self.equations[t, i, n + 1 + a]
+                for i from 0 <= i < n by TILE_ROWS:
+                    for j from i // TILE_COLUMNS * TILE_COLUMNS <= j < size by TILE_COLUMNS:
+                        add_products(0, 2, -1 / w, u + i, u + j, size, &self.equations[t, i, j], size, NULL)
+            for i in range(self.components):
+                self.equations[t, i, i] += self.prior[i]
+                self.equations[t, i, n] += self.prior[i] * f.theta[i]
         self.add_differences(p)
 
     cdef void add_differences(self, int p) noexcept nogil:
         """Add the differences of a sequence to its normal equations."""
-        cdef int start = self.starts[p], count = self.counts[p], K = self.components
+        cdef int start = self.starts[p], count = self.counts[p], K = self.components, n = self.unknowns
         cdef int term, t, d, e, f, i, j, order
         cdef double change, weight, value
         cdef const double* c
@@ -612,87 +596,103 @@ cdef class JointProblem:
                         change += c[e] * self.current[t + e, f]
                     for e in range(order + 1):
                         if f < K:
-                            self.right[t + e, f] += weight * c[e] * change
-                            self.blocks[t + e, f, f] += weight * c[e] * c[e]
+                            self.equations[t + e, f, n] += weight * c[e] * change
+                            self.equations[t + e, f, f] += weight * c[e] * c[e]
                             for d in range(1, order + 1 - e):
                                 self.couplings[t + e, d - 1, f] += weight * c[e] * c[e + d]
                             continue
                         first = &self.feature_jacobian[t - start + e, f - K, 0]
                         for i in range(CAMERA):
-                            self.right[t + e, K + i] += weight * c[e] * change * first[i]
-                            for j in range(i + 1):
-                                self.blocks[t + e, K + i, K + j] += weight * c[e] * c[e] * first[i] * first[j]
+                            self.equations[t + e, K + i, n] += weight * c[e] * change * first[i]
+                            for j in range(i, CAMERA):
+                                self.equations[t + e, K + i, K + j] += weight * c[e] * c[e] * first[i] * first[j]
                         for d in range(1, order + 1 - e):
                             later, value = first + d * FEATURES * CAMERA, weight * c[e] * c[e + d]
                             for i in range(CAMERA):
                                 for j in range(CAMERA):
-                                    self.corner_blocks[t + e, d - 1, i, j] += value * later[i] * first[j]
+                                    self.couplings[t + e, d - 1, K + CAMERA * i + j] += value * later[i] * first[j]
 
     # Levenberg-Marquardt
 
     cdef bint solve(self, int p) noexcept nogil:
         """Write the negative of the damped step of a sequence; False if its matrix is not positive definite."""
-        cdef int start = self.starts[p], count = self.counts[p], n = self.unknowns, B = self.bones_count, t, i, b
-        cdef double strength = 1.0 / (count + self.earlier_frames[p]), keep
-        cdef double* system = &self.system[0, 0, 0]
-        cdef double* solved = &self.solved[0, 0, 0]
-        cdef double* correction = &self.correction[0]
-        cdef Factor factor = Factor(
-            count, n, self.distances, CAMERA, &self.inverse[0, 0, 0], &self.below[0, 0, 0, 0],
-            &self.is_coupled[0, 0], &self.is_free[start],
-        )
-        memcpy(&self.work[0, 0, 0], &self.blocks[start, 0, 0], count * n * n * sizeof(double))
-        for t in range(count):
+        cdef int start = self.starts[p], end = start + self.counts[p], n = self.unknowns, K = self.components
+        cdef int B = self.bones_count, D = self.distances, size = pad_columns(n), right = self.products.shape[0]
+        cdef int stride = self.system.shape[2], t, d, i, j, b
+        cdef double* row
+        cdef double* solved
+        cdef System system, means
+        while start < end - 1 and not self.is_free[start]:
+            start += 1
+        system = System(end - start, n, D, CAMERA, right, stride, &self.system[0, 0, 0])
+        for t in range(start, end):
             for i in range(n):
-                self.work[t, i, i] += self.dampings[p] * self.work[t, i, i] + MIN_DIAGONAL
-                self.system[t, i, 0] = self.right[start + t, i]
-                memcpy(&self.system[t, i, 1], &self.vectors[start + t, i, 0], B * sizeof(double))
-        if not factorise_blocks(
-            &factor, &self.work[0, 0, 0], &self.couplings[start, 0, 0], &self.corner_blocks[start, 0, 0, 0],
-            &self.scratch[0, 0],
-        ):
+                row, j = &self.system[t - start, i, 0], i // TILE_COLUMNS * TILE_COLUMNS
+                memcpy(row + j, &self.equations[t, i, j], (n - j) * sizeof(double))
+                memset(row + size, 0, D * size * sizeof(double))
+                row[i] += self.dampings[p] * row[i] + MIN_DIAGONAL
+                for d in range(D):
+                    if i < K:
+                        row[(1 + d) * size + i] = self.couplings[t, d, i]
+                        continue
+                    for j in range(CAMERA):
+                        row[(1 + d) * size + K + j] = self.couplings[t, d, K + CAMERA * j + i - K]
+                memcpy(row + (1 + D) * size, &self.vectors[t, i, 0], B * sizeof(double))
+                row[(1 + D) * size + B] = self.equations[t, i, n]
+        if not factorise_blocks(&system):
             return False
-        solve_forward(&factor, B + 1, system, solved)
-        # of (y, V), times 1 / F: the lower triangle of y^T y, V^T y and V^T V
-        add_square(count * n, B + 1, strength, solved, 0, &self.reduced[0, 0])
+        # F I - V^T V, and V^T y beside it
+        memset(&self.products[0, 0], 0, right * right * sizeof(double))
+        for t in range(end - start):
+            solved = &self.system[t, 0, (1 + D) * size]
+            for i from 0 <= i < right by TILE_ROWS:
+                for j from i // TILE_COLUMNS * TILE_COLUMNS <= j < right by TILE_COLUMNS:
+                    add_products(0, n, -1, solved + i, solved + j, stride, &self.products[i, j], right, NULL)
+        means = System(1, B, 0, B, TILE_COLUMNS, self.border.shape[1], &self.border[0, 0])
+        memset(&self.border[0, 0], 0, self.border.shape[0] * self.border.shape[1] * sizeof(double))
         for i in range(B):
-            correction[1 + i] = self.reduced[1 + i, 0]
-            for b in range(i + 1):
-                self.inner[i, b] = (1 if i == b else 0) - self.reduced[1 + i, 1 + b]
-        if not factorise(B, &self.inner[0, 0]):
+            memcpy(&self.border[i, 0], &self.products[i, 0], B * sizeof(double))
+            self.border[i, i] += self.counts[p] + self.earlier_frames[p]
+            self.border[i, pad_columns(B)] = self.products[i, B]
+        if not factorise_blocks(&means):
             return False
-        correction[0] = 1
-        solve_rows(B, 1, &self.inner[0, 0], correction + 1, False)
-        solve_rows(B, 1, &self.inner[0, 0], correction + 1, True)
-        multiply_vector(count * n, B + 1, 1, solved, correction, 0, system)
-        solve_backward(&factor, system, &self.step[0, 0])
-        memcpy(&self.last_inverse[p, 0, 0], &self.inverse[count - 1, 0, 0], n * n * sizeof(double))
+        memset(&self.products[0, 0], 0, right * sizeof(double))
+        for b in range(B):
+            self.products[0, b] = self.border[b, pad_columns(B)]
+        solve_backward(&means, &self.products[0, 0])
+        for b in range(B):
+            self.products[0, b] *= -1
+        self.products[0, B] = 1
+        memset(&self.step[0, 0], 0, self.counts[p] * size * sizeof(double))
+        for t in range(end - start):
+            for i in range(n):
+                self.step[t, i] = add_up(right, &self.system[t, i, (1 + D) * size], &self.products[0, 0])
+        solve_backward(&system, &self.step[0, 0])
+        for i in range(n):
+            memcpy(&self.last_factor[p, i, 0], &self.system[end - start - 1, i, 0], size * sizeof(double))
         self.has_step[p] = True
         return True
 
     cdef void advance(self, int p) noexcept nogil:
         """Write the unknowns of a sequence after the step into the trial point."""
-        cdef int start = self.starts[p], count = self.counts[p], t, i, K = self.components
+        cdef int start = self.starts[p], end = start + self.counts[p], t, i, K = self.components
         cdef double vector[3]
         cdef double turn[9]
+        cdef double* step = &self.step[0, 0]
         cdef Frame before, after
-        memcpy(&self.trial[start, 0], &self.current[start, 0], count * self.width * sizeof(double))
-        for t in range(count):
-            if not self.is_free[start + t]:
+        memcpy(&self.trial[start, 0], &self.current[start, 0], self.counts[p] * self.width * sizeof(double))
+        for t in range(start, end):
+            if not self.is_free[t]:
                 continue
-            before, after = self.view(&self.current[start + t, 0]), self.view(&self.trial[start + t, 0])
+            before, after = self.view(&self.current[t, 0]), self.view(&self.trial[t, 0])
             for i in range(K):
-                after.theta[i] -= self.step[t, i]
+                after.theta[i] -= step[i]
             for i in range(3):
-                vector[i] = -self.step[t, K + i]
+                vector[i] = -step[K + i]
             rotation_from_vector(vector, turn)
             multiply_3x3(turn, before.rotation, after.rotation)
-            after.log_scale[0] += min(max(-self.step[t, K + 3], -MAX_LOG_SCALE_STEP), MAX_LOG_SCALE_STEP)
-
-    cdef void begin_sequence(self, int p, double damping) noexcept nogil:
-        self.dampings[p], self.tried[p], self.ends[p] = damping, 0, MAX_ITERATIONS
-        self.done[p], self.has_step[p] = False, False
-        self.linearise(p)
+            after.log_scale[0] += min(max(-step[K + 3], -MAX_LOG_SCALE_STEP), MAX_LOG_SCALE_STEP)
+            step += self.step.shape[1]
 
     cdef bint take_step(self, int p, double tolerance) noexcept nogil:
         """Try a step of a sequence, set its next damping or its end, and return whether the step is taken."""
@@ -754,28 +754,49 @@ cdef class JointProblem:
     cdef double count_absorbed_coordinates(self, int p, int t) noexcept nogil:
         """Return how many image coordinates of a frame its unknowns fit away while its neighbours are held.
 
-        It is tr(A_t^-1 D_t) + 2, with D_t the part of the block A_t that the reprojection has added, and the two
-        coordinates that the translation takes.
+        It is tr(A_t^-1 D_t) + 2, with D_t = sum_j v_j C_j^T C_j - u u^T / w the part of the block A_t that the
+        reprojection has added, C_j = E_j s R J_j and u = sum_j v_j C_j^T, and the two coordinates that the
+        translation takes. With A_t = U^T U it follows from the U^-T (v_j^(1/2) C_j^T).
         """
-        cdef int i, row, rows, n = self.unknowns
-        cdef double total = 0, w, square
+        cdef int i, j, k, a, n = self.unknowns, size = pad_columns(n), stride = self.alone.shape[1]
+        cdef double total = 0, w = 0, root
+        cdef double row[3]
+        cdef double moved[2]
         cdef double* out
+        cdef Joint m
         cdef Frame f = self.view(&self.linearised[t, 0])
-        memcpy(&self.scratch[0, 0], &self.blocks[t, 0, 0], n * n * sizeof(double))
+        cdef System system = System(1, n, 0, n, pad_columns(2 * self.joints), stride, &self.alone[0, 0])
+        self.write_jacobian(&f)
         for i in range(n):
-            self.scratch[i, i] += MIN_INFORMATION
-        if not factorise(n, &self.scratch[0, 0]):
+            memset(&self.alone[i, 0], 0, stride * sizeof(double))
+            memcpy(&self.alone[i, 0], &self.equations[t, i, 0], n * sizeof(double))
+            self.alone[i, i] += MIN_INFORMATION
+        for j in range(self.joints):
+            m = self.linearise_joint(p, t, j, &f, False)
+            w += m.v
+            for a in range(2):
+                for k in range(3):
+                    row[k] = exp(f.log_scale[0]) * (f.rotation[3 * a + k] + (m.b if a else m.a) * f.rotation[6 + k])
+                    row[k] *= sqrt(m.v)
+                out = &self.alone[0, size + 2 * j + a]
+                for i in range(n):
+                    out[i * stride] = (
+                        row[0] * self.jacobian[3 * j, i] + row[1] * self.jacobian[3 * j + 1, i]
+                        + row[2] * self.jacobian[3 * j + 2, i]
+                    )
+                self.pose[2 * j + a] = sqrt(m.v)
+        if not factorise_blocks(&system):
             return 2
-        w = self.write_joint_rows(p, t, &f, False, &rows, &self.rows[0, 0])
-        out = &self.rows[rows, 0]
-        self.write_sum(1, out)
-        self.write_sum(2, out + n)
-        solve_rows(n, rows + 2, &self.scratch[0, 0], &self.rows[0, 0], False)
-        for row in range(rows + 2 if w > 0 else rows):
-            square = 0
-            for i in range(n):
-                square += self.rows[row, i] * self.rows[row, i]
-            total += square if row < rows else -square / w
+        for i in range(n):
+            moved[0] = moved[1] = 0
+            out = &self.alone[i, size]
+            for j in range(self.joints):
+                for a in range(2):
+                    root = out[2 * j + a]
+                    total += root * root
+                    moved[a] += self.pose[2 * j + a] * root
+            if w > 0:
+                total -= (moved[0] * moved[0] + moved[1] * moved[1]) / w
         return 2 + total
 
     def measure_misfit(self):
@@ -829,28 +850,28 @@ cdef class JointProblem:
 
         They are roots of the traces of their covariances; NaN where no step could be computed.
         """
-        cdef int p, j, i, n = self.unknowns, K = self.components
-        cdef double scale
-        cdef double[3] pose
-        cdef Joint unit
+        cdef int p, j, i, k, n = self.unknowns, size = pad_columns(n), stride = self.alone.shape[1]
+        cdef double total
         cdef Frame f
-        unit.l00, unit.l11, unit.l20, unit.l21, unit.l22 = 1, 1, 0, 0, 1  # L = I
-        std = np.zeros((self.sequences, self.joints))
+        std = np.full((self.sequences, self.joints), NAN)
         cdef double[:, ::1] out = std
-        cdef double[:, ::1] whitened = np.empty((3, n))
         for p in range(self.sequences):
+            if not self.has_step[p]:
+                continue
             f = self.view(&self.current[self.starts[p] + self.counts[p] - 1, 0])
-            scale = exp(f.log_scale[0])
+            self.write_jacobian(&f)
+            memset(&self.alone[0, 0], 0, self.alone.shape[0] * stride * sizeof(double))
+            for i in range(n):
+                memcpy(&self.alone[i, 0], &self.last_factor[p, i, 0], size * sizeof(double))
+                for j in range(3 * self.joints if i < n - 1 else 0):  # the scale moves no joint
+                    self.alone[i, size + j] = self.jacobian[j, i]
+            solve_forward(n, stride - size, stride, &self.alone[0, 0])
             for j in range(self.joints):
-                for i in range(3):
-                    pose[i] = f.scaled_pose[3 * j + i] / scale
-                write_rows(&unit, f.rotation, pose, &self.basis[3 * j, 0], K, &self.rows[0, 0])
-                for i in range(3):
-                    self.rows[0, i * n + n - 1] = 0  # the scale moves no joint
-                multiply_transposed(3, n, n, 1, &self.rows[0, 0], &self.last_inverse[p, 0, 0], 0, &whitened[0, 0])
-                for i in range(3 * n):
-                    out[p, j] += (&whitened[0, 0])[i] * (&whitened[0, 0])[i]
-                out[p, j] = NOISE_REFERENCE * sqrt(out[p, j]) if self.has_step[p] else NAN
+                total = 0
+                for i in range(n):
+                    for k in range(3):
+                        total += self.alone[i, size + 3 * j + k] * self.alone[i, size + 3 * j + k]
+                out[p, j] = NOISE_REFERENCE * sqrt(total)
         return std
 
     # What Python calls
@@ -888,7 +909,9 @@ cdef class JointProblem:
         cdef int p
         with nogil:
             for p in range(self.sequences):
-                self.begin_sequence(p, damping)
+                self.dampings[p], self.tried[p], self.ends[p] = damping, 0, MAX_ITERATIONS
+                self.done[p], self.has_step[p] = False, False
+                self.linearise(p)
 
     def update_equations(self):
         """Compute the normal equations of the sequences that have moved and are not done."""
@@ -898,36 +921,18 @@ cdef class JointProblem:
                 if self.outdated[p] and not self.done[p]:
                     self.linearise(p)
 
-    def minimise(self, int max_iterations, double tolerance, double damping):
-        """Minimise all objectives, one after the other, so that the matrices of a sequence stay in the cache.
-
-        Returns:
-            Objectives (I + 1, P) at the start and after each step, as of `levenberg_marquardt.minimise_stepwise`.
-        """
-        cdef int p, i
-        history = np.empty((max_iterations + 1, self.sequences))
-        cdef double[:, ::1] costs = history
-        with nogil:
-            for p in range(self.sequences):
-                self.begin_sequence(p, damping)
-                costs[0, p] = self.costs[p]
-                for i in range(max_iterations):
-                    if self.outdated[p] and not self.done[p]:
-                        self.linearise(p)
-                    if not self.done[p]:
-                        self.take_step(p, tolerance)
-                    costs[i + 1, p] = self.costs[p]
-        return history
-
     def try_steps(self, double tolerance):
         """Try a step of each sequence; return how many were taken, and how many sequences are not done.
 
-        A step that lowers an objective by no more than a share `tolerance` of it is the last of its sequence.
+        Normal equations that are not those of the current point are computed first. A step that lowers an objective
+        by no more than a share `tolerance` of it is the last of its sequence.
         """
         cdef int p, taken = 0, remaining = 0
         with nogil:
             for p in range(self.sequences):
                 if not self.done[p]:
+                    if self.outdated[p]:
+                        self.linearise(p)
                     taken += self.take_step(p, tolerance)
                     remaining += not self.done[p]
         return taken, remaining
@@ -961,8 +966,8 @@ cdef class JointProblem:
 
     def read(self, str name):
         """Return a copy (N, ...) of a quantity of the current point, by the name of the field of `Frame`."""
-        first, size, shape = self.fields[name]
-        return self.point[:, first : first + size].reshape(shape).copy()
+        first, end, shape = self.fields[name]
+        return self.point[:, first:end].reshape(shape).copy()
 
 
 cdef void write_best_rotation(const double* products, double* out) noexcept nogil:

@@ -55,7 +55,9 @@ from mocap_ros.engine.block_banded import log_determinant
 from mocap_ros.engine.joint import DAMPINGS
 
 from mocap_ros.engine.blas cimport add_outer, factorise, multiply, multiply_transposed, multiply_vector, solve_rows
-from mocap_ros.engine.block_banded cimport Factor, factorise_blocks, solve_backward, solve_forward
+from mocap_ros.engine.block_banded cimport (
+    System, add_up, factorise_blocks, pad_columns, solve_backward, write_small_blocks,
+)
 from mocap_ros.engine.geometry cimport multiply as multiply_3x3, rotation_from_vector
 from scipy.linalg.cython_blas cimport dsyrk, dtrsv
 from scipy.linalg.cython_lapack cimport dpotrf, dtrtri
@@ -141,10 +143,10 @@ cdef class PeriodicProblem:
     cdef const double[::1] times
     cdef const double[:, :, ::1] movement
     cdef object theta, turned  # weights (N, K) and rotations C_t Rz(psi_t) of the body
-    cdef double[:, ::1] matrix, terms, functions, matrices, z, out_camera, bordered
+    cdef double[:, ::1] matrix, terms, functions, matrices, z, out_camera, bordered, remaining
     cdef double[::1] costs, prior_diagonal, right, x
-    cdef double[:, :, ::1] rotations, mixed, image, blocks, work, rows, solved, inverse
-    cdef double[:, :, :, ::1] coupling, below
+    cdef double[:, :, ::1] rotations, mixed, image, blocks, work, rows
+    cdef double[:, :, :, ::1] coupling
 
     def __init__(self, body, score, double robust_scale, times, prior, double level_weight, movement, start,
                  double noise_ratio, int settle_steps=0):
@@ -161,13 +163,13 @@ cdef class PeriodicProblem:
         self.matrix, self.right, self.prior_diagonal = self.series_matrix, self.series_gradient, self.series_prior
         self.mixed, self.image, self.blocks = self.mixed_matrix, self.camera_image, self.camera_prior
         self.coupling, self.out_camera = self.camera_coupling, self.camera_gradient
-        self.x, self.z = np.zeros(G + 1), self.camera_step
+        self.x, self.z = np.zeros(pad_columns(G + 1)), self.camera_step
         self.terms, self.matrices = np.ones((N, P)), np.empty((N, 6))
         functions, self.turned = np.empty((N, m)), np.empty((N, 3, 3))
         self.functions, self.theta, self.rotations = functions, functions[:, :-1], self.turned
-        self.work, self.inverse = np.empty((N, CAMERA, CAMERA)), np.empty((N, CAMERA, CAMERA))
-        self.rows, self.solved = np.empty((N, CAMERA, G + 1)), np.empty((N, CAMERA, G + 1))
-        self.below, self.bordered = np.empty((N, COUPLED, CAMERA, CAMERA)), np.empty((G + 1, G + 1))
+        self.work, self.bordered = np.empty((N, CAMERA, CAMERA)), np.empty((G + 1, G + 1))
+        self.rows = np.zeros((N, CAMERA, (1 + COUPLED) * pad_columns(CAMERA) + pad_columns(G + 1)))
+        self.remaining = np.zeros((N, pad_columns(CAMERA)))
         self.point, self.trial, self.cost = Point(*start), Point(*start), np.empty(1)
         self.costs, self.status, self.damping = self.cost, MAX_ITERATIONS, 0
         self.costs[0] = self.measure(self.point, settle_steps)
@@ -291,10 +293,10 @@ cdef class PeriodicProblem:
     def camera_log_determinant_ratio(self):
         """Return log det C - log det E, minus twice the log of the cameras' posterior over prior volume."""
         self.require_equations()
-        none, small = np.zeros((self.N, COUPLED, CAMERA)), MIN_CAMERA_INFORMATION * np.eye(CAMERA)
+        small = MIN_CAMERA_INFORMATION * np.eye(CAMERA)
         try:
-            posterior = log_determinant(self.camera_image + self.camera_prior + small, none, self.camera_coupling)
-            return posterior - log_determinant(self.camera_prior + small, none, self.camera_coupling)
+            posterior = log_determinant(self.camera_image + self.camera_prior + small, self.camera_coupling)
+            return posterior - log_determinant(self.camera_prior + small, self.camera_coupling)
         except np.linalg.LinAlgError:
             return INFINITY
 
@@ -323,9 +325,9 @@ cdef class PeriodicProblem:
         self.has_equations = True
 
     cdef void assemble(
-        self, const double[:, :, ::1] diagonal, const double[:, ::1] gradient, const double[:, :, ::1] bone_vectors
+        self, const double[:, :, :] diagonal, const double[:, :] gradient, const double[:, :, ::1] bone_vectors
     ):
-        """Write the equations of the body alone, by H_t (N, n, n), lower triangles, h_t (N, n) and g_t (N, n, B)."""
+        """Write the equations of the body alone, by H_t (N, n, n), upper triangles, h_t (N, n) and g_t (N, n, B)."""
         cdef int N = self.N, P = self.P, m = self.m, K = self.K, G = self.G, B = bone_vectors.shape[2]
         cdef int last = P * m, pairs = P * (P + 1) // 2, t, p, q, k, l, c, i, h
         cdef double value, slope
@@ -352,20 +354,20 @@ cdef class PeriodicProblem:
                             self.terms[t, 2 * h - 1] * series[2 * h, k] - self.terms[t, 2 * h] * series[2 * h - 1, k]
                         )
                 for k in range(K):
-                    for l in range(k + 1):
+                    for l in range(k, K):
                         functions[t, k, l] = functions[t, l, k] = diagonal[t, k, l]
                     force[k] = gradient[t, k]
                     value = 0
                     for i in range(3):
-                        value += diagonal[t, K + i, k] * vertical[i]
+                        value += diagonal[t, k, K + i] * vertical[i]
                     functions[t, k, K] = functions[t, K, k] = value
                 functions[t, K, K] = force[K] = 0
                 for c in range(CAMERA):
                     for k in range(K):
-                        of_camera[c, k] = diagonal[t, K + c, k]
+                        of_camera[c, k] = diagonal[t, k, K + c]
                     of_camera[c, K] = 0
                     for i in range(CAMERA):
-                        image[t, c, i] = diagonal[t, K + max(c, i), K + min(c, i)]
+                        image[t, c, i] = diagonal[t, K + min(c, i), K + max(c, i)]
                     for i in range(3):
                         of_camera[c, K] += image[t, c, i] * vertical[i]
                     out_camera[t, c] = gradient[t, K + c]
@@ -465,38 +467,36 @@ cdef class PeriodicProblem:
         """
         cdef int N = self.N, G = self.G, t, c, k, size = G + 1, rows = N * CAMERA, info = 0, step = 1
         cdef double one = 1, minus = -1
-        cdef double[:, ::1] bordered = self.bordered, remaining = np.empty((N, CAMERA))
-        cdef double[:, :, ::1] none = np.zeros((N, COUPLED, CAMERA))
-        cdef char[:, ::1] is_coupled = np.empty((N, COUPLED), np.int8)
-        cdef const unsigned char[::1] is_free = np.ones(N, np.uint8)
-        cdef double[CAMERA * CAMERA] scratch
-        cdef Factor factor = Factor(
-            N, CAMERA, COUPLED, CAMERA, &self.inverse[0, 0, 0], &self.below[0, 0, 0, 0], &is_coupled[0, 0], &is_free[0]
-        )
+        cdef int first = (1 + COUPLED) * pad_columns(CAMERA), right = pad_columns(size), stride = first + right
+        cdef double[:, ::1] bordered = self.bordered
+        cdef System system = System(N, CAMERA, COUPLED, CAMERA, right, stride, &self.rows[0, 0, 0])
         for t in range(N):
             for c in range(CAMERA):
                 for k in range(CAMERA):
                     self.work[t, c, k] = self.image[t, c, k] + self.blocks[t, c, k]
                 self.work[t, c, c] = (1 + damping) * self.work[t, c, c] + MIN_INFORMATION
-                memcpy(&self.rows[t, c, 0], &self.mixed[t, c, 0], G * sizeof(double))
-                self.rows[t, c, G] = self.out_camera[t, c]
-        if not factorise_blocks(&factor, &self.work[0, 0, 0], &none[0, 0, 0], &self.coupling[0, 0, 0, 0], scratch):
+                memcpy(&self.rows[t, c, first], &self.mixed[t, c, 0], G * sizeof(double))
+                self.rows[t, c, first + G] = self.out_camera[t, c]
+        write_small_blocks(&system, self.work, self.coupling)
+        if not factorise_blocks(&system):  # (V, v) in the place of (B^T, c)
             return False
-        solve_forward(&factor, size, &self.rows[0, 0, 0], &self.solved[0, 0, 0])  # (V, v)
         for k in range(G):
             memcpy(&bordered[k, 0], &self.matrix[k, 0], G * sizeof(double))
             bordered[k, k] = (1 + damping) * (bordered[k, k] + self.prior_diagonal[k]) + MIN_INFORMATION
             bordered[k, G] = self.right[k]
         bordered[G, G] = LARGE
-        dsyrk(b'L', b'N', &size, &rows, &minus, &self.solved[0, 0, 0], &size, &one, &bordered[0, 0], &size)
+        dsyrk(b'L', b'N', &size, &rows, &minus, &self.rows[0, 0, first], &stride, &one, &bordered[0, 0], &size)
         dpotrf(b'L', &size, &bordered[0, 0], &size, &info)
         if info != 0:
             return False
         self.x[:] = 0
         self.x[G] = bordered[G, G]
         dtrsv(b'L', b'T', b'N', &size, &bordered[0, 0], &size, &self.x[0], &step)
-        multiply_vector(rows, size, -1, &self.solved[0, 0, 0], &self.x[0], 0, &remaining[0, 0])
-        solve_backward(&factor, &remaining[0, 0], &self.z[0, 0])
+        for t in range(N):
+            for c in range(CAMERA):
+                self.remaining[t, c] = -add_up(right, &self.rows[t, c, first], &self.x[0])
+        solve_backward(&system, &self.remaining[0, 0])
+        self.z[:] = self.remaining[:, :CAMERA]
         self.series_step[:] = self.x[:G]
         return True
 

@@ -77,7 +77,10 @@ def refine(kept: Refinement, tracks: Sequence[Track], parts: Sequence[tuple[int,
     else:
         problem.weigh(np.ones(len(tracks)) if noise is None else noise / NOISE_REFERENCE, newest.factors)
         problem.start(*state, settle_steps=1, at_reference=True)
-    problem.minimise(config.max_iterations, config.tolerance, WARM_DAMPING)
+    problem.begin(WARM_DAMPING)
+    for _ in range(config.max_iterations):
+        if not problem.try_steps(config.tolerance)[1]:
+            break
     before = [track.solved for track in tracks]
     people = [fixed for _, fixed in parts], [track.observed for track in tracks], before
     newest_states = problem.read('theta'), problem.read('rotation'), *problem.describe(newest.units)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import linalg, signal
 from scipy.spatial.transform import Rotation
 
 from mocap_ros.arrays import Array
@@ -102,11 +102,11 @@ def make_dense(problem: engine.JointProblem, batch: Batch) -> np.ndarray:
     frames, n = problem.gradient.shape
     matrix = np.zeros((frames, n, frames, n))
     for t in range(frames):
-        matrix[t, :, t] = np.tril(problem.diagonal[t]) + np.tril(problem.diagonal[t], -1).T
+        matrix[t, :, t] = np.triu(problem.diagonal[t]) + np.triu(problem.diagonal[t], 1).T
     for distance in range(1, problem.coupling.shape[1] + 1):
         for t in range(frames - distance):
-            block = np.diag(problem.coupling[t, distance - 1])
-            block[n - 4 :, n - 4 :] += problem.corners[t, distance - 1]
+            of_weights, of_cameras = np.split(problem.coupling[t, distance - 1], [n - 4])
+            block = linalg.block_diag(np.diag(of_weights), of_cameras.reshape(4, 4))
             matrix[t + distance, :, t], matrix[t, :, t + distance] = block, block.T
     for own, count in zip(batch.slices, batch.counts + batch.earlier_frames, strict=True):
         g = problem.bone_vectors[own]

@@ -233,8 +233,8 @@ def test_equations_of_the_body_follow_by_the_chain_rule(walk_model: BasePoses, r
     to_body[:, k : k + 3, k], to_body[:, k + 3, k] = case.values[2][:, :, 2], 0
     to_series = to_body @ np.moveaxis(series, 0, -1)
     chain = np.concatenate([to_series, np.tile(np.eye(k + 4)[:, cameras], (FRAMES, 1, 1))], axis=2)
-    lower = np.tril(body.diagonal)
-    blocks = lower + np.swapaxes(np.tril(lower, -1), 1, 2)
+    upper = np.triu(body.diagonal)
+    blocks = upper + np.swapaxes(np.triu(upper, 1), 1, 2)
     matrices = np.swapaxes(chain, 1, 2) @ blocks @ chain
     gradients = np.einsum('tia,ti->ta', chain, body.gradient)
     bones = np.einsum('tia,tib->ab', chain, body.bone_vectors)[:SERIES_UNKNOWNS]

@@ -52,7 +52,7 @@ class Batch:
     image: Array  # (N, J, 2) m, image points
     score: Array  # (N, J) confidence scores
     focal: Array  # (N,) m, focal length; infinite for weak perspective
-    is_free: NDArray[np.bool_]  # (N,) False for frames that keep their initial values
+    is_free: NDArray[np.bool_]  # (N,) False for first frames of a sequence that keep their initial values
     lifted: Array  # (N, J, 3) m, lifted poses about the mean of the joints; (0, J, 3) where there are none
     precision: Array  # (N, J, 3) 1/m^2, inverse variances of these coordinates; 0 where nothing is known
     earlier_lengths: Array  # (P, B) m, mean bone lengths of the frames before each window

@@ -31,7 +31,6 @@ all frames and all base poses.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,13 +55,6 @@ COLD_DAMPING = 0.1  # first damping where nothing has been solved yet; tuned on 
 CONTINUED_DAMPING = 1e-4  # first damping where a round goes on from the one before
 
 
-class Annealed(NamedTuple):
-    """The objective under the noise that was found."""
-
-    problem: engine.JointProblem  # at the point that was reached
-    iterations: NDArray[np.int64]  # (P,) number of steps of each sequence
-
-
 def get_given_noise(windows: Sequence[Window], config: SolverConfig) -> Array:
     """Return the noise (P,) m that the windows give; the largest where it is to be found."""
     return np.array([max(w.noise or COARSE_NOISE_M[0], config.noise_floor) for w in windows])
@@ -70,8 +62,11 @@ def get_given_noise(windows: Sequence[Window], config: SolverConfig) -> Array:
 
 def anneal_stepwise(
     batch: Batch, state: State, model: BasePoses, windows: Sequence[Window], config: SolverConfig
-) -> Stepwise[Annealed]:
-    """Find the noise of each window that does not give it, in steps."""
+) -> Stepwise[tuple[engine.JointProblem, NDArray[np.int64]]]:
+    """Find the noise of each window that does not give it, in steps.
+
+    Returns the problem under this noise, at the point that was reached, and the number of steps of each sequence.
+    """
     noise, is_unknown = get_given_noise(windows, config), np.array([w.noise is None for w in windows])
 
     def update_noise(problem: engine.JointProblem, least: float) -> Array:
@@ -107,4 +102,4 @@ def anneal_stepwise(
         yield
         if np.array_equal(noise, before):
             break
-    return Annealed(problem, iterations)
+    return problem, iterations
