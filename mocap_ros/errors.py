@@ -80,19 +80,19 @@ def naming(place: object, expected: str = '') -> Iterator[None]:
         raise InputError(f'{place}: {expected}') from None
 
 
-def make_printable_line(message: str) -> str:
-    """Return a message as one line for a terminal, at most `MAX_MESSAGE_CHARACTERS` long.
+def make_printable_line(message: str, length: int = MAX_MESSAGE_CHARACTERS) -> str:
+    """Return a message as one line for a terminal, of so many characters at most.
 
     All that a program prints with names from files and messages of strangers goes through here: characters that a
     terminal would obey are written as Python escapes them.
     """
-    if len(message) > MAX_MESSAGE_CHARACTERS:
-        half = MAX_MESSAGE_CHARACTERS // 2 - 3
+    if len(message) > length:
+        half = length // 2 - 3
         message = f'{message[:half]} ... {message[-half:]}'
     if message.isprintable():
         return message
     line = ' '.join(message.split())
-    return ''.join(c if c.isprintable() else repr(c)[1:-1] for c in line)[:MAX_MESSAGE_CHARACTERS]
+    return ''.join(c if c.isprintable() else repr(c)[1:-1] for c in line)[:length]
 
 
 def describe_read_error(error: Exception) -> str:

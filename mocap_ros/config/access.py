@@ -9,6 +9,7 @@ import dataclasses
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from math import inf
 from operator import attrgetter
@@ -21,6 +22,13 @@ MAX_SHOWN_CHARACTERS = 60  # characters of a value in an error message; keeps th
 # Numbers such as 1e-4, which YAML 1.1 and therefore PyYAML read as text because they have no decimal point. The
 # exponent has at most three digits, which covers every float.
 SCIENTIFIC_NOTATION = re.compile(r'[-+]?\d+(\.\d*)?[eE][-+]?\d{1,3}')
+
+
+def parse_numbers(text: str) -> tuple[float, ...]:
+    """Return the numbers in a text, separated by blanks or commas; none if there is anything else."""
+    with suppress(ValueError):
+        return tuple(float(word) for word in text.replace(',', ' ').split())
+    return ()
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_ros.arrays import Array
+from mocap_ros.config import parse_numbers
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.geometry.rotations import quaternion_from_rotation, rotation_from_vector
 
@@ -136,10 +137,7 @@ def parse_camera_pose(text: str, name: str) -> RigidTransform:
     Raises:
         ConfigError: the text is not six finite numbers, an angle is beyond a turn, or a position too far.
     """
-    try:
-        numbers = [float(word) for word in text.split()]
-    except ValueError:
-        numbers = []
+    numbers = parse_numbers(text)
     if len(numbers) != POSE_NUMBERS or not all(map(math.isfinite, numbers)):
         raise ConfigError(f'{name} = {text!r}: expected six numbers: x y z in m and roll pitch yaw in rad')
     if max(map(abs, numbers[:3])) > MAX_CAMERA_DISTANCE_M:

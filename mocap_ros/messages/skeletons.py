@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
-from mocap_ros.config import Config
+from mocap_ros.config import Config, parse_numbers
 from mocap_ros.errors import ConfigError, InputError, naming
 from mocap_ros.geometry.rigid_transform import SAME_POSE, RigidTransform
 from mocap_ros.geometry.rotations import quaternion_from_rotation
@@ -197,10 +197,7 @@ def read_prediction_times(config: Config) -> tuple[float, ...]:
             'node.publish_predictions: needs tracker.lag = 0, as an output with a lag is of the past'
         )
     text = config.node.prediction_times
-    try:
-        times = tuple(float(word) for word in text.replace(',', ' ').split())
-    except ValueError:
-        times = ()
+    times = parse_numbers(text)
     if not 0 < len(times) <= MAX_TIMES or not all(0 < t <= MAX_TIME_S for t in times):
         raise ConfigError(
             f'node.prediction_times = {text!r}: expected one to {MAX_TIMES} times in s, above 0 and up to '

@@ -12,9 +12,10 @@ from enum import IntEnum
 
 import numpy as np
 
+from mocap_ros.errors import make_printable_line
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.plain import encode_plain
-from mocap_ros.ros.throttled_log import make_printable
+from mocap_ros.ros.throttled_log import MAX_LINE_LENGTH
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.units import NS_PER_S
 
@@ -77,7 +78,7 @@ class DiagnosticsReporter:
         pipeline, statistics = self._pipeline, self._statistics
         counts = self._count()
         new, self._previous = counts - self._previous, counts  # negative differences, after a reset, are left out
-        reason, statistics.reason = make_printable(statistics.reason), ''
+        reason, statistics.reason = make_printable_line(statistics.reason, MAX_LINE_LENGTH), ''
         people = pipeline.people if new['accepted'] else ()  # else they are of an earlier second
         residuals = [p.residual for p in people if math.isfinite(p.residual)]
         newest_ns = pipeline.header.stamp_ns  # 0 before the first frame, and after a reset
@@ -100,14 +101,14 @@ class DiagnosticsReporter:
             'detections that were no person': counts['unusable'],
             'summary': str(pipeline.summary.summarise()),
             'focal length': pipeline.focal_source,
-            'frame of people': make_printable(pipeline.output_header.frame_id),
+            'frame of people': make_printable_line(pipeline.output_header.frame_id),
             'recorder': recorder,
         }
         warnings = [recorder_fault]
         if new['unusable'] and not people:
             warnings.insert(0, f'{new["unusable"]} {UNUSABLE_DETECTIONS}')
         if new['accepted']:
-            warnings += [_describe_frame_fault(pipeline), *map(make_printable, pipeline.checks.warnings)]
+            warnings += [_describe_frame_fault(pipeline), *map(make_printable_line, pipeline.checks.warnings)]
         problems = [(Level.WARN, warning) for warning in warnings if warning]
         if statistics.seconds_since_input() > pipeline.config.node.silence_warning:
             problems.insert(0, (Level.STALE, 'no input'))
@@ -155,6 +156,6 @@ def _describe_frame_fault(pipeline: Pipeline) -> str:
     if not wanted or used == wanted or not pipeline.header.stamp_ns:
         return ''
     return (
-        f'people are published in the frame of the camera, {make_printable(used)!r}, as the transform to '
+        f'people are published in the frame of the camera, {make_printable_line(used)!r}, as the transform to '
         f'node.output_frame, {wanted!r}, is unknown; see the log'
     )

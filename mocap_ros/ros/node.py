@@ -104,15 +104,8 @@ class MocapNode(ManagedNode):
         relative_names = [*(s.value for s in Source), *OUTPUTS, *switched, *LATCHED_OUTPUTS]
         names = {name: self.resolve_topic_name(name) for name in relative_names}
         names['journal'] = self.resolve_topic_name('~/journal')
-        self._run = LiveRun(
-            self._pipeline,
-            self._inputs.types,
-            names,
-            self._outputs.publish,
-            self.get_logger(),
-            self._find_offered_qos,
-            self._versions,
-        )
+        context = self._outputs.publish, self.get_logger(), self._find_offered_qos, self._versions
+        self._run = LiveRun(self._pipeline, self._inputs.types, names, *context)
         self._run.start()
         self._inputs.subscribe(self._run)
         outputs = (*OUTPUTS, *switched, *LATCHED_OUTPUTS)

@@ -135,14 +135,8 @@ class InputSubscriptions:
                 self._follow_bodies(raw)
 
         # rclpy declares parameters for overrides, which would stay behind for every body that leaves
-        subscription = subscribe(
-            self._node,
-            self.types[source],
-            name,
-            take_all,
-            QOS_BY_SOURCE.get(source, INPUT_QOS),
-            overridable=source is not Source.BODY,
-        )
+        qos, overridable = QOS_BY_SOURCE.get(source, INPUT_QOS), source is not Source.BODY
+        subscription = subscribe(self._node, self.types[source], name, take_all, qos, overridable=overridable)
         return subscription
 
     def _take(self, source: Source, raw: bytes, sent_ns: int, topic: str) -> None:

@@ -9,6 +9,7 @@ from collections import Counter, defaultdict
 from typing import Protocol
 
 from mocap_ros.bags.topics import BODY_SUFFIX
+from mocap_ros.errors import make_printable_line
 from mocap_ros.runtime.input_checks import find_kind
 
 MAX_KINDS = 30  # kinds of lines; guards log and memory against senders of ever new kinds of errors
@@ -57,7 +58,7 @@ class ThrottledLog:
             first.add(reason)
         elif str(counts[kind]).strip('0') != '1':  # no power of ten
             return
-        line = make_printable(f'{topic}: message {number}: {reason}')
+        line = make_printable_line(f'{topic}: message {number}: {reason}', MAX_LINE_LENGTH)
         if not kind:
             line += ' (further kinds of errors on this topic are not listed one by one)'
         if counts[kind] > 1:
@@ -82,9 +83,3 @@ class TracebackLog:
             self._logger.error(
                 f'an internal error occurred, and the node continues; please report it:\n{error_traceback}'
             )
-
-
-def make_printable(text: str) -> str:
-    """Return text that may contain parts of a received message as one printable line of limited length."""
-    line = ' '.join(''.join(c if c.isprintable() else ' ' for c in text).split())
-    return line if len(line) <= MAX_LINE_LENGTH else f'{line[: MAX_LINE_LENGTH - 4]} ...'

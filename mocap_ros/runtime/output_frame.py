@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mocap_ros.arrays import Array
-from mocap_ros.config import Config, NodeConfig
+from mocap_ros.config import Config, NodeConfig, parse_numbers
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import MAX_CERTAIN_STD, Floor, build_world, is_level
@@ -47,7 +47,12 @@ class OutputFrame:
         if node.camera_pose:
             self._pose = parse_camera_pose(node.camera_pose, 'node.camera_pose')
         if node.floor_height:
-            self._floor_height = _parse_height(node.floor_height)
+            numbers = parse_numbers(node.floor_height)
+            if len(numbers) != 1 or not math.isfinite(numbers[0]):
+                raise ConfigError(
+                    f'node.floor_height = {node.floor_height!r}: expected a number of metres, such as 0'
+                )
+            self._floor_height = numbers[0]
             if self._pose is not None and self._pose.translation[2] <= self._floor_height:
                 raise ConfigError(
                     f'node.floor_height = {self._floor_height:g}: the camera of node.camera_pose, at z = '
@@ -190,13 +195,3 @@ class LiveWorld:
         """Return how high in m over the floor the lowest joint is, less what it is of a person who stands."""
         height = HEEL_M if len(person.joints) > CORE_COUNT else ANKLE_M
         return float(((person.joints - self._origin) @ self._axes[2]).min()) - height
-
-
-def _parse_height(text: str) -> float:
-    try:
-        height = float(text)
-    except ValueError:
-        height = math.nan
-    if not math.isfinite(height):
-        raise ConfigError(f'node.floor_height = {text!r}: expected a number of metres, such as 0')
-    return height

@@ -45,7 +45,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mocap_ros.arrays import Array
-from mocap_ros.config import TrackerConfig
+from mocap_ros.config import TrackerConfig, parse_numbers
 from mocap_ros.engine import vertical as engine
 from mocap_ros.errors import ConfigError
 from mocap_ros.models.lifter import LiftedPoses, Lifter
@@ -190,10 +190,7 @@ def read_given_vertical(config: TrackerConfig) -> Vertical | None:
     text = config.vertical
     if text in (AUTO, NONE):
         return None
-    try:
-        direction = np.array([float(word) for word in text.replace(',', ' ').split()])
-    except ValueError:
-        direction = np.empty(0)
+    direction = np.array(parse_numbers(text))
     if direction.shape != (3,) or not abs(float(np.linalg.norm(direction)) - 1) <= UNIT_TOLERANCE:
         raise ConfigError(
             f'tracker.vertical = {text!r}: expected auto, none, or a unit vector upwards in the optical frame of '

@@ -127,7 +127,7 @@ def test_the_newest_reason_is_reported_once_and_is_one_short_printable_line() ->
     refuse_camera_info(run)
     run.statistics.reason = '/keypoints: people[0].x:\n\x1b' + ' ' + 'looks normalised ' * 99
     _, message = run.report()
-    assert '1 invalid in the last second; /keypoints: people[0].x: looks normalised looks' in message
+    assert '1 invalid in the last second; /keypoints: people[0].x: \\x1b looks normalised looks' in message
     assert len(message) < 500
     refuse_camera_info(run)
     assert run.report() == (Level.WARN, '1 invalid in the last second')
