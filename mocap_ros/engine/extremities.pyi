@@ -34,7 +34,7 @@ class Body:
         self, states: Array, evidence: tuple[Array, ...], stature: Array, times: Array, is_steady: bool
     ) -> None: ...
     def complete(
-        self, states: Array, sizes: Array, joints: Array, std: Array, velocity: Array, velocity_std: Array
+        self, states: Array, sizes: Array, motion: tuple[Array, ...], std: Array, root_covariance: Array
     ) -> tuple[Array, Array, Array, Array, Array, NDArray[np.bool_], Array]: ...
     def run(
         self, start: Array, evidence: tuple[Array, ...], stature: float, steps: Array, is_learning: bool

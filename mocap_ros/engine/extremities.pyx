@@ -666,15 +666,19 @@ cdef class Body:
                     )
 
     def complete(
-        self, double[:, :] states, Vector sizes, Stack joints, const double[:, :] std, Stack velocity, Rows velocity_std
+        self, double[:, :] states, Vector sizes, motion, const double[:, :] std, double[:, :, ::1] root_covariance
     ):
-        """Return all joints with what is known of them, (P, 26, ...), of people who are enlarged to their sizes (P,).
+        """Return all joints and what is known of them, (P, 26, ...), of people who are enlarged to their sizes (P,).
 
-        States (P, N) and cores (P, 15, ...), in m and m/s with their deviations, are of the assumed size. After these
-        four come quaternions x, y, z, w of the segments that turn about the joints or hold them, and whether their
-        turn about themselves is inferred; then the middles (P, 3) m of the cores. Errors of an offset and of the core
-        joint are independent.
+        States (P, N), `motion`, a `CoreMotion`, and deviations (P, 15) m of joints are of the assumed size; the
+        covariances (P, 3, 3) of roots and of their velocities are enlarged in place. Joints, velocities and their
+        deviations are followed by quaternions x, y, z, w of the segments that turn about the joints or hold them,
+        and by whether their turn about themselves is inferred; then come the middles (P, 3) m of the cores. Errors
+        of an offset and of the core joint are independent.
         """
+        cdef Stack joints = motion[0], velocity = motion[1]
+        cdef Rows velocity_std = motion[2]
+        cdef double[:, :, ::1] root_velocity_covariance = motion[3]
         cdef State* state
         cdef Py_ssize_t n, j, k, i, anchor, people = joints.shape[0], count = CORE + POINTS
         cdef double size, share
@@ -686,6 +690,9 @@ cdef class Body:
         cdef unsigned char[:, ::1] is_inferred = arrays[5].view(np.uint8)
         for n in range(people):
             state, size = <State*> &states[n, 0], sizes[n]
+            for k in range(9):
+                (&root_covariance[n, 0, 0])[k] *= size * size
+                (&root_velocity_covariance[n, 0, 0])[k] *= size * size
             for j in range(count):
                 k, anchor, share = 0, j, 0  # core joints have no offsets
                 if j >= CORE:
@@ -707,8 +714,8 @@ cdef class Body:
     ):
         """Return the states (F, N) after each frame of a sequence, and R and P (2, F, 5, 9) before its correction.
 
-        `start` (N,) is the state before the first frame; `evidence` an `ExtremityEvidence` of F frames; `steps` (F,) s
-        since the frame before, infinite for the first; `is_learning` whether the sizes are learned.
+        `start` (N,) is the state before the first frame; `evidence` an `ExtremityEvidence` of F frames; `steps` (F,)
+        s since the frame before, infinite for the first; `is_learning` whether the sizes are learned.
         """
         cdef Py_ssize_t f, count = steps.shape[0]
         cdef Stack core = evidence[0], lifted = evidence[1], lifted_std = evidence[2], rays = evidence[3]

@@ -47,9 +47,9 @@ cdef double STANDING = 3.0  # B
 cdef double MOVING = 4.0  # D
 cdef double HOLD_S = 1.0  # T
 cdef double MAX_STEP_S = 0.1  # longest time that one frame stands for
-# longer lines blur short stands, and in shorter ones a detector's noise hides them; frames of 30 Hz come a little late
+# longer lines blur short stands, and in shorter ones a detector's noise hides them; frames of 30 Hz may be late
 cdef double REACH_S = 0.11
-cdef double FORGOTTEN = 2 * atanh(0.05)  # |log f| of p within 0.025 of 1/2; so little is no knowledge, after about 3 s
+cdef double FORGOTTEN = 2 * atanh(0.05)  # |log f| of p within 0.025 of 1/2, which is no knowledge, after about 3 s
 
 
 cdef struct Memory:  # what is kept of the frames before, the fields of `solvers.footing.FOOTING`
@@ -382,8 +382,8 @@ def find_contacts(
 ):
     """Return the probabilities (F, 4) that heels and toes stand; NaN where unknown.
 
-    Rays and scores are of the core and of the extremities; core (F, J, 3) m, and feet (F, 4, 3) m about their ankles,
-    which are set to 0 where the window has only the ankles.
+    Rays and scores are of the core and of the extremities; core (F, J, 3) m, and feet (F, 4, 3) m about their
+    ankles, which are set to 0 where the window has only the ankles.
     """
     cdef Py_ssize_t t, k, frames = times.shape[0]
     cdef double[4] odds = [NAN, NAN, NAN, NAN]
@@ -394,8 +394,8 @@ def find_contacts(
     cdef double[:, ::1] out = result, evidence = np.empty((frames, POINTS))
     find_ankles(other_weight, frames, others, is_ankle)
     for t in range(frames):
-        follow_points(t, frames, times, rays, weight, other_rays, other_weight, core[t], feet[t], upward[t], legs, others,
-                      is_ankle, odds, &evidence[t, 0])
+        follow_points(t, frames, times, rays, weight, other_rays, other_weight, core[t], feet[t], upward[t], legs,
+                      others, is_ankle, odds, &evidence[t, 0])
         memcpy(&out[t, 0], odds, sizeof(odds))
     for t in range(frames - 1, -1, -1):
         for k in range(POINTS):
@@ -410,10 +410,10 @@ def follow_contacts(
     double[:, :] footings, Vector times, windows, frames, Stack core, double[:, :, ::1] feet, Vector upward,
     const long long[:, ::1] legs, Indices others,
 ):
-    """Overwrite odds, and what follows for feet, by those in a frame of each window, in which later ones take no part.
+    """Overwrite odds, and what follows for feet, by those in a frame of each window; later frames take no part.
 
-    `footings` and `times` as of `advance`; windows P `ObservedWindow`, frames indices in them; core (P, J, 3) m; else
-    as `find_contacts`.
+    `footings` and `times` as of `advance`; windows P `ObservedWindow`, frames indices in them; core (P, J, 3) m;
+    else as `find_contacts`.
     """
     cdef Py_ssize_t p, k, frame
     cdef double[4] evidence
@@ -427,8 +427,8 @@ def follow_contacts(
             continue
         other_rays, other_weight = (None, None) if window.extremities is None else window.extremities
         find_ankles(other_weight, frame + 1, others, is_ankle)
-        follow_points(frame, frame + 1, window.times, window.rays, window.weight, other_rays, other_weight, core[p],
-                      feet[p], upward, legs, others, is_ankle, own.log_odds, evidence)
+        follow_points(frame, frame + 1, window.times, window.rays, window.weight, other_rays, other_weight,
+                      core[p], feet[p], upward, legs, others, is_ankle, own.log_odds, evidence)
         for k in range(POINTS):
             if isnan(evidence[k]) and fabs(own.log_odds[k]) < FORGOTTEN:
                 own.log_odds[k] = NAN
@@ -461,11 +461,12 @@ def advance(
     cdef Py_ssize_t p
     cdef int i
     for p in range(footings.shape[0]):
-        own, model, squared, known = <Memory*> &footings[p, 0], choose_model(rint(1e4 * noise[p]) / 1e4, True), 0, 0
+        own, squared, known = <Memory*> &footings[p, 0], 0, 0
         if times[p] <= own.time_s:
             if times[p] == own.time_s:
                 memcpy(&core[p, 0, 0], own.core, sizeof(own.core))
             continue
+        model = choose_model(rint(1e4 * noise[p]) / 1e4, True)  # by steps of 0.1 mm
         step_s = 1.0 if isnan(own.time_s) else fmax(times[p] - own.time_s, MIN_STEP_S)
         find_points(core[p], feet[p], legs, root, points, tilts)
         for i in range(3):

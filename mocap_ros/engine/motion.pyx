@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 
-"""Where people are from frame to frame: states of the solution, filters, corrected velocities, and how certain it is.
+"""Where people are from frame to frame: states of the solution, filters, corrected velocities, their deviations.
 
 The formulas are in `tracking.solution`, `tracking.motion_filter`, `models.velocity_correction`, `models.joint_std`
 and `tracking.body_size`. Sizes: P people, J joints, F frames, K base poses, T spans of time, I inputs and H hidden
@@ -53,7 +53,7 @@ cdef double MAX_DEPTH_CHANGE = 0.3  # of the depth; a larger one from frame to f
 # Of corrected velocities: two thirds of the errors are within, of persons in no training as well.
 cdef double CORRECTED_STD = 0.7  # f
 cdef double CORRECTION_STD = 0.7  # g
-cdef double ROOT_SPREAD = 1.3  # h; errors of the root's velocity are often small and at times large: 95 % are within
+cdef double ROOT_SPREAD = 1.3  # h; errors of the root's velocity are at times large: 95 % are within
 # Of joints, as `models.joint_std` says.
 cdef double LIFTER_SEEN = 0.65  # f
 cdef double NOISE_SEEN = 0.9  # n
@@ -252,8 +252,8 @@ def filter_motion(
     `is_steady`, the filters are advanced in place before.
 
     `filters` (P, R), each as `tracking.motion_filter.MOTION`, with N = J + 1, NaN before the first frame; `times`
-    (P,) s, a frame that is not newer than the last changes nothing; where a filter is not at this time, the joints are
-    those located, and all else is NaN; `located` (P, J, 3) m; `image_noise` (P,) m, at the body.
+    (P,) s, a frame that is not newer than the last changes nothing; where a filter is not at this time, the joints
+    are those located, and all else is NaN; `located` (P, J, 3) m; `image_noise` (P,) m, at the body.
     """
     cdef Py_ssize_t p, j, i, people = located.shape[0], count = located.shape[1], size = 3 * (count + 1)
     cdef double variance
@@ -287,8 +287,8 @@ def filter_motion(
 cpdef build_inputs(past, Vector spans, Indices mirror, Indices hips):
     """Return the inputs x (P, 2, I) of people and of the mirror images, neither centred nor scaled.
 
-    `past` is a `VelocityPast`; `spans` (T,) s; `mirror` (J + 1,) counterparts of the joints and of the root; `hips`
-    (2,) indices.
+    `past` is a `VelocityPast`; `spans` (T,) s; `mirror` (J + 1,) counterparts of the joints and of the root;
+    `hips` (2,) indices.
     """
     cdef Stack velocity = past[0], joints = past[2], axes = past[4]
     cdef const double[:, :, :, ::1] earlier = past[3]
@@ -323,10 +323,11 @@ cpdef build_inputs(past, Vector spans, Indices mirror, Indices hips):
 
 
 cdef evaluate(layers, const double[:, :, ::1] inputs, double limit):
-    """Return what the network makes of inputs (P, 2, I): c_j and c_0 (P, 2, 3 (J + 1)) of people and mirror images."""
+    """Return c_j and c_0 (P, 2, 3 (J + 1)) of people and of the mirror images, by inputs (P, 2, I)."""
     cdef const float[::1] centre = layers[0], scale = layers[1], bias_0 = layers[3], bias_1 = layers[5]
     cdef const float[:, ::1] weight_0 = layers[2], weight_1 = layers[4]
-    cdef int rows = 2 * inputs.shape[0], width = inputs.shape[2], units = weight_0.shape[1], outputs = weight_1.shape[1]
+    cdef int rows = 2 * inputs.shape[0], width = inputs.shape[2]
+    cdef int units = weight_0.shape[1], outputs = weight_1.shape[1]
     cdef float one = 1
     cdef Py_ssize_t n, i
     cdef float[:, ::1] x = np.empty((rows, width), np.float32), hidden = np.empty((rows, units), np.float32)
@@ -342,8 +343,8 @@ cdef evaluate(layers, const double[:, :, ::1] inputs, double limit):
     for n in range(rows):
         for i in range(units):
             hidden[n, i] /= 1 + expf(-hidden[n, i])
-    sgemm(b"N", b"N", &outputs, &rows, &units, &one, <float*> &weight_1[0, 0], &outputs, &hidden[0, 0], &units, &one,
-          &out[0, 0, 0], &outputs)
+    sgemm(b"N", b"N", &outputs, &rows, &units, &one, <float*> &weight_1[0, 0], &outputs, &hidden[0, 0], &units,
+          &one, &out[0, 0, 0], &outputs)
     return result
 
 
@@ -351,10 +352,10 @@ def correct_velocity(
     layers, past, double[:, :, ::1] covariance, double limit, Py_ssize_t needed, double max_stds, Vector spans,
     Indices mirror, Indices hips,
 ):
-    """Correct velocities (the l_j limit them), their deviations and the covariances (P, 3, 3) of the roots in place.
+    """Correct velocities, limited by the l_j, their deviations and the covariances (P, 3, 3) of roots in place.
 
-    `layers` are the fields of `VelocityCorrection`; `limit` of the inputs, in standard deviations; `needed` index of
-    the span without which nothing is corrected; `max_stds` L; else as `build_inputs`.
+    `layers` are the fields of `VelocityCorrection`; `limit` of the inputs, in standard deviations; `needed` index
+    of the span without which nothing is corrected; `max_stds` L; else as `build_inputs`.
     """
     cdef double[:, :, ::1] velocity = past[0]
     cdef double[:, ::1] std = past[1]
@@ -424,7 +425,7 @@ def correct_velocity(
 
 
 def describe_cores(Rows posterior, evidence, Stack joints, Rows sizes, Rows shifts, Indices hips):
-    """Return the deviations (P, J) m of joints, as of `models.joint_std`, and the covariances (P, 3, 3) m^2 of roots.
+    """Return the deviations (P, J) m of joints, of `models.joint_std`, and the covariances (P, 3, 3) m^2 of roots.
 
     The covariances are `tracking.body_size`'s, but for the ratio. `posterior` (P, J) m of the solver;
     `evidence` an `ExtremityEvidence`; `joints` (P, J, 3) m; `sizes` (P, 3) the attributes of `BodySize`; `shifts`
@@ -446,7 +447,8 @@ def describe_cores(Rows posterior, evidence, Stack joints, Rows sizes, Rows shif
             is_seen, lifted = weight[p, j] > 0, &lifted_std[p, j, 0]
             length = sqrt(dot(lifted, lifted))
             if not isfinite(length):
-                std[p, j] = hypot((POSTERIOR_SEEN if is_seen else POSTERIOR_INFERRED) * posterior[p, j], POSTERIOR_FLOOR_M)
+                length = (POSTERIOR_SEEN if is_seen else POSTERIOR_INFERRED) * posterior[p, j]
+                std[p, j] = hypot(length, POSTERIOR_FLOOR_M)
             elif is_seen:
                 std[p, j] = hypot(LIFTER_SEEN / sqrt(ALONG) * lifted[2], NOISE_SEEN * noise[p])
             else:
@@ -463,3 +465,13 @@ def describe_cores(Rows posterior, evidence, Stack joints, Rows sizes, Rows shif
             covariance[p, i, i] += ACROSS * variance + square(noise[p])
         covariance[p, 2, 2] += square(sizes[p, 2] * root[2])
     return result, covariances
+
+
+def measure_stature(Rows lengths, Vector stature_per_bone):
+    """Return the mean stature in m of a person with bones of the lengths (F, B) m."""
+    cdef Py_ssize_t t, k
+    cdef double stature = 0
+    for t in range(lengths.shape[0]):
+        for k in range(lengths.shape[1]):
+            stature += lengths[t, k] * stature_per_bone[k]
+    return stature / lengths.shape[0]

@@ -169,12 +169,10 @@ def make_people(
     `cores`, with the deviations (P, 15) m and the covariances (P, 3, 3) m^2 of roots, are of the assumed size;
     `weight` (P, 26) are the scores of the joints; `unseen_for` (P,) s of people who are predicted.
     """
-    ratio, is_seen = np.array([size.ratio for size in sizes]), unseen_for is None
-    known = cores.joints, std, cores.velocity, cores.velocity_std
-    *whole, roots = BODY.complete(shown.filters[:, OF_EXTREMITIES], ratio, *known)
-    intrinsics, area = shown.tracks[0].intrinsics, (ratio * ratio)[:, None, None]
+    intrinsics, is_seen = shown.tracks[0].intrinsics, unseen_for is None
+    known = np.array([size.ratio for size in sizes]), cores, std, root_covariance
+    *whole, roots = BODY.complete(shown.filters[:, OF_EXTREMITIES], *known)
     scales, translations = (intrinsics.focal / roots[:, 2]).tolist(), intrinsics.project(roots)
-    root_covariance, root_velocity_covariance = area * root_covariance, area * cores.root_velocity_covariance
     joints, std, velocity, velocity_std, turns, turn_inferred, inferred = (
         values[:, : len(skeleton.joints)] for values in (*whole, weight == 0)
     )
@@ -201,7 +199,7 @@ def make_people(
                 velocity=velocity[p],
                 velocity_std=velocity_std[p],
                 root_covariance=root_covariance[p],
-                root_velocity_covariance=root_velocity_covariance[p],
+                root_velocity_covariance=cores.root_velocity_covariance[p],
                 age=(track.stamps_ns[frame] - track.first_ns) / NS_PER_S + age_s,
                 unseen_for=age_s,
                 skeleton=skeleton,

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array, copy_with
+from mocap_ros.engine import motion as engine
 from mocap_ros.geometry.interpolation import interpolate_linearly, interpolate_rotations
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import fit_rotation
@@ -99,8 +100,8 @@ class TrackSolution:
     @property
     def hidden_share(self) -> float:
         """Share of the stature that `models.joint_std` expects in depth that the poses do not have."""
-        seen = float(np.add.reduce(self.bone_lengths) @ self.model.skeleton.stature_per_bone)
-        return max(self.stature_ratio * self.model.stature * len(self.bone_lengths) / seen - 1, 0.0)
+        seen = engine.measure_stature(self.bone_lengths, self.model.skeleton.stature_per_bone)
+        return max(self.stature_ratio * self.model.stature / seen - 1, 0.0)
 
     def drop_oldest(self, frames: int) -> TrackSolution | None:
         """Return the solution without so many of the oldest frames; None if no solved frame is left."""
