@@ -34,7 +34,6 @@ from mocap_ros.keypoints.validation import (
     MAX_METRES,
     check_places,
     describe_other_unit,
-    find_first_fault,
     mark_unseen,
 )
 from mocap_ros.messages.keypoints import check_ids
@@ -173,10 +172,10 @@ class Tracker:
             raise InputError(f'ids: {len(names)} names for {len(given)} people')
         keypoints = np.asarray(given, np.float64)
         points, score = keypoints[..., :2], keypoints[..., 2]
-        if fault := find_first_fault(points, score):
+        points, score, fault = mark_unseen(points, score)
+        if fault:
             person, joint = fault.index
             raise InputError(f'people[{person}]: {fault.field}[{joint}]: {fault.what}')
-        points, score = mark_unseen(points, score)
         for i, largest in enumerate(np.fmax.reduce(points, axis=(1, 2)).tolist()):
             if largest <= MAX_METRES and (
                 other_unit := describe_other_unit(points[i], score[i], self._image_size[0])

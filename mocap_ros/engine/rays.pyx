@@ -8,7 +8,7 @@ The formulas are in `geometry.distortion`, `geometry.virtual_camera`, and `keypo
 Sizes: F frames, S keypoints of the detector, A alternatives, J joints of the model, E extremities.
 """
 
-from libc.math cimport INFINITY, NAN, exp, fabs, hypot, isfinite, sqrt, tan
+from libc.math cimport INFINITY, NAN, exp, fabs, hypot, isfinite, isinf, sqrt, tan
 
 import numpy as np
 
@@ -94,10 +94,13 @@ def undistort_points(Rows points, Vector lens):
     return result
 
 
-def mark_unseen(const double[:, :, :] points, const double[:, :] score):
-    """Return points (N, S, 2) px and scores (N, S) of N people, marked and scaled as of `validation.mark_unseen`."""
+def mark_unseen(const double[:, :, :] points, const double[:, :] score, double max_coordinate):
+    """Return points (N, S, 2) px and scores (N, S) as of `validation.mark_unseen`, and whether one of them is faulty.
+
+    A coordinate beyond `max_coordinate` px and an infinite score are.
+    """
     cdef Py_ssize_t n, s
-    cdef bint is_low = False, is_high = False
+    cdef bint is_low = False, is_high = False, is_faulty = False
     cdef double x, y, value, largest
     result = np.full((score.shape[0], score.shape[1], 2), NAN), np.zeros((score.shape[0], score.shape[1]))
     cdef double[:, :, ::1] out = result[0]
@@ -105,6 +108,8 @@ def mark_unseen(const double[:, :, :] points, const double[:, :] score):
     for n in range(score.shape[0]):
         for s in range(score.shape[1]):
             is_low, is_high = is_low or score[n, s] < -1, is_high or score[n, s] > 1
+            is_faulty = is_faulty or fabs(points[n, s, 0]) > max_coordinate or fabs(points[n, s, 1]) > max_coordinate
+            is_faulty = is_faulty or isinf(score[n, s])
     for n in range(score.shape[0]):
         largest = 1.0
         for s in range(score.shape[1]):
@@ -116,7 +121,7 @@ def mark_unseen(const double[:, :, :] points, const double[:, :] score):
                 largest = max(largest, value)
         for s in range(score.shape[1]):
             out_score[n, s] /= largest
-    return result
+    return result[0], result[1], bool(is_faulty)
 
 
 cdef double find_least_score(
@@ -196,11 +201,13 @@ def convert_to_rays(
     """Return rays (F, C, 2), scores (F, C) and evidence (F, C) of the core, and (F, E, 2) and (F, E) of extremities.
 
     Points (F, S, 2) in px with scores (F, S) below `min_score`, or NaN, are not seen; rays and scores are 0 where
-    nothing was seen. The J joints are the core, then the extremities, of which those too far from the core to belong to
-    it count as not seen. `weights` (A, J, S), `score_factor` (A, J), `shows` (J,) and `midway` (M, 3) are attributes of
-    `JointMap`; `lens` is `Distortion.parameters`; all joints are evidence where fewer than `min_evidence` of those that
-    are were seen; `anchors` (E, 2) the two joints of the core between which each extremity hangs, it stays where one was
-    not seen; `reach` (E,) largest distance from there, as a share of the diagonal of the core's points.
+    nothing was seen. The J joints are the core, then the extremities; those too far from the core to belong to it
+    count as not seen. Where fewer than `min_evidence` joints are seen evidence, all are evidence.
+
+    `weights` (A, J, S), `score_factor` (A, J), `shows` (J,) and `midway` (M, 3) are attributes of `JointMap`; `lens`
+    is `Distortion.parameters`; `anchors` (E, 2) the two joints of the core between which each extremity hangs, it
+    stays where one was not seen; `reach` (E,) largest distance from there, as a share of the diagonal of the core's
+    points.
     """
     cdef Py_ssize_t n, s, t, m, joints = score_factor.shape[1], core = joints - reach.shape[0]
     cdef int count

@@ -30,7 +30,7 @@ from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_imag
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.matching import Detection
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import describe_other_unit, find_first_fault, mark_unseen
+from mocap_ros.keypoints.validation import describe_other_unit, mark_unseen
 from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.units import NS_PER_S
 
@@ -119,11 +119,10 @@ def create_person(
     if len(keypoints) < len(joints):
         raise InputError(f'{len(keypoints)} keypoints, expected {len(joints)}')
     build_joint_map(joints)
-    points, score = keypoints[: len(joints), :2], keypoints[: len(joints), 2]
-    fault = find_first_fault(points, score)
+    points, score, fault = mark_unseen(keypoints[: len(joints), :2], keypoints[: len(joints), 2])
     if fault:
         raise InputError(f'{fault.field} of {joints[fault.index[0]]} is {fault.what}')
-    return Person2D(person_id, joints, *mark_unseen(points, score))
+    return Person2D(person_id, joints, points, score)
 
 
 def arrange_frames(people_by_image: Mapping[Any, Sequence[Person2D]], video: Video) -> Detections:

@@ -22,7 +22,7 @@ from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import check_places, describe_other_unit, find_first_fault, mark_unseen
+from mocap_ros.keypoints.validation import check_places, describe_other_unit, mark_unseen
 from mocap_ros.messages.camera_info import check_coefficients
 from mocap_ros.npz_file import write_npz
 from mocap_ros.skeleton import (
@@ -219,11 +219,10 @@ def validate_sequence(array_by_key: Mapping[str, NDArray[np.generic]]) -> Keypoi
     with naming('joint_names'):
         build_joint_map(joint_names)
     raw = arrays.read_numbers('keypoints', (frames, len(joint_names), 3))
-    fault = find_first_fault(raw[..., :2], raw[..., 2])
+    points, score, fault = mark_unseen(raw[..., :2], raw[..., 2])
     if fault:
         frame, joint = fault.index
         raise InputError(f'keypoints: frame {frame}: {fault.field} of {joint_names[joint]} is {fault.what}')
-    points, score = mark_unseen(raw[..., :2], raw[..., 2])
     image_size, camera_matrix, distortion = validate_camera(array_by_key)
     if not (score > 0).any() and (raw[..., :2] > 0).any():
         raise InputError('keypoints: every score is 0, which means not seen; write 1 where there are no scores')

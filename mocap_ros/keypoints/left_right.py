@@ -178,6 +178,4 @@ def exchange_sides(
     points: Array, weight: Array, is_swapped: NDArray[np.bool_], sides: BodySides
 ) -> tuple[Array, Array]:
     """Return points (F, J, 2) and weights (F, J) with left and right of some parts (F, 3) exchanged."""
-    if not np.count_nonzero(is_swapped):
-        return points, weight
     return engine.exchange_sides(points, weight, is_swapped.view(np.uint8), sides.mirror, sides.part)

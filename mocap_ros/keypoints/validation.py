@@ -39,10 +39,7 @@ class Fault:
     what: str  # the value, and what was expected instead
 
 
-def find_first_fault(points: Array, score: Array) -> Fault | None:
-    """Find the first coordinate beyond `MAX_COORDINATE_PX` or infinite score; NaN is no fault."""
-    if not (np.count_nonzero(np.abs(points) > MAX_COORDINATE_PX) or np.count_nonzero(np.isinf(score))):
-        return None
+def _find_first_fault(points: Array, score: Array) -> Fault | None:
     for field, is_faulty, values, expected in (
         ('x', np.abs(points[..., 0]) > MAX_COORDINATE_PX, points[..., 0], 'a finite number of px'),
         ('y', np.abs(points[..., 1]) > MAX_COORDINATE_PX, points[..., 1], 'a finite number of px'),
@@ -54,16 +51,18 @@ def find_first_fault(points: Array, score: Array) -> Fault | None:
     return None
 
 
-def mark_unseen(points: Array, score: Array) -> tuple[Array, Array]:
+def mark_unseen(points: Array, score: Array) -> tuple[Array, Array, Fault | None]:
     """Mark joints that were not seen, by NaN in points (..., J, 2) px and 0 in scores (..., J).
 
     So are points of NaN, (0, 0) or (-1, -1) and scores of 0, less or NaN. Scores of which some are below -1 and
     some above 1 are logits, and become 1 / (1 + exp(-score)). The scores of a person are divided by the largest
-    where that exceeds 1.
+    where that exceeds 1. Returns points, scores, and the first coordinate beyond `MAX_COORDINATE_PX` or infinite
+    score, if there is one; NaN is no fault.
     """
     people = points.reshape(-1, *points.shape[-2:]), score.reshape(-1, score.shape[-1])
-    seen_points, seen_score = engine.mark_unseen(*people)
-    return seen_points.reshape(points.shape), seen_score.reshape(score.shape)
+    seen_points, seen_score, is_faulty = engine.mark_unseen(*people, MAX_COORDINATE_PX)
+    fault = _find_first_fault(points, score) if is_faulty else None
+    return seen_points.reshape(points.shape), seen_score.reshape(score.shape), fault
 
 
 def describe_other_unit(points: Array, score: Array, image_width: int) -> str:

@@ -148,7 +148,7 @@ def decode_body(raw: bytes, body_id: str, size: ImageSize, limits: NodeConfig) -
             'the parameters node.image_width and node.image_height give it'
         )
     numbers = np.array([(p.x, p.y, p.c) for p in message.skeleton], np.float64)
-    points, _ = mark_unseen(numbers[:, :2], numbers[:, 2])  # what marks unseen ones is no share of the image
+    points, *_ = mark_unseen(numbers[:, :2], numbers[:, 2])  # what marks unseen ones is no share of the image
     person_id = validate_text(body_id, 'id', limits)
     return header, validate_person(person_id, HRI18, points * size, numbers[:, 2], 0, 'skeleton')
 

@@ -17,7 +17,7 @@ from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError, naming
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import describe_other_unit, find_first_fault, mark_unseen
+from mocap_ros.keypoints.validation import describe_other_unit, mark_unseen
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, decode_input, validate_header, validate_text
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.skeleton import LAYOUT_NAMES, keypoint_layout
@@ -91,10 +91,9 @@ def validate_person(
     `field` names the field that holds the keypoints; empty where x, y and score are fields themselves.
     """
     prefix = f'{field}: ' if field else ''
-    fault = find_first_fault(points, score)
+    points, score, fault = mark_unseen(points, score)
     if fault is not None:
         raise InputError(f'{prefix}{fault.field}[{fault.index[0]}]: {fault.what}')
-    points, score = mark_unseen(points, score)
     if other_unit := describe_other_unit(points, score, image_width):
         raise InputError(f'{prefix}x, y: {other_unit}')
     return Person2D(person_id, joints, points, score)

@@ -163,9 +163,10 @@ class Track:
 
     def _correct_sides(self, times: Array, lifted: LiftedPoses | None) -> None:
         """Undo the swaps of left and right, and face the person; the first frames have lifted poses."""
-        is_swapped, sides = self.swap_filter.is_swapped, self.swap_filter.sides
-        rays, weight = exchange_sides(self.rays, self.weight, is_swapped, sides)
-        extremities = self.extremities.exchange_sides(is_swapped)
+        rays, weight, extremities, swapped = self.rays, self.weight, self.extremities, self.swap_filter.is_swapped
+        if np.count_nonzero(swapped):
+            rays, weight = exchange_sides(rays, weight, swapped, self.swap_filter.sides)
+            extremities = extremities.exchange_sides(swapped)
         camera = VirtualCamera.look_at_mean_position(rays, weight, self.intrinsics)
         seen = times, rays, weight, camera, self.focal
         self.observed = ObservedWindow(*seen, lifted, extremities, self.is_evidence)
