@@ -17,7 +17,7 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mocap_ros.tracking.hypotheses import HypothesisChecker, Slices, classify_as_other
+from mocap_ros.tracking.hypotheses import HypothesisChecker, Slices, classify_as_other, still_repeats
 from mocap_ros.tracking.track import Track
 
 FRAME_BUDGET = 75_000  # elements; 2 to 3 ms of a core, so that the next frame does not wait
@@ -55,7 +55,7 @@ class DeferredWork:
         newest = [t for t in tracks if t.stamps_ns[-1] == stamp_ns and not t.is_tentative]
         for track in newest:
             track.schedule.restart_if_noise_rose(track.solved.noise, stamp_ns, len(self.turns))
-            if not self.checker.still_repeats(track, track.schedule.classification):
+            if not still_repeats(track, track.schedule.motion):
                 track.schedule.finish_classification(stamp_ns, classify_as_other(track))
         work, self.begun = self.begun, None
         if work is not None and not any(t is work.track for t in tracks):
@@ -108,7 +108,7 @@ def _classify(checker: HypothesisChecker, then: Track, now: Track) -> Slices[Non
     """Classify the motion of a track as it was, and change the track as it is now."""
     yield WINDOW_COST
     found = yield from checker.classify_motion(then)
-    if found is not None and not checker.still_repeats(now, found):
+    if found is not None and not still_repeats(now, found):
         found = classify_as_other(now)
     now.schedule.finish_classification(then.stamps_ns[-1], found)
 

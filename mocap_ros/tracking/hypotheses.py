@@ -51,7 +51,6 @@ from mocap_ros.solvers.leading_prior import can_base_poses_lead, explains_as_wel
 from mocap_ros.solvers.levenberg_marquardt import Stepwise
 from mocap_ros.solvers.periodic import EstimatedPoses
 from mocap_ros.solvers.window import InitialValues, Window, choose_initial_values
-from mocap_ros.tracking.schedule import Classification
 from mocap_ros.tracking.solution import TrackSolution, select_start
 from mocap_ros.tracking.track import Track
 
@@ -230,7 +229,7 @@ class HypothesisChecker:
         (refined,) = yield from slice_work(solve_stepwise([window], model, solver), len(frames), len(model.std))
         return interpolate(refined, observed, frames, model_name, model, solution)
 
-    def classify_motion(self, track: Track) -> Slices[Classification | None]:
+    def classify_motion(self, track: Track) -> Slices[Motion | None]:
         """Classify the newest section of a solved track as periodic or not (TPAMI 2016, section 4.9).
 
         None if a section is not almost full yet, or no model is periodic. Motion that repeats itself at no cadence
@@ -247,7 +246,7 @@ class HypothesisChecker:
         for name in self._order_periodic_models(track, periodic_names):
             motion = yield from self._fit_periodic_motion(track, name)
             if motion is not None:
-                return Classification(motion, name)
+                return motion
         return classify_as_other(track)
 
     def _choose_section(self, track: Track) -> float:
@@ -262,7 +261,8 @@ class HypothesisChecker:
         """
         schedule, own_name = track.schedule, track.solved.model_name
         by_speed = 'run' if self._measure_speed(track) > MIN_RUN_SPEED_M_S else 'walk'
-        candidates = [schedule.classification.periodic_model_name, own_name, by_speed, *periodic_names]
+        before = [schedule.motion.category] if schedule.is_periodic else []
+        candidates = [*before, own_name, by_speed, *periodic_names]
         likeliest = next(n for n in candidates if n in periodic_names)
         rest = [n for n in periodic_names if n != likeliest]
         if schedule.is_periodic:
@@ -297,13 +297,6 @@ class HypothesisChecker:
             return None
         return Motion(MotionKind.PERIODIC, name, fit.residual, fit.reconstruction.cadence)
 
-    def still_repeats(self, track: Track, classification: Classification) -> bool:
-        """Return whether a track's newest motion may be periodic as a classification of it says."""
-        if classification.motion.kind is not MotionKind.PERIODIC:
-            return True
-        times, theta, cadence = track.observed.times, track.solved.theta, classification.motion.cadence
-        return not engine.measure_repetition(times, theta, cadence) < MIN_REPETITION
-
     def _current_poses(self, track: Track, start: InitialValues) -> EstimatedPoses:
         """Return the poses of the track's solution, with the bias of its noise estimate removed."""
         has_lifter = track.observed.lifted is not None
@@ -314,7 +307,14 @@ class HypothesisChecker:
         return EstimatedPoses(joints, start.cameras.scale, noise, measure_jitter(times, images))
 
 
-def classify_as_other(track: Track) -> Classification:
-    """Return the classification of a solved track whose motion is not periodic."""
-    solution = track.solved
-    return Classification(Motion(MotionKind.NON_PERIODIC, solution.model_name, solution.residual, math.nan), '')
+def still_repeats(track: Track, motion: Motion) -> bool:
+    """Return whether a track's newest motion may be periodic as a classification of it says."""
+    if motion.kind is not MotionKind.PERIODIC:
+        return True
+    repetition = engine.measure_repetition(track.observed.times, track.solved.theta, motion.cadence)
+    return not repetition < MIN_REPETITION
+
+
+def classify_as_other(track: Track) -> Motion:
+    """Return the motion of a solved track that is not periodic."""
+    return Motion(MotionKind.NON_PERIODIC, track.solved.model_name, track.solved.residual, math.nan)

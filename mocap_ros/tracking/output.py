@@ -179,8 +179,8 @@ def make_people(
     contact = shown.filters[:, STANDING].copy()
     people = []
     for p, (track, frame, solution) in enumerate(zip(shown.tracks, shown.frames, shown.solutions, strict=True)):
-        classification = track.schedule.classification
-        motion, category = classification.motion, classification.periodic_model_name or solution.model_name
+        motion = track.schedule.motion
+        category = motion.category if track.schedule.is_periodic else solution.model_name
         age_s = 0.0 if unseen_for is None else unseen_for[p]
         people.append(
             Person3D(

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from mocap_ros.people import Motion, MotionKind
 from mocap_ros.units import NS_PER_S
@@ -26,15 +25,8 @@ RESUMED_CLASSIFICATION_INTERVAL_S = 0.25  # s; for a person who has walked or ru
 RESUME_WITHIN_S = 10.0  # s; for so long after a walk it is expected to go on, which costs classifications
 
 
-class Classification(NamedTuple):
-    """Kind of motion of a track's window, and the name of the periodic model; empty if it is not periodic."""
-
-    motion: Motion
-    periodic_model_name: str
-
-
 # Of a track before its window is long enough to be classified.
-UNKNOWN = Classification(Motion(MotionKind.UNKNOWN, '', math.nan, math.nan), '')
+UNKNOWN = Motion(MotionKind.UNKNOWN, '', math.nan, math.nan)
 
 
 @dataclass(eq=False)
@@ -52,7 +44,7 @@ class CheckSchedule:
     baseline_noise: float = math.inf
     next_classification_ns: int = 0  # ns, stamp at which the motion is to be classified again
     classification_count: int = 0
-    classification: Classification = UNKNOWN
+    motion: Motion = UNKNOWN  # kind of motion of the window; its category is the model by which it was classified
     # ns, stamp of the last classification that found periodic motion; None if none did, or if that is long ago
     last_periodic_ns: int | None = None
 
@@ -102,7 +94,7 @@ class CheckSchedule:
     @property
     def is_periodic(self) -> bool:
         """Whether the motion is periodic."""
-        return self.classification.motion.kind is MotionKind.PERIODIC
+        return self.motion.kind is MotionKind.PERIODIC
 
     @property
     def may_resume(self) -> bool:
@@ -120,10 +112,10 @@ class CheckSchedule:
         """Schedule the next classification an interval after a stamp in ns."""
         self.next_classification_ns = stamp_ns + round(self.classification_interval_s * NS_PER_S)
 
-    def finish_classification(self, stamp_ns: int, classification: Classification | None) -> None:
+    def finish_classification(self, stamp_ns: int, motion: Motion | None) -> None:
         """End a classification, begun at a stamp in ns; None if the window is too short for one."""
-        if classification is not None:
-            self.classification = classification
+        if motion is not None:
+            self.motion = motion
             self.classification_count += 1
         if self.is_periodic:
             self.last_periodic_ns = stamp_ns

@@ -16,8 +16,8 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.people import Motion, MotionKind
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, WINDOW_COST, DeferredWork, Work
-from mocap_ros.tracking.hypotheses import HypothesisChecker, Slices, classify_as_other
-from mocap_ros.tracking.schedule import NEW_TRACK_S, CheckSchedule, Classification
+from mocap_ros.tracking.hypotheses import HypothesisChecker, Slices, classify_as_other, still_repeats
+from mocap_ros.tracking.schedule import NEW_TRACK_S, CheckSchedule
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
 from mocap_ros.tracking.tracker import Tracker
@@ -112,14 +112,13 @@ def test_first_solutions_have_all_frames_and_the_likeliest_model(track: Track, c
 
 
 def test_a_walk_of_a_full_section_is_classified(track: Track, checker: HypothesisChecker) -> None:
-    classification = finish(checker.classify_motion(track))
-    assert classification is not None
-    assert (classification.motion.kind, classification.periodic_model_name) == (MotionKind.PERIODIC, 'walk')
+    motion = finish(checker.classify_motion(track))
+    assert motion is not None
+    assert (motion.kind, motion.category) == (MotionKind.PERIODIC, 'walk')
     strict = with_settings(CONFIG, {'classifier.amplitude': 0.9})
     other = finish(replace(checker, config=strict).classify_motion(track))
     assert other is not None
-    assert (other.motion.kind, other.periodic_model_name) == (MotionKind.NON_PERIODIC, '')
-    assert other.motion.category == 'walk'
+    assert (other.kind, other.category) == (MotionKind.NON_PERIODIC, 'walk')
 
 
 def test_a_short_section_is_enough_for_who_has_walked_before(track: Track, checker: HypothesisChecker) -> None:
@@ -127,12 +126,12 @@ def test_a_short_section_is_enough_for_who_has_walked_before(track: Track, check
     assert finish(checker.classify_motion(track)) is None, '1.5 s of 2 s'
     other = classify_as_other(track)
     walked = track.copy()
-    walked.schedule.last_periodic_ns, walked.schedule.classification = 0, other
-    classification = finish(checker.classify_motion(walked))
-    assert classification is not None
-    assert (classification.motion.kind, classification.periodic_model_name) == (MotionKind.PERIODIC, 'walk')
-    assert checker.still_repeats(walked, classification)
-    assert checker.still_repeats(walked, other), 'other motion need not repeat itself'
+    walked.schedule.last_periodic_ns, walked.schedule.motion = 0, other
+    motion = finish(checker.classify_motion(walked))
+    assert motion is not None
+    assert (motion.kind, motion.category) == (MotionKind.PERIODIC, 'walk')
+    assert still_repeats(walked, motion)
+    assert still_repeats(walked, other), 'other motion need not repeat itself'
 
 
 CHECK_SLICES, CHECK_COST = 20, 12_000
@@ -154,7 +153,7 @@ class IdleChecker(HypothesisChecker):
         self.checked.append(track.id)
         return None
 
-    def classify_motion(self, track: Track) -> Slices[Classification | None]:
+    def classify_motion(self, track: Track) -> Slices[Motion | None]:
         yield CHECK_COST
         self.classified.append(track.id)
         return None
@@ -295,11 +294,11 @@ def test_periodic_motion_ends_with_the_repetition(idle: Track, checker: Hypothes
     theta = np.sin(phase + np.arange(idle.solved.theta.shape[1]))
     theta[-9:] = 3.0 if stops else theta[-9:]
     idle.solution = replace(idle.solved, theta=theta)
-    idle.schedule.classification = Classification(WALK, 'walk')
+    idle.schedule.motion = WALK
     make_work(IdleChecker(checker.models, CONFIG)).advance([idle], NOW)
-    found = idle.schedule.classification
-    assert (found.motion.kind is MotionKind.NON_PERIODIC) == stops
-    assert found.periodic_model_name == ('' if stops else 'walk')
+    found = idle.schedule.motion
+    assert (found.kind is MotionKind.NON_PERIODIC) == stops
+    assert found.category == 'walk'
 
 
 def check(schedule: CheckSchedule, stamp_s: float, age_s: float, noise: float = 0.01) -> float:
