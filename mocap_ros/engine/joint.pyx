@@ -99,12 +99,13 @@ cdef double MIN_TOTAL_WEIGHT = 1e-12  # guards the division by the weights of a 
 cdef double MIN_LENGTH = 1e-9  # m; guards the division by the length of a bone
 cdef double MAX_LOG_SCALE_STEP = 1  # of one step; a larger one is a failed linearisation
 cdef double MIN_DIAGONAL = 1e-12  # added to the diagonal, for unknowns on which nothing depends
+cdef double LARGE = 1e300  # keeps a matrix positive definite whatever is subtracted
 cdef double MIN_INFORMATION = 1e-9  # m^2; keeps a block solvable in which the image does not determine an unknown
 cdef double MIN_DAMPING = 1e-5  # relative; a smaller damping changes no digit of a step that matters
 cdef double MAX_DAMPING = 1e8  # relative; a sequence whose steps are still refused under more is at its minimum
 cdef double DAMPING_AFTER_SUCCESS = 0.2  # factor; tuned on CMU views for few steps, as the next
 cdef double DAMPING_AFTER_FAILURE = 10
-DAMPINGS = MIN_DAMPING, MAX_DAMPING, DAMPING_AFTER_SUCCESS, DAMPING_AFTER_FAILURE  # for `solvers.levenberg_marquardt`
+DAMPINGS = MIN_DAMPING, MAX_DAMPING, DAMPING_AFTER_SUCCESS, DAMPING_AFTER_FAILURE  # for `periodic`
 cdef double ROUGHNESS_STEP_S = 1.0 / 30  # s between the frames of which third differences are taken
 cdef double MAX_ROUGHNESS_STEP_S = 0.05  # s; third differences over longer ones are those of the motion
 cdef double ROUGHNESS_LOSS_M = 0.02  # m; c of the loss of third differences: joints jump in single frames
@@ -267,9 +268,9 @@ cdef class JointProblem:
     cdef unsigned char[::1] done, outdated, has_step
     cdef double[:, :, ::1] last_factor  # (P, n, n) of the last step: U_tt of the last frame, filled up
     # working memory: J and (S J, m, U), (3 J, n + 3) filled up; the rows of a sequence, and of a frame alone
-    cdef double[:, ::1] jacobian, weighted, alone, border, products, step, by_translation
+    cdef double[:, ::1] jacobian, weighted, alone, products, step, by_translation
     cdef double[:, :, ::1] system, feature_jacobian
-    cdef double[::1] along, pose
+    cdef double[::1] along, pose, means
 
     def __init__(self, objective, arrays):
         batch, K, differences = objective.batch, len(objective.prior), objective.differences
@@ -316,8 +317,7 @@ cdef class JointProblem:
         self.jacobian[:, :K] = self.basis
         self.system = np.zeros((largest, rows, (1 + D) * size + right))
         self.alone = np.zeros((rows, size + pad_columns(3 * J)))
-        self.products = np.zeros((right, right))
-        self.border = np.zeros((pad_rows(B), pad_columns(B) + TILE_COLUMNS))
+        self.products, self.means = np.zeros((right, right)), np.zeros(right)
         self.step, self.feature_jacobian = np.zeros((largest, size)), np.empty((largest, FEATURES, CAMERA))
         self.along, self.pose, self.by_translation = np.empty(K), np.empty(3 * J), np.zeros((2, width))
 
@@ -641,32 +641,26 @@ cdef class JointProblem:
                 row[(1 + D) * size + B] = self.equations[t, i, n]
         if not factorise_blocks(&system):
             return False
-        # F I - V^T V, and V^T y beside it
+        # (F I - V^T V, -V^T y) and a last row with any large r on the diagonal: U^-1 (0, r^(1/2)) is (-z, 1)
         memset(&self.products[0, 0], 0, right * right * sizeof(double))
         for t in range(end - start):
             solved = &self.system[t, 0, (1 + D) * size]
             for i from 0 <= i < right by TILE_ROWS:
                 for j from i // TILE_COLUMNS * TILE_COLUMNS <= j < right by TILE_COLUMNS:
                     add_products(0, n, -1, solved + i, solved + j, stride, &self.products[i, j], right, NULL)
-        means = System(1, B, 0, B, TILE_COLUMNS, self.border.shape[1], &self.border[0, 0])
-        memset(&self.border[0, 0], 0, self.border.shape[0] * self.border.shape[1] * sizeof(double))
-        for i in range(B):
-            memcpy(&self.border[i, 0], &self.products[i, 0], B * sizeof(double))
-            self.border[i, i] += self.counts[p] + self.earlier_frames[p]
-            self.border[i, pad_columns(B)] = self.products[i, B]
+        for b in range(B):
+            self.products[b, b] += self.counts[p] + self.earlier_frames[p]
+        self.products[B, B] = LARGE
+        means = System(1, B + 1, 0, B + 1, 0, right, &self.products[0, 0])
         if not factorise_blocks(&means):
             return False
-        memset(&self.products[0, 0], 0, right * sizeof(double))
-        for b in range(B):
-            self.products[0, b] = self.border[b, pad_columns(B)]
-        solve_backward(&means, &self.products[0, 0])
-        for b in range(B):
-            self.products[0, b] *= -1
-        self.products[0, B] = 1
+        memset(&self.means[0], 0, right * sizeof(double))
+        self.means[B] = 1 / self.products[B, B]
+        solve_backward(&means, &self.means[0])
         memset(&self.step[0, 0], 0, self.counts[p] * size * sizeof(double))
         for t in range(end - start):
             for i in range(n):
-                self.step[t, i] = add_up(right, &self.system[t, i, (1 + D) * size], &self.products[0, 0])
+                self.step[t, i] = add_up(right, &self.system[t, i, (1 + D) * size], &self.means[0])
         solve_backward(&system, &self.step[0, 0])
         for i in range(n):
             memcpy(&self.last_factor[p, i, 0], &self.system[end - start - 1, i, 0], size * sizeof(double))
@@ -751,52 +745,50 @@ cdef class JointProblem:
                 squares += weight * compute_loss(total, ROUGHNESS_LOSS_M)
         return sqrt(max(squares / (2 * points) - MOTION_ROUGHNESS_M * MOTION_ROUGHNESS_M, 0.0)) if points > 0 else 0
 
+    cdef void write_alone(self, const Frame* f, const double* block, int stride) noexcept nogil:
+        """Write the rows (A, J^T) of one frame, with the block A of rows of this length."""
+        cdef int i, j
+        self.write_jacobian(f)
+        for i in range(self.unknowns):
+            memcpy(&self.alone[i, 0], block + i * stride, self.unknowns * sizeof(double))
+            for j in range(3 * self.joints):
+                self.alone[i, pad_columns(self.unknowns) + j] = self.jacobian[j, i]
+
     cdef double count_absorbed_coordinates(self, int p, int t) noexcept nogil:
         """Return how many image coordinates of a frame its unknowns fit away while its neighbours are held.
 
         It is tr(A_t^-1 D_t) + 2, with D_t = sum_j v_j C_j^T C_j - u u^T / w the part of the block A_t that the
         reprojection has added, C_j = E_j s R J_j and u = sum_j v_j C_j^T, and the two coordinates that the
-        translation takes. With A_t = U^T U it follows from the U^-T (v_j^(1/2) C_j^T).
+        translation takes. With A_t = U^T U it follows from the products of U^-T J_j^T.
         """
         cdef int i, j, k, a, n = self.unknowns, size = pad_columns(n), stride = self.alone.shape[1]
-        cdef double total = 0, w = 0, root
-        cdef double row[3]
-        cdef double moved[2]
-        cdef double* out
+        cdef double total = 0, w = 0, value, scale
+        cdef double[3] row
         cdef Joint m
         cdef Frame f = self.view(&self.linearised[t, 0])
-        cdef System system = System(1, n, 0, n, pad_columns(2 * self.joints), stride, &self.alone[0, 0])
-        self.write_jacobian(&f)
+        cdef System system = System(1, n, 0, n, stride - size, stride, &self.alone[0, 0])
+        self.write_alone(&f, &self.equations[t, 0, 0], self.equations.shape[2])
         for i in range(n):
-            memset(&self.alone[i, 0], 0, stride * sizeof(double))
-            memcpy(&self.alone[i, 0], &self.equations[t, i, 0], n * sizeof(double))
             self.alone[i, i] += MIN_INFORMATION
+            self.by_translation[0, i] = self.by_translation[1, i] = 0
+        if not factorise_blocks(&system):
+            return 2
+        scale = exp(f.log_scale[0])
         for j in range(self.joints):
             m = self.linearise_joint(p, t, j, &f, False)
             w += m.v
             for a in range(2):
                 for k in range(3):
-                    row[k] = exp(f.log_scale[0]) * (f.rotation[3 * a + k] + (m.b if a else m.a) * f.rotation[6 + k])
-                    row[k] *= sqrt(m.v)
-                out = &self.alone[0, size + 2 * j + a]
+                    row[k] = scale * (f.rotation[3 * a + k] + (m.b if a else m.a) * f.rotation[6 + k])
                 for i in range(n):
-                    out[i * stride] = (
-                        row[0] * self.jacobian[3 * j, i] + row[1] * self.jacobian[3 * j + 1, i]
-                        + row[2] * self.jacobian[3 * j + 2, i]
-                    )
-                self.pose[2 * j + a] = sqrt(m.v)
-        if not factorise_blocks(&system):
-            return 2
-        for i in range(n):
-            moved[0] = moved[1] = 0
-            out = &self.alone[i, size]
-            for j in range(self.joints):
-                for a in range(2):
-                    root = out[2 * j + a]
-                    total += root * root
-                    moved[a] += self.pose[2 * j + a] * root
-            if w > 0:
-                total -= (moved[0] * moved[0] + moved[1] * moved[1]) / w
+                    value = 0
+                    for k in range(3):
+                        value += row[k] * self.alone[i, size + 3 * j + k]
+                    total += m.v * value * value
+                    self.by_translation[a, i] += m.v * value
+        for i in range(n if w > 0 else 0):
+            for a in range(2):
+                total -= self.by_translation[a, i] * self.by_translation[a, i] / w
         return 2 + total
 
     def measure_misfit(self):
@@ -859,12 +851,8 @@ cdef class JointProblem:
             if not self.has_step[p]:
                 continue
             f = self.view(&self.current[self.starts[p] + self.counts[p] - 1, 0])
-            self.write_jacobian(&f)
-            memset(&self.alone[0, 0], 0, self.alone.shape[0] * stride * sizeof(double))
-            for i in range(n):
-                memcpy(&self.alone[i, 0], &self.last_factor[p, i, 0], size * sizeof(double))
-                for j in range(3 * self.joints if i < n - 1 else 0):  # the scale moves no joint
-                    self.alone[i, size + j] = self.jacobian[j, i]
+            self.write_alone(&f, &self.last_factor[p, 0, 0], size)
+            memset(&self.alone[n - 1, size], 0, 3 * self.joints * sizeof(double))  # the scale moves no joint
             solve_forward(n, stride - size, stride, &self.alone[0, 0])
             for j in range(self.joints):
                 total = 0

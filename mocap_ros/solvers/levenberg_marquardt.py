@@ -18,13 +18,10 @@ from typing import Protocol, TypeAlias, TypeVar
 import numpy as np
 
 from mocap_ros.arrays import Array
-from mocap_ros.engine import joint as engine
 
 Result = TypeVar('Result')
 
 Stepwise: TypeAlias = Generator[None, None, Result]
-
-MIN_DAMPING, MAX_DAMPING, DAMPING_AFTER_SUCCESS, DAMPING_AFTER_FAILURE = engine.DAMPINGS  # explained there
 
 
 class Problem(Protocol):
