@@ -283,7 +283,7 @@ class RunSummary:
             before = self._residual_share if math.isfinite(self._residual_share) else mean[2]
             self._residual_share = before + fresh * (mean[2] - before)
         self._last_ns = stamp_ns
-        self._follow(stamp_ns, detections, intrinsics, vertical, config)
+        self._follow(stamp_ns, detections, intrinsics, config)
 
     def count(self, verdict: Verdict) -> None:
         """Count a message of people; those skipped for a backlog say nothing about the input."""
@@ -307,12 +307,7 @@ class RunSummary:
             self._walk.add(walker.id, stamp_ns, walker.joints)
 
     def _follow(
-        self,
-        stamp_ns: int,
-        detections: Sequence[Person2D],
-        intrinsics: Intrinsics,
-        vertical: CameraVertical | None,
-        config: Config,
+        self, stamp_ns: int, detections: Sequence[Person2D], intrinsics: Intrinsics, config: Config
     ) -> None:
         """Collect the points of one person, and begin to measure them when there are enough."""
         if self._readings or stamp_ns < self._rest_ns:
@@ -341,7 +336,7 @@ class RunSummary:
         keypoints = np.concatenate([[p.points for _, p in self._followed], score[..., None]], axis=-1)
         times = np.array([(ns - start_ns) / NS_PER_S for ns, _ in self._followed])
         # One that was found rests on these points: for it, a y axis upwards is a camera that is upside down.
-        given = vertical.direction if vertical and vertical.is_given else None
+        given = self._vertical.direction if self._vertical and self._vertical.is_given else None
         stretch = make_stretch(keypoints, person.joints, times, intrinsics, given)
         self._followed, self._rest_ns = [], stamp_ns + round(MEMORY_S * NS_PER_S)
         self._is_sparse = stretch is None

@@ -72,15 +72,9 @@ class _Packer:
         steps = np.diff(unsigned, axis=0, prepend=np.zeros((1, rows.shape[1]), unsigned.dtype))
         columns = np.ascontiguousarray(steps.T.astype(unsigned.dtype))
         planes = columns.view(np.uint8).reshape(-1, rows.itemsize).T
-        description = {
-            'offset': self._size,
-            'rows': rows.shape[0],
-            'columns': rows.shape[1],
-            'size': rows.itemsize,
-        }
         self._parts.append(self._compressor.compress(planes.tobytes()))
-        self._size += planes.size
-        return description
+        offset, self._size = self._size, self._size + planes.size
+        return {'offset': offset, 'rows': rows.shape[0], 'columns': rows.shape[1], 'size': rows.itemsize}
 
     def finish(self) -> str:
         """Return all arrays compressed, as base64."""
@@ -123,14 +117,11 @@ def _read(name: str) -> str:
 
 def _describe_scene(scene: Scene, packer: _Packer) -> dict[str, Any]:
     """Add the arrays of a scene to the packer, and return all else that the script needs."""
-    metre_step = max(_find_step([p.joints for p in scene.people]), MIN_METRE_STEP)
-    if scene.truth is not None:
-        metre_step = max(metre_step, _find_step([scene.truth]))
+    truths = [] if scene.truth is None else [scene.truth]
+    metre_step = max(_find_step([*(p.joints for p in scene.people), *truths]), MIN_METRE_STEP)
     pixel_step = max(MAX_IMAGE_SIZES * max(scene.image_size) / MAX_INT16, MIN_PIXEL_STEP)
     tick_s = max(TICK_S, float(np.abs(scene.times).max(initial=0.0)) / np.iinfo(np.int32).max)
-    truth = None
-    if scene.truth is not None:
-        truth = {'arrays': {'joints': packer.add(round_to_int16(scene.truth, metre_step))}}
+    packed = [{'arrays': {'joints': packer.add(round_to_int16(truth, metre_step))}} for truth in truths]
     return {
         'title': make_printable(scene.title),
         'tickS': tick_s,
@@ -153,7 +144,7 @@ def _describe_scene(scene: Scene, packer: _Packer) -> dict[str, Any]:
             for index in range(len(scene.people))
         ],
         'keypoints': [_describe_keypoints(k, packer, pixel_step) for k in scene.keypoints],
-        'truth': truth,
+        'truth': packed[0] if packed else None,
         'images': scene.images
         and {'frames': scene.images.frames.tolist(), 'sizes': [len(jpeg) for jpeg in scene.images.jpegs]},
         'camera': describe_camera(scene.image_size, scene.intrinsics),
