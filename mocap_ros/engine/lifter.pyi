@@ -19,9 +19,6 @@ def sample_histories(
     max_gap_s: float,
     tolerance_s: float,
 ) -> tuple[Array, Array, Array]: ...
-def append_lifted(
-    windows: Sequence[Any], joints: Array, std: Array, cameras: Array
-) -> list[tuple[Array, Array]]: ...
 def encode(
     points: Array,
     weight: Array,

@@ -167,36 +167,6 @@ def sample_histories(people, Py_ssize_t joints, Vector slots, double max_gap_s, 
     return sampled, sampled_weight, cameras
 
 
-def append_lifted(windows, Stack joints, Stack std, Stack cameras):
-    """Return the lifted poses and standard deviations (F, J, 3) of windows, with those of their last frames.
-
-    Windows are `solvers.observed_window.ObservedWindow`, the poses before in the axes of the real camera. The new ones
-    (N, J, 3), of one window after the other, are in the axes to which the rotations `cameras` (N, 3, 3) lead.
-    """
-    cdef Py_ssize_t n = 0, t, j, i, known, frames, J = joints.shape[1]
-    cdef Stack before, before_std
-    cdef double[:, :, ::1] out, out_std
-    all_lifted = []
-    for window in windows:
-        frames, known = len(window.times), window.lifted_frames
-        lifted = np.empty((frames, J, 3)), np.empty((frames, J, 3))
-        out, out_std = lifted
-        if known > 0:
-            before, before_std = window.lifted.joints, window.lifted.std
-            out[:known], out_std[:known] = before, before_std
-        for t in range(known, frames):
-            out_std[t] = std[n]
-            for j in range(J):
-                for i in range(3):
-                    out[t, j, i] = (
-                        joints[n, j, 0] * cameras[n, 0, i] + joints[n, j, 1] * cameras[n, 1, i]
-                        + joints[n, j, 2] * cameras[n, 2, i]
-                    )
-            n += 1
-        all_lifted.append(lifted)
-    return all_lifted
-
-
 cdef inline bint is_seen(const double* point, double weight) noexcept nogil:
     return weight > 0 and fabs(point[0]) < MAX_COORDINATE and fabs(point[1]) < MAX_COORDINATE
 

@@ -175,9 +175,14 @@ def sample_unlifted_histories(windows: Sequence[ObservedWindow], roll: float = 0
 
 def append_lifted(windows: Sequence[ObservedWindow], lifted: LiftedPoses, cameras: Array) -> None:
     """Add lifted poses, in the units of rays, of the frames not lifted yet, in the axes of cameras as above."""
-    poses = engine.append_lifted(windows, lifted.joints, lifted.std, cameras)
-    for window, (joints, std) in zip(windows, poses, strict=True):
-        window.lifted = LiftedPoses(joints, std)
+    joints, end = lifted.joints @ cameras, 0
+    for window in windows:
+        newest = slice(end, end := end + len(window.times) - window.lifted_frames)
+        before, after = window.lifted, LiftedPoses(joints[newest], lifted.std[newest])
+        if before is not None:
+            pairs = (before.joints, after.joints), (before.std, after.std)
+            after = LiftedPoses(*(np.concatenate(pair) for pair in pairs))
+        window.lifted = after
 
 
 def observe_sequence(
