@@ -38,7 +38,6 @@ from mocap_ros.tracking.motion_filter import (
 )
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
-from mocap_ros.units import NS_PER_S
 
 AGO = np.array([0.0, *SPANS_S])
 _HIPS = np.array(HIPS)
@@ -60,11 +59,10 @@ class Shown(NamedTuple):
         """Return people in a frame of each, by default the newest."""
         if frames is None:
             frames = [t.newest for t in tracks]
-        solutions = [t.solved for t in tracks]
-        times = np.array([t.stamps_ns[f] - t.first_ns for t, f in zip(tracks, frames, strict=True)]) / NS_PER_S
+        windows, solutions = [t.observed for t in tracks], [t.solved for t in tracks]
+        times = np.array([w.times[f] for w, f in zip(windows, frames, strict=True)])
         noise = np.array([s.noise / s.stature_ratio for s in solutions])
-        filters = np.array([t.filters for t in tracks])
-        return Shown(tracks, frames, [t.observed for t in tracks], solutions, times, noise, filters)
+        return Shown(tracks, frames, windows, solutions, times, noise, np.array([t.filters for t in tracks]))
 
 
 class CoreMotion(NamedTuple):
@@ -110,7 +108,7 @@ def locate_past(shown: Shown) -> tuple[Array, Array]:
 def find_motion(shown: Shown, located: Array, *, is_steady: bool = False) -> CoreMotion:
     """Return the motion of people in the frame, filtered where that is known; `located` (P, J, 3) m is solved.
 
-    If `is_steady`, the filters are advanced to the frame before.
+    If `is_steady`, the filters take in the frame first.
     """
     known = shown.times, located, shown.noise, _HIPS, is_steady
     motion = CoreMotion(*engine.filter_motion(shown.filters[:, OF_MOTION], *known))
@@ -181,7 +179,7 @@ def make_people(
     for p, (track, frame, solution) in enumerate(zip(shown.tracks, shown.frames, shown.solutions, strict=True)):
         motion = track.schedule.motion
         category = motion.category if track.schedule.is_periodic else solution.model_name
-        age_s = 0.0 if unseen_for is None else unseen_for[p]
+        age_s, unseen_s = float(shown.times[p]), 0.0 if unseen_for is None else unseen_for[p]
         people.append(
             Person3D(
                 id=track.id,
@@ -200,8 +198,8 @@ def make_people(
                 velocity_std=velocity_std[p],
                 root_covariance=root_covariance[p],
                 root_velocity_covariance=cores.root_velocity_covariance[p],
-                age=(track.stamps_ns[frame] - track.first_ns) / NS_PER_S + age_s,
-                unseen_for=age_s,
+                age=age_s + unseen_s,
+                unseen_for=unseen_s,
                 skeleton=skeleton,
                 orientation=turns[p],
                 turn_inferred=turn_inferred[p],
