@@ -16,7 +16,7 @@ from mocap_ros.arrays import Array
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.models.base_poses import arrange_model
 from mocap_ros.solvers.joint.batch import State
-from mocap_ros.solvers.joint.differences import measure_features
+from mocap_ros.solvers.joint.differences import FiniteDifference
 from mocap_ros.solvers.joint.objective import JointObjective
 
 MIN_DEPTH = 0.1  # of that of the body's origin
@@ -53,6 +53,20 @@ def measure(objective: JointObjective, state: State) -> Measured:
     )
 
 
+def measure_features(state: State) -> Array:
+    """Return the features (N, K + 13) of all frames."""
+    rows = state.rotation[:, :2].reshape(len(state.theta), 6)
+    scaled = np.exp(state.log_scale)[:, None] * rows
+    return np.concatenate([state.theta, scaled, rows, state.log_scale[:, None]], axis=1)
+
+
+def take_differences(term: FiniteDifference, features: Array) -> Array:
+    """Return the numbers (N - D, F) whose squares are the term, of features (N, F)."""
+    count = len(features) - term.order
+    parts = [c[:count, None] * features[e : e + count] for e, c in enumerate(term.factors.T)]
+    return np.asarray(np.sqrt(term.weight) * np.sum(parts, axis=0))
+
+
 def compute_costs(objective: JointObjective, state: State) -> dict[str, Array]:
     """Return the value (N,) m^2 of each term in each frame; that of earlier frames is in a window's first."""
     batch, found = objective.batch, measure(objective, state)
@@ -68,7 +82,7 @@ def compute_costs(objective: JointObjective, state: State) -> dict[str, Array]:
         'prior': state.theta**2 @ objective.prior,
     }
     for i, difference in enumerate(objective.differences):
-        squares = (difference.residuals(found.features) ** 2).sum(axis=1)
+        squares = (take_differences(difference, found.features) ** 2).sum(axis=1)
         costs[f'difference {i}'] = np.append(squares, np.zeros(len(batch.times) - len(squares)))
     if len(batch.lifted):
         distance = (batch.precision * (found.scaled_pose - batch.lifted) ** 2).sum(axis=-1)
@@ -97,7 +111,7 @@ def compute_residuals(objective: JointObjective, state: State) -> Array:
         np.sqrt(batch.score)[..., None] / ratio * found.error,
         np.sqrt(objective.bone_weight) * (found.length - batch.repeat_per_frame(found.mean_length)),
         np.sqrt(objective.prior) * state.theta,
-        *(difference.residuals(found.features) for difference in objective.differences),
+        *(take_differences(difference, found.features) for difference in objective.differences),
     ]
     return np.concatenate([part.ravel() for part in parts])
 

@@ -5,7 +5,7 @@
 
     sum_t sum_f w_f (sum_e c_te x_(t+e)f)^2
 
-with x_f the features of a frame: the K weights of the base poses, s R[:2], R[:2] and log s (`measure_features`).
+with x_f the features of a frame: the K weights of the base poses, s R[:2], R[:2] and log s.
 Of order 1 the terms are, with dt_t the time from frame t to the next,
 
     mu    sum_tl ((theta_(t+1)l - theta_tl) / sigma_l)^2 / dt_t    smoothness of the weights
@@ -33,7 +33,7 @@ import numpy as np
 from mocap_ros.arrays import Array
 
 if TYPE_CHECKING:
-    from mocap_ros.solvers.joint.batch import Batch, State
+    from mocap_ros.solvers.joint.batch import Batch
 
 
 CAMERA_FEATURES = 13  # s R[:2], R[:2] and log s
@@ -56,26 +56,6 @@ class FiniteDifference:
     def order(self) -> int:
         """D."""
         return self.factors.shape[1] - 1
-
-    @property
-    def rows(self) -> Array:
-        """The factors as a matrix (N - D, N), whose product with features are the differences."""
-        count = max(len(self.factors) - self.order, 0)
-        rows, first = np.zeros((count, len(self.factors))), np.arange(count)
-        for e in range(self.order + 1):
-            rows[first, first + e] = self.factors[:count, e]
-        return rows
-
-    def residuals(self, features: Array) -> Array:
-        """Return the numbers (N - D, F) whose squares are the term, of features (N, F)."""
-        return np.asarray(np.sqrt(self.weight) * (self.rows @ features))
-
-
-def measure_features(state: State) -> Array:
-    """Return the features (N, K + 13) of all frames."""
-    rows = state.rotation[:, :2].reshape(len(state.theta), 6)
-    scaled = np.exp(state.log_scale)[:, None] * rows
-    return np.concatenate([state.theta, scaled, rows, state.log_scale[:, None]], axis=1)
 
 
 def invert_time_steps(batch: Batch) -> Array:
