@@ -39,7 +39,7 @@ from mocap_ros.tracking.motion_filter import (
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
 
-AGO = np.array([0.0, *SPANS_S])
+AGO = np.array([0.0, *SPANS_S])  # s; now, and the starts of the spans
 _HIPS = np.array(HIPS)
 
 
