@@ -89,14 +89,17 @@ def anneal_stepwise(
         coarse = found._replace(theta=np.concatenate([found.theta, coarse.theta[:, k:]], axis=1))
         noise, damping = update_noise(problem, least), CONTINUED_DAMPING
         yield
-    activity = measure_activities(coarse, some, batch)
+    has_limits = config.pose_acceleration_weight > 0
+    activity = measure_activities(coarse, some, batch) if has_limits else None
     objective = JointObjective.build(batch, model, config, noise, None, activity)
     problem = objective.compile(batch.interpolate(coarse, frames), 1, at_reference=True)
     for least in (*FINE_NOISE_M[1:], 0.0):
         yield from minimise_stepwise(problem, config.max_iterations, tolerance, damping)
         iterations += problem.iterations
         before, noise = noise, update_noise(problem, least)
-        objective = JointObjective.build(batch, model, config, noise, None, activity)
+        objective = objective.with_noise(noise)
+        if has_limits:  # which depend on the noise
+            objective = JointObjective.build(batch, model, config, noise, None, activity)
         problem.weigh(objective.noise_ratio, objective.factors)
         problem.start(*read_state(problem))
         yield
