@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_ros.arrays import Array
+from mocap_ros.arrays import Array, copy_with
 from mocap_ros.config import ClassifierConfig, SolverConfig
 from mocap_ros.engine import periodic as engine
 from mocap_ros.models.base_poses import BasePoses
@@ -72,7 +72,7 @@ def choose_category(
     noise = max(MIN_COMPARISON_NOISE, min(fit.noise for fit in fits.values()))
     evidence = {}
     for name, fit in fits.items():
-        fitted = replace(window, start=InitialValues(fit.theta, fit.cameras))
+        fitted = copy_with(window, start=InitialValues(fit.theta, fit.cameras))
         evidence[name], _ = run_to_end(minus_twice_log_evidence_stepwise(fitted, models[name], noise, config))
     best = min(evidence, key=lambda name: evidence[name])
     return best, fits[best]
@@ -85,7 +85,7 @@ def minus_twice_log_evidence_stepwise(
     noise = max(noise, MIN_COMPARISON_NOISE)
     model = model.truncate(config.components)
     adaptive = replace(config, adapt_noise=True)
-    (fit,) = yield from joint.solve_stepwise([replace(window, noise=noise)], model, adaptive)
+    (fit,) = yield from joint.solve_stepwise([copy_with(window, noise=noise)], model, adaptive)
     return measure_evidence(fit, model, noise), fit
 
 

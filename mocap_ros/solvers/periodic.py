@@ -35,7 +35,7 @@ from functools import partial
 import numpy as np
 from numpy.linalg import LinAlgError
 
-from mocap_ros.arrays import Array
+from mocap_ros.arrays import Array, copy_with
 from mocap_ros.config import SolverConfig
 from mocap_ros.engine import periodic as engine
 from mocap_ros.errors import InputError
@@ -116,7 +116,7 @@ def solve_stepwise(
     """Reconstruct as `solve` does, in steps."""
     try:  # numbers that overflow are found in the result
         result = yield from _solve(
-            replace(window, lifted=None), model.truncate(config.components), config, initial
+            copy_with(window, lifted=None), model.truncate(config.components), config, initial
         )
     except LinAlgError as error:
         raise InputError(f'no periodic motion can be fitted: {error}') from None

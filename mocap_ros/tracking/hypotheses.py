@@ -23,6 +23,7 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import copy_with
 from mocap_ros.config import Config, SolverConfig
 from mocap_ros.engine import periodic as engine
 from mocap_ros.errors import InputError
@@ -120,7 +121,7 @@ class HypothesisChecker:
             window = replace(track.observed.build_solver_window(), noise=INITIAL_NOISE)
             started = start_from_lifted_poses(window, first_model)
             start, _ = choose_initial_values(started, first_model, self.config.solver.start_window)
-            windows.append(replace(window, unit=float(np.median(start.cameras.scale))))
+            windows.append(copy_with(window, unit=float(np.median(start.cameras.scale))))
         by_model = [solve_hypotheses(windows, self.models[name], solver) for name in model_names]
         solutions = []
         for track, *fits in zip(tracks, *by_model, strict=True):
@@ -151,7 +152,7 @@ class HypothesisChecker:
         fits, noise = [], min(other_noise, own.noise)
         for name, values in ((model_name, other), (own.model_name, start)):
             work = minus_twice_log_evidence_stepwise(
-                replace(window, start=values), self.models[name], noise, solver
+                copy_with(window, start=values), self.models[name], noise, solver
             )
             fits.append((yield from slice_work(work, len(frames), len(self.models[name].std))))
         (evidence, fit), (own_evidence, _) = fits
@@ -170,7 +171,7 @@ class HypothesisChecker:
             components=REINIT_COMPONENTS,
             noise_floor=MIN_COMPARISON_NOISE,
         )
-        work = solve_hypotheses_stepwise([replace(window, start=None, unit=None, noise=None)], model, solver)
+        work = solve_hypotheses_stepwise([copy_with(window, start=None, unit=None, noise=None)], model, solver)
         starts = MAX_STARTS if window.lifted is None else 1
         (fit,) = yield from slice_work(work, starts * len(window.times), min(REINIT_COMPONENTS, len(model.std)))
         unsolved = max(len(model.std) - fit.theta.shape[1], 0)
@@ -202,7 +203,7 @@ class HypothesisChecker:
             (fit,) = yield from slice_work(
                 solve_stepwise([window], model, solver), len(window.times), len(model.std)
             )
-            window = replace(window, start=InitialValues(fit.theta, fit.cameras), noise=fit.noise)
+            window = copy_with(window, start=InitialValues(fit.theta, fit.cameras), noise=fit.noise)
         return fit
 
     def _choose_solver(self, base_poses_lead: bool) -> SolverConfig:

@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.arrays import Array
+from mocap_ros.arrays import Array, copy_with
 from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint as engine
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
@@ -137,7 +137,7 @@ def solve_hypotheses_stepwise(
     batch: list[Window] = []
     for window in windows:
         start, unit = choose_initial_values(window, model.truncate(config.components), config.start_window)
-        batch += [replace(window, start=s, unit=unit) for s in (start, reverse_depth(start))]
+        batch += [copy_with(window, start=s, unit=unit) for s in (start, reverse_depth(start))]
         yield
     results = yield from solve_stepwise(batch, model, config)
     return tuple(
@@ -150,7 +150,7 @@ def start_from_lifted_poses(window: Window, model: BasePoses) -> Window:
     """Return the window with initial values from its lifted poses, if it has such poses and no initial values."""
     if window.start is not None or window.lifted is None:
         return window
-    return replace(window, start=fit_lifted_poses(window.lifted, window.times, model))
+    return copy_with(window, start=fit_lifted_poses(window.lifted, window.times, model))
 
 
 def negative_log_posterior(result: JointReconstruction, window: Window, config: SolverConfig) -> float:
