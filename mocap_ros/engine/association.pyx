@@ -143,7 +143,7 @@ def measure_distances(
     cdef int shared
     cdef Difference own, exchanged
     cdef Indices same = np.arange(joints)
-    out, growths = np.full((detections, people), INFINITY), np.zeros((detections, people))
+    out, growths = np.empty((detections, people)), np.zeros((detections, people))
     cdef double[:, ::1] distance = out, growth = growths
     cdef double* offset = <double*> malloc(joints * sizeof(double))
     cdef Extent* extent = <Extent*> malloc((people + detections) * sizeof(Extent))
@@ -151,6 +151,7 @@ def measure_distances(
         extent[p] = measure_one(expected[p], known[p], min_size)
     for d in range(detections):
         extent[people + d] = measure_one(detected[d], seen[d], min_size)
+    distance[:] = INFINITY
     for p in range(people):
         for d in range(detections):
             shared = 0

@@ -845,8 +845,9 @@ cdef class JointProblem:
         cdef int p, j, i, k, n = self.unknowns, size = pad_columns(n), stride = self.alone.shape[1]
         cdef double total
         cdef Frame f
-        std = np.full((self.sequences, self.joints), NAN)
+        std = np.empty((self.sequences, self.joints))
         cdef double[:, ::1] out = std
+        out[:] = NAN
         for p in range(self.sequences):
             if not self.has_step[p]:
                 continue

@@ -102,9 +102,10 @@ def mark_unseen(const double[:, :, :] points, const double[:, :] score, double m
     cdef Py_ssize_t n, s
     cdef bint is_low = False, is_high = False, is_faulty = False
     cdef double x, y, value, largest
-    result = np.full((score.shape[0], score.shape[1], 2), NAN), np.zeros((score.shape[0], score.shape[1]))
+    result = np.empty((score.shape[0], score.shape[1], 2)), np.zeros((score.shape[0], score.shape[1]))
     cdef double[:, :, ::1] out = result[0]
     cdef double[:, ::1] out_score = result[1]
+    out[:] = NAN
     for n in range(score.shape[0]):
         for s in range(score.shape[1]):
             is_low, is_high = is_low or score[n, s] < -1, is_high or score[n, s] > 1

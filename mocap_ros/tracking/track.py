@@ -5,12 +5,18 @@
 
 A new frame may change the decision whether left and right of the body or of a part of it were swapped in earlier
 frames. These frames are then corrected anew, and the lifted poses from the first of them on are dropped.
+
+With `tracker.lag`, an older frame is shown. With t_0 < ... < t_n the stamps of the frame that was shown last and
+of all after it, h = (t_n - t_0) / n and the lag L, the next frame is shown if it is older than L - s with
+s = min(h, L) / 2, and frames are left out only where a later one is older than L + s. So one frame follows another
+if none is more than h / 4 early or late, and is shown L - s to L + s + h after it was taken.
 """
 
 from __future__ import annotations
 
 import copy
 from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,7 +32,6 @@ from mocap_ros.keypoints.rays import Extremities
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.tracking.body_size import FloorContact
-from mocap_ros.tracking.delayed_output import find_oldest_needed_ns
 from mocap_ros.tracking.motion_filter import UNFILTERED, restart_motion
 from mocap_ros.tracking.schedule import CheckSchedule
 from mocap_ros.tracking.solution import TrackSolution
@@ -117,11 +122,6 @@ class Track:
         stamps_ns = np.fromiter(self.stamps_ns, np.int64)
         return np.asarray((stamps_ns - stamps_ns[-1]) / NS_PER_S)
 
-    @property
-    def is_newest_swapped(self) -> bool:
-        """Whether left and right of the body or of a part of it were swapped in the newest frame."""
-        return bool(np.count_nonzero(self.swap_filter.is_swapped[-1]))
-
     def copy(self) -> Track:
         """Return the track as it is now."""
         other = copy.copy(self)
@@ -195,3 +195,24 @@ class Track:
         is_first_of_step = np.diff(step[order], prepend=-1) != 0
         selected = np.sort(order[is_first_of_step])
         return np.asarray(selected[age_s[selected] <= span_s])
+
+
+def find_delayed_frame(stamps_ns: Sequence[int], lag_s: float, *, has_begun: bool) -> tuple[int, bool]:
+    """Return the index of the frame that is shown, and whether the output has begun, of stamps (n + 1,) ns.
+
+    The first stamp is that of the frame that was shown last or, before the output has begun, of the first frame.
+    """
+    lag_ns = lag_s * NS_PER_S
+    newest_ns = stamps_ns[-1]
+    interval_ns = (newest_ns - stamps_ns[0]) / max(len(stamps_ns) - 1, 1)
+    tolerance_ns = min(interval_ns, lag_ns) / 2
+    due_ns, overdue_ns = newest_ns - lag_ns + tolerance_ns, newest_ns - lag_ns - tolerance_ns
+    if not has_begun and stamps_ns[0] > due_ns:
+        return 0, False
+    is_next_due = has_begun and len(stamps_ns) > 1 and stamps_ns[1] <= due_ns
+    return max(bisect_right(stamps_ns, overdue_ns) - 1, int(is_next_due)), True
+
+
+def find_oldest_needed_ns(newest_ns: int, lag_s: float) -> float:
+    """Return a stamp in ns; of the frames up to it, only the newest may be shown now or later."""
+    return newest_ns - 1.5 * lag_s * NS_PER_S

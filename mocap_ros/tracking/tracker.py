@@ -45,13 +45,12 @@ from mocap_ros.solvers.vertical import NONE as NO_VERTICAL
 from mocap_ros.solvers.vertical import Vertical, lift_under_vertical, read_given_vertical, turn_towards_vertical
 from mocap_ros.tracking.body_size import BodySize, FloorContact, assume_size, read_body_heights
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, FRAME_BUDGET_WITHOUT_LIFTER, DeferredWork
-from mocap_ros.tracking.delayed_output import find_delayed_frame
 from mocap_ros.tracking.hypotheses import HypothesisChecker
 from mocap_ros.tracking.output import Shown, describe_cores, follow_motion, make_people
 from mocap_ros.tracking.prediction import predict_ahead, predict_people
 from mocap_ros.tracking.refinement import Refinement, refine
 from mocap_ros.tracking.schedule import MIN_CHECK_INTERVAL_S
-from mocap_ros.tracking.track import Track
+from mocap_ros.tracking.track import Track, find_delayed_frame
 from mocap_ros.units import NS_PER_S
 
 CHECK_INTERVAL_S = 0.5  # s; longest interval between checks without a lifter, where models take turns
@@ -199,7 +198,7 @@ class Tracker:
         finally:
             self._who.end_frame(stamp_ns, has_people=bool(detections))
             self._is_work_pending = True
-        self.swapped_frames += sum(t.is_newest_swapped for t in tracks)
+        self.swapped_frames += sum(bool(np.count_nonzero(t.swap_filter.is_swapped[-1])) for t in tracks)
         self.unusable_people += len(people) - len(tracks)
         return tuple(output)
 
@@ -411,7 +410,7 @@ class Tracker:
     def _choose_shown(self, stamp_ns: int, detected: list[Track]) -> tuple[list[Track], list[int]]:
         """Choose the frame that is shown; return the people who were detected in it, and its index in each window.
 
-        It is this frame or, with `tracker.lag`, an older one (`delayed_output.py`); before one is old enough, the
+        It is this frame or, with `tracker.lag`, an older one (`track`); before one is old enough, the
         first frame since anybody was there, without its people.
         """
         lag_s, self.output_stamp_ns = self.config.tracker.lag, stamp_ns

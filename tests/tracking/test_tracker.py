@@ -21,7 +21,7 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CORE_COUNT
-from mocap_ros.tracking.delayed_output import find_delayed_frame, find_oldest_needed_ns
+from mocap_ros.tracking.track import find_delayed_frame, find_oldest_needed_ns
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.synthetic_walk import Walk, make_walk, mpjpe_mm
 from tests.support.tracks import CAMERA, MIRROR, STEP_NS, UPPER, feed, see
