@@ -34,7 +34,6 @@ from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION
 from mocap_ros.messages.versions import make_converter
 from mocap_ros.units import NS_PER_S
-from tests.support.bag_writing import START_NS, STEP_NS, make_keypoints, write_bag
 from tests.support.foreign_messages import (
     HRI_IDS_TOPIC,
     IMAGE_SIZE,
@@ -43,6 +42,7 @@ from tests.support.foreign_messages import (
     make_hri_inputs,
     make_inputs,
 )
+from tests.support.pipeline_inputs import BAG_STEP_NS, START_NS, make_keypoints, write_bag
 
 
 @pytest.mark.parametrize(
@@ -205,7 +205,7 @@ def test_journal_entries_round_trip() -> None:
 FRAMES = 120  # enough for several chunks and, with a limit of 1 s, several files
 CHUNK_SECONDS = 0.25  # s, time after which a chunk is closed
 MAX_FRAMES_PER_CHUNK = 9  # frames in `CHUNK_SECONDS`
-MESSAGES = [encode_keypoints(Header(i * STEP_NS, f'frame {i}'), (640, 480), []) for i in range(FRAMES)]
+MESSAGES = [encode_keypoints(Header(i * BAG_STEP_NS, f'frame {i}'), (640, 480), []) for i in range(FRAMES)]
 ATTACHMENT = Attachment('a.txt', 'text/plain', b'kept')
 
 
@@ -214,7 +214,7 @@ def write_chunks(folder: Path, compression: str = 'zstd') -> bytes:
     config = RecorderConfig(compression=compression, chunk_seconds=CHUNK_SECONDS)
     with Recorder(folder, config, [ATTACHMENT]) as recorder:
         for i, raw in enumerate(MESSAGES):
-            recorder.write('/keypoints', KEYPOINTS, raw, i * STEP_NS + 1, i * STEP_NS)
+            recorder.write('/keypoints', KEYPOINTS, raw, i * BAG_STEP_NS + 1, i * BAG_STEP_NS)
     return (folder / f'{folder.name}_0.mcap').read_bytes()
 
 
@@ -230,7 +230,7 @@ def find_chunks(bag: Path) -> list[tuple[int, int, int]]:
         summary = make_reader(file).get_summary()
     assert summary is not None
     return [
-        (c.chunk_start_offset, c.chunk_start_offset + c.chunk_length, (c.message_end_time - 1) // STEP_NS + 1)
+        (c.chunk_start_offset, c.chunk_start_offset + c.chunk_length, (c.message_end_time - 1) // BAG_STEP_NS + 1)
         for c in summary.chunk_indexes
     ]
 
@@ -292,7 +292,7 @@ def test_attachments_and_qos_are_recovered(tmp_path: Path, capsys: pytest.Captur
     with Recorder(bag, RecorderConfig(split_seconds=1.0), [ATTACHMENT]) as recorder:
         recorder.declare_topic('/keypoints', KEYPOINTS, latched=True)
         for i, raw in enumerate(MESSAGES):
-            recorder.write('/keypoints', KEYPOINTS, raw, i * STEP_NS + 1, i * STEP_NS)
+            recorder.write('/keypoints', KEYPOINTS, raw, i * BAG_STEP_NS + 1, i * BAG_STEP_NS)
     (bag / 'metadata.yaml').unlink()
     last = bag / 'bag_3.mcap'
     last.write_bytes(last.read_bytes()[:-500])
@@ -360,12 +360,12 @@ def test_messages_of_the_write_ahead_log_are_recovered(tmp_path: Path) -> None:
     with Writer(bag, version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
         connection = writer.add_connection('/keypoints', KEYPOINTS, typestore=typestore())
         for i, raw in enumerate(MESSAGES[:50]):
-            writer.write(connection, i * STEP_NS, raw)
+            writer.write(connection, i * BAG_STEP_NS, raw)
     database = sqlite3.connect(bag / 'bag.db3')
     database.execute('PRAGMA journal_mode=WAL')
     database.executemany(
         'INSERT INTO messages (topic_id, timestamp, data) VALUES (1, ?, ?)',
-        [(i * STEP_NS, MESSAGES[i]) for i in range(50, FRAMES)],
+        [(i * BAG_STEP_NS, MESSAGES[i]) for i in range(50, FRAMES)],
     )
     database.commit()
     killed, names = tmp_path / 'killed', ['bag.db3', 'bag.db3-wal']  # as a killed recorder leaves them

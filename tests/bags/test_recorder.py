@@ -34,9 +34,17 @@ from mocap_ros.messages.cdr import decode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION
 from mocap_ros.units import NS_PER_S
-from tests.support.bag_writing import DEFINITION, FRAMES, START_NS, STEP_NS, Message, make_keypoints, write_bag
 from tests.support.paths import ROOT
-from tests.support.pipeline_inputs import read_messages
+from tests.support.pipeline_inputs import (
+    BAG_FRAMES,
+    BAG_STEP_NS,
+    DEFINITION,
+    START_NS,
+    Message,
+    make_keypoints,
+    read_messages,
+    write_bag,
+)
 
 # Imports of the code that `run_in_subprocess` runs.
 PRELUDE = """
@@ -45,7 +53,7 @@ from pathlib import Path
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import RecordingError
-from tests.support.bag_writing import FRAMES, record_keypoints
+from tests.support.pipeline_inputs import BAG_FRAMES, record_keypoints
 """
 
 
@@ -60,19 +68,19 @@ def run_in_subprocess(code: str, *arguments: object) -> subprocess.CompletedProc
 def test_a_killed_recording_loses_no_more_than_a_chunk(tmp_path: Path) -> None:
     run_in_subprocess(
         'recorder = Recorder(Path(sys.argv[1]), RecorderConfig())\n'
-        'record_keypoints(recorder, FRAMES)\n'
+        'record_keypoints(recorder, BAG_FRAMES)\n'
         'os.kill(os.getpid(), 9)\n',
         tmp_path / 'bag',
     )
     bag = tmp_path / 'bag'
-    max_lost = RecorderConfig().chunk_seconds * 1e9 / STEP_NS + 1
+    max_lost = RecorderConfig().chunk_seconds * 1e9 / BAG_STEP_NS + 1
     for path in (bag, bag / 'bag_0.mcap'):
         message = rf'{path.name}: the recording was cut off .*`mocap-ros recover {path}`'
         with pytest.raises(InputError, match=message):
             Bag(path)
         report = recover(path, tmp_path / f'{path.name}_whole')
         read = read_messages(tmp_path / f'{path.name}_whole', '/keypoints')
-        assert FRAMES - max_lost <= len(read) == report.messages['/keypoints']
+        assert BAG_FRAMES - max_lost <= len(read) == report.messages['/keypoints']
         assert read == [make_keypoints(i) for i in range(len(read))]
 
 
@@ -130,13 +138,13 @@ def test_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pyt
 
 @pytest.mark.parametrize('limit', [{'split_seconds': 0.5}, {'split_mb': 1, 'compression': 'none'}])
 def test_a_bag_continues_in_further_files(tmp_path: Path, limit: dict[str, Any]) -> None:
-    data = [make_keypoints(i) + bytes(40_000 if 'split_mb' in limit else 0) for i in range(FRAMES)]
+    data = [make_keypoints(i) + bytes(40_000 if 'split_mb' in limit else 0) for i in range(BAG_FRAMES)]
     attachment = Attachment('mocap_ros.yaml', 'application/yaml', b'a: 1')
     with Recorder(tmp_path / 'bag', RecorderConfig(**limit), [attachment]) as recorder:
         recorder.declare_topic('/skeleton_definition', SKELETON_DEFINITION, latched=True)
         recorder.write('/skeleton_definition', SKELETON_DEFINITION, DEFINITION, START_NS, START_NS)
         for i, raw in enumerate(data):
-            recorder.write('/keypoints', KEYPOINTS, raw, START_NS + i * STEP_NS, START_NS)
+            recorder.write('/keypoints', KEYPOINTS, raw, START_NS + i * BAG_STEP_NS, START_NS)
 
     files = sorted((tmp_path / 'bag').glob('*.mcap'))
     assert [f.name for f in files] == [f'bag_{n}.mcap' for n in range(len(files))]
@@ -144,7 +152,7 @@ def test_a_bag_continues_in_further_files(tmp_path: Path, limit: dict[str, Any])
     with Reader(tmp_path / 'bag') as reader:
         read = [(c.topic, bytes(raw)) for c, _, raw in reader.messages()]
         assert [raw for topic, raw in read if topic == '/keypoints'] == data
-        assert reader.message_count == len(read) == FRAMES + len(files)
+        assert reader.message_count == len(read) == BAG_FRAMES + len(files)
     described = yaml.safe_load((tmp_path / 'bag' / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
     assert described['relative_file_paths'] == [f.name for f in files]
     for file in files:
@@ -217,7 +225,7 @@ def test_rosbags_reads_the_folder_and_the_bare_file(recorded: tuple[Path, list[M
     for path in (folder, folder / f'{folder.name}_0.mcap'):
         with Reader(path) as reader:
             assert [(c.topic, t, bytes(raw)) for c, t, raw in reader.messages()] == expected
-            assert reader.message_count == FRAMES + 1
+            assert reader.message_count == BAG_FRAMES + 1
             durability = {}
             for connection in reader.connections:
                 assert isinstance(connection.ext, ConnectionExtRosbag2)
@@ -236,8 +244,8 @@ def test_mcap_reads_the_file_by_its_index(recorded: tuple[Path, list[Message]]) 
         summary = reader.get_summary()
         assert summary is not None
         assert summary.statistics is not None
-        assert summary.statistics.message_count == FRAMES + 1
-        assert len(summary.chunk_indexes) >= FRAMES * STEP_NS / 1.1e9
+        assert summary.statistics.message_count == BAG_FRAMES + 1
+        assert len(summary.chunk_indexes) >= BAG_FRAMES * BAG_STEP_NS / 1.1e9
         read = [(c.topic, m.log_time, m.publish_time, m.data) for _, c, m in reader.iter_messages()]
         assert read == written
         assert reader.get_header().profile == 'ros2'
@@ -254,7 +262,7 @@ def test_mcap_reads_the_file_by_its_index(recorded: tuple[Path, list[Message]]) 
     assert inside['storage_identifier'] == 'mcap'
     assert inside['relative_file_paths'] == [f'{folder.name}_0.mcap']
     assert inside['starting_time']['nanoseconds_since_epoch'] == START_NS
-    assert inside['duration']['nanoseconds'] == (FRAMES - 1) * STEP_NS
+    assert inside['duration']['nanoseconds'] == (BAG_FRAMES - 1) * BAG_STEP_NS
 
 
 def test_recorders_that_start_at_once_have_folders_of_their_own(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ from mocap_ros.people import Person3D, PredictedPerson
 from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton
 from tests.support.bodies import STANDING, make_person_3d, make_standing_person
-from tests.support.message_objects import encode
+from tests.support.camera_messages import encode
 
 HEADER = Header(12_345_678_901, 'map')
 

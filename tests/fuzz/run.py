@@ -3,7 +3,7 @@
 
 """Coverage-guided fuzzing of one kind of input, or of all: `python -m tests.fuzz.run [SOURCE...] --seconds N`.
 
-Atheris (the extra `fuzz`) mutates the valid inputs of `examples.py`, the inputs that once failed and what earlier
+Atheris (the extra `fuzz`) mutates the valid inputs of `targets.py`, the inputs that once failed and what earlier
 runs found in build/fuzz/SOURCE/corpus. A fault does not end the run: its input is written to
 build/fuzz/SOURCE/faults, once for each place in the code.
 """
@@ -51,7 +51,7 @@ def main() -> int:
 
 def _run(source: str, seconds: int) -> dict[str, object]:
     """Fuzz a source in processes of its own, which a fault of a compiled library may end, and describe the run."""
-    from tests.fuzz.examples import EXAMPLES
+    from tests.fuzz.targets import EXAMPLES
 
     corpus, faults = OUT / source / 'corpus', OUT / source / 'faults'
     for folder in (corpus, faults):

@@ -26,10 +26,9 @@ from mcap.writer import CompressionType
 from mocap_ros.formats.mocap import c3d
 from mocap_ros.messages.foreign_types import OPENPOSE_POSES
 from mocap_ros.messages.input_types import KEYPOINT_TYPES
-from tests.fuzz.examples import EXAMPLES, make_arrays, make_mcap
-from tests.fuzz.targets import MESSAGE_READERS, TARGETS, check
+from tests.fuzz.targets import EXAMPLES, MESSAGE_READERS, TARGETS, check, make_arrays, make_mcap
+from tests.support.camera_messages import encode
 from tests.support.foreign_messages import create_blank_message
-from tests.support.message_objects import encode
 
 TYPE_WITHIN_ITSELF = f'a/B a\n{"=" * 80}\nMSG: a/B\na/B a\n'
 BOMB_BYTES = 140_000_000  # to which compressed content unpacks; above every limit of the readers

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The association of detections with expected people, and who is who in a whole recording and live."""
+"""Who is who: detections and expected people, in a whole recording and live; which side is left."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.linalg import fractional_matrix_power
 from scipy.optimize import linear_sum_assignment
 
 from mocap_ros.arrays import Array
@@ -19,9 +20,12 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints import association
 from mocap_ros.keypoints.association import SeenPeople, choose_pairs, measure_distances, measure_sizes
 from mocap_ros.keypoints.identities import EXCHANGED_IDS, FollowedPerson
+from mocap_ros.keypoints.left_right import BodySides, SwapFilter, ViterbiPaths, exchange_sides, find_swapped_parts
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.units import NS_PER_S
+from tests.support.synthetic_walk import make_walk
 
 MIRROR = association.MIRROR
 JOINTS = len(MIRROR)
@@ -178,3 +182,183 @@ def test_people_are_the_same_whole_and_live(
         by_person = {id(t.detection_by_frame.get(frame)): t.id for t in tracks}
         assert live == [by_person[id(p)] for p in seen]
     assert tracker.are_ids_ignored == has_line
+
+
+ENTER_PROBABILITY, LEAVE_PROBABILITY = np.array([0.0005, 0.003, 0.003]), np.array([0.2, 0.55, 0.55])
+INITIAL_COST = np.array([7.0, 5.0, 5.0])
+PREDICTION_STD, PREDICTION_STD_PER_S, PREDICTION_STD_PER_S2 = 0.05, 1.0, 2.0
+OUTLIER_PROBABILITY, OUTLIER_STD, CONFUSION_COST = 0.1, 0.3, 12.0
+ATTACHMENT_COST, ATTACHMENT_SCALE, ATTACHMENT_TIME_S = 5.0, 0.25, 0.1
+VELOCITY_TIME_S, MAX_VELOCITY_GAP_S, MIN_STEP_S = 0.08, 0.2, 1e-3
+
+SIDES = BodySides.of(CMU15)
+SWAP_FRAMES = 90
+TIMES = np.arange(SWAP_FRAMES) / 30
+SEEN = np.ones((SWAP_FRAMES, 15))
+WHOLE, LEGS, ARMS = np.array([1, 1, 1], bool), np.array([0, 1, 0], bool), np.array([0, 0, 1], bool)
+# The parts of the eight states, by the bits of the state: whole body, legs, arms.
+STATE_PARTS = np.array([[s & 1, (s >> 1 ^ s) & 1, (s >> 2 ^ s) & 1] for s in range(8)], bool)
+
+
+@pytest.fixture
+def walk(walk_model: BasePoses, rng: np.random.Generator) -> np.ndarray:
+    _, _, points, _ = make_walk(walk_model, frames=SWAP_FRAMES)
+    return points + rng.normal(0, 1.0, points.shape)
+
+
+def swap_frames(frames: np.ndarray, parts: np.ndarray = WHOLE) -> np.ndarray:
+    return np.isin(np.arange(SWAP_FRAMES), frames)[:, None] & parts
+
+
+def swap(points: np.ndarray, is_swapped: np.ndarray) -> np.ndarray:
+    """Return points (F, J, ...) with left and right exchanged in parts (F, 3)."""
+    of_joint = np.where(SIDES.part >= 0, is_swapped[:, SIDES.part], False)
+    source = np.where(of_joint, SIDES.mirror, np.arange(JOINTS))
+    return np.ascontiguousarray(points[np.arange(len(points))[:, None], source])
+
+
+def run_filter(swap_filter: SwapFilter, points: np.ndarray, weight: np.ndarray = SEEN) -> SwapFilter:
+    for time_s, image, score in zip(TIMES, points, weight, strict=False):
+        (size,) = measure_sizes(image[None], score[None])
+        swap_filter = swap_filter.update(float(time_s), image, score, float(size))
+    return swap_filter
+
+
+@pytest.mark.parametrize('parts', [WHOLE, LEGS, ARMS])
+@pytest.mark.parametrize(('first', 'last'), [(20, 20), (30, 34), (86, 89)])
+def test_an_injected_swap_is_found_and_undone(walk: np.ndarray, first: int, last: int, parts: np.ndarray) -> None:
+    is_swapped = swap_frames(np.arange(first, last + 1), parts)
+    disturbed = swap(walk, is_swapped)
+    found = find_swapped_parts(TIMES, disturbed, SEEN, SIDES)
+    np.testing.assert_array_equal(found, is_swapped)
+    np.testing.assert_array_equal(exchange_sides(disturbed, SEEN, found, SIDES)[0], walk)
+    at_once = run_filter(SwapFilter(SIDES), disturbed[: first + 1]).is_swapped
+    np.testing.assert_array_equal(at_once, is_swapped[: first + 1])
+
+
+@pytest.mark.parametrize('seen', [0, 2])
+def test_frames_that_show_nothing_are_not_swapped(walk: np.ndarray, seen: int) -> None:
+    """Frames with all points at one position or without any change nothing around them."""
+    points, weight, is_swapped = walk.copy(), SEEN.copy(), swap_frames(np.array([40, 41]))
+    for frames in (slice(0, 3), slice(60, 62)):
+        points[frames], weight[frames] = 5.0, 0.0
+        weight[frames, :seen] = 1.0
+    found = find_swapped_parts(TIMES, swap(points, is_swapped), weight, SIDES)
+    np.testing.assert_array_equal(found, is_swapped)
+    assert not find_swapped_parts(TIMES, points, np.zeros_like(SEEN), SIDES).any()
+
+
+def test_the_filter_decides_as_the_whole_sequence_does(walk: np.ndarray, rng: np.random.Generator) -> None:
+    disturbed = swap(walk, rng.random((SWAP_FRAMES, 3)) < 0.2)
+    found = run_filter(SwapFilter(SIDES), disturbed).is_swapped
+    np.testing.assert_array_equal(found, find_swapped_parts(TIMES, disturbed, SEEN, SIDES))
+    assert found.any()
+
+
+@pytest.mark.parametrize('enabled', [True, False])
+def test_frames_that_are_dropped_leave_the_decisions_about_later_ones(walk: np.ndarray, enabled: bool) -> None:
+    before = run_filter(SwapFilter(SIDES, enabled), swap(walk, swap_frames(np.array([5, 40, 41]))))
+    newest = (SWAP_FRAMES / 30, walk[-1], SEEN[-1], 60.0)
+    whole, shortened = before.update(*newest), before.update(*newest, dropped=30)
+    assert whole.is_swapped.shape == (SWAP_FRAMES + 1, 3)
+    assert whole.is_swapped[40].all() == enabled
+    assert shortened.is_swapped.tolist() == whole.is_swapped[30:].tolist()
+    if enabled:
+        assert whole.paths is not None
+        assert shortened.paths is not None
+        np.testing.assert_array_equal(shortened.paths.states, whole.paths.states[:, 30:])
+        np.testing.assert_array_equal(shortened.paths.cost, whole.paths.cost)
+    assert before.update(*newest, dropped=SWAP_FRAMES).is_swapped.shape == (1, 3)
+
+
+def find_transition_cost(elapsed_s: float) -> np.ndarray:
+    """Return -log P(z_t | z_(t-1)), (8, 8), of three independent chains."""
+    chances, steps = zip(ENTER_PROBABILITY, LEAVE_PROBABILITY, strict=True), max(elapsed_s, MIN_STEP_S) * 30
+    chains = (np.array([[1 - begins, begins], [ends, 1 - ends]]) for begins, ends in chances)
+    whole, legs, arms = (fractional_matrix_power(chain, steps) for chain in chains)
+    return -np.log(np.kron(arms, np.kron(legs, whole)))
+
+
+def find_attachment_cost(points: np.ndarray, weight: np.ndarray, body_size: float) -> np.ndarray:
+    """Return what it costs to exchange left and right of a part, but not of the shoulders, (3,)."""
+    paths = SwapFilter(SIDES).update(0.0, points, weight, body_size).paths
+    assert paths is not None
+    return paths.cost[[1, 2, 4]] - INITIAL_COST
+
+
+def step_plainly(
+    paths: ViterbiPaths, time_s: float, points: np.ndarray, weight: np.ndarray, body_size: float
+) -> ViterbiPaths:
+    """Continue the paths by a frame, by the formulas of the module."""
+    mirror, part = SIDES.mirror, SIDES.part
+    seen_points, score = np.stack([points, points[mirror]]), np.stack([weight, weight[mirror]])  # by label
+    last_points, last_velocity = paths.joints[..., :2], paths.joints[..., 2:4]
+    last_seen_s = paths.joints[..., 4]
+    age = time_s - last_seen_s
+    horizon = VELOCITY_TIME_S * (1 - np.exp(-age / VELOCITY_TIME_S))
+    with np.errstate(invalid='ignore', divide='ignore', over='ignore'):
+        predicted = last_points + horizon[..., None] * last_velocity
+        growth = PREDICTION_STD + PREDICTION_STD_PER_S * age + PREDICTION_STD_PER_S2 * age**2
+        sigma = (2 - score) * growth[:, None]  # path, label, joint
+        error = np.linalg.norm(seen_points - predicted[:, None], axis=-1) / sigma / body_size
+        inlier = (1 - OUTLIER_PROBABILITY) * np.exp(-(error**2) / 2) / sigma**2
+        loss = -np.log(inlier + OUTLIER_PROBABILITY / (sigma**2 + OUTLIER_STD**2))
+    loss = np.where((score > 0) & np.isfinite(age)[:, None], loss, 0)
+    label_cost = np.stack([loss[:, :, part == p].sum(axis=-1) for p in range(3)], axis=1)  # path, part, label
+    confused = label_cost[..., ::-1] + CONFUSION_COST < label_cost
+    label_cost = np.minimum(label_cost, label_cost[..., ::-1] + CONFUSION_COST)
+    of_state = sum(label_cost[:, p][:, STATE_PARTS[:, p].astype(int)] for p in range(3))  # path, state
+    elapsed_s = time_s - last_seen_s[0].max()
+    total = paths.cost[:, None] + of_state + find_transition_cost(elapsed_s)
+    predecessor = total.argmin(axis=0)
+    bits = np.arange(8)[:, None] >> np.arange(3) & 1
+    attachment = find_attachment_cost(points, weight, body_size)
+    cost = total.min(axis=0) + bits @ attachment * min(elapsed_s / ATTACHMENT_TIME_S, 1)
+    joints = np.empty_like(paths.joints)
+    for state, path in enumerate(predecessor):
+        for j in range(JOINTS):
+            label = int(part[j] >= 0 and STATE_PARTS[state, part[j]])
+            before = mirror[j] if part[j] >= 0 and confused[path, part[j], label] else j
+            old = [a[path, before] for a in (last_points, last_velocity, last_seen_s)]
+            if score[label, j] > 0:
+                step_s = max(time_s - old[2], MIN_STEP_S)
+                measured = (seen_points[label, j] - old[0]) / step_s
+                velocity = old[1] + (1 - np.exp(-step_s / VELOCITY_TIME_S)) * (measured - old[1])
+                old = [seen_points[label, j], velocity * (step_s < MAX_VELOCITY_GAP_S), time_s]
+            joints[state, j] = np.hstack(old)
+    states = np.append(paths.states[predecessor], np.arange(8)[:, None], axis=1)
+    return ViterbiPaths(cost - cost.min(), states, joints)
+
+
+def test_the_compiled_steps_are_those_of_the_formulas(walk: np.ndarray, rng: np.random.Generator) -> None:
+    weight = rng.random(SEEN.shape) * (rng.random(SEEN.shape) > 0.2)
+    weight[:30, 3] = 0  # a joint that is first seen in frame 30
+    times = np.cumsum(rng.choice([1 / 30, 1 / 15, 0.3], SWAP_FRAMES, p=[0.8, 0.1, 0.1]))
+    points = swap(walk, rng.random((SWAP_FRAMES, 3)) < 0.3)
+    swap_filter = SwapFilter(SIDES).update(float(times[0]), points[0], weight[0], 60.0)
+    predecessors = set()
+    for frame in range(1, SWAP_FRAMES):
+        before = swap_filter.paths
+        assert before is not None
+        swap_filter = swap_filter.update(float(times[frame]), points[frame], weight[frame], 60.0)
+        found, expected = swap_filter.paths, step_plainly(before, times[frame], points[frame], weight[frame], 60.0)
+        assert found is not None
+        for name in ('cost', 'joints'):
+            np.testing.assert_allclose(getattr(found, name), getattr(expected, name), 1e-9, 1e-9, err_msg=name)
+        np.testing.assert_array_equal(found.states, expected.states)
+        np.testing.assert_array_equal(swap_filter.is_swapped, STATE_PARTS[expected.states[expected.cost.argmin()]])
+        predecessors |= {(int(s[-2]), int(s[-1])) for s in found.states}
+    assert len(predecessors) > 16, 'many kinds of steps were compared'
+
+
+def test_exchanged_lower_joints_cost_by_how_much_their_lines_get_longer() -> None:
+    joints = {'lshoulder': (10.0, 0.0), 'rshoulder': (-10.0, 0.0), 'lhip': (8.0, 40.0), 'rhip': (-8.0, 40.0)}
+    joints |= {'lelbow': (-12.0, 5.0), 'relbow': (12.0, 5.0)}  # arms crossed in front of the body
+    points, weight = np.zeros((15, 2)), np.ones(15)
+    for name, point in joints.items():
+        points[CMU15.index(name)] = point
+    longer = 2 * np.hypot(18, 40) - 2 * np.hypot(2, 40)
+    cost = find_attachment_cost(points, weight, 30.0)
+    assert cost == pytest.approx([0, ATTACHMENT_COST * np.tanh(longer / 30 / ATTACHMENT_SCALE), 0])
+    weight[CMU15.index('rhip')] = 0
+    assert find_attachment_cost(points, weight, 30.0) == pytest.approx(np.zeros(3))

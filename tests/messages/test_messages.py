@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocap_ros.config import Config, NodeConfig, with_values
-from mocap_ros.errors import ConfigError, InputError
+from mocap_ros.errors import InputError
 from mocap_ros.geometry.rigid_transform import RigidTransform, parse_camera_pose
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.camera_placement import CameraPlacement
@@ -33,14 +33,13 @@ from mocap_ros.messages.skeletons import (
     encode_predictions,
     encode_skeleton_definition,
     encode_skeletons,
-    read_prediction_times,
 )
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
 from mocap_ros.people import Motion, MotionKind, Person3D, PredictedPerson
 from mocap_ros.runtime.outputs import SWITCHED_OUTPUTS, OutputEncoder
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton, keypoint_layout
 from tests.support.bodies import STANDING, make_person_3d, make_standing_person
-from tests.support.message_objects import encode
+from tests.support.camera_messages import encode
 
 LIMITS = NodeConfig()
 HEADER = Header(12_345_678_901, 'camera')
@@ -228,23 +227,6 @@ def test_predictions_are_put_out_in_the_frame_of_the_outputs() -> None:
     raw = encode_predictions(header, [PredictedFrame(0.4, [person])], driving)
     root = decode(raw, PREDICTIONS).times[0].people[0].root
     np.testing.assert_allclose(np.array(xyz(root)) - xyz(anna.root), [0.4, 0, 0], atol=1e-9)  # at 1 m/s along x
-
-
-@pytest.mark.parametrize(
-    ('values', 'message'),
-    [
-        ({'node.prediction_times': ''}, r"node\.prediction_times = '': expected one to 20 times in s"),
-        ({'node.prediction_times': '0.2 1.5'}, r'up to 1, separated'),
-        ({'node.prediction_times': '0.2 soon'}, r'such as 0\.2 0\.4'),
-        ({'node.prediction_times': '0.2 nan'}, r'above 0'),
-        ({'node.prediction_times': '0.1 ' * 21}, r'one to 20'),
-        ({'tracker.lag': 0.2}, r'node\.publish_predict\w+: needs tracker\.lag = 0'),
-    ],
-)
-def test_wrong_prediction_times_are_refused_where_they_are_used(values: dict[str, object], message: str) -> None:
-    assert read_prediction_times(with_values(Config(), values)) == ()
-    with pytest.raises(ConfigError, match=message):
-        read_prediction_times(with_values(Config(), {**values, 'node.publish_predictions': True}))
 
 
 def list_transforms(people: list[Person3D], frame: str = 'camera') -> list[Any]:

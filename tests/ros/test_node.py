@@ -27,24 +27,11 @@ from mocap_ros.runtime.replay import replay
 from tests.support.blob_people import draw, save_movenet, walk
 from tests.support.camera_messages import encode_pixels, make_compressed
 from tests.support.pipeline_inputs import encode_demo_frames, with_stamp
-from tests.support.ros_node import (
-    ACTIVATE,
-    CLEAN_UP,
-    CONFIGURE,
-    DEACTIVATE,
-    Peer,
-    Process,
-    StartNode,
-    StartProgram,
-    keypoints_at,
-    stop_node,
-    wait_until_discovered,
-)
+from tests.support.ros_node import Peer, StartNode, StartProgram, keypoints_at, stop_node, wait_until_discovered
 
 pytestmark = pytest.mark.ros
 
-SHUT_DOWN_ACTIVE = 7  # of lifecycle_msgs/Transition
-SECOND_NS = 10**9
+SHUT_DOWN_ACTIVE, DEACTIVATE, ACTIVATE, CLEAN_UP, CONFIGURE = 7, 4, 3, 2, 1  # of lifecycle_msgs/Transition
 
 
 def read_state(peer: Peer) -> str:
@@ -193,7 +180,7 @@ def test_messages_for_which_rclpy_raises_an_error_do_not_end_the_node(peer: Peer
 
         peer.wait_until(is_logged)
     for number, frame in enumerate(encode_demo_frames(3), 1):
-        peer.keypoints.publish(with_stamp(frame, number * SECOND_NS // 30 + SECOND_NS))
+        peer.keypoints.publish(with_stamp(frame, number * 10**9 // 30 + 10**9))
         peer.wait_for_frames(number)
     peer.keypoints.publish(keypoints_at(9)[:50])
     assert peer.get_parameter('tracker.lag') is not None, 'its services answer'
@@ -291,11 +278,11 @@ def test_an_interrupted_start_gives_no_traceback(env: dict[str, str], program: s
 
 
 @pytest.fixture
-def start_detector(start: StartProgram, tmp_path: Path) -> Callable[..., Process]:
+def start_detector(start: StartProgram, tmp_path: Path) -> StartProgram:
     """Start `detector_node` with a network that finds people made of blobs, and further parameters."""
     model = save_movenet(tmp_path / 'movenet.onnx')
 
-    def start_with(*parameters: str) -> Process:
+    def start_with(*parameters: str) -> subprocess.Popen[str]:
         options = [word for p in (f'model:={model}', *TAKE_ALL_IMAGES, *parameters) for word in ('-p', p)]
         return start(*DETECTOR, '--ros-args', *options)
 
@@ -328,7 +315,7 @@ class Camera:
 
 
 def test_images_of_several_encodings_become_skeletons_and_bad_ones_are_logged(
-    peer: Peer, start_detector: Callable[..., Process], start_node: StartNode
+    peer: Peer, start_detector: StartProgram, start_node: StartNode
 ) -> None:
     node, detector = start_node(), start_detector()
     peer.wait_for_node()
@@ -365,7 +352,7 @@ def test_images_of_several_encodings_become_skeletons_and_bad_ones_are_logged(
     assert [[place in line for line in lines].count(True) for place in places] == [1] * len(lines) == [1] * 4
 
 
-def test_compressed_images_are_taken(peer: Peer, start_detector: Callable[..., Process]) -> None:
+def test_compressed_images_are_taken(peer: Peer, start_detector: StartProgram) -> None:
     detector = start_detector(f'image_type:={COMPRESSED_IMAGE}')
     camera = Camera(peer, COMPRESSED_IMAGE)
     for stamp_ns, kind in enumerate(['PNG', 'JPEG'], 1):

@@ -35,7 +35,7 @@ from mocap_ros.runtime.load_keypoints import InputOptions, load_bag, load_input
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import KEYPOINT_LAYOUTS, keypoint_layout
-from tests.support.camera_messages import camera_info
+from tests.support.camera_messages import camera_info, encode
 from tests.support.foreign_messages import (
     BASE_CONFIG,
     HRI_IDS_TOPIC,
@@ -52,7 +52,6 @@ from tests.support.foreign_messages import (
     make_inputs,
     make_people,
 )
-from tests.support.message_objects import encode
 from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, read_messages, with_stamp
 
 FRAMES = 10

@@ -31,8 +31,9 @@ from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.floor import ANKLE_M
+from mocap_ros.units import NS_PER_S
 from tests.support.bodies import make_person_3d
-from tests.support.camera_messages import SECOND_NS, camera_info, make_transforms
+from tests.support.camera_messages import camera_info, make_transforms
 from tests.support.pipeline_inputs import (
     FAST_CONFIG,
     STEP_NS,
@@ -52,6 +53,7 @@ OPTICAL = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 CAMERA = (0.2, 0.0, 1.5)  # m, of the camera in base
 PLAIN_CONFIG = with_values(FAST_CONFIG, {'tracker.vertical': 'none'})  # the frame gives the solver no vertical
 MAP_CONFIG = with_values(PLAIN_CONFIG, {'node.output_frame': 'map'})
+PREDICTED = {'node.publish_predictions': True}
 
 
 @pytest.fixture(scope='module')
@@ -76,7 +78,7 @@ def stack(array: Any, field: str = 'joints') -> np.ndarray:
 
 
 def stamp_of(array: Any) -> int:
-    return int(array.header.stamp.sec * SECOND_NS + array.header.stamp.nanosec)
+    return int(array.header.stamp.sec * NS_PER_S + array.header.stamp.nanosec)
 
 
 def feed_transforms(pipeline: Pipeline, source: Source, raw: bytes) -> None:
@@ -120,7 +122,7 @@ def test_velocities_from_a_driving_robot(stream: list[bytes], in_camera: list[An
     first_ns = stamp_of(in_camera[0])
 
     def pose_at(stamp_ns: int) -> tuple[np.ndarray, Rotation]:
-        seconds = (stamp_ns - first_ns) / SECOND_NS
+        seconds = (stamp_ns - first_ns) / NS_PER_S
         return np.array([SPEED_M_S * seconds, 0.0, 0.0]), Rotation.from_euler('z', 0.5 * seconds)
 
     def place(points: np.ndarray, stamp_ns: int) -> np.ndarray:
@@ -134,13 +136,13 @@ def test_velocities_from_a_driving_robot(stream: list[bytes], in_camera: list[An
         transform = make_transforms(('map', 'base', newest_ns, tuple(origin), turn.as_quat()))
         feed_transforms(pipeline, Source.TRANSFORMS, transform)
         placed = decode_skeletons(process(pipeline, raw))
-        if newest_ns < first_ns + SECOND_NS // 10:  # the transforms show no motion yet
+        if newest_ns < first_ns + NS_PER_S // 10:  # the transforms show no motion yet
             continue
         joints, velocity, step_s = stack(own)[0], stack(own, 'joint_velocity')[0], 1e-3
-        later = place(joints + step_s * velocity, stamp_ns + round(step_s * SECOND_NS))
+        later = place(joints + step_s * velocity, stamp_ns + round(step_s * NS_PER_S))
         expected = (later - place(joints, stamp_ns)) / step_s
         error = np.abs(stack(placed, 'joint_velocity')[0] - expected)
-        turned = 0.5 * late_ns / SECOND_NS  # rad, since the transform that is known
+        turned = 0.5 * late_ns / NS_PER_S  # rad, since the transform that is known
         assert (error <= 0.1 + turned * np.linalg.norm(expected, axis=1, keepdims=True)).all()
         assert np.linalg.norm(expected.mean(axis=0) - velocity.mean(axis=0)) > 0.5
 
@@ -168,7 +170,15 @@ def test_without_transforms_people_are_in_the_camera_frame(stream: list[bytes], 
         ({'node.floor_height': 'x', 'node.output_frame': 'map'}, r"node\.floor_height = 'x': expected a number"),
         ({'node.floor_height': 'nan', 'node.output_frame': 'map'}, r'such as 0'),
         ({'node.hfov': 60.0, 'node.focal': 600.0}, r'node\.focal: node\.hfov is given as well'),
-        ({'node.prediction_times': '2', 'node.publish_predictions': True}, r'node\.prediction_times'),
+        (
+            {**PREDICTED, 'node.prediction_times': ''},
+            r"node\.prediction_times = '': expected one to 20 times in s",
+        ),
+        ({**PREDICTED, 'node.prediction_times': '0.2 1.5'}, r'up to 1, separated'),
+        ({**PREDICTED, 'node.prediction_times': '0.2 soon'}, r'such as 0\.2 0\.4'),
+        ({**PREDICTED, 'node.prediction_times': '0.2 nan'}, r'above 0'),
+        ({**PREDICTED, 'node.prediction_times': '0.1 ' * 21}, r'one to 20'),
+        ({**PREDICTED, 'tracker.lag': 0.2}, r'node\.publish_predict\w+: needs tracker\.lag = 0'),
         (
             {'node.floor_height': 2, 'node.output_frame': 'map', 'node.camera_pose': '0 0 1.5 0 0 0'},
             r'node\.floor_height = 2: the camera of node\.camera_pose, at z = 1\.5 m, is not above it',
@@ -178,11 +188,13 @@ def test_without_transforms_people_are_in_the_camera_frame(stream: list[bytes], 
 def test_parameters_that_cannot_be_used_are_refused(values: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         Pipeline(with_values(PLAIN_CONFIG, values))
+    if PREDICTED.items() <= values.items():
+        Pipeline(with_values(PLAIN_CONFIG, {**values, 'node.publish_predictions': False}))  # of no use, nor read
 
 
 def test_predictions_are_in_the_output_frame_also_in_a_replay(tmp_path: Path, long_stream: list[bytes]) -> None:
-    values = {'node.publish_predictions': True, 'node.prediction_times': '0.1 0.5'}
-    config = with_values(MAP_CONFIG, {**values, 'node.camera_pose': '0 0 1.5 0 0.1 0'})
+    values = {**PREDICTED, 'node.prediction_times': '0.1 0.5', 'node.camera_pose': '0 0 1.5 0 0.1 0'}
+    config = with_values(MAP_CONFIG, values)
     stream, pipeline = long_stream[:20], make_calibrated(config)
     write_keypoints_bag(tmp_path / 'bag', stream, camera_info())
     live = []
@@ -378,7 +390,7 @@ def test_the_world_rests_on_the_floor(
             for i, h in enumerate(heights)
         ]
         for frame in range(frames):
-            stamp_ns = START_NS + round((begin_s + frame / 30) * SECOND_NS)
+            stamp_ns = START_NS + round((begin_s + frame / 30) * NS_PER_S)
             found = world.advance(stamp_ns, people, CameraVertical(upward, 0.05), camera, None)
         assert found is not None
         return float(found.translation[2])

@@ -41,12 +41,14 @@ from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.playback import Playback, encode_sequence
 from mocap_ros.runtime.provenance import RECORDED_PACKAGES
 from mocap_ros.runtime.replay import ReplayOptions, replay
-from tests.support.bag_writing import DEFINITION
 from tests.support.camera_messages import camera_info, encode_ros1_camera_info, make_ros1_header, make_transforms
 from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import (
+    BAG_STEP_NS,
+    DEFINITION,
     FAST_CONFIG,
     FAST_VALUES,
+    START_NS,
     encode_demo_frames,
     read_messages,
     write_keypoints_bag,
@@ -55,8 +57,6 @@ from tests.support.pipeline_inputs import (
 OPTIONS = ReplayOptions(FAST_CONFIG)
 FAST_ARGUMENTS = [word for name, value in FAST_VALUES.items() for word in ('--set', f'{name}={value}')]
 FRAMES = 12
-STEP_NS = 33_000_000  # between two frames; about 30 Hz
-START_NS = 1_700_000_000_000_000_000  # since the epoch
 INFO = camera_info(d=(0.1, -0.2, 0.0, 0.0, 0.0))
 
 
@@ -99,7 +99,7 @@ def test_bags_of_every_storage_and_version_give_the_same_skeletons(
         points = writer.add_connection('/people/keypoints', KEYPOINTS, typestore=typestore())
         writer.write(camera, START_NS, INFO)
         for i, raw in enumerate(stream):
-            writer.write(points, START_NS + i * STEP_NS, raw)
+            writer.write(points, START_NS + i * BAG_STEP_NS, raw)
     assert replay_skeletons(tmp_path / 'bag', tmp_path / 'out') == skeletons
     bare = [f for f in (tmp_path / 'bag').iterdir() if f.suffix in ('.db3', '.mcap')]
     if bare and compression in (CompressionMode.NONE, CompressionMode.STORAGE):
@@ -121,7 +121,7 @@ def test_a_bag_of_ros_1_gives_the_same(tmp_path: Path, stream: list[bytes], skel
         for i, raw in enumerate(stream):
             message = decode(raw, KEYPOINTS)
             message.header = make_ros1_header(store, message.header)
-            writer.write(points, START_NS + i * STEP_NS, store.serialize_ros1(message, KEYPOINTS))
+            writer.write(points, START_NS + i * BAG_STEP_NS, store.serialize_ros1(message, KEYPOINTS))
     assert replay_skeletons(tmp_path / 'old.bag', tmp_path / 'out') == skeletons
     assert read_messages(tmp_path / 'out', '/camera_info') == [INFO]
 
@@ -211,7 +211,7 @@ def write_recorded_run(folder: Path, stream: list[bytes], recorded: dict[str, ob
     with Recorder(folder, RecorderConfig()) as recorder:
         recorder.write(*journal.make_parameters_record(values(with_values(Config(), recorded)), START_NS))
         for number, raw in enumerate(stream, 1):
-            times_ns = (START_NS + number * STEP_NS,) * 2
+            times_ns = (START_NS + number * BAG_STEP_NS,) * 2
             for record in journal.make_input_records('/keypoints', KEYPOINTS, raw, times_ns, Verdict.ACCEPTED):
                 recorder.write(*record)
             if number == CHANGED_AFTER:

@@ -41,8 +41,8 @@ from mocap_ros.runtime.summary import summarise
 from mocap_ros.skeleton import BODY26, CMU15
 from mocap_ros.units import NS_PER_S
 from tests.support.bodies import make_person_3d
+from tests.support.camera_messages import encode
 from tests.support.input_files import FRAMES, Z_UP_TO_Y_UP, make_walker
-from tests.support.message_objects import encode
 from tests.support.pipeline_inputs import FAST_CONFIG
 
 

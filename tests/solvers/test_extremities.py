@@ -19,20 +19,7 @@ from mocap_ros.engine.extremities import sum_derivatives
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT
 from mocap_ros.solvers import extremities
-from mocap_ros.solvers.extremities import (
-    FOOT_REST,
-    HAND_REST,
-    HEAD_REST,
-    PART_OF,
-    PART_SEGMENTS,
-    PARTS,
-    SEGMENT_COUNT,
-    SIZE_OF,
-    SIZE_STD,
-    TEMPLATE,
-    ExtremityEvidence,
-    attach,
-)
+from mocap_ros.solvers.extremities import PART_OF, PARTS, SIZE_OF, TEMPLATE, ExtremityEvidence, attach
 from tests.support.bodies import UPRIGHT, angles_deg
 
 STATURE_M = 1.75
@@ -173,7 +160,7 @@ def test_any_evidence_gives_finite_results(numbers: Array, weight: Array, step_s
         assert square == pytest.approx(np.broadcast_to(np.eye(3), square.shape), abs=1e-6)
         assert (np.linalg.det(segments) > 0).all()
         assert (state['offset_std'] > 0).all()
-        assert (np.abs(state['sizes'][:, 0]) <= 5 * SIZE_STD).all()
+        assert (np.abs(state['sizes'][:, 0]) <= 5 * extremities.SIZE_STD).all()
 
 
 @pytest.mark.parametrize('kind', ['lifted', 'ray'])
@@ -208,11 +195,11 @@ def find_segments(poses: Array) -> Array:
 def test_all_segments_of_an_upright_body_have_its_axes(seed: int) -> None:
     turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
     (segments,) = find_segments((UPRIGHT @ turn.T)[None])
-    hanging = [i for i in range(SEGMENT_COUNT) if i not in PART_SEGMENTS]
+    hanging = [i for i in range(extremities.SEGMENT_COUNT) if i not in extremities.PART_SEGMENTS]
     assert segments[hanging] == pytest.approx(np.tile(turn, (len(hanging), 1, 1)), abs=1e-9)
-    assert segments[at('head')] == pytest.approx(turn @ HEAD_REST, abs=1e-9)
-    assert segments[at('lankle')] == pytest.approx(turn @ FOOT_REST, abs=1e-9)
-    assert segments[at('rwrist')] == pytest.approx(turn @ HAND_REST[1], abs=1e-9)
+    assert segments[at('head')] == pytest.approx(turn @ extremities.HEAD_REST, abs=1e-9)
+    assert segments[at('lankle')] == pytest.approx(turn @ extremities.FOOT_REST, abs=1e-9)
+    assert segments[at('rwrist')] == pytest.approx(turn @ extremities.HAND_REST[1], abs=1e-9)
 
 
 @pytest.mark.parametrize(('upper', 'bent', 'sign'), [('lshoulder', 'lelbow', -1), ('rhip', 'rknee', 1)])

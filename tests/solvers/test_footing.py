@@ -13,14 +13,7 @@ from mocap_ros.engine import footing as engine
 from mocap_ros.keypoints.rays import Extremities
 from mocap_ros.skeleton import BODY26, CMU15
 from mocap_ros.solvers.extremities import ANCHORS
-from mocap_ros.solvers.footing import (
-    FOOTING,
-    HEELS_AND_TOES,
-    LEGS,
-    find_contacts,
-    plant_newest,
-    plant_sequence,
-)
+from mocap_ros.solvers.footing import FOOTING, HEELS_AND_TOES, LEGS, find_contacts, plant_newest, plant_sequence
 
 Array = np.ndarray
 Motion = tuple[Array, Array, Array, Array]

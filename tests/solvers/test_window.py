@@ -26,16 +26,10 @@ from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.lifter_input import sample_histories
 from mocap_ros.models.model_file import load_shipped_lifter
 from mocap_ros.skeleton import CMU15
-from mocap_ros.solvers import joint, periodic
+from mocap_ros.solvers import joint, observed_window, periodic
 from mocap_ros.solvers.alternation import reconstruct
 from mocap_ros.solvers.image_roll import turn_about_axis
-from mocap_ros.solvers.observed_window import (
-    RAY_FOCAL,
-    ObservedWindow,
-    append_lifted,
-    observe_sequence,
-    sample_unlifted_histories,
-)
+from mocap_ros.solvers.observed_window import RAY_FOCAL, ObservedWindow, append_lifted, observe_sequence
 from mocap_ros.solvers.window import Reconstruction, SolverStatus, Window, choose_initial_values
 from tests.support.bodies import make_swinging_body
 from tests.support.synthetic_walk import make_walk, mpjpe_mm, with_scores
@@ -49,7 +43,7 @@ SINGLE_CAMERA = pytest.mark.parametrize('single_camera', [False, True], ids=['ca
 
 
 def lift(observed: ObservedWindow, lifter: Lifter) -> ObservedWindow:
-    points, weight, cameras = sample_unlifted_histories([observed])
+    points, weight, cameras = observed_window.sample_unlifted_histories([observed])
     append_lifted([observed], lifter.lift(points, weight, RAY_FOCAL), cameras)
     return observed
 
@@ -165,9 +159,9 @@ def test_histories_are_those_that_the_whole_window_gives(single_camera: bool, rn
         )
         body = window.view_body(slice(None), RAY_FOCAL)
         expected = sample_histories(*body, window.times, np.arange(known, FRAMES))
-        for found, wanted in zip(sample_unlifted_histories([window]), expected, strict=False):
+        for found, wanted in zip(observed_window.sample_unlifted_histories([window]), expected, strict=False):
             np.testing.assert_array_equal(found, wanted)
-        turned, _, cameras = sample_unlifted_histories([window], 0.7)
+        turned, _, cameras = observed_window.sample_unlifted_histories([window], 0.7)
         assert turned == pytest.approx(turn_about_axis(expected[0], 0.7), abs=1e-12)
         to_the_right = np.repeat(cameras[:, None, :, 0], 26, axis=1)
         append_lifted([window], LiftedPoses(to_the_right, np.ones_like(to_the_right)), cameras)

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Messages of a camera: CameraInfo, /tf and /tf_static, and images in every encoding."""
+"""Messages as objects of rosbags, as others write them; those of a camera: CameraInfo, /tf and all images."""
 
 import io
 from typing import Any
@@ -11,9 +11,10 @@ from PIL import Image
 from rosbags.typesys.store import Typestore
 
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import Header, decode
+from mocap_ros.messages.cdr import Header, decode, pad, typestore
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.messages.transforms import StampedTransform, write_transforms
+from mocap_ros.units import NS_PER_S
 
 
 def camera_info(
@@ -55,9 +56,6 @@ def encode_ros1_camera_info(store: Typestore, raw: bytes | None = None) -> bytes
     fields = {name: by_name[name.lower()] for name, _ in store.fielddefs[CAMERA_INFO][1]}
     old = store.types[CAMERA_INFO](**{**fields, 'header': make_ros1_header(store, message.header)})
     return bytes(store.serialize_ros1(old, CAMERA_INFO))
-
-
-SECOND_NS = 1_000_000_000  # ns in a second
 
 
 def make_transforms(*transforms: Any) -> bytes:
@@ -125,3 +123,17 @@ def make_compressed(image: np.ndarray, kind: str) -> dict[str, Any]:
     file = io.BytesIO()
     Image.fromarray(image).save(file, kind, quality=95)
     return {'format': f'rgb8; {kind.lower()} compressed', 'data': file.getvalue()}
+
+
+def create_message(msgtype: str, **values: Any) -> Any:
+    return typestore().types[msgtype](**values)
+
+
+def create_header(header: Header) -> Any:
+    seconds, nanoseconds = divmod(header.stamp_ns, NS_PER_S)
+    stamp = create_message('builtin_interfaces/msg/Time', sec=seconds, nanosec=nanoseconds)
+    return create_message('std_msgs/msg/Header', stamp=stamp, frame_id=header.frame_id)
+
+
+def encode(message: Any, msgtype: str) -> bytes:
+    return pad(bytes(typestore().serialize_cdr(message, msgtype)))

@@ -18,7 +18,7 @@ from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON, OPENPOSE_POS
 from mocap_ros.messages.input_types import COCO17, HRI18, ZED38
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
-from tests.support.message_objects import create_header, create_message, encode
+from tests.support.camera_messages import create_header, create_message, encode
 from tests.support.pipeline_inputs import FAST_CONFIG, STEP_NS
 
 IMAGE_SIZE = 640, 480  # px

@@ -9,7 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 from mocap_ros.messages.foreign_types import DEFINITIONS
@@ -22,6 +22,9 @@ TEXTS: Mapping[str, str] = {**DEFINITIONS, 'tf2_msgs/msg/TFMessage': 'geometry_m
 
 
 def environment(env: dict[str, str]) -> dict[str, str]:
+    """Return an environment in which the packages are found, after building what is not there yet."""
+    build()
+
     def before(name: str, folder: Path) -> dict[str, str]:
         return {name: os.pathsep.join([str(folder), *filter(None, [env.get(name)])])}
 
@@ -33,10 +36,9 @@ def environment(env: dict[str, str]) -> dict[str, str]:
     }
 
 
-def build(packages: Sequence[str] = PACKAGES) -> None:
-    """Build what is not there yet."""
+def build() -> None:
     env = {**os.environ, 'AMENT_PREFIX_PATH': os.environ.get('AMENT_PREFIX_PATH', sys.prefix)}
-    for package in packages:
+    for package in PACKAGES:
         texts = {n.rpartition('/')[2]: t for n, t in TEXTS.items() if n.startswith(f'{package}/')}
         key = hashlib.sha256(repr(sorted(texts.items())).encode()).hexdigest()
         done = PREFIX / f'{package}.done'

@@ -44,7 +44,6 @@ def check_same_keypoints(detections: Detections, expected: KeypointSequence) -> 
     assert sequence.image_size == (640, 480)
 
 
-FRAMES = 40
 Z_UP_TO_Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
 

@@ -27,7 +27,6 @@ WAITLESS = 'node.camera_info_wait:=0.0'
 FAST_PARAMETERS = ('tracker.model:=walk', 'tracker.iterations:=1', 'tracker.components:=8', WAITLESS, PATIENT)
 # A best-effort subscription may miss the first messages.
 RELIABLE_INPUT = 'qos_overrides./keypoints.subscription.reliability:=reliable'
-DEACTIVATE, ACTIVATE, CLEAN_UP, CONFIGURE = 4, 3, 2, 1  # of lifecycle_msgs/Transition
 
 Process = subprocess.Popen[str]
 StartProgram = Callable[..., Process]  # a command's words

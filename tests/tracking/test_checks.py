@@ -21,8 +21,7 @@ from mocap_ros.tracking.schedule import NEW_TRACK_S, CheckSchedule
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
 from mocap_ros.tracking.tracker import Tracker
-from tests.support.synthetic_walk import Walk, make_walk, mpjpe_mm
-from tests.support.tracks import CAMERA, STEP_NS, change, see, track_walk
+from tests.support.synthetic_walk import CAMERA, STEP_NS, Walk, change, make_walk, mpjpe_mm, see, track_walk
 
 S = 10**9  # ns
 FRAMES = 45

@@ -1,8 +1,11 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The place of a camera from /tf and /tf_static; messages are converted between versions of their type."""
+"""Images of all encodings and their CameraInfo; the place of a camera from transforms; versions of messages."""
 
+import io
+import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -18,10 +22,13 @@ from rosbags.typesys.store import Typestore
 from scipy.spatial.transform import Rotation
 
 from mocap_ros.bags.reader import Bag
+from mocap_ros.config import NodeConfig
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.geometry.rigid_transform import RigidTransform
+from mocap_ros.messages.camera_info import decode_camera_info
 from mocap_ros.messages.cdr import CDR_ALIGNMENT_BYTES, MOCAP_ROS_MSGS, Header, decode, typestore
 from mocap_ros.messages.foreign_types import OPENPOSE_POSES
+from mocap_ros.messages.images import COMPRESSED_IMAGE, ENCODINGS, IMAGE, decode_image
 from mocap_ros.messages.markers import MARKERS, MarkerEncoder
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons, encode_skeletons
 from mocap_ros.messages.transform_tree import HISTORY_S, MAX_FRAMES, TransformTree, is_of_people_only
@@ -29,9 +36,154 @@ from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
 from mocap_ros.messages.versions import compare_versions, make_converter
 from mocap_ros.ros import message_types
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
+from mocap_ros.units import NS_PER_S
 from tests.support.bodies import make_person_3d, make_standing_person
-from tests.support.camera_messages import SECOND_NS, make_transforms
-from tests.support.message_objects import encode
+from tests.support.camera_messages import (
+    camera_info,
+    create_header,
+    create_message,
+    encode,
+    encode_pixels,
+    make_transforms,
+)
+
+HEADER = Header(5_000_000_007, 'optical')
+LIMITS = NodeConfig()
+
+
+def make_image() -> np.ndarray:
+    """Return an image (10, 12, 3) of colours that change little inside squares of 2 x 2 px."""
+    squares = np.random.default_rng(0).integers(0, 256, (5, 6, 3))
+    squares[0, 0] = 255
+    return squares.repeat(2, axis=0).repeat(2, axis=1).astype(np.uint8)
+
+
+def encode_message(msgtype: str = IMAGE, **fields: Any) -> bytes:
+    fields['data'] = np.frombuffer(fields['data'], np.uint8)
+    return encode(create_message(msgtype, header=create_header(HEADER), **fields), msgtype)
+
+
+@pytest.mark.parametrize('encoding', ENCODINGS)
+@pytest.mark.parametrize(('padding', 'is_bigendian'), [(0, False), (5, True)])
+def test_every_encoding_gives_red_green_and_blue(encoding: str, padding: int, is_bigendian: bool) -> None:
+    image = make_image()
+    fields = encode_pixels(image, encoding, padding, is_bigendian)
+    header, pixels = decode_image(encode_message(**fields), IMAGE, LIMITS)
+    assert header == HEADER
+    assert pixels.dtype == np.uint8
+    is_grey = encoding in ('mono8', '8UC1', 'mono16', '16UC1')
+    expected = image.mean(axis=-1, keepdims=True).repeat(3, axis=-1) if is_grey else image
+    tolerance = 3 if encoding.startswith(('yu', 'uy')) else 1
+    assert np.abs(pixels.astype(float) - expected).max() <= tolerance
+
+
+def test_an_infrared_png_is_stretched_as_the_plain_image_is() -> None:
+    grey = np.linspace(0, 4000, 12 * 10).reshape(12, 10).astype(np.uint16)
+    file = io.BytesIO()
+    Image.fromarray(grey).save(file, 'PNG')
+    fields: dict[str, Any] = {'height': 12, 'width': 10, 'encoding': 'mono16', 'is_bigendian': 0, 'step': 20}
+    plain = decode_image(encode_message(**fields, data=grey.astype('<u2').tobytes()), IMAGE, LIMITS)[1]
+    message = encode_message(COMPRESSED_IMAGE, format='mono16; png compressed', data=file.getvalue())
+    found = decode_image(message, COMPRESSED_IMAGE, LIMITS)[1]
+    assert (found == plain).all()
+    assert len(np.unique(found)) > 100
+
+
+def test_an_odd_image_of_a_bayer_pattern_keeps_its_size() -> None:
+    image = make_image()[:9, :11]
+    _, pixels = decode_image(encode_message(**encode_pixels(image, 'bayer_grbg8')), IMAGE, LIMITS)
+    assert pixels.shape == (9, 11, 3)
+    assert np.abs(pixels[:8, :10].astype(int) - image[:8, :10]).max() <= 1  # the colour of the rest is not known
+
+
+@pytest.mark.parametrize(
+    ('changes', 'reason'),
+    [
+        ({'encoding': 'rgb9'}, "encoding: 'rgb9', expected one of rgb8, "),
+        ({'step': 35}, 'step: 35 bytes, less than a row of 12 pixels in rgb8'),
+        ({'height': 11}, 'data: 360 bytes, expected 396'),
+        ({'width': 0}, 'width, height: 0 x 10 px'),
+        ({'height': 0}, 'width, height: 12 x 0 px'),
+        ({'width': 2**20, 'height': 2**20}, 'width, height: 1048576 x 1048576 px'),
+        ({'encoding': 'uyvy', 'width': 11}, 'width: 11 is odd'),
+        ({'encoding': 'bayer_rggb8', 'height': 1}, 'width, height: 12 x 1 px, less than a Bayer pattern'),
+        ({'data': b''}, 'data: 0 bytes, expected 360'),
+    ],
+)
+def test_fields_that_do_not_fit_are_named(changes: dict[str, Any], reason: str) -> None:
+    fields = {**encode_pixels(make_image(), 'rgb8'), **changes}
+    with pytest.raises(InputError, match='^' + reason):
+        decode_image(encode_message(**fields), IMAGE, LIMITS)
+
+
+@pytest.mark.parametrize('rectified', [False, True])
+@pytest.mark.parametrize('binning', [(1, 1), (2, 2), (4, 2)])
+@pytest.mark.parametrize('region', [(0, 0, 0, 0), (100, 40, 800, 600)])
+def test_a_binned_part_of_the_image_shows_the_same_rays(
+    rng: np.random.Generator, region: tuple[int, int, int, int], binning: tuple[int, int], rectified: bool
+) -> None:
+    p = (900.0, 0, 650, 0, 0, 900, 470, 0, 0, 0, 1, 0)
+    part_info = camera_info(1280, 960, 900.0, p=p, binning=binning, region=region)
+    whole = decode_camera_info(camera_info(1280, 960, 900.0, p=p), rectified=rectified)
+    part = decode_camera_info(part_info, rectified=rectified)
+    width, height = region[2:] if region[2] else (1280, 960)
+    assert part.size == (width // binning[0], height // binning[1])
+    points = rng.uniform(-1, 1, (20, 3)) + [0, 0, 4]
+    expected = (whole.intrinsics.project(points) - region[:2]) / binning
+    assert part.intrinsics.project(points) == pytest.approx(expected)
+
+
+def test_an_unknown_size_stays_unknown() -> None:
+    camera = decode_camera_info(camera_info(0, 0, binning=(2, 2)))
+    assert (camera.size, camera.intrinsics.image_size) == ((0, 0), None)
+
+
+OPENCV = (0.1, -0.2, 0.001, 0.002, 0.03, 0.04, 0.05, 0.06)
+
+
+@pytest.mark.parametrize(
+    ('model', 'd', 'used'),
+    [
+        ('plumb_bob', OPENCV[:5], ('plumb_bob', 5)),
+        ('Plumb Bob', OPENCV[:4], ('plumb_bob', 4)),
+        ('radtan', OPENCV[:4], ('plumb_bob', 4)),
+        ('plumb_bob', OPENCV, ('rational_polynomial', 8)),
+        ('rational_polynomial', (*OPENCV, *[0.0] * 6), ('rational_polynomial', 8)),  # as DepthAI sends them
+        ('fisheye', OPENCV[:4], ('equidistant', 4)),
+        ('kannala_brandt4', OPENCV[:4], ('equidistant', 4)),
+        ('', OPENCV[:5], ('plumb_bob', 5)),
+        ('unknown', (0.0,) * 5, ('plumb_bob', 0)),
+        ('none', (), ('plumb_bob', 0)),
+    ],
+)
+def test_models_of_lenses_have_several_names(model: str, d: tuple[float, ...], used: tuple[str, int]) -> None:
+    camera = decode_camera_info(camera_info(model=model, d=d))
+    distortion = camera.intrinsics.distortion
+    assert (distortion.model, distortion.coefficients, camera.note) == (used[0], d[: used[1]], '')
+
+
+@pytest.mark.parametrize(
+    ('fields', 'used', 'note'),
+    [
+        ({'model': 'double_sphere', 'd': OPENCV[:5]}, (640, 480, 600.0), "distortion model 'double_sphere'"),
+        ({'model': 'equidistant', 'd': OPENCV[:3]}, (640, 480, 600.0), 'takes 4 coefficients, not 3'),
+        ({'model': 'rational_polynomial', 'd': (*OPENCV, 0, 0, 0, 0.1)}, (640, 480, 600.0), 'not 12'),
+        ({'d': (math.nan, 0, 0, 0, 0)}, (640, 480, 600.0), 'not finite'),
+        ({'d': (1.0, -1e300, 0, 0)}, (640, 480, 600.0), r'^d: -1e\+300, more than a lens has'),
+        ({'focal': 0.0}, (640, 480, None), 'k: .*not calibrated: its image size of 640 x 480 px'),
+        ({'centre': 1.0}, (640, 480, 600.0), 'k: principal point 640, 480 px .* for another size'),
+        ({'focal': math.nan}, (640, 480, None), 'k: .*not calibrated'),
+        ({'focal': 1.0}, (640, 480, None), 'k: focal length of 1 px in an image 640 px wide; .*not calibrated'),
+        ({'focal': 0.0, 'binning': (2, 2), 'd': OPENCV[:5]}, (320, 240, None), '320 x 240 px'),
+    ],
+)
+def test_bad_fields_leave_others(fields: dict[str, Any], used: tuple[int, int, float | None], note: str) -> None:
+    camera = decode_camera_info(camera_info(**{'focal': 600.0, **fields}))
+    intrinsics = camera.intrinsics
+    assert (*camera.size, intrinsics.focal if intrinsics.is_focal_known else None) == used
+    assert not intrinsics.distortion.coefficients
+    assert re.search(note, camera.note)
+
 
 CAMERA = np.array([0.1, 0.0, 0.4])  # m, of the camera in base
 TURN = Rotation.from_euler('z', 90, degrees=True)  # of odom in map
@@ -43,32 +195,32 @@ def make_tree() -> TransformTree:
     odom, dock = ('map', 'odom', 0, (5, 0, 0), TURN.as_quat()), ('map', 'dock', 0, (0, 7, 0))
     tree.add(make_transforms(odom, dock, ('base', 'camera', 0, CAMERA)), is_static=True)
     for tenth in range(11):
-        tree.add(make_transforms(('odom', 'base', tenth * SECOND_NS // 10, (tenth / 10, 0, 0))), is_static=False)
+        tree.add(make_transforms(('odom', 'base', tenth * NS_PER_S // 10, (tenth / 10, 0, 0))), is_static=False)
     return tree
 
 
-@given(st.integers(0, SECOND_NS))
+@given(st.integers(0, NS_PER_S))
 def test_a_moving_camera_is_where_it_was_at_the_time_of_the_image(stamp_ns: int) -> None:
-    x = stamp_ns / SECOND_NS
+    x = stamp_ns / NS_PER_S
     found = make_tree().find('map', 'camera', stamp_ns, 0.0)
     np.testing.assert_allclose(found.translation, [5, x + 0.1, 0.4], atol=1e-9)
     np.testing.assert_allclose(found.rotation, TURN.as_matrix(), atol=1e-9)
 
 
 def test_the_way_leads_up_and_down_and_slashes_of_old_names_do_not_count() -> None:
-    found = make_tree().find('/dock', '/base', SECOND_NS // 2, 0.0)
+    found = make_tree().find('/dock', '/base', NS_PER_S // 2, 0.0)
     np.testing.assert_allclose(found.translation, [5, 0.5 - 7, 0], atol=1e-9)
     assert make_tree().find('odom', 'odom', 7, 0.0).translation.tolist() == [0, 0, 0]
 
 
 def test_an_image_after_the_newest_transform_is_placed_only_within_the_tolerance() -> None:
     tree = make_tree()
-    late_ns = SECOND_NS + SECOND_NS // 20
+    late_ns = NS_PER_S + NS_PER_S // 20
     np.testing.assert_allclose(tree.find('odom', 'base', late_ns, 0.1).translation, [1, 0, 0])
     with pytest.raises(InputError, match=r'the newest transform of base is 0\.05 s older than the image'):
         tree.find('odom', 'base', late_ns, 0.04)
     with pytest.raises(InputError, match=r'the oldest transform of base is 0\.20 s newer than the image'):
-        tree.find('odom', 'base', -SECOND_NS // 5, 0.1)
+        tree.find('odom', 'base', -NS_PER_S // 5, 0.1)
 
 
 def test_frames_without_a_way_between_them_are_named() -> None:
@@ -82,10 +234,10 @@ def test_frames_without_a_way_between_them_are_named() -> None:
 
 def test_old_transforms_are_forgotten_and_time_that_goes_back_begins_anew() -> None:
     tree = make_tree()
-    later_ns = round((HISTORY_S + 1.5) * SECOND_NS)
+    later_ns = round((HISTORY_S + 1.5) * NS_PER_S)
     tree.add(make_transforms(('odom', 'base', later_ns, (9, 0, 0))), is_static=False)
     with pytest.raises(InputError, match='oldest'):
-        tree.find('odom', 'base', SECOND_NS // 2, 0.0)
+        tree.find('odom', 'base', NS_PER_S // 2, 0.0)
     tree.add(make_transforms(('odom', 'base', 5, (2, 0, 0))), is_static=False)
     np.testing.assert_allclose(tree.find('odom', 'base', 5, 0.0).translation, [2, 0, 0])
 
@@ -95,7 +247,7 @@ def test_old_transforms_are_forgotten_and_time_that_goes_back_begins_anew() -> N
     [
         (('map', '', 0, (0, 0, 0)), r"transforms\[1\]: child_frame_id '' in header.frame_id 'map'"),
         (('map', '/map', 0, (0, 0, 0)), r"transforms\[1\]: child_frame_id 'map' in header.frame_id 'map'"),
-        (('map', 'b', -SECOND_NS, (0, 0, 0)), r'transforms\[1\]: header.stamp: -1 s'),
+        (('map', 'b', -NS_PER_S, (0, 0, 0)), r'transforms\[1\]: header.stamp: -1 s'),
         (('map', 'b', 0, (0, np.inf, 0)), r'transforms\[1\]: .*not finite'),
         (('map', 'b', 0, (0, 0, 0), (0, 0, 0, 0)), r'transforms\[1\]: .*unit length'),
     ],
@@ -111,7 +263,7 @@ def test_names_that_never_end_fill_no_memory() -> None:
     tree = TransformTree()
     for second in range(0, 60, 20):  # people who come and go
         names = [f'body_{second}_{i}' for i in range(MAX_FRAMES // 2)]
-        tree.add(make_transforms(*(('map', n, second * SECOND_NS, (0, 0, 0)) for n in names)), is_static=False)
+        tree.add(make_transforms(*(('map', n, second * NS_PER_S, (0, 0, 0)) for n in names)), is_static=False)
     with pytest.raises(InputError, match=f'more than {MAX_FRAMES} frames'):
         tree.add(make_transforms(*(('map', f'c{i}', 0, (0, 0, 0)) for i in range(MAX_FRAMES + 1))), is_static=True)
 
@@ -144,17 +296,17 @@ def test_frames_of_robots_are_none_of_people_though_their_names_begin_as_those_d
 
 def test_a_time_before_a_late_transform_is_that_before_the_newest_of_each_frame() -> None:
     tree = TransformTree()
-    for stamp_ns in range(0, SECOND_NS + 1, SECOND_NS // 10):
-        seconds = stamp_ns / SECOND_NS
+    for stamp_ns in range(0, NS_PER_S + 1, NS_PER_S // 10):
+        seconds = stamp_ns / NS_PER_S
         tree.add(make_transforms(('map', 'odom', stamp_ns // 2, (seconds, 0, 0))), is_static=False)
         tree.add(make_transforms(('odom', 'base', stamp_ns, (0, seconds, 0))), is_static=False)
-    image = 'map', 'base', SECOND_NS, 0.5
+    image = 'map', 'base', NS_PER_S, 0.5
     np.testing.assert_allclose(tree.find(*image).translation, [1, 1, 0])
     np.testing.assert_allclose(tree.find(*image, 0.2).translation, [1 - 0.4, 1 - 0.2, 0])
     with pytest.raises(InputError, match=r'oldest transform of odom is 0\.10 s newer'):
         tree.find(*image, 0.6)
     with pytest.raises(InputError, match=r'newest transform of base is 0\.80 s older'):
-        tree.find('odom', 'base', 2 * SECOND_NS, 0.5, 0.2)
+        tree.find('odom', 'base', 2 * NS_PER_S, 0.5, 0.2)
 
 
 BOX = 'test_msgs/msg/Box'
