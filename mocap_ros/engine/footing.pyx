@@ -49,6 +49,7 @@ cdef double HOLD_S = 1.0  # T
 cdef double MAX_STEP_S = 0.1  # longest time that one frame stands for
 # longer lines blur short stands, and in shorter ones a detector's noise hides them; frames of 30 Hz may be late
 cdef double REACH_S = 0.11
+cdef double ROUNDING_S = 1e-6  # differences of times that are equal but for rounding are smaller
 cdef double FORGOTTEN = 2 * atanh(0.05)  # |log f| of p within 0.025 of 1/2, which is no knowledge, after about 3 s
 
 
@@ -334,7 +335,7 @@ cdef void follow_points(
     cdef const double[:, :, :] seen
     cdef const double[:, :] score
     if count > 0:
-        reach_s = fmax(reach_s, 2.5 * (times[start + count] - times[start]) / count)
+        reach_s = fmax(reach_s, 2.5 * (times[start + count] - times[start]) / count + ROUNDING_S)
         step_s = fmin(step_s, times[max(t, 1)] - times[max(t, 1) - 1])
     for k in range(POINTS):
         at, height = legs[k // 2, ANKLE], 0

@@ -10,7 +10,6 @@ units of the network.
 """
 
 from libc.math cimport M_PI, NAN, cos, exp, expf, fabs, hypot, isfinite, pow, sqrt
-from libc.stdlib cimport free, malloc
 from libc.string cimport memcpy, memmove
 
 import numpy as np
@@ -47,6 +46,7 @@ cdef double SQUARES = 6.0  # sum of the squared coefficients of a second differe
 cdef double INITIAL_JITTER_M = 0.005  # until it is estimated
 cdef double INITIAL_SPEED_M_S = 1.0  # that of a walker
 cdef double MAX_NOISE_SHARE = 0.5  # of the image noise; a joint rests on several frames and points
+cdef double ROUNDING_S = 1e-6  # differences of times that are equal but for rounding are smaller
 cdef double MAX_STEP_S = 0.200001  # over a gap of more than 0.2 s the differences say nothing of the jitter
 cdef double MAX_SPEED_M_S = 10.0  # of a sprinter
 cdef double MAX_DEPTH_CHANGE = 0.3  # of the depth; a larger one from frame to frame is another solution
@@ -106,12 +106,12 @@ def sample_joints(Vector ago, frames, windows, solutions):
     cdef Rows theta, roots, mean
     cdef Stack rotation, components
     cdef double[:, :, :, ::1] out
-    cdef double* after
+    cdef double[::1] after
     cdef double* before
     result = np.empty((len(frames), ago.shape[0], *solutions[0].model.mean.shape))
     out, values = result, 3 * result.shape[2]
     out[...] = NAN
-    after = <double*> malloc(values * sizeof(double))
+    after = np.empty(values)
     for p in range(out.shape[0]):
         solution, frame, times = solutions[p], frames[p], windows[p].times
         theta, rotation, roots = solution.theta, solution.rotation, solution.roots
@@ -119,8 +119,9 @@ def sample_joints(Vector ago, frames, windows, solutions):
         size, count = 1 / <double> solution.stature_ratio, theta.shape[1]
         for n in range(ago.shape[0]):
             wanted, before, first = times[frame] - ago[n], &out[p, n, 0, 0], frame
-            if not wanted >= times[0]:
+            if not wanted >= times[0] - ROUNDING_S:
                 continue
+            wanted = max(wanted, times[0])
             while first > 0 and times[first] > wanted:
                 first -= 1
             pose(&theta[first, 0], count, &rotation[first, 0, 0], &roots[first, 0], mean, components, size, before)
@@ -128,10 +129,9 @@ def sample_joints(Vector ago, frames, windows, solutions):
                 continue
             share = (wanted - times[first]) / (times[first + 1] - times[first])
             pose(&theta[first + 1, 0], count, &rotation[first + 1, 0, 0], &roots[first + 1, 0], mean, components,
-                 size, after)
+                 size, &after[0])
             for k in range(values):
                 before[k] += share * (after[k] - before[k])
-    free(after)
     return result
 
 

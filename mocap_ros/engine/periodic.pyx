@@ -151,6 +151,8 @@ cdef class PeriodicProblem:
     def __init__(self, body, score, double robust_scale, times, prior, double level_weight, movement, start,
                  double noise_ratio, int settle_steps=0):
         cdef int N = len(times), P = prior.shape[0], m = prior.shape[1], G = P * m + 1
+        if P % 2 == 0:
+            raise ValueError('a series is a mean and pairs of terms')
         self.body, self.score, self.robust_scale, self.times, self.prior = body, score, robust_scale, times, prior
         self.movement, self.level_weight, self.noise_ratio = movement, level_weight, noise_ratio
         self.N, self.K, self.m, self.P, self.G = N, m - 1, m, P, G
@@ -557,6 +559,8 @@ def fit_series(
     cdef double[:, :, ::1] out = fits
     cdef double[::1] total = explained
     cdef double[:, ::1] terms = np.ones((P, N)), matrix = np.empty((P, P)), right = np.empty((K, P))
+    if P < 3 or P % 2 == 0 or theta.shape[1] != N:
+        raise ValueError('a series is a mean and pairs of terms, and each time has a pose')
     with nogil:
         for f in range(frequencies.shape[0]):
             for t in range(N):

@@ -351,6 +351,15 @@ def test_joints_between_frames_are_interpolated(truth: TrackSolution) -> None:
     np.testing.assert_allclose(found[1:].reshape(5, -1).T, expected, atol=1e-12)
 
 
+@pytest.mark.parametrize('rate', [10, 25, 30, 50])
+def test_the_first_frame_of_a_window_is_known_at_every_age(truth: TrackSolution, rate: int) -> None:
+    """Stamps count from the person's first frame, so differences of equal times differ in the last digit."""
+    for age in range(200):
+        times = (age + np.arange(FRAMES)) / rate
+        ago = np.array([(FRAMES - 1) / rate])
+        assert np.isfinite(sample_joints(ago, [FRAMES - 1], [SimpleNamespace(times=times)], [truth])).all()
+
+
 def test_poses_of_another_model_approximate_the_same_joints(truth: TrackSolution, walk_model: BasePoses) -> None:
     """A model with all base poses represents the poses of one with some of them; its body frame may be turned."""
     turn = Rotation.from_rotvec([0, 0, 0.5]).as_matrix()
