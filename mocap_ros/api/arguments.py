@@ -22,7 +22,7 @@ from mocap_ros.formats.npz_arrays import ArrayReader
 from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence, validate_camera, validate_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.model_file import AUTO, load_base_pose_models
+from mocap_ros.models.model_file import AUTO, check_base_poses, load_base_pose_models
 from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.units import NS_PER_S
 
@@ -180,6 +180,10 @@ def make_config(parameters: Parameters) -> Config:
 def load_models(model: Model, config: Config) -> dict[str, BasePoses]:
     """Return the base poses by name; `auto` leaves the choice to the parameter `tracker.model`."""
     if isinstance(model, BasePoses):
+        try:
+            check_base_poses(model)
+        except ValueError as error:
+            raise ModelError(f'model: {error}') from None
         return {model.name: model}
     given = config.tracker.model if model == AUTO else model
     name = str(read_path('model', given, ModelError, 'a name, a path or BasePoses'))

@@ -102,6 +102,8 @@ def mark_unseen(const double[:, :, :] points, const double[:, :] score, double m
     cdef Py_ssize_t n, s
     cdef bint is_low = False, is_high = False, is_faulty = False
     cdef double x, y, value, largest
+    if not (points.shape[0] == score.shape[0] and points.shape[1] == score.shape[1] and points.shape[2] == 2):
+        raise ValueError(f'points {points.shape}, but scores {score.shape}')
     result = np.empty((score.shape[0], score.shape[1], 2)), np.zeros((score.shape[0], score.shape[1]))
     cdef double[:, :, ::1] out = result[0]
     cdef double[:, ::1] out_score = result[1]
@@ -215,6 +217,9 @@ def convert_to_rays(
     cdef double max_ray = tan(MAX_RAY_ANGLE)  # beyond it no camera shows anything
     cdef double low_x, low_y, high_x, high_y, tolerance
     cdef double[2] offset
+    if not (points.shape[0] == score.shape[0] and points.shape[1] == score.shape[1] == weights.shape[2]
+            and points.shape[2] == 2):
+        raise ValueError(f'points {points.shape} and scores {score.shape} of {weights.shape[2]} joints')
     cdef double[:, ::1] used = np.zeros((score.shape[0], score.shape[1]))
     body = np.empty((score.shape[0], joints, 2)), np.empty((score.shape[0], joints))
     is_evidence = np.empty((score.shape[0], core), bool)

@@ -126,9 +126,10 @@ cdef class NewestFrames:
         cdef double depth, unit, total, x, y, value
         cdef bint is_known = True
         cdef double[9] turn
-        cdef double* scales = <double*> malloc(count * sizeof(double))
+        cdef double* scales
         if observed.lifted is not None:
             lifted, std = observed.lifted.joints, observed.lifted.std
+        scales = <double*> malloc(count * sizeof(double))
         for n in range(count):
             t = start + n
             self.time[t], self.free_frames[t] = times[first + n], n >= fixed_frames

@@ -59,7 +59,8 @@ def mark_unseen(points: Array, score: Array) -> tuple[Array, Array, Fault | None
     where that exceeds 1. Returns points, scores, and the first coordinate beyond `MAX_COORDINATE_PX` or infinite
     score, if there is one; NaN is no fault.
     """
-    people = points.reshape(-1, *points.shape[-2:]), score.reshape(-1, score.shape[-1])
+    shape = math.prod(score.shape[:-1]), score.shape[-1]
+    people = np.asarray(points, float).reshape(*shape, 2), np.asarray(score, float).reshape(shape)
     seen_points, seen_score, is_faulty = engine.mark_unseen(*people, MAX_COORDINATE_PX)
     fault = _find_first_fault(points, score) if is_faulty else None
     return seen_points.reshape(points.shape), seen_score.reshape(score.shape), fault

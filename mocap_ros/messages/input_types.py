@@ -19,7 +19,6 @@ from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
 from mocap_ros.keypoints.image_size import ImageSize
 from mocap_ros.keypoints.person import Person2D, is_person_class
-from mocap_ros.keypoints.validation import mark_unseen
 from mocap_ros.messages.cdr import Header, decode_input, validate_header, validate_text
 from mocap_ros.messages.foreign_types import (
     HRI_IDS,
@@ -148,9 +147,9 @@ def decode_body(raw: bytes, body_id: str, size: ImageSize, limits: NodeConfig) -
             'the parameters node.image_width and node.image_height give it'
         )
     numbers = np.array([(p.x, p.y, p.c) for p in message.skeleton], np.float64)
-    points, *_ = mark_unseen(numbers[:, :2], numbers[:, 2])  # what marks unseen ones is no share of the image
+    numbers[(numbers[:, :2] == -1).all(axis=1), :2] = np.nan  # marks an unseen one, and is no share of the image
     person_id = validate_text(body_id, 'id', limits)
-    return header, validate_person(person_id, HRI18, points * size, numbers[:, 2], 0, 'skeleton')
+    return header, validate_person(person_id, HRI18, numbers[:, :2] * size, numbers[:, 2], 0, 'skeleton')
 
 
 def decode_ids(raw: bytes, limits: NodeConfig) -> tuple[Header, tuple[str, ...]]:

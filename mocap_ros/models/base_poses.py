@@ -39,6 +39,10 @@ class BasePoses:
     stature: float  # m, mean stature of the people in the training data
     provenance: Mapping[str, object]  # origin of the training data and settings of the training
 
+    def __post_init__(self) -> None:
+        for name in ('mean', 'components', 'std', 'explained'):  # as the engine takes them
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), float))
+
     @property
     def aligned_by_heading(self) -> bool:
         """Whether training poses were turned about z only, so that z is vertical in every pose."""

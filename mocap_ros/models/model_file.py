@@ -127,14 +127,16 @@ def decode_base_poses(data: bytes, source: str) -> BasePoses:
             skeleton=keypoint_layout(meta['skeleton']),
             stature=float(meta['stature']),
             provenance=meta['provenance'],
-            **{key: arrays[key].astype(float) for key in ('mean', 'components', 'std', 'explained')},
+            **{key: arrays[key] for key in ('mean', 'components', 'std', 'explained')},
         )
-        _check_base_poses(model)
+        check_base_poses(model)
     return model
 
 
-def _check_base_poses(model: BasePoses) -> None:
+def check_base_poses(model: BasePoses) -> None:
     """Raise `ValueError` for shapes and values of a model that no training produces."""
+    if model.skeleton != CMU15:
+        raise ValueError(f'skeleton: {model.skeleton.name}, expected {CMU15.name}: {", ".join(CMU15.joints)}')
     joints, k = len(CMU15.joints), np.atleast_1d(model.components).shape[0]
     if not 0 < k <= 3 * joints:  # more cannot be orthonormal, and their products would fill the memory
         raise ValueError(f'components: shape {model.components.shape}, expected 1 to {3 * joints} base poses')
@@ -147,7 +149,6 @@ def _check_base_poses(model: BasePoses) -> None:
     is_decreasing = np.diff(model.std) <= ORTHONORMALITY_TOLERANCE * model.std[:-1]
     flat = model.components.reshape(k, -1)
     for is_valid, reason in (
-        (model.skeleton == CMU15, f'skeleton: {model.skeleton.name}, expected {CMU15.name}'),
         (has_name, f'name: expected a text of at most {MAX_NAME_LENGTH} characters'),
         (isinstance(model.provenance, dict), 'provenance: expected a mapping'),
         (low <= model.stature <= high, f'stature: {model.stature:g}, expected {low} to {high} m'),

@@ -48,8 +48,8 @@ def reconstruct_people(
     left_out: list[str] = []
     for index, sequence in enumerate(sequences):
         person_id = sequence.person_id or f'person_{index + 1}'
-        observations = extract_observations(sequence, config.tracker.nominal_focal_length)
         try:
+            observations = extract_observations(sequence, config.tracker.nominal_focal_length)
             result = method(*observations, models, config, report_part(report, index, len(sequences)))
         except (InputError, np.linalg.LinAlgError) as error:
             if len(sequences) == 1:

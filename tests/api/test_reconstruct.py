@@ -3,6 +3,7 @@
 
 """`reconstruct`, `Tracker` and `BasePoses` give what solver, tracker and training give, and name wrong input."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import mocap_ros
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
+from mocap_ros.skeleton import BODY26
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.training.fit_base_poses import fit_base_poses
 
@@ -110,8 +112,12 @@ def test_parameters_and_models_have_an_effect(sequence: mocap_ros.KeypointSequen
     by_object = mocap_ros.reconstruct(sequence, model=walk, parameters=QUICK)
     by_parameter = mocap_ros.reconstruct(sequence, parameters={**QUICK, 'tracker.model': 'walk'})
     np.testing.assert_array_equal(by_object.joints, by_parameter.joints)
+    in_columns = replace(walk, components=np.asfortranarray(walk.components))
+    by_columns = mocap_ros.reconstruct(sequence, model=in_columns, parameters=QUICK)
+    np.testing.assert_array_equal(by_columns.joints, by_object.joints)
 
 
+ALL = mocap_ros.BasePoses.load('all')
 INPUT, MODEL, CONFIG = mocap_ros.InputError, mocap_ros.ModelError, mocap_ros.ConfigError
 
 
@@ -132,6 +138,8 @@ INPUT, MODEL, CONFIG = mocap_ros.InputError, mocap_ros.ModelError, mocap_ros.Con
         ({'camera_matrix': MATRIX + np.outer([1, 0, 0], [0, 0, 9000])}, INPUT, 'camera_matrix: principal point'),
         ({'distortion': [0.1, 0, 0, 0]}, INPUT, 'distortion: needs a camera_matrix'),
         ({'camera_matrix': MATRIX, 'distortion': [0.1, 0, 0]}, INPUT, 'distortion: .* not 3'),
+        ({'model': replace(ALL, skeleton=BODY26)}, MODEL, 'model: skeleton: body26, expected cmu15: head, neck'),
+        ({'model': replace(ALL, mean=ALL.mean[1:])}, MODEL, 'model: mean: shape'),
         ({'model': 'dance'}, MODEL, "model: no base-pose model 'dance'"),
         ({'parameters': {'solver.prio': 'pca'}}, CONFIG, "parameters: .*; did you mean 'solver.prior'"),
         ({'parameters': {'tracker.body_height': 170}}, CONFIG, 'parameters: tracker.body_height = 170'),

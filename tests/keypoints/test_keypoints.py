@@ -107,6 +107,17 @@ def test_scores_of_a_person_are_divided_by_the_largest_of_those_seen_if_it_excee
     np.testing.assert_array_equal(mark_unseen(points, given)[1], expected)
     logits = np.array([-900.0, -2.0, 0.0, 3.0])
     np.testing.assert_allclose(mark_unseen(points[0], logits)[1], [0, 0.1192, 0.5, 0.9526], atol=1e-4)
+    for shape in ((0, 4), (3, 0), (0,)):
+        assert mark_unseen(np.zeros((*shape, 2), np.float32), np.zeros(shape, np.float32))[1].shape == shape
+
+
+def test_points_and_scores_of_other_shapes_are_refused() -> None:
+    points, score = np.ones((1, 17, 2)), np.ones((1, 17))
+    for p, s in ((points[:, :10], score), (points, score[:, :10]), (points[:, :10], score[:, :10])):
+        with pytest.raises(ValueError, match='10'):
+            convert_to_rays(p, s, keypoint_layout('coco17').joints, PINHOLE, 0.1)
+    with pytest.raises(ValueError, match='10'):
+        mark_unseen(points, score[:, :10])
 
 
 @pytest.mark.parametrize(
