@@ -38,9 +38,9 @@ from detected import CLEAN, DETECTORS, ViewOptions, choose_trials, list_views, l
 from numpy.typing import NDArray
 from report import Records, Report, Section, cross, group, run
 
+from mocap_ros.engine import motion
 from mocap_ros.models import model_file
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.joint_std import VARIANCE_ALONG
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 from mocap_ros.training.example_arrays import find_trunks
 
@@ -273,7 +273,7 @@ def measure_lab_view(options: ViewOptions, view: View, joints: Array, std: Array
     if std is None:
         return records
     sight = joints[:, :CORE_COUNT] / np.linalg.norm(joints[:, :CORE_COUNT], axis=-1, keepdims=True)
-    off = np.abs(((found - truth) * sight).sum(axis=-1)) / (np.sqrt(VARIANCE_ALONG) * std[:, :CORE_COUNT])
+    off = np.abs(((found - truth) * sight).sum(axis=-1)) / (np.sqrt(motion.VARIANCE_ALONG) * std[:, :CORE_COUNT])
     kinds = np.array([n.lstrip('lr') for n in CMU15.joints])
     for posture, kind in product(np.unique(postures[known]), dict.fromkeys(kinds)):
         own = off[known & (postures == posture)][:, kinds == kind]

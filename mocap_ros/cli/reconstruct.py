@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from mocap_ros.arrays import Array
 from mocap_ros.cli.inputs import (
     INPUT_OPTIONS,
     MODEL_OPTIONS,
@@ -24,17 +24,24 @@ from mocap_ros.cli.inputs import (
 )
 from mocap_ros.cli.options import CONFIG_OPTIONS, STRICT_OPTIONS, Options, derive_output_stem, load_config, option
 from mocap_ros.cli.terminal import ShareBar, finish, print_note, print_result, show_stages
-from mocap_ros.config import load_yaml, with_values
+from mocap_ros.config import Config, load_yaml, with_values
 from mocap_ros.errors import InputError
 from mocap_ros.formats.bvh import BLENDER_IMPORT
 from mocap_ros.formats.text_files import check_output, read_text, replace_output
+from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import average_vertical
+from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.keyframes.taylor import DepthChoice, parse_depth_choices
-from mocap_ros.offline.whole_sequence import SequenceResult, describe_height_faults, reconstruct_without_floor
+from mocap_ros.offline.whole_sequence import (
+    Report,
+    SequenceResult,
+    describe_height_faults,
+    reconstruct_without_floor,
+)
 from mocap_ros.runtime import save_results
 from mocap_ros.runtime.summary import summarise
-from mocap_ros.runtime.whole_recording import reconstruct_people
+from mocap_ros.runtime.whole_recording import Method, reconstruct_people
 
 MAX_ENDING = 64  # characters of a person's id in the name of a file
 MAX_CHOICES_BYTES = 16 << 20  # bytes; guards against parsing a huge file as keyframes
@@ -138,16 +145,23 @@ def add_ending(path: Path, ending: str) -> Path:
     return path.with_name(path.name.removesuffix(suffix) + ending + suffix)
 
 
-def _choose_method(args: argparse.Namespace) -> Callable[..., SequenceResult]:
+def _choose_method(args: argparse.Namespace) -> Method:
     choices: tuple[DepthChoice, ...] = ()
     if args.choices is not None:
         text = read_text(args.choices, max_bytes=MAX_CHOICES_BYTES)
         choices = parse_depth_choices(load_yaml(text, str(args.choices)), str(args.choices))
 
-    def by_keyframes(*given: Any) -> SequenceResult:
-        points, names, times, camera, models, config, _ = given
-        observed = points, names, times, camera
+    def by_keyframes(
+        keypoints: Array,
+        names: tuple[str, ...],
+        times: Array,
+        camera: Intrinsics,
+        models: Mapping[str, BasePoses],
+        config: Config,
+        _: Report,
+    ) -> SequenceResult:
         with show_stages() as set_stage:
+            observed = keypoints, names, times, camera
             return keyframe_method.reconstruct(*observed, models, config, choices, set_stage).result
 
     return by_keyframes if args.method == 'keyframes' else reconstruct_without_floor

@@ -66,7 +66,7 @@ cdef struct State:  # of a person in a frame, the fields of `solvers.extremities
     double offset_std[POINTS]
     double velocity[POINTS][3]
     double quaternions[CORE][4]
-    double is_turn_known[CORE]
+    double is_turn_seen[CORE]
     double spin[CORE][3]
     double squared_spin[CORE]
     double time_s
@@ -462,21 +462,21 @@ cdef class Body:
         cdef int limb, i
         cdef bint known
         memcpy(rotations, state.segments, sizeof(rotations))
-        memset(state.is_turn_known, 0, sizeof(state.is_turn_known))
+        memset(state.is_turn_seen, 0, sizeof(state.is_turn_seen))
         for part in range(PARTS):
             memcpy(rotations[self.part_segments[part]], state.turns[part], 9 * sizeof(double))
-            state.is_turn_known[self.part_segments[part]] = is_part_known[part]
-        state.is_turn_known[self.pelvis] = weight[self.lhip] > 0 and weight[self.rhip] > 0
-        state.is_turn_known[self.neck] = weight[self.lshoulder] > 0 and weight[self.rshoulder] > 0
+            state.is_turn_seen[self.part_segments[part]] = is_part_known[part]
+        state.is_turn_seen[self.pelvis] = weight[self.lhip] > 0 and weight[self.rhip] > 0
+        state.is_turn_seen[self.neck] = weight[self.lshoulder] > 0 and weight[self.rshoulder] > 0
         for limb in range(LIMBS):
             a, b, c = self.limbs[limb][0], self.limbs[limb][1], self.limbs[limb][2]
             known = sqrt(dot(state.twist[limb], state.twist[limb])) >= KNOWN_SINE
             known = known and weight[a] > 0 and weight[b] > 0 and weight[c] > 0
-            state.is_turn_known[a] = known
+            state.is_turn_seen[a] = known
             if limb < 2:
                 continue
-            known = known or (state.is_turn_known[c] > 0 and weight[b] > 0)
-            state.is_turn_known[a] = state.is_turn_known[b] = known
+            known = known or (state.is_turn_seen[c] > 0 and weight[b] > 0)
+            state.is_turn_seen[a] = state.is_turn_seen[b] = known
             column(rotations[c], 1, FOOT_SINE, foot)
             transform(state.segments[self.limbs[limb][3]], state.twist[limb], left)
             for i in range(3):
@@ -706,7 +706,7 @@ cdef class Body:
                 share *= ANGULAR_SPEED_STD * sqrt(dot(state.offsets[k], state.offsets[k]))
                 out_velocity_std[n, j] = size * hypot(velocity_std[n, anchor], share)
                 memcpy(&out_turns[n, j, 0], state.quaternions[anchor], 4 * sizeof(double))
-                is_inferred[n, j] = not state.is_turn_known[anchor] > 0
+                is_inferred[n, j] = not state.is_turn_seen[anchor] > 0
         return arrays
 
     def run(

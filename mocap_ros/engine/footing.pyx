@@ -15,7 +15,7 @@ from libc.string cimport memcpy, memset
 
 import numpy as np
 
-from mocap_ros.engine.geometry cimport Indices, Rows, Stack, Vector, dot
+from mocap_ros.engine.geometry cimport MAX_DEPTH_CHANGE, MAX_SPEED_M_S, Indices, Rows, Stack, Vector, dot
 
 
 cdef enum:
@@ -30,10 +30,8 @@ cdef enum:
     ANKLE = 2
 
 cdef double BASE_STEP_S = 1.0 / 30  # s; for which deviations of accelerations are given
-cdef double MIN_STEP_S = 1e-3
+cdef double MIN_STEP_S = 1e-3  # guards divisions by a time step
 cdef double MIN_INFORMATION = 1e-9  # 1/m^2; keeps what nothing determines solvable
-cdef double MAX_DEPTH_CHANGE = 0.3  # of the depth; a root that changes by more is another solution, or another person
-cdef double MAX_SPEED_M_S = 10  # m/s; of a sprinter
 cdef double FAR_M = 5  # m; beyond it the root's error along the line of sight grows with the distance
 cdef double MIN_LENGTH_M = 1e-6  # m; guards divisions by lengths
 cdef double MIN_TILT_M = 0.01  # m; legs along the line of sight do not tilt
@@ -58,7 +56,7 @@ cdef struct Memory:  # what is kept of the frames before, the fields of `solvers
     double log_odds[POINTS]
     double standing[FEET]
     double core[CORE * 3]
-    double found[TWO]
+    double found[TWO]  # before, shift and leg_shifts
     double matrix[TWO * TWO]
     double right[TWO]
     double root[3]
@@ -495,7 +493,7 @@ def smooth(double noise, Vector times, Stack core, Stack feet, Rows contact, con
     cdef Py_ssize_t frames = core.shape[0], t, n
     cdef Model model = choose_model(noise, False)
     cdef double step_s
-    cdef double[ALL] b, u
+    cdef double[ALL] u
     result, unknowns = np.array(core), np.zeros((frames + 2, OWN))
     cdef double[:, :, ::1] out = result, factors = np.empty((frames, ALL, ALL))
     cdef double[:, ::1] rights = np.empty((frames, ALL)), found = unknowns, roots = np.empty((frames, 3))

@@ -24,8 +24,10 @@ cdef extern from *:
     #define MIN_RADIUS 1e-12           /* focal lengths; guards the divisions by the radius at the optical axis */
     #define ANGLE_STEP 1e-6            /* rad; step of the central difference, far below any pixel */
     #define MIN_SLOPE 1e-3             /* guards the Newton step where the fisheye polynomial is flat */
+    #define MAX_DEPTH_CHANGE 0.3       /* of the depth; a root that changes by more is another solution or person */
+    #define MAX_SPEED_M_S 10.0         /* m/s; of a sprinter */
     """
-    const double MIN_SINE, MIN_RAY_DEPTH, MAX_RAY_ANGLE, MIN_RADIUS, ANGLE_STEP, MIN_SLOPE
+    const double MIN_SINE, MIN_RAY_DEPTH, MAX_RAY_ANGLE, MIN_RADIUS, ANGLE_STEP, MIN_SLOPE, MAX_DEPTH_CHANGE, MAX_SPEED_M_S
     const int UNDISTORT_ITERATIONS
 
 

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
 
+VELOCITY_TIME_S: float
+SWAPPED_PARTS: NDArray[np.bool_]
+
 def continue_paths(
     path_cost: Array,
     path_states: NDArray[np.int8],

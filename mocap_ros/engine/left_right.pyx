@@ -29,7 +29,7 @@ cdef double CONFUSION_COST = 12.0  # nats; more than to enter a swap of legs or 
 cdef double ATTACHMENT_COST = 5.0  # nats; log odds that the much shorter lines are those of the right labels
 cdef double ATTACHMENT_SCALE = 0.25  # body sizes; lines longer by this have log odds of about 4 nats
 cdef double ATTACHMENT_TIME_S = 0.1  # s; frames that follow each other more closely say the same
-cdef double VELOCITY_TIME_S = 0.08  # s; tau, of the smoothing of velocities and of their decay in a prediction
+cdef double TAU_S = 0.08  # s; of the smoothing of velocities and of their decay in a prediction
 cdef double MAX_VELOCITY_GAP_S = 0.2  # s; a joint that was not seen for longer restarts with velocity 0
 cdef double MIN_STEP_S = 1e-3  # s; guards divisions by a time step, for images may be a millisecond apart
 cdef double REFERENCE_FRAME_S = (1.0 / 30)  # s; frame interval that the transition probabilities refer to
@@ -46,6 +46,11 @@ cdef inline int has_bit(int state, int bit) noexcept nogil:
 cdef inline int is_swapped(int state, Py_ssize_t part) noexcept nogil:
     """Whether a state exchanges a part: legs and arms by their own bit or that of the whole body, not by both."""
     return has_bit(state, 0) if part == 0 else has_bit(state, part) ^ has_bit(state, 0)
+
+
+# For `keypoints.left_right`: tau, and the parts (8, 3) with wrong labels.
+VELOCITY_TIME_S = TAU_S
+SWAPPED_PARTS = np.array([[is_swapped(state, part) for part in range(PARTS)] for state in range(STATES)], bool)
 
 
 cdef void find_transition_cost(double elapsed_s, double[STATES][STATES] cost) noexcept nogil:
@@ -107,7 +112,7 @@ cdef void add_label_cost(
                 continue
             age = time_s - joints[path, j, 4]
             if age != known_age:  # most joints were seen in the same frame
-                known_age, horizon = age, VELOCITY_TIME_S * (1 - exp(-age / VELOCITY_TIME_S))
+                known_age, horizon = age, TAU_S * (1 - exp(-age / TAU_S))
             growth = PREDICTION_STD + PREDICTION_STD_PER_S * age + PREDICTION_STD_PER_S2 * age * age
             for label in range(2):
                 source = mirror[j] if label else j
@@ -190,7 +195,7 @@ def continue_paths(
                 continue
             age = max(time_s - path_joints[predecessor, before, 4], MIN_STEP_S)
             if age != known_age:  # most joints were seen in the same frame
-                known_age, blend = age, 1 - exp(-age / VELOCITY_TIME_S)
+                known_age, blend = age, 1 - exp(-age / TAU_S)
             for d in range(2):
                 measured = (points[source, d] - path_joints[predecessor, before, d]) / age
                 velocity = path_joints[predecessor, before, 2 + d]

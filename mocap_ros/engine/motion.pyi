@@ -11,6 +11,9 @@ Array: TypeAlias = NDArray[np.float64]
 Array32: TypeAlias = NDArray[np.float32]
 Indices: TypeAlias = NDArray[np.int64]
 
+VARIANCE_ACROSS: float
+VARIANCE_ALONG: float
+
 def sample_joints(
     ago: Array, frames: Sequence[int], windows: Sequence[Any], solutions: Sequence[Any]
 ) -> Array: ...

@@ -16,7 +16,7 @@ import numpy as np
 
 from scipy.linalg.cython_blas cimport sgemm
 
-from mocap_ros.engine.geometry cimport Indices, Rows, Stack, Vector, dot
+from mocap_ros.engine.geometry cimport MAX_DEPTH_CHANGE, MAX_SPEED_M_S, Indices, Rows, Stack, Vector, dot
 
 # The constants of joints and the powers were chosen together on 53 trials of persons of the training data, with clean
 # points and as three detectors give them: least errors of acceleration for 0.1 to 0.6 mm of the positions. The
@@ -48,8 +48,6 @@ cdef double INITIAL_SPEED_M_S = 1.0  # that of a walker
 cdef double MAX_NOISE_SHARE = 0.5  # of the image noise; a joint rests on several frames and points
 cdef double ROUNDING_S = 1e-6  # differences of times that are equal but for rounding are smaller
 cdef double MAX_STEP_S = 0.200001  # over a gap of more than 0.2 s the differences say nothing of the jitter
-cdef double MAX_SPEED_M_S = 10.0  # of a sprinter
-cdef double MAX_DEPTH_CHANGE = 0.3  # of the depth; a larger one from frame to frame is another solution
 # Of corrected velocities: two thirds of the errors are within, of persons in no training as well.
 cdef double CORRECTED_STD = 0.7  # f
 cdef double CORRECTION_STD = 0.7  # g
@@ -63,6 +61,7 @@ cdef double POSTERIOR_INFERRED = 5.6  # h_j
 cdef double POSTERIOR_FLOOR_M = 0.011  # the posterior does not know the poses that the base poses cannot represent
 cdef double ACROSS = 1.0 / 6  # of the whole variance, in each direction across the line of sight
 cdef double ALONG = 2.0 / 3  # and along it
+VARIANCE_ACROSS, VARIANCE_ALONG = ACROSS, ALONG  # for `models.joint_std`
 
 cdef enum:  # rows of the filter's state: x, v, mean squares of the second differences and of v, variance of v
     X, V, SECOND, SPEED, VARIANCE
@@ -361,11 +360,14 @@ def correct_velocity(
     cdef double[:, ::1] std = past[1]
     cdef Stack joints = past[2], axes = past[4]
     cdef const double[:, :, :, ::1] earlier = past[3]
-    cdef const float[:, :, ::1] found = evaluate(layers, build_inputs(past, spans, mirror, hips), limit)
+    cdef const float[:, :, ::1] found
     cdef Py_ssize_t p, j, i, a, k, n, people = joints.shape[0], count = joints.shape[1]
     cdef double[:, ::1] said = np.zeros((count + 1, 3))
     cdef double along, apart_along, most_along, most_across, squared, length
     cdef double[3] sight, apart, out, root
+    if not np.isfinite(past[3][:, needed, 0, 0]).any():
+        return
+    found = evaluate(layers, build_inputs(past, spans, mirror, hips), limit)
     for p in range(people):
         if not isfinite(earlier[p, needed, 0, 0]):
             continue

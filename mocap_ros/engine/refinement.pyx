@@ -8,7 +8,7 @@ The formulas are in `tracking.refinement`, `geometry.virtual_camera` and `solver
 all, F frames of one person's window, of which all but the newest are solved, J joints, B bones, K base poses.
 """
 
-from libc.math cimport exp, isfinite, log, sqrt
+from libc.math cimport isfinite, log, sqrt
 from libc.stdlib cimport free, malloc
 
 import numpy as np
@@ -26,7 +26,7 @@ cdef extern from *:
     #define MIN_DEPTH_M 1e-3        /* guards the division by the depth of the body's origin */
     #define MIN_STD_M 0.01          /* a smaller standard deviation of the lifter is not believed */
     #define LASTING_S (1.0 / 30)    /* with the next one as in `solvers.joint.objective` and `.differences` */
-    #define MIN_TIME_STEP_S 1e-4
+    #define MIN_TIME_STEP_S 1e-4    /* guards the divisions by time steps */
     #define MIN_TOTAL_WEIGHT 1e-12  /* guards the division by the weights of a frame in which no joint is seen */
     """
     const double MAX_APPROACH, MIN_DEPTH_M, MIN_STD_M, LASTING_S, MIN_TIME_STEP_S, MIN_TOTAL_WEIGHT

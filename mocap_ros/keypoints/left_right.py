@@ -18,7 +18,7 @@ c_j:
     e_j     = |x_j - y_j - v_j tau (1 - exp(-d_j / tau))| / (sigma_j * body size)
     sigma_j = (2 - c_j) (PREDICTION_STD + PREDICTION_STD_PER_S d_j + PREDICTION_STD_PER_S2 d_j^2)
 
-with eps = `OUTLIER_PROBABILITY`, s = `OUTLIER_STD`, tau = `VELOCITY_TIME_S` (constants in
+with eps = `OUTLIER_PROBABILITY`, s = `OUTLIER_STD`, tau = `TAU_S` (constants in
 `engine/left_right.pyx`). Where left and right nearly coincide, the likelihoods of both labels are the same, and
 the state stays.
 
@@ -57,13 +57,7 @@ _ARM_JOINTS = ('elbow', 'wrist', 'hand', 'index', 'pinky', 'thumb')
 # Joints whose line from the upper to the lower one shows which lower joint belongs to which shoulder, by part.
 _ATTACHMENTS = {'legs': ('lshoulder', 'lhip'), 'arms': ('lshoulder', 'lelbow')}
 
-STATES = 8  # bit 0: whole body, bit 1: legs, bit 2: arms
-# (8, 3), the bits of each state.
-STATE_BITS = np.array([[s >> bit & 1 for bit in range(3)] for s in range(STATES)])
-SWAPPED_PARTS = (STATE_BITS ^ (STATE_BITS[:, :1] & [0, 1, 1])).astype(bool)  # (8, 3) parts with wrong labels
-
-VELOCITY_TIME_S = 0.08  # s; tau, which the engine has as well
-
+STATES = len(engine.SWAPPED_PARTS)
 _OWN_STATES = np.arange(STATES, dtype=np.int8)[:, None]
 
 
@@ -99,7 +93,7 @@ def _find_part(joint: str) -> int:
 
 
 class ViterbiPaths(NamedTuple):
-    """The likeliest path to each of the eight states of the newest frame, in the order of `SWAPPED_PARTS`."""
+    """The likeliest path to each of the eight states of the newest frame, ordered as `engine.SWAPPED_PARTS`."""
 
     cost: Array  # (8,) negative log likelihoods in nats, up to a common constant
     states: NDArray[np.int8]  # (8, F) states in the frames of the window
@@ -144,9 +138,9 @@ class SwapFilter:
         """Return the filter with its points (..., 2) converted, as to rays of another camera."""
         if self.paths is None:
             return self
-        points, movement = self.paths.joints[..., :2], VELOCITY_TIME_S * self.paths.joints[..., 2:4]
+        points, movement = self.paths.joints[..., :2], engine.VELOCITY_TIME_S * self.paths.joints[..., 2:4]
         converted = convert(points)
-        velocity = (convert(points + movement) - converted) / VELOCITY_TIME_S
+        velocity = (convert(points + movement) - converted) / engine.VELOCITY_TIME_S
         joints = np.concatenate([converted, velocity, self.paths.joints[..., 4:]], axis=-1)
         return replace(self, paths=self.paths._replace(joints=joints))
 
@@ -170,7 +164,7 @@ def find_swapped_parts(times: Array, points: Array, weight: Array, sides: BodySi
     path = [int(cost.argmin())]
     for predecessor in predecessors[:0:-1]:
         path.append(int(predecessor[path[-1]]))
-    is_swapped[frames] = SWAPPED_PARTS[path[::-1]]
+    is_swapped[frames] = engine.SWAPPED_PARTS[path[::-1]]
     return is_swapped
 
 

@@ -25,11 +25,10 @@ from __future__ import annotations
 import numpy as np
 
 from mocap_ros.arrays import Array
+from mocap_ros.engine import motion as engine
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.skeleton import Skeleton
 
-VARIANCE_ACROSS = 1 / 6  # of the whole variance, in each direction across the line of sight
-VARIANCE_ALONG = 2 / 3  # of the whole variance, along the line of sight
 # 1; E, by the distances of 160 training persons of known height, whole and live; 0.5 where all bias is to go
 HIDDEN_SHARE = 0.4
 
@@ -51,5 +50,5 @@ def expect_stature(lengths: Array, skeleton: Skeleton, lifted: LiftedPoses | Non
 def compute_joint_covariance(std: Array, position: Array) -> Array:
     """Return the covariances (..., 3, 3) m^2 of standard deviations (...) m along lines of sight (..., 3)."""
     direction = position / np.linalg.norm(position, axis=-1, keepdims=True)
-    along = (VARIANCE_ALONG - VARIANCE_ACROSS) * direction[..., None] * direction[..., None, :]
-    return np.asarray(std[..., None, None] ** 2 * (VARIANCE_ACROSS * np.eye(3) + along))
+    along = (engine.VARIANCE_ALONG - engine.VARIANCE_ACROSS) * direction[..., None] * direction[..., None, :]
+    return np.asarray(std[..., None, None] ** 2 * (engine.VARIANCE_ACROSS * np.eye(3) + along))

@@ -10,9 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mocap_ros.arrays import Array
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
+from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.whole_sequence import (
     Report,
@@ -21,6 +23,11 @@ from mocap_ros.offline.whole_sequence import (
     report_part,
     share_floor,
 )
+
+# With the arguments of `reconstruct_without_floor`
+Method = Callable[
+    [Array, tuple[str, ...], Array, Intrinsics, Mapping[str, BasePoses], Config, Report], SequenceResult
+]
 
 
 class Reconstructed(NamedTuple):
@@ -37,12 +44,11 @@ def reconstruct_people(
     models: Mapping[str, BasePoses],
     config: Config,
     report: Report,
-    method: Callable[..., SequenceResult] = reconstruct_without_floor,
+    method: Method = reconstruct_without_floor,
 ) -> tuple[list[Reconstructed], list[str]]:
     """Reconstruct the people of a recording, who share the floor; one who fails does not stop the others.
 
-    `method` has the arguments of `reconstruct_without_floor`. Returns those who were reconstructed, and a line for
-    each of the others.
+    Returns those who were reconstructed, and a line for each of the others.
     """
     found: list[Reconstructed] = []
     left_out: list[str] = []

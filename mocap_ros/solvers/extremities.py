@@ -113,7 +113,7 @@ FOOT_REST = rotation_about(1, -19.0)
 
 EXTREMITIES = BODY26.joints[CORE_COUNT:]
 PARTS = ('head', 'lfoot', 'rfoot', 'lhand', 'rhand')
-HEAD = 0  # index of the part
+_HEAD_PART = PARTS.index('head')
 
 # Points (m per m of stature) in the axes of their part: the mean of the people of the training data. The line from
 # the ears to the nose is 19.6 degrees below the horizontal in people who walk.
@@ -132,7 +132,7 @@ TEMPLATE = np.array([_TEMPLATES.get(name, _TEMPLATES.get(name[1:])) for name in 
 # index of the part of each point
 PART_OF = np.array(
     [
-        HEAD
+        _HEAD_PART
         if n == 'nose' or n[1:] in ('eye', 'ear')
         else PARTS.index(n[0] + ('hand' if n[1:] == 'hand' else 'foot'))
         for n in EXTREMITIES
@@ -154,10 +154,7 @@ REST_MEMORY_S = np.array([0.7, 0.4, 0.4, 0.4, 0.4])  # s; tau: half a step for f
 SIZE_STD = np.array([0.06, 0.12, 0.15])
 
 BODY = engine.Body(
-    (
-        *(HEAD, NECK, PELVIS),
-        *(LSHOULDER, RSHOULDER, LHIP, RHIP),
-    ),
+    (HEAD, NECK, PELVIS, LSHOULDER, RSHOULDER, LHIP, RHIP),
     LIMBS,
     BENDS,
     HEAD_REST,
@@ -182,11 +179,8 @@ STATE = np.dtype(
         ('offset_std', float, EXTREMITY_COUNT),  # m
         ('velocity', float, (EXTREMITY_COUNT, 3)),  # m/s, of the offsets
         ('quaternions', float, (SEGMENT_COUNT, 4)),  # x, y, z, w, orientations of the segments
-        (
-            'is_turn_seen',
-            float,
-            SEGMENT_COUNT,
-        ),  # 1 where the image says how a segment is turned about itself
+        # 1 where the image says how a segment is turned about itself
+        ('is_turn_seen', float, SEGMENT_COUNT),
         ('spin', float, (SEGMENT_COUNT, 3)),  # rad/s; w
         ('squared_spin', float, SEGMENT_COUNT),  # rad^2/s^2; s^2
         ('time_s', float),  # s, of this frame

@@ -109,7 +109,9 @@ FOOTING = np.dtype(
         ('log_odds', float, len(FEET)),  # logarithms of the odds that heels and toes stand; NaN where unknown
         ('standing', float, 2),  # probabilities that heel or toe of the left and of the right foot stand, likewise
         ('core', float, (CORE_COUNT, 3)),  # m, in the axes of the camera
-        ('found', float, (2, 3, 3)),  # m, unknowns u of the frame before and of this one
+        ('before', float, (3, 3)),  # m, unknowns u of the frame before, and c and a of this one
+        ('shift', float, 3),
+        ('leg_shifts', float, (2, 3)),
         ('matrix', float, (18, 18)),  # 1/m^2, lower triangle, and the right side, of the unknowns of both
         ('right', float, 18),
         ('root', float, 3),  # m; X_t, and V_t in m/s

@@ -65,8 +65,9 @@ def _select(*names: str) -> slice:
 
 # Columns of the filters (P, R) of people.
 OF_MOTION, OF_FOOTING, OF_EXTREMITIES = map(_select, ('motion', 'footing', 'extremities'))
-STANDING_TIME, STANDING_CORE, STANDING = (_select('footing', n) for n in ('time_s', 'core', 'standing'))
-SHIFT = slice(_select('footing', 'found').start + 9, _select('footing', 'found').start + 12)  # c_t
+STANDING_TIME, STANDING_CORE, STANDING, SHIFT = (
+    _select('footing', name) for name in ('time_s', 'core', 'standing', 'shift')
+)
 OFFSETS = _select('extremities', 'offsets')
 UNFILTERED = np.concatenate([np.full(OF_EXTREMITIES.start, np.nan), START])  # (R,) before the first frame
 
