@@ -135,8 +135,8 @@ def measure_distances(
 ):
     """Return the distances (D, P) and growths (D, P) of points (P, J, 2), (D, J, 2) with weights (P, J), (D, J).
 
-    The formulas, and limits that are arguments, are those of `keypoints.association`; weights are `known` and `seen`, and
-    mirror (J,) are the counterparts of the joints. With fewer than `min_shared` joints that are both known and seen
+    The formulas, and limits that are arguments, are those of `keypoints.association`; weights are `known` and `seen`,
+    and mirror (J,) are the counterparts of the joints. With fewer than `min_shared` joints that are both known and seen
     the distance is infinite; with fewer than `few_shared` centres and sizes are compared.
     """
     cdef Py_ssize_t p, d, j, people = known.shape[0], detections = seen.shape[0], joints = known.shape[1]

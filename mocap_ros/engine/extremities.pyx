@@ -179,8 +179,10 @@ cdef void add_turn(const double* vector, const double* turn, double* out) noexce
     out[3] = w * turn[3] - half * dot(vector, turn)
 
 
-cdef void steady_turn(const double* rotation, double* turn, double* spin, double* squared, double step_s) noexcept nogil:
-    """Move the quaternion, the angular velocity and its mean square towards a rotation, by the filter of orientations."""
+cdef void steady_turn(
+    const double* rotation, double* turn, double* spin, double* squared, double step_s
+) noexcept nogil:
+    """Move quaternion, angular velocity and its mean square towards a rotation, by the filter of orientations."""
     cdef double[4] ahead, seen
     cdef double[3] moved, lag
     cdef double rate, fall, length, share = exp(-step_s / SPIN_MEMORY_S)
@@ -244,7 +246,9 @@ cdef void write_spread(const double* rest, const double* std, double* out) noexc
     multiply_transposed(scaled, rest, out)
 
 
-cdef void write_arm(const double* template, const double* turn, double size, double* arm, double[3][7] slopes) noexcept nogil:
+cdef void write_arm(
+    const double* template, const double* turn, double size, double* arm, double[3][7] slopes
+) noexcept nogil:
     """Write the offset of a point from its anchor, and its derivatives by d, t (0: it is not displaced) and b."""
     cdef int i
     transform(turn, template, arm)
@@ -339,7 +343,7 @@ cdef void take_step(Sums* sums, double* turn, double* turned, double* shift, dou
 
 
 def collect_evidence(Stack core, windows, frames):
-    """Return what a frame of each of P windows says, the attributes of `ExtremityEvidence` from lifted joints to scores.
+    """Return what a frame of each of P windows says: `ExtremityEvidence` from lifted joints to scores.
 
     `core` (P, 15, 3) m; without a lifter the first two are NaN, and without extremities rays and scores are 0.
     """
@@ -499,7 +503,9 @@ cdef class Body:
         cdef int i, j
         for i in range(3):
             for j in range(3):
-                relative[3 * i + j] = old_rest[i] * turn[j] + old_rest[3 + i] * turn[3 + j] + old_rest[6 + i] * turn[6 + j]
+                relative[3 * i + j] = (
+                    old_rest[i] * turn[j] + old_rest[3 + i] * turn[3 + j] + old_rest[6 + i] * turn[6 + j]
+                )
         multiply_transposed(rest, old_rest, moved)
         vector_from_rotation(relative, vector)
         for i in range(3):
@@ -632,8 +638,8 @@ cdef class Body:
     ):
         """Overwrite the states (P, N) of people by those of the next frame, with filtered orientations if `is_steady`.
 
-        `evidence` is an `ExtremityEvidence` of this frame; statures (P,) in m; times (P,) in s, and nothing changes where
-        they are not newer.
+        `evidence` is an `ExtremityEvidence` of this frame; statures (P,) in m; times (P,) in s, and nothing changes
+        where they are not newer.
         """
         cdef Stack core = evidence[0], lifted = evidence[1], lifted_std = evidence[2], rays = evidence[3]
         cdef Rows weight = evidence[4]

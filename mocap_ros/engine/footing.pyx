@@ -38,12 +38,12 @@ cdef double MIN_TILT_M = 0.01  # m; legs along the line of sight do not tilt
 cdef double MAX_REACH = 0.9999  # of the length of a leg; a straight knee has no direction in which it bends
 cdef double LEAST_NOISE_M = 5e-4  # image noise of points without errors
 # Of contacts, in the letters of `solvers.footing`.
-cdef double SPEED_M_S = 0.2  # V
+cdef double SPEED_M_S = 0.2  # V_s
 cdef double HEIGHT_M = 0.07  # H
-cdef double EVIDENCE_S = 0.2  # E: as near frames share points and errors, those of so long count as one
-cdef double STANDING = 3.0  # B
+cdef double EVIDENCE_S = 0.2  # tau_e: as near frames share points and errors, those of so long count as one
+cdef double STANDING = 3.0  # K
 cdef double MOVING = 4.0  # D
-cdef double HOLD_S = 1.0  # T
+cdef double HOLD_S = 1.0  # tau_h
 cdef double MAX_STEP_S = 0.1  # longest time that one frame stands for
 # longer lines blur short stands, and in shorter ones a detector's noise hides them; frames of 30 Hz may be late
 cdef double REACH_S = 0.11
@@ -100,7 +100,9 @@ def list_constants(double noise, bint is_live):
     return np.array(<double[:12]> &model.along)
 
 
-cdef void add_term(double* a, double* b, int count, const int* at, const double* by, const double* m, const double* r) noexcept nogil:
+cdef void add_term(
+    double* a, double* b, int count, const int* at, const double* by, const double* m, const double* r
+) noexcept nogil:
     """Add the term d^T M d with d = sum_i by_i u[at_i] + r, M (3, 3), to the lower triangle A (27, 27) and b."""
     cdef int i, j, x, y
     cdef double pull

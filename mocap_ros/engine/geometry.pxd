@@ -27,7 +27,8 @@ cdef extern from *:
     #define MAX_DEPTH_CHANGE 0.3       /* of the depth; a root that changes by more is another solution or person */
     #define MAX_SPEED_M_S 10.0         /* m/s; of a sprinter */
     """
-    const double MIN_SINE, MIN_RAY_DEPTH, MAX_RAY_ANGLE, MIN_RADIUS, ANGLE_STEP, MIN_SLOPE, MAX_DEPTH_CHANGE, MAX_SPEED_M_S
+    const double MIN_SINE, MIN_RAY_DEPTH, MAX_RAY_ANGLE, MIN_RADIUS, ANGLE_STEP, MIN_SLOPE
+    const double MAX_DEPTH_CHANGE, MAX_SPEED_M_S
     const int UNDISTORT_ITERATIONS
 
 

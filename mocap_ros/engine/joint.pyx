@@ -1031,7 +1031,8 @@ cdef void fit_lifted_pose(
         for j in range(J):
             for i in range(3):
                 pose[3 * j + i] = (
-                    rotation[i] * joints[3 * j] + rotation[3 + i] * joints[3 * j + 1] + rotation[6 + i] * joints[3 * j + 2]
+                    rotation[i] * joints[3 * j] + rotation[3 + i] * joints[3 * j + 1]
+                    + rotation[6 + i] * joints[3 * j + 2]
                 ) / scale[0] - mean[j, i]
         multiply_vector_transposed(3 * J, K, 1, &basis[0, 0], pose, 0, theta)
         for i in range(K):

@@ -12,7 +12,7 @@ from libc.math cimport INFINITY, NAN, exp, fabs, isfinite, sqrt
 
 import numpy as np
 
-from mocap_ros.engine.geometry cimport Rows, Stack, Vector, rotate_ray, turn_to_axis
+from mocap_ros.engine.geometry cimport Rows, Stack, Vector, dot, rotate_ray, turn_to_axis
 
 ctypedef const float[::1] Floats
 
@@ -137,11 +137,13 @@ cdef void sample_history(
 def sample_histories(people, Py_ssize_t joints, Vector slots, double max_gap_s, double tolerance_s):
     """Return the points (N, T, J, 2) and scores (N, T, J) at the slots before some frames, 0 where not seen.
 
-    The rotations (N, 3, 3) of these frames are returned too. Rules are those of `models.lifter_input.sample_histories`; slots (T,) s before the frames increase.
+    The rotations (N, 3, 3) of these frames are returned too. Rules are those of
+    `models.lifter_input.sample_histories`; slots (T,) s before the frames increase.
 
     Args:
-        people: of each person the times (F,) s, the frames, the rotations (F, 3, 3), or (1, 3, 3) for all frames, of the
-            cameras that see the rays, and groups of joints, one after the other: rays (F, J_i, 2) and scores (F, J_i).
+        people: of each person the times (F,) s, the frames, the rotations (F, 3, 3), or (1, 3, 3) for all frames, of
+            the cameras that see the rays, and groups of joints, one after the other: rays (F, J_i, 2) and scores
+            (F, J_i).
         joints: J; those that no group has are not seen.
     """
     cdef Py_ssize_t n = 0, row = 0, first
@@ -158,7 +160,8 @@ def sample_histories(people, Py_ssize_t joints, Vector slots, double max_gap_s, 
             row = n
             for frame in frames:
                 sample_history(
-                    rays, weight, times, frame, rotation, slots, max_gap_s, tolerance_s, out[row], out_weight[row], first
+                    rays, weight, times, frame, rotation, slots, max_gap_s, tolerance_s, out[row], out_weight[row],
+                    first,
                 )
                 camera[row] = rotation[min(<Py_ssize_t> frame, rotation.shape[0] - 1)]
                 row += 1
@@ -231,8 +234,8 @@ cpdef encode(
 ):
     """Return features (N, images, I), newest points (N, J, 2), units (N,) and rotations (N, 3, 3) of the cameras.
 
-    Points (N, T, J, 2) and scores may lack the last joints; focal lengths (N,), in the unit of the points, are infinite if
-    unknown; `upward` (N, 3) is k v; `mirror` (J,) are the counterparts of the joints. Of `images`, 2 are the history
+    Points (N, T, J, 2) and scores may lack the last joints; focal lengths (N,), in the unit of the points, are infinite
+    if unknown; `upward` (N, 3) is k v; `mirror` (J,) are the counterparts of the joints. Of `images`, 2 are the history
     and its mirror image. Virtual cameras turn to the newest points, if they turn, where the focal length is known.
     """
     cdef Py_ssize_t n, t, j, k, image, first, joints = mirror.shape[0]
@@ -255,7 +258,7 @@ cpdef encode(
         for image in range(images):
             k = 3 * slots * joints
             for j in range(3):
-                x = rotation[n, j, 0] * upward[n, 0] + rotation[n, j, 1] * upward[n, 1] + rotation[n, j, 2] * upward[n, 2]
+                x = dot(&rotation[n, j, 0], &upward[n, 0])
                 out[n, image, k + j] = -x if image and j == 0 else x
             out[n, image, k + 3] = min(unit / focal[n] / ANGULAR_SIZE_UNIT_RAD, MAX_FEATURE)
             for t in range(slots):

@@ -74,7 +74,8 @@ cdef class NewestFrames:
     """
 
     cdef readonly object times, starts, counts, image, score, focal, is_free, lifted, precision
-    cdef readonly object earlier_lengths, earlier_frames, theta, rotation, log_scale, translation, units, growth, factors
+    cdef readonly object earlier_lengths, earlier_frames, theta, rotation, log_scale, translation, units, growth
+    cdef readonly object factors
     cdef double[::1] time, focals, logs, unit, growths
     cdef long long[::1] start, earlier
     cdef unsigned char[::1] free_frames
@@ -99,8 +100,9 @@ cdef class NewestFrames:
         self.time, self.focals, self.logs, self.unit = self.times, self.focal, self.log_scale, self.units
         self.growths = self.growth
         self.start, self.earlier, self.free_frames = self.starts, self.earlier_frames, self.is_free.view(np.uint8)
-        self.images, self.lifts, self.precisions, self.rotations = self.image, self.lifted, self.precision, self.rotation
-        self.scores, self.lengths, self.weights = self.score, self.earlier_lengths, self.theta
+        self.images, self.lifts, self.precisions = self.image, self.lifted, self.precision
+        self.rotations, self.scores, self.lengths = self.rotation, self.score, self.earlier_lengths
+        self.weights = self.theta
         self.translations, self.roots = self.translation, np.empty((N, 3))
         self.mean, self.basis, self.sigma = mean, arrays.components, sigma
         self.mean_lengths, self.parents, self.children = arrays.mean_bone_lengths, arrays.parents, arrays.children
@@ -208,7 +210,8 @@ cdef class NewestFrames:
 
         Returns:
             For each person weights (F, K) m, rotations (F, 3, 3), roots (F, 3) m, bone lengths (F, B) m and residuals
-            (F,) px; then the stature in m, and the residual of the newest frames as a fraction of the body's RMS radius.
+            (F,) px; then the stature in m, and the residual of the newest frames as a fraction of the body's RMS
+            radius.
         """
         return [
             self.finish_person(
@@ -234,9 +237,7 @@ cdef class NewestFrames:
         cdef Py_ssize_t K = theta.shape[1], B = bone_lengths.shape[1], J = joints.shape[1]
         cdef double stature = 0, squares = 0, radius = 0, depth, hidden
         cdef double[3] towards
-        arrays = np.empty((frames, K)), np.empty((frames, 3, 3)), np.empty((frames, 3)), np.empty((frames, B)), np.empty(
-            frames
-        )
+        arrays = [np.empty((frames, *shape)) for shape in ((K,), (3, 3), (3,), (B,), ())]
         cdef double[:, ::1] out_theta = arrays[0], out_roots = arrays[2], out_lengths = arrays[3]
         cdef double[:, :, ::1] out_rotation = arrays[1]
         cdef double[::1] out_residuals = arrays[4]
@@ -252,7 +253,7 @@ cdef class NewestFrames:
                 continue
             for k in range(K):
                 out_theta[n, k] = new_theta[t, k]
-            towards[0], towards[1], towards[2] = translation[t, 0] / scale[t], translation[t, 1] / scale[t], focal / scale[t]
+            towards = [translation[t, 0] / scale[t], translation[t, 1] / scale[t], focal / scale[t]]
             for i in range(3):
                 out_roots[n, i] = towards[0] * camera[0, i] + towards[1] * camera[1, i] + towards[2] * camera[2, i]
                 for k in range(3):

@@ -69,8 +69,8 @@ def turn_poses(
 ):
     """Return poses (F, J, 3) turned towards the vertical about the horizontal axes of their virtual cameras.
 
-    `std` (F, J, 3); `cameras` (F, 3, 3) rotations to the axes of the poses from those of u (F, 3) and v, (F, 3) or (1, 3)
-    for all; s_v (F,) or (1,) rad; p (F,), which falls to 0 with the angle between u and v.
+    `std` (F, J, 3); `cameras` (F, 3, 3) rotations to the axes of the poses from those of u (F, 3) and v, (F, 3) or
+    (1, 3) for all; s_v (F,) or (1,) rad; p (F,), which falls to 0 with the angle between u and v.
     """
     cdef Py_ssize_t t, j, s
     cdef double angle, spread, radius, lean, turn, cosine, sine, stands
@@ -106,14 +106,14 @@ cdef inline void subtract(const double[:, ::1] pose, Py_ssize_t a, Py_ssize_t b,
 
 
 def find_stances(
-    Stack joints, Stack cameras, Vector masses, const long long[:, ::1] sides, const long long[::1] hands, Py_ssize_t neck,
-    Py_ssize_t pelvis, Py_ssize_t head, double support_ahead, double hanging_share, double standing_deg,
-    double seated_deg, double min_length,
+    Stack joints, Stack cameras, Vector masses, const long long[:, ::1] sides, const long long[::1] hands,
+    Py_ssize_t neck, Py_ssize_t pelvis, Py_ssize_t head, double support_ahead, double hanging_share,
+    double standing_deg, double seated_deg, double min_length,
 ):
     """Return the directions upwards (N, 3) that poses (N, J, 3) show, and the shares (N,) to which they stand.
 
-    The formulas, with b, H, PHI_0 and PHI_1, are in `models.upward_direction`. `cameras` (N, 3, 3), or (1, 3, 3) for all,
-    rotations to the axes of the poses from those of the directions; `masses` (J_c,); `sides` (2, 4) left and right
+    The formulas, with b, H, PHI_0 and PHI_1, are in `models.upward_direction`. `cameras` (N, 3, 3), or (1, 3, 3) for
+    all, rotations to the axes of the poses from those of the directions; `masses` (J_c,); `sides` (2, 4) left and right
     shoulder, hip, knee and ankle; `hands` (2,) the wrists.
     """
     cdef Py_ssize_t n, j, s

@@ -12,9 +12,9 @@ With displacements c_t of the body and a_tf of each foot about it, as large as t
     v_t = (X_(t+1) + c_(t+1) - X_t - c_t) / dt_t,    y_ti = x_ti + c_t + a_tf
 
 with k = exp(-dt / T), for errors of a solution last; x_ti heels and toes, p_ti the lesser of the probabilities
-that one stands in two frames, 0 where that is not known, rho Cauchy's loss; |.|_C and |.|_B
-weigh the line of sight and the directions across it, and |.|_A how a leg tilts in depth, which the image hardly
-shows, and all else; live the two do not differ, for only later frames show how legs tilt. h_t is as in
+that one stands in two frames, 0 where that is not known, rho Cauchy's loss; |.|_C and |.|_B weigh the line of
+sight and the directions across it, and |.|_A how a leg tilts in depth, which the image hardly shows, and all
+else; live the two do not differ, for only later frames show how legs tilt. h_t is as in
 `joint.differences` and h_0 = 1/30 s. In whole sequences, who is fast by the solved velocity V_t accelerates more.
 What probably stands moves on with a share R of the root's velocity, for feet roll, and some have left the ground;
 without it walks along the line of sight come out too short. Errors grow with the image noise n; and the more
@@ -32,17 +32,17 @@ chosen on training persons (`benchmarks/feet.py`).
 How probable it is that heels and toes stand follows from how fast they move in the image and how low they are. The
 ray r of a point follows a straight line within 0.1 s, or two and a half frames where these are rare; its slope, at
 the depth z of the solution, is the speed v = z |dr/dt|. a_h is the height over the lowest point of both feet.
-Whether it stands changes at random, once in T on average, and each frame multiplies the odds, forwards and
+Whether it stands changes at random, once in tau_h on average, and each frame multiplies the odds, forwards and
 backwards in time (exact for such a Markov chain):
 
     p_t / (1 - p_t) = f_t b_t,    f_t = g(f_{t-1}) exp(e_t),    b_t = g(b_{t+1} exp(e_{t+1}))
-    e_t = w_t dt_t / E max(B - (v / V)^2 - (a_h / H)^2, -D)
-    g(f) = (f (1 + k) + 1 - k) / (f (1 - k) + 1 + k),    k = exp(-dt / T)
+    e_t = w_t dt_t / tau_e max(K - (v / V_s)^2 - (a_h / H)^2, -D)
+    g(f) = (f (1 + q) + 1 - q) / (f (1 - q) + 1 + q),    q = exp(-dt / tau_h)
 
 with w_t the score. The newest frame of a window has no later ones, so what it gets is what is known live. The
-constants give the least logarithmic loss on training persons, seen whole: recall 0.94,
-0.81 and 0.75 and precision 0.83, 0.85 and 0.90 with clean, OpenPose-like and MediaPipe-like points; in the newest
-frame 0.86, 0.76 and 0.70, and 0.74, 0.74 and 0.78.
+constants give the least logarithmic loss on training persons, seen whole: recall 0.94, 0.81 and 0.75 and precision
+0.83, 0.85 and 0.90 with clean, OpenPose-like and MediaPipe-like points; in the newest frame 0.86, 0.76 and 0.70,
+and 0.74, 0.74 and 0.78.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 
 """Checks of a track against other hypotheses: another model, a solution from scratch, a periodic motion.
 
-Hypotheses are compared by -2 log evidence of the image points (`classification.minus_twice_log_evidence`) under
-the same image noise; the lowest wins, one of another model by `EVIDENCE_MARGIN`. Which prior leads, the image
+Hypotheses are compared by -2 log evidence of the image points (`classification.measure_evidence`) under the
+same image noise; the lowest wins, one of another model by `EVIDENCE_MARGIN`. Which prior leads, the image
 noise with either decides (`leading_prior`). A check is a generator of `Slices`; it changes nothing, and returns
 the solution that the track, as it was at the beginning, has from now on.
 
