@@ -180,10 +180,8 @@ def make_config(parameters: Parameters) -> Config:
 def load_models(model: Model, config: Config) -> dict[str, BasePoses]:
     """Return the base poses by name; `auto` leaves the choice to the parameter `tracker.model`."""
     if isinstance(model, BasePoses):
-        try:
+        with name_errors('model'):
             check_base_poses(model)
-        except ValueError as error:
-            raise ModelError(f'model: {error}') from None
         return {model.name: model}
     given = config.tracker.model if model == AUTO else model
     name = str(read_path('model', given, ModelError, 'a name, a path or BasePoses'))

@@ -36,6 +36,7 @@ cdef double FAR_M = 5  # m; beyond it the root's error along the line of sight g
 cdef double MIN_LENGTH_M = 1e-6  # m; guards divisions by lengths
 cdef double MIN_TILT_M = 0.01  # m; legs along the line of sight do not tilt
 cdef double MAX_REACH = 0.9999  # of the length of a leg; a straight knee has no direction in which it bends
+cdef double MIN_REACH = 1.0001  # of the difference of thigh and shank; nor has one that is folded up
 cdef double LEAST_NOISE_M = 5e-4  # image noise of points without errors
 # Of contacts, in the letters of `solvers.footing`.
 cdef double SPEED_M_S = 0.2  # V_s
@@ -263,7 +264,7 @@ cdef void move_leg(const double* moved, double* hip, double* knee, double* ankle
     thigh, shank, reach = sqrt(thigh), sqrt(shank), sqrt(reach)
     for i in range(3):
         to[i] /= fmax(reach, MIN_LENGTH_M)
-    reach = fmin(fmax(reach, 1.0001 * fabs(thigh - shank)), MAX_REACH * (thigh + shank))
+    reach = fmin(fmax(reach, MIN_REACH * fabs(thigh - shank)), MAX_REACH * (thigh + shank))
     along = (thigh * thigh - shank * shank + reach * reach) / fmax(2 * reach, MIN_LENGTH_M)
     part = dot(side, to)
     for i in range(3):

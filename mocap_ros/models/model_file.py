@@ -134,16 +134,16 @@ def decode_base_poses(data: bytes, source: str) -> BasePoses:
 
 
 def check_base_poses(model: BasePoses) -> None:
-    """Raise `ValueError` for shapes and values of a model that no training produces."""
+    """Raise `ModelError` for shapes and values of a model that no training produces."""
     if model.skeleton != CMU15:
-        raise ValueError(f'skeleton: {model.skeleton.name}, expected {CMU15.name}: {", ".join(CMU15.joints)}')
-    joints, k = len(CMU15.joints), np.atleast_1d(model.components).shape[0]
+        raise ModelError(f'skeleton: {model.skeleton.name}, expected {CMU15.name}: {", ".join(CMU15.joints)}')
+    joints, k = len(CMU15.joints), len(model.components)
     if not 0 < k <= 3 * joints:  # more cannot be orthonormal, and their products would fill the memory
-        raise ValueError(f'components: shape {model.components.shape}, expected 1 to {3 * joints} base poses')
+        raise ModelError(f'components: shape {model.components.shape}, expected 1 to {3 * joints} base poses')
     shapes = {'mean': (joints, 3), 'components': (k, joints, 3), 'std': (k,), 'explained': (k,)}
     for key, shape in shapes.items():
         if getattr(model, key).shape != shape:
-            raise ValueError(f'{key}: shape {getattr(model, key).shape}, expected {shape}')
+            raise ModelError(f'{key}: shape {getattr(model, key).shape}, expected {shape}')
     (low, high), (low_std, high_std) = STATURE_RANGE_M, WEIGHT_STD_RANGE_M
     has_name = isinstance(model.name, str) and len(model.name) <= MAX_NAME_LENGTH
     is_decreasing = np.diff(model.std) <= ORTHONORMALITY_TOLERANCE * model.std[:-1]
@@ -158,7 +158,7 @@ def check_base_poses(model: BasePoses) -> None:
         (np.abs(flat @ flat.T - np.eye(k)).max() <= ORTHONORMALITY_TOLERANCE, 'components: not orthonormal'),
     ):
         if not is_valid:
-            raise ValueError(reason)
+            raise ModelError(reason)
 
 
 def save_lifter(lifter: Lifter, path: str | Path | io.BytesIO) -> None:
