@@ -109,12 +109,10 @@ def test_parameters_and_models_have_an_effect(sequence: mocap_ros.KeypointSequen
     usual = mocap_ros.reconstruct(sequence, parameters=QUICK)
     assert taller.joints[..., 2].mean() > 1.1 * usual.joints[..., 2].mean()
     walk = mocap_ros.BasePoses.load('walk')
-    by_object = mocap_ros.reconstruct(sequence, model=walk, parameters=QUICK)
+    in_columns = replace(walk, components=np.asfortranarray(walk.components))
+    by_object = mocap_ros.reconstruct(sequence, model=in_columns, parameters=QUICK)
     by_parameter = mocap_ros.reconstruct(sequence, parameters={**QUICK, 'tracker.model': 'walk'})
     np.testing.assert_array_equal(by_object.joints, by_parameter.joints)
-    in_columns = replace(walk, components=np.asfortranarray(walk.components))
-    by_columns = mocap_ros.reconstruct(sequence, model=in_columns, parameters=QUICK)
-    np.testing.assert_array_equal(by_columns.joints, by_object.joints)
 
 
 ALL = mocap_ros.BasePoses.load('all')

@@ -112,12 +112,11 @@ def test_scores_of_a_person_are_divided_by_the_largest_of_those_seen_if_it_excee
 
 
 def test_points_and_scores_of_other_shapes_are_refused() -> None:
-    points, score = np.ones((1, 17, 2)), np.ones((1, 17))
-    for p, s in ((points[:, :10], score), (points, score[:, :10]), (points[:, :10], score[:, :10])):
+    for p, s in ((10, 17), (17, 10), (10, 10)):
         with pytest.raises(ValueError, match='10'):
-            convert_to_rays(p, s, keypoint_layout('coco17').joints, PINHOLE, 0.1)
+            convert_to_rays(np.ones((1, p, 2)), np.ones((1, s)), keypoint_layout('coco17').joints, PINHOLE, 0.1)
     with pytest.raises(ValueError, match='10'):
-        mark_unseen(points, score[:, :10])
+        mark_unseen(np.ones((1, 17, 2)), np.ones((1, 10)))
 
 
 @pytest.mark.parametrize(
