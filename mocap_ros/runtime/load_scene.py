@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array, Array32
-from mocap_ros.bags.journal import JOURNAL, Verdict, decode_entry
+from mocap_ros.bags.journal import JOURNAL, RESET, Verdict, decode_entry
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.topics import PEOPLE_TYPES, find_people_topics
 from mocap_ros.config import Config, NodeConfig
@@ -265,6 +265,7 @@ def _load_bag_scene(path: Path, options: SceneOptions, report: Report) -> tuple[
     with suppress(*(() if reading.topic or reading.camera_info else (InputError,))):
         detections = load_bag(path, options.config.node, reading.topic, reading.camera_info)
     people, arrays, drops, faults, newest_ns = RecordedPeople(), list[RecordedSkeletons](), [], [], 0
+    restarts: set[int] = set()  # numbers of skeletons before resets
     with Bag(path) as bag:
         journals = [t for t in bag.topics_of_type([JOURNAL]) if t.endswith('/journal')]
         topics = [find_skeletons_topic(bag), *journals]
@@ -278,6 +279,8 @@ def _load_bag_scene(path: Path, options: SceneOptions, report: Report) -> tuple[
                     arrays.append(array)
                     continue
                 entry = decode_entry(message.raw)
+                if entry.kind == RESET:
+                    restarts.add(len(arrays))
                 if entry.verdict is not Verdict.ACCEPTED:
                     drops.append((newest_ns, entry.reason))  # at the time of the skeletons before
                 if bag.topics.get(entry.topic) in PEOPLE_TYPES:
@@ -293,7 +296,9 @@ def _load_bag_scene(path: Path, options: SceneOptions, report: Report) -> tuple[
     if seen := dict(zip(detections.stamps_ns, detections.people, strict=True)):
         camera = replace(scene.intrinsics, image_size=scene.image_size)
         source = KNOWN if camera.is_focal_known else 'as recorded'
-        for stamp_ns, shown, upward, std in arrays:
+        for number, (stamp_ns, shown, upward, std) in enumerate(arrays):
+            if number in restarts:
+                run.restart()
             found = CameraVertical(upward, std, is_given=std < MAX_GIVEN_STD) if std > 0 else None
             run.add(stamp_ns, seen.get(stamp_ns, ()), shown, camera, source, found, options.config)
             run.advance_judgement(options.config)

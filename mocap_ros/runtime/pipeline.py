@@ -104,7 +104,7 @@ class Pipeline:
         output_header: Header of the outputs of that image, in whose frame the people are published.
         people: People in the outputs of the last accepted image, in the camera's optical frame.
         checks: What seems to be wrong with the input, as of that image.
-        summary: What the people rest on, and whether the input is sound, since the pipeline was created or reset.
+        summary: What the people rest on, and whether the input is sound, since the pipeline was created.
     """
 
     def __init__(
@@ -211,7 +211,8 @@ class Pipeline:
         self._tracker.reset()
         self._assembler.reset()
         self._camera.reset()
-        self.checks, self.summary = InputChecks(), RunSummary()
+        self.checks = InputChecks()
+        self.summary.restart()
         self._wait = CalibrationWait()
         self.people = ()
         self.header = Header(0, '')

@@ -216,31 +216,37 @@ def find_same_person(last: Person2D, detections: Sequence[Person2D]) -> Person2D
 
 
 class RunSummary:
-    """Summary of the images of one camera so far, as of the last.
+    """Summary of the images of one camera so far; `judgement` is that of its last part, as of the last image.
 
     Every few seconds the points of one person are collected for a stretch of `evaluation.verdict`. One of its
     readings is measured at each call of `advance_judgement`, so that no image waits for all of them.
     """
 
     def __init__(self) -> None:
-        self.judgement = NOT_JUDGED
+        self.judgement, self._worst = NOT_JUDGED, (NOT_JUDGED, '')  # as of the last image; of the parts before
         self._ids: dict[str, None] = {}  # of the last `MAX_IDS` people
         self._people = self._frames = self._counted = 0
         self._sums = np.zeros(4)  # over people seen: share of points, residual in px, its share, distance
+        self._size_fault = ''
+        self._last_ns = 0
+        self._focal, self._focal_source = math.nan, ''
+        self._vertical: CameraVertical | None = None
+        self._names: tuple[str, ...] = ()
+        self._messages = self._refused = self._refused_in_turn = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a part of the run, which is judged anew; of all parts the worst counts."""
+        self._worst, self.judgement = self._find_worst(), NOT_JUDGED
         self._residual_share = math.nan  # averaged over `MEMORY_S`
         self._places, self._walk = PointPlaces(), Walk()
         self._size_grade, self._size_fault = Grade.GOOD, ''
         self._looked_ns = 0  # stamp of the image in which places and the walk were last looked at
-        self._last_ns = 0
-        self._focal, self._focal_source = math.nan, ''
-        self._vertical: CameraVertical | None = None
         self._followed: list[tuple[int, Person2D]] = []  # one person's points, by stamp in ns
         self._rest_ns = 0  # stamp from which on the next stretch begins
-        self._names: tuple[str, ...] = ()
         self._measured: dict[Reading, float] = {}
         self._uncertainty: dict[Reading, float] = {}  # means over `_parts`
         self._readings: list[tuple[Stretch, Reading]] = []  # still to be measured
-        self._messages = self._refused = self._refused_in_turn = 0
         self._is_sparse = False  # whether the last stretch had too few images to be measured
         self._parts: deque[dict[Reading, float]] = deque(maxlen=MAX_STRETCHES)
 
@@ -258,7 +264,7 @@ class RunSummary:
         self._frames += 1
         self._focal, self._focal_source, self._vertical = intrinsics.focal, focal_source, vertical
         if stamp_ns < self._last_ns:  # a clock that was set, or a bag that begins again
-            self._rest_ns = 0
+            self.restart()
         seen = [p for p in people if not p.tentative]
         for name in (p.id for p in seen if p.id not in self._ids):
             self._people += 1
@@ -325,9 +331,8 @@ class RunSummary:
             return
         self._followed.append((stamp_ns, person))
         if person.joints != self._names:
-            self._names, self._residual_share, self.judgement = person.joints, math.nan, NOT_JUDGED
-            self._parts.clear()
-            self._uncertainty = {}
+            self.restart()
+            self._names, self._followed = person.joints, [(stamp_ns, person)]
         start_ns = self._followed[0][0]
         if stamp_ns - start_ns < STRETCH_S * NS_PER_S:
             return
@@ -364,13 +369,18 @@ class RunSummary:
         is_sound = self.judgement.grade is Grade.GOOD
         return '' if is_sound else describe_fault(self.judgement, self._names, self._size_fault)
 
+    def _find_worst(self) -> tuple[Judgement, str]:
+        """Return the worst judgement of all parts, and why it is not good, in words."""
+        newest = self.judgement, describe_fault(self.judgement, self._names, self._size_fault)
+        return max(newest, self._worst, key=lambda found: (found[0].grade, found[0].fault is not Fault.UNKNOWN))
+
     def summarise(self) -> Summary:
         """Return the summary of all images and messages so far."""
-        faults = [describe_fault(self.judgement, self._names, self._size_fault)]
-        grade = describe_grade(self.judgement)
+        judgement, *faults = self._find_worst()
+        grade = describe_grade(judgement)
         if refusals := self._describe_refusals():
             least = Grade.WRONG if self._refused == self._messages else Grade.DOUBTFUL
-            grade, faults = max(self.judgement.grade, least).name.lower(), [refusals, *faults]
+            grade, faults = max(judgement.grade, least).name.lower(), [refusals, *faults]
         seen, residual, share, depth = (self._sums / (self._counted or math.nan)).tolist()
         vertical, std = self._vertical, self._vertical.std if self._vertical else math.nan
         return Summary(

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocap_ros.bags.journal import Verdict
+from mocap_ros.bags.journal import Journal, Verdict
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source, list_input_types, make_body_topic
@@ -32,6 +32,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.runtime.input_camera import SILENCE_S, InputCamera
 from mocap_ros.runtime.input_checks import MIN_BOX_IMAGES, describe_misspelt_joint
 from mocap_ros.runtime.load_keypoints import InputOptions, load_bag, load_input
+from mocap_ros.runtime.load_scene import SceneOptions, load_scene
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import KEYPOINT_LAYOUTS, keypoint_layout
@@ -52,7 +53,7 @@ from tests.support.foreign_messages import (
     make_inputs,
     make_people,
 )
-from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, read_messages, with_stamp
+from tests.support.pipeline_inputs import FAST_CONFIG, STEP_NS, encode_demo_frames, read_messages, with_stamp
 
 FRAMES = 10
 
@@ -305,6 +306,26 @@ def test_a_mistake_is_kept_until_mended(stream: list[bytes], edit: Callable[[Any
     assert sum(map(bool, list_reasons(pipeline, wrong))) == 1, 'a reset forgets what was reported'
     pipeline.reset()
     assert pipeline.checks.warnings == ()
+
+
+@pytest.mark.parametrize('is_reset', [True, False], ids=['reset', 'stamps go back'])
+def test_a_summary_covers_the_run_across_restarts(tmp_path: Path, is_reset: bool) -> None:
+    good, journal, count = encode_demo_frames(140), Journal('/mocap_node/journal'), 70
+    wrong = [edit_people(raw, move(lambda x, y: (x, 480 - y))) for raw in good[:count]]
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        for number, raw in enumerate([*wrong, *(good[count:] if is_reset else good[:count])], 1):
+            times_ns = (number * STEP_NS,) * 2
+            for record in journal.make_input_records('/keypoints', KEYPOINTS, raw, times_ns, Verdict.ACCEPTED):
+                recorder.write(*record)
+            if is_reset and number == count:
+                recorder.write(*journal.make_reset_record(times_ns[0]))
+    with Bag(tmp_path / 'bag') as bag:
+        summary = replay(bag, tmp_path / 'out', ReplayOptions(FAST_CONFIG)).summary
+    assert (summary.grade, summary.people, summary.frames) == ('wrong', 1, 2 * count)
+    scene, _ = load_scene(tmp_path / 'out', SceneOptions(FAST_CONFIG, {}))
+    start = f'{summary.grade}: {summary.reason}; 1 person in {2 * count} frames; '
+    for line in (str(summary), scene.summary):  # likewise when it is viewed
+        assert line.startswith(start)
 
 
 @pytest.mark.parametrize(
