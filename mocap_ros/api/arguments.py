@@ -168,13 +168,19 @@ def check_sequence(sequence: KeypointSequence, times: str = 'timestamps') -> Key
 
 
 def make_config(parameters: Parameters) -> Config:
-    """Return the configuration with these parameters; those that are not given have their defaults."""
+    """Return the configuration with these parameters, none of the node's; others have their defaults."""
     config = parameters if isinstance(parameters, Config) else Config()
     given: object = values(config) if isinstance(parameters, Config) else parameters or {}
     if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
         raise ConfigError(f'parameters: {format_value(parameters)}: expected values by name, or a Config')
     with name_errors('parameters'):
-        return with_values(config, given)
+        config = with_values(config, given)
+        for name in () if isinstance(parameters, Config) else given:
+            group, field = name.split('.')
+            if group in ('node', 'recorder'):
+                instead = f'; give camera_matrix, or {field} to read' if field in ('hfov', 'focal') else ''
+                raise ConfigError(f'{name}: is a parameter of the node{instead}')
+    return config
 
 
 def load_models(model: Model, config: Config) -> dict[str, BasePoses]:

@@ -143,8 +143,7 @@ class PoseSequence:
         return (
             f'PoseSequence: {describe_frames(self.times)}, {len(self.joint_names)} joints '
             f'({1 - self.seen.mean():.0%} inferred), base poses {self.base_poses}, '
-            f'residual {np.nanmean(self.residual):.2f} px, '
-            f'{np.nanmean(self.joints[..., 2]):.1f} m away'
+            f'residual {self.summary.residual_px:.2f} px, {self.summary.distance_m:.1f} m away'
             + ('' if self.is_scale_known else ' by the nominal focal length')
             + ('' if self.success else f'. {self.message}')
         )
@@ -179,7 +178,7 @@ def reconstruct(
         model: base poses: the name of shipped ones, the path of a model file, `BasePoses`, or `auto` for the
             choice by the parameter `tracker.model`.
         parameters: values by parameter name, such as `{'solver.prior': 'pca'}`, or a `Config`; the names are
-            those of `mocap-ros config --all`.
+            those of `mocap-ros config --all`, but for those of the node, `node.*` and `recorder.*`.
         method: `whole` solves all frames together; `keyframes` fits key poses to the image, for minutes of mixed
             action with outliers.
 
@@ -191,7 +190,7 @@ def reconstruct(
         InputError: an argument is not valid, or the keypoints do not suffice; the error names the argument.
         SkeletonError: no keypoint layout has the name given as `joint_names`.
         ModelError: the base poses, or the lifter that `solver.prior` names, cannot be loaded.
-        ConfigError: a parameter is unknown, or its value has the wrong type or is out of range.
+        ConfigError: a parameter is unknown or the node's, or its value has the wrong type or is out of range.
     """
     if method not in ('whole', 'keyframes'):
         raise InputError(f'method: {format_value(method)}, expected whole or keyframes')

@@ -53,13 +53,14 @@ class Tracker:
         distortion: distortion coefficients in OpenCV's order; None for a lens without.
         model: base poses: the name of shipped ones, the path of a model file, `BasePoses`, or `auto` for the
             choice by the parameter `tracker.model`.
-        parameters: values by parameter name, such as `{'tracker.lag': 0.2}`, or a `Config`.
+        parameters: values by parameter name, such as `{'tracker.lag': 0.2}`, or a `Config`; none of the
+            node's, `node.*` and `recorder.*`.
 
     Raises:
         InputError: an argument is not valid; the error names it.
         SkeletonError: the joint names give too few joints, or no keypoint layout has that name.
         ModelError: the base poses, or the lifter that `solver.prior` names, cannot be loaded.
-        ConfigError: a parameter is unknown, or its value has the wrong type or is out of range.
+        ConfigError: a parameter is unknown or the node's, or its value has the wrong type or is out of range.
     """
 
     def __init__(

@@ -16,16 +16,13 @@ from mocap_ros.errors import make_printable_line
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.ros.throttled_log import MAX_LINE_LENGTH
+from mocap_ros.runtime.input_checks import UNUSABLE
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.units import NS_PER_S
 
 DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'  # message type
 MAX_REMEMBERED_FRAMES = 300  # frames; 10 s at 30 Hz, enough for a 99th percentile
 RATE_WINDOW_S = 2.0  # s; long enough for a steady figure, short enough to show a change soon
-UNUSABLE_DETECTIONS = (
-    'detections were no person in the last second: their scores are below tracker.min_score, '
-    'or fewer than six joints are seen'
-)
 
 
 class Level(IntEnum):
@@ -106,7 +103,7 @@ class DiagnosticsReporter:
         }
         warnings = [recorder_fault]
         if new['unusable'] and not people:
-            warnings.insert(0, f'{new["unusable"]} {UNUSABLE_DETECTIONS}')
+            warnings.insert(0, f'{new["unusable"]} detections were no person in the last second: {UNUSABLE}')
         if new['accepted']:
             warnings += [_describe_frame_fault(pipeline), *map(make_printable_line, pipeline.checks.warnings)]
         problems = [(Level.WARN, warning) for warning in warnings if warning]

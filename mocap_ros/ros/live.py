@@ -104,12 +104,14 @@ class LiveRun:
         times_ns = now_ns, sent_ns if sent_ns > 0 else now_ns
         self.queue.put(source, topic or self._names[source.value], raw, times_ns)
 
-    def reset(self) -> None:
-        """Discard all people."""
+    def reset(self) -> str:
+        """Discard all people; log that, and return it in words."""
         with self._pipeline_lock:
             if self._recording:
                 self._recording.write_reset(self._now_ns())
             self._publish_and_record(self._reset_pipeline())
+            self._logger.info(done := 'tracking was restarted by ~/reset')
+        return done
 
     def reconfigure(self, config: Config) -> None:
         """Use other parameters from now on."""

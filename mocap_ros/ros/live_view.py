@@ -9,9 +9,11 @@ from collections.abc import Callable
 
 import numpy as np
 import rclpy
+from rclpy.exceptions import InvalidNamespaceException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.validate_namespace import validate_namespace
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import ConfigError, InputError
@@ -108,12 +110,13 @@ class LiveView(Node):
 def serve(port: int, namespace: str, announce: Callable[[str], None]) -> None:
     """Serve the page of the topics in a namespace until interrupted; `announce` gets the line with the address."""
     scene = LiveScene('Live')
+    try:
+        validate_namespace(f'/{namespace.removeprefix("/")}')
+    except InvalidNamespaceException:
+        raise ConfigError(f'--live {namespace}: is no namespace; a file is shown without --live') from None
     rclpy.init(args=[])
     try:
-        try:
-            node = LiveView(scene, namespace)
-        except rclpy.exceptions.InvalidNamespaceException as error:
-            raise ConfigError(f'--live {namespace}: {str(error).splitlines()[0]}') from None
+        node = LiveView(scene, namespace)
         with PageServer(scene, port) as server:
             topic = node.resolve_topic_name('skeletons')
             announce(f'{server.address} shows {topic} in any browser of this machine; Ctrl-C ends')

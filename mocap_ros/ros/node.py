@@ -162,8 +162,7 @@ class MocapNode(ManagedNode):
         if self._run is None:
             response.message = 'the node is not active'
         else:
-            self._run.reset()
-            response.success = True
+            response.success, response.message = True, self._run.reset()
         return response
 
     def _on_record(self, request: Any, response: Any) -> Any:

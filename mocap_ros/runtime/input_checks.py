@@ -42,7 +42,9 @@ MAX_DISTORTED_SHARE = 0.2  # 1; part of the middle of the image, in all of which
 MAX_CACHED_LENSES = 4  # lenses of the cameras of one node
 MAX_CACHED_NAMES = 64  # lists of joint names; guards memory against messages that name ever new ones
 MIN_BOX_IMAGES = 10  # images; models for poses leave out keypoints of a low score, at times all of a person
+UNUSABLE_S = 2.0  # s; from the first unusable detection, while nobody is shown, until it is described
 # Why messages of detections show no people.
+UNUSABLE = 'their scores are below tracker.min_score, or fewer than six joints are seen'
 WITHOUT_KEYPOINTS = (
     'the detections have no keypoints, as those of a model that finds boxes; '
     'run a model for poses, such as yolo11n-pose.pt'
@@ -73,6 +75,7 @@ class InputChecks:
         self._last_ns = 0  # stamp of the last image
         self._has_keypoints = False  # whether any detection so far had some
         self._box_images = 0  # images so far with detections of people without any
+        self._unusable_count = 0  # as the tracker counted up to the last image
         self.reset()
 
     def reset(self) -> None:
@@ -80,6 +83,7 @@ class InputChecks:
         self._vertical = VerticalCheck()
         self._newest_seen_ns = 0  # stamp of the newest image in which a person was detected
         self._first_nominal_ns: int | None = None  # stamp of the first image of people without a CameraInfo
+        self._unusable_ns: int | None = None  # stamp of the first unusable detection since people were shown
         self._described: set[str] = set()  # kinds of what was described
         self.warnings: tuple[str, ...] = ()
 
@@ -120,6 +124,13 @@ class InputChecks:
         self._box_images += bool(frame.without_keypoints)
         if self._box_images >= MIN_BOX_IMAGES and not self._has_keypoints:
             notes.append(WITHOUT_KEYPOINTS)
+        if people:
+            self._unusable_ns = None
+        elif tracker.unusable_people != self._unusable_count:
+            self._unusable_ns = min(stamp_ns, self._unusable_ns or stamp_ns)
+            if stamp_ns - self._unusable_ns > UNUSABLE_S * NS_PER_S:
+                notes.append(f'no usable detection for {UNUSABLE_S:g} s: {UNUSABLE}')
+        self._unusable_count = tracker.unusable_people
         new = []
         for words in filter(None, (*notes, *self.warnings)):
             if (kind := find_kind(words)) not in self._described:

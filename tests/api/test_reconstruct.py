@@ -141,6 +141,7 @@ INPUT, MODEL, CONFIG = mocap_ros.InputError, mocap_ros.ModelError, mocap_ros.Con
         ({'model': 'dance'}, MODEL, "model: no base-pose model 'dance'"),
         ({'parameters': {'solver.prio': 'pca'}}, CONFIG, "parameters: .*; did you mean 'solver.prior'"),
         ({'parameters': {'tracker.body_height': 170}}, CONFIG, 'parameters: tracker.body_height = 170'),
+        ({'parameters': {'node.hfov': 30.0}}, CONFIG, 'parameters: node.hfov: .*; give camera_matrix'),
         ({'parameters': {'solver.prior': 'none.npz'}}, MODEL, r'solver\.prior: none\.npz: No such file'),
         ({'method': 'frames'}, INPUT, "method: 'frames', expected whole or keyframes"),
     ],

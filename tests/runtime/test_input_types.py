@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocap_ros.bags.journal import Journal, Verdict
+from mocap_ros.bags.journal import JOURNAL, RESET, Entry, Verdict, encode_entry
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source, list_input_types, make_body_topic
@@ -30,7 +30,7 @@ from mocap_ros.messages.foreign_types import HRI_SKELETON, OPENPOSE_POSES, YOLO_
 from mocap_ros.messages.input_types import ZED38, decode_body, decode_frame
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.runtime.input_camera import SILENCE_S, InputCamera
-from mocap_ros.runtime.input_checks import MIN_BOX_IMAGES, describe_misspelt_joint
+from mocap_ros.runtime.input_checks import MIN_BOX_IMAGES, UNUSABLE_S, describe_misspelt_joint
 from mocap_ros.runtime.load_keypoints import InputOptions, load_bag, load_input
 from mocap_ros.runtime.load_scene import SceneOptions, load_scene
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
@@ -308,17 +308,22 @@ def test_a_mistake_is_kept_until_mended(stream: list[bytes], edit: Callable[[Any
     assert pipeline.checks.warnings == ()
 
 
+def test_unusable_detections_are_described_when_they_last(stream: list[bytes]) -> None:
+    faint = [edit_people(raw, lambda p: vars(p).update(score=np.full_like(p.score, 0.05))) for raw in 2 * stream]
+    frames = [with_stamp(raw, round((1 + i * STEP_S) * 1e9)) for i, raw in enumerate([*stream, *faint])]
+    (made,) = (i for i, r in enumerate(list_reasons(Pipeline(FAST_CONFIG), frames)) if 'tracker.min_score' in r)
+    assert (made - len(stream)) * STEP_S > UNUSABLE_S
+
+
 @pytest.mark.parametrize('is_reset', [True, False], ids=['reset', 'stamps go back'])
 def test_a_summary_covers_the_run_across_restarts(tmp_path: Path, is_reset: bool) -> None:
-    good, journal, count = encode_demo_frames(140), Journal('/mocap_node/journal'), 70
+    good, count = encode_demo_frames(140), 70
     wrong = [edit_people(raw, move(lambda x, y: (x, 480 - y))) for raw in good[:count]]
     with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        for number, raw in enumerate([*wrong, *(good[count:] if is_reset else good[:count])], 1):
-            times_ns = (number * STEP_NS,) * 2
-            for record in journal.make_input_records('/keypoints', KEYPOINTS, raw, times_ns, Verdict.ACCEPTED):
-                recorder.write(*record)
-            if is_reset and number == count:
-                recorder.write(*journal.make_reset_record(times_ns[0]))
+        if is_reset:
+            recorder.write('/mocap_node/journal', JOURNAL, encode_entry(Entry(RESET, count)), 1, 1)
+        for number, raw in enumerate([*wrong, *good[count if is_reset else 0 :][:count]]):
+            recorder.write('/keypoints', KEYPOINTS, raw, number * STEP_NS, number * STEP_NS)
     with Bag(tmp_path / 'bag') as bag:
         summary = replay(bag, tmp_path / 'out', ReplayOptions(FAST_CONFIG)).summary
     assert (summary.grade, summary.people, summary.frames) == ('wrong', 1, 2 * count)
