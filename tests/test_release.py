@@ -78,17 +78,11 @@ def distributions(tmp_path_factory: pytest.TempPathFactory, quick_compiler: dict
     return out
 
 
-def read_first_version() -> tuple[str, str]:
-    """The version at the head of the changelog, and what stands behind it."""
+def test_the_changelog_begins_with_the_version_of_the_package() -> None:
     heading = re.search(r'^## (\S+) (.*)$', (ROOT / 'CHANGELOG.md').read_text(encoding='utf-8'), re.MULTILINE)
     assert heading is not None
-    return heading[1], heading[2]
-
-
-def test_the_changelog_begins_with_the_version_of_the_package() -> None:
-    version, state = read_first_version()
-    assert version == VERSION
-    assert re.fullmatch(r'\(unreleased\)|- \d{4}-\d\d-\d\d', state)
+    assert heading[1] == VERSION
+    assert re.fullmatch(r'\(unreleased\)|- \d{4}-\d\d-\d\d', heading[2])
 
 
 def test_the_wheel_holds_every_file_of_the_package(distributions: Path) -> None:

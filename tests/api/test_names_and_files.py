@@ -220,19 +220,17 @@ def test_a_wrong_argument_is_one_error_that_names_it(
 # Every public name: bases of exceptions, members of classes, and signatures without types. A change here changes
 # the public API: name it in CHANGELOG.md, and raise the version as semantic versioning says.
 PUBLIC: dict[str, str] = {
+    'MocapError': 'Exception',
+    **{name + 'Error': 'MocapError' for name in ('Config', 'Input', 'Model', 'Recording', 'Skeleton')},
+    'FrameDropped': 'MocapError',
     'BasePoses': 'aligned_by_heading components explained fit joint_names load mean name poses provenance rescale '
     'save skeleton stature std truncate weights',
     'Config': '(solver=..., classifier=..., tracker=..., node=..., recorder=..., keyframes=...)',
-    'ConfigError': 'MocapError',
     'Evaluation': 'abs_mpjpe_mm accel_mm_s2 as_dict bone_std_mm e_paper_cm failed_frames fps frames joints '
     'metric_mpjpe_mm mpjpe_mm pa_mpjpe_mm residual_px root_mm seq_mpjpe_mm',
-    'FrameDropped': 'MocapError',
     'GroundTruth': '(joints, joint_names)',
-    'InputError': 'MocapError',
     'KeypointSequence': '(keypoints, joint_names, timestamps, image_size, camera_matrix=None, distortion=None, '
     "truth=None, person_id='', frame_id='', recorded_ns=(), calibration=None, focal_source='', notes=())",
-    'MocapError': 'Exception',
-    'ModelError': 'MocapError',
     'Motion': 'cadence category kind residual',
     'Person3D': 'age contact core id inferred joint_names joints motion orientation predicted residual root '
     'root_covariance root_velocity root_velocity_covariance rotation scale scale_known skeleton std tentative '
@@ -240,8 +238,6 @@ PUBLIC: dict[str, str] = {
     'PoseSequence': 'base_poses contact cost floor_std is_scale_known iterations joint_names joints message '
     'orientation parents residual rotation scale seen sequence success summary times translation turn_inferred '
     'vertical vertical_std weights world_from_camera',
-    'RecordingError': 'MocapError',
-    'SkeletonError': 'MocapError',
     'Tracker': "(joint_names, *, image_size, camera_matrix=None, distortion=None, model='auto', parameters=None)",
     'evaluate': "(joints, truth=None, *, truth_names='cmu15', times=None, limbs_only=False)",
     'read': "(path, *, person=None, topic=None, camera_info=None, fps=None, image_size=None, layout='', "

@@ -84,8 +84,8 @@ def test_a_summary_tells_the_scale(
             assert (arrays['grade'], f'{short_recording}: {arrays["summary"]}') == ('good', line)
 
 
-def write_two_people(path: Path, ids: tuple[str, str], seen_joints: int = 17) -> None:
-    """Write a bag of a walker, a second person beside the walker, and one who is seen for three frames."""
+def write_two_people(path: Path, ids: tuple[str, str], seen_joints: int = 17) -> list[str]:
+    """Write a bag of a walker, another beside, and one who is seen for three frames; return a command."""
     sequence = make_recording().sequence()
     people = []
     for frame in range(12):
@@ -95,11 +95,11 @@ def write_two_people(path: Path, ids: tuple[str, str], seen_joints: int = 17) ->
         third = replace(first, id='short', points=first.points - [150.0, 0.0])
         people.append([first, second, third] if frame < 3 else [first, second])
     save_detections(path, Detections(people, sequence.stamps_ns[:12], (640, 480)))
+    return ['reconstruct', str(path), '--all-people', *QUICK_OPTIONS]
 
 
 def test_all_people_have_files_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_two_people(tmp_path / 'two.mcap', ('a/b', 'a?b'))
-    command = ['reconstruct', str(tmp_path / 'two.mcap'), '--all-people', *QUICK_OPTIONS]
+    command = write_two_people(tmp_path / 'two.mcap', ('a/b', 'a?b'))
     assert main([*command, '-o', str(tmp_path / 'r.bvh'), '-o', str(tmp_path / 'r.angles.csv')]) == 0
     written = {path.name for path in tmp_path.iterdir()} - {'two.mcap'}
     assert written == {'r_a_b.bvh', 'r_a_b.2.bvh', 'r_a_b.angles.csv', 'r_a_b.2.angles.csv'}
@@ -117,15 +117,13 @@ def test_one_who_cannot_be_saved_does_not_stop_the_others(tmp_path: Path, monkey
         path.touch()
 
     monkeypatch.setattr(save_results, 'save', save)
-    write_two_people(tmp_path / 'two.mcap', ('b', 'a'))
-    command = ['reconstruct', str(tmp_path / 'two.mcap'), '--all-people', *QUICK_OPTIONS]
+    command = write_two_people(tmp_path / 'two.mcap', ('b', 'a'))
     assert main([*command, '-o', str(tmp_path / 'r.npz')]) == 1
     assert {path.name for path in tmp_path.iterdir()} == {'two.mcap', 'r_a.npz'}
 
 
 def test_one_who_is_hardly_seen_stops_no_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_two_people(tmp_path / 'two.mcap', ('b', 'a'), seen_joints=3)
-    command = ['reconstruct', str(tmp_path / 'two.mcap'), '--all-people', *QUICK_OPTIONS]
+    command = write_two_people(tmp_path / 'two.mcap', ('b', 'a'), seen_joints=3)
     assert main([*command, '-o', str(tmp_path / 'r.npz')]) == 0
     assert {path.name for path in tmp_path.iterdir()} == {'two.mcap', 'r_b.npz'}
     assert '12 detections left out, of which fewer than 6 joints are seen' in capsys.readouterr().err
@@ -298,22 +296,16 @@ def test_times_are_those_of_the_truth(recording: Path, tmp_path: Path, capsys: p
     part = replace(whole, keypoints=whole.keypoints[rows], timestamps=whole.timestamps[rows] + 4e-4, truth=truth)
     save_sequence(tmp_path / 'part.npz', part)
     save_sequence(tmp_path / 'late.npz', replace(part, timestamps=part.timestamps + 99))
-    np.savez(
-        tmp_path / 'r.npz',
-        joints3d=np.where(np.arange(390)[:, None, None] < 30, np.nan, whole.truth.joints),
-        joint_names=whole.truth.joint_names,
-        timestamps=whole.timestamps,
-        seen=np.ones((390, 15), bool),
-        residual_px=np.ones(390),
-        theta=np.zeros((390, 1)),
-    )
+    joints = np.where(np.arange(390)[:, None, None] < 30, np.nan, whole.truth.joints)
+    others = {'seen': np.ones((390, 15), bool), 'residual_px': np.ones(390), 'theta': np.zeros((390, 1))}
+    names, times = whole.truth.joint_names, whole.timestamps
+    np.savez(tmp_path / 'r.npz', joints3d=joints, joint_names=names, timestamps=times, **others)
     out, truth_file = tmp_path / 'e.json', tmp_path / 'part.npz'
     assert main(['evaluate', str(tmp_path / 'r.npz'), '--truth', str(truth_file), '--json', str(out)]) == 0
     (record,) = json.loads(out.read_text())
     assert (record['frames'], record['failed_frames'], record['fps']) == (20, 5, pytest.approx(15))
     assert record['abs_mpjpe_mm'] == pytest.approx(0, abs=1e-3)
     assert not capsys.readouterr().err
-    times = whole.timestamps
     drifting = times + np.where(np.arange(390) < 100, 0, 0.01)
     for name, changed, truth_file, code, reason in (
         ('ms', times * 1000, recording, 1, 'ms.npz: timestamps: '),

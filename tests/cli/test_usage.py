@@ -342,10 +342,7 @@ def test_a_failure_is_one_line_on_stderr(
         (['reconstruct', 'RECORDING', '--model', 'read.npz', '-o', 'read.npz'], 'read.npz'),
         (['reconstruct', 'RECORDING', '--config', 'read.csv', '-o', 'a.npz', '-o', 'read.csv'], 'read.csv'),
         (['reconstruct', 'RECORDING', '--config', 'parameters.yaml', '-o', 'read.npz'], 'read.npz'),
-        (
-            ['reconstruct', 'RECORDING', '--method', 'keyframes', '--choices', 'read.csv', '-o', 'read.csv'],
-            'read.csv',
-        ),
+        (['reconstruct', 'RECORDING', '--method=keyframes', '--choices=read.csv', '-o', 'read.csv'], 'read.csv'),
         (['reconstruct', 'walk/link.npz', '-o', 'walk/demo.npz'], 'walk/demo.npz'),
         (['reconstruct', 'bag', '-o', 'bag/bag_0.mcap'], 'bag/bag_0.mcap'),
         (['evaluate', 'read.npz', '--truth', 'RECORDING', '--json', 'walk/demo.npz'], 'walk/demo.npz'),
@@ -353,10 +350,7 @@ def test_a_failure_is_one_line_on_stderr(
         (['detect', 'walk.mp4', '--model', 'read.npz', '-o', 'read.npz'], 'read.npz'),
         (['train', 'walk', '--manifest', 'read.csv', '-o', 'read.csv'], 'read.csv'),
         (['train', 'walk', '-o', 'walk/manifest.csv'], 'walk/manifest.csv'),
-        (
-            ['train', '--lifter', 'walk', '--start-from', 'read.npz', '-o', 'a', '--checkpoint', 'read.npz'],
-            'read.npz',
-        ),
+        (['train', '--lifter', 'walk', '--start-from=read.npz', '-o', 'a', '--checkpoint=read.npz'], 'read.npz'),
     ],
 )
 def test_no_file_that_a_command_reads_is_overwritten(

@@ -326,11 +326,9 @@ def test_a_summary_covers_the_run_across_restarts(tmp_path: Path, is_reset: bool
             recorder.write('/keypoints', KEYPOINTS, raw, number * STEP_NS, number * STEP_NS)
     with Bag(tmp_path / 'bag') as bag:
         summary = replay(bag, tmp_path / 'out', ReplayOptions(FAST_CONFIG)).summary
-    assert (summary.grade, summary.people, summary.frames) == ('wrong', 1, 2 * count)
     scene, _ = load_scene(tmp_path / 'out', SceneOptions(FAST_CONFIG, {}))
-    start = f'{summary.grade}: {summary.reason}; 1 person in {2 * count} frames; '
-    for line in (str(summary), scene.summary):  # likewise when it is viewed
-        assert line.startswith(start)
+    start = f'wrong: {summary.reason}; 1 person in {2 * count} frames; '
+    assert [line[: len(start)] for line in (str(summary), scene.summary)] == [start] * 2, 'also when viewed'
 
 
 @pytest.mark.parametrize(
