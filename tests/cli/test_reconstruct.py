@@ -298,11 +298,7 @@ def test_times_are_those_of_the_truth(recording: Path, tmp_path: Path, capsys: p
     save_sequence(tmp_path / 'part.npz', part)
     save_sequence(tmp_path / 'late.npz', replace(part, timestamps=part.timestamps + 99))
     joints = np.where(np.arange(390)[:, None, None] < 30, np.nan, whole.truth.joints)
-    others: dict[str, Any] = {
-        'seen': np.ones((390, 15), bool),
-        'residual_px': np.ones(390),
-        'theta': np.zeros((390, 1)),
-    }
+    others: Any = {'seen': np.ones((390, 15), bool), 'residual_px': np.ones(390), 'theta': np.zeros((390, 1))}
     names, times = whole.truth.joint_names, whole.timestamps
     np.savez(tmp_path / 'r.npz', joints3d=joints, joint_names=names, timestamps=times, **others)
     out, truth_file = tmp_path / 'e.json', tmp_path / 'part.npz'
