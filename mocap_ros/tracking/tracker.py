@@ -306,9 +306,8 @@ class Tracker:
     def _associate(self, stamp_ns: int, detections: Sequence[Detection], intrinsics: Intrinsics) -> list[Track]:
         """Match the detections with the known people; return the track of each person with this frame added.
 
-        A new person is tentative. Only in a stream so slow that no person is known from one frame to the next, new
-        people are not.
-        The track of a person whose id the detector has given to another person ends.
+        New people are tentative, but for a stream so slow that nobody is known from one frame to the next. The
+        track of a person whose id the detector has given to another person ends.
         """
         settings = self.config.tracker
         focal = solver_focal(intrinsics, settings.perspective)
