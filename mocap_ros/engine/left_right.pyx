@@ -102,7 +102,7 @@ cdef void add_label_cost(
     """Add the costs C_g(l) of a frame in nats: for each path, part and label, 1 for exchanged."""
     cdef Py_ssize_t j, source
     cdef int path, label, p
-    cdef double age, known_age = -1, horizon = 0, growth, x, y, variance, likelihood
+    cdef double age, known_age = -1, horizon = 0, x, y, variance, inlier
     cdef double[PARTS][2] product  # of likelihoods: one logarithm serves all joints of a part
     for path in range(STATES):
         for p in range(PARTS):
@@ -113,22 +113,31 @@ cdef void add_label_cost(
             age = time_s - joints[path, j, 4]
             if age != known_age:  # most joints were seen in the same frame
                 known_age, horizon = age, TAU_S * (1 - exp(-age / TAU_S))
-            growth = PREDICTION_STD + PREDICTION_STD_PER_S * age + PREDICTION_STD_PER_S2 * age * age
             for label in range(2):
                 source = mirror[j] if label else j
                 if weight[source] > 0:
                     x = points[source, 0] - (joints[path, j, 0] + joints[path, j, 2] * horizon)
                     y = points[source, 1] - (joints[path, j, 1] + joints[path, j, 3] * horizon)
-                    variance = growth * (2 - weight[source])
-                    variance *= variance
-                    likelihood = (1 - OUTLIER_PROBABILITY) * exp(
-                        -0.5 * ((x * x + y * y) / (body_size * body_size * variance))
-                    ) / variance
-                    likelihood += OUTLIER_PROBABILITY / (variance + OUTLIER_STD * OUTLIER_STD)
-                    product[part[j]][label] *= likelihood
+                    variance = find_variance(age, weight[source])
+                    inlier = find_inlier_likelihood((x * x + y * y) / (body_size * body_size), variance)
+                    product[part[j]][label] *= inlier + find_outlier_likelihood(variance)
         for p in range(PARTS):
             for label in range(2):
                 cost[path][p][label] -= log(product[p][label])
+
+
+cdef inline double find_variance(double age_s, double score) noexcept nogil:
+    """Return sigma^2, in body sizes squared, of a point of some score."""
+    cdef double std = PREDICTION_STD + PREDICTION_STD_PER_S * age_s + PREDICTION_STD_PER_S2 * age_s * age_s
+    return (2 - score) * (2 - score) * std * std
+
+
+cdef inline double find_inlier_likelihood(double squared_error, double variance) noexcept nogil:
+    return (1 - OUTLIER_PROBABILITY) * exp(-0.5 * squared_error / variance) / variance
+
+
+cdef inline double find_outlier_likelihood(double variance) noexcept nogil:
+    return OUTLIER_PROBABILITY / (variance + OUTLIER_STD * OUTLIER_STD)
 
 
 def continue_paths(
@@ -142,7 +151,9 @@ def continue_paths(
     """
     cdef Py_ssize_t f, j, d, source, before, joints = mirror.shape[0], frames = path_states.shape[1]
     cdef int path, state, p, label, bit, predecessor, best = 0
-    cdef double elapsed_s = INFINITY, share, age, known_age = -1, blend = 0, measured, total, velocity
+    cdef double elapsed_s = INFINITY, share, age, known_age = -1, blend = 0, total, velocity
+    cdef double squared, variance, inlier, trust
+    cdef double[2] moved
     cdef double[STATES][PARTS][2] label_cost
     cdef double[STATES][STATES] transition
     cdef double[PARTS] attachment
@@ -196,11 +207,18 @@ def continue_paths(
             age = max(time_s - path_joints[predecessor, before, 4], MIN_STEP_S)
             if age != known_age:  # most joints were seen in the same frame
                 known_age, blend = age, 1 - exp(-age / TAU_S)
+            squared = 0
             for d in range(2):
-                measured = (points[source, d] - path_joints[predecessor, before, d]) / age
+                moved[d] = points[source, d] - path_joints[predecessor, before, d]
+                squared += ((moved[d] - path_joints[predecessor, before, 2 + d] * TAU_S * blend) / body_size) ** 2
+            variance = find_variance(age, weight[source])
+            inlier = find_inlier_likelihood(squared, variance)
+            trust = blend * inlier / (inlier + find_outlier_likelihood(variance))
+            for d in range(2):
                 velocity = path_joints[predecessor, before, 2 + d]
+                velocity += trust * (moved[d] / age - velocity)
                 new[state, j, d] = points[source, d]
-                new[state, j, 2 + d] = velocity + blend * (measured - velocity) if age < MAX_VELOCITY_GAP_S else 0.0
+                new[state, j, 2 + d] = velocity if age < MAX_VELOCITY_GAP_S else 0.0
             new[state, j, 4] = time_s
     total = cost[best]
     for state in range(STATES):

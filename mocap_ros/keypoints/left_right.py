@@ -19,8 +19,9 @@ c_j:
     sigma_j = (2 - c_j) (PREDICTION_STD + PREDICTION_STD_PER_S d_j + PREDICTION_STD_PER_S2 d_j^2)
 
 with eps = `OUTLIER_PROBABILITY`, s = `OUTLIER_STD`, tau = `TAU_S` (constants in
-`engine/left_right.pyx`). Where left and right nearly coincide, the likelihoods of both labels are the same, and
-the state stays.
+`engine/left_right.pyx`). A measured velocity changes v_j by the share 1 - exp(-d_j / tau), times the probability
+that x_j is no outlier: a path goes on after a bad frame as before. Where left and right nearly coincide, the
+likelihoods of both labels are the same, and the state stays.
 
 A path may have confused left and right of a part before. With C_g(l) the sum of these costs over part g with
 labels l, it may exchange them in its own past, which bounds what one frame can say; and hips are below their own

@@ -236,6 +236,19 @@ def test_an_injected_swap_is_found_and_undone(walk: np.ndarray, first: int, last
     np.testing.assert_array_equal(at_once, is_swapped[: first + 1])
 
 
+@pytest.mark.parametrize('frames', [slice(0, 1), slice(0, 3), slice(40, 42)])
+def test_a_bad_frame_decides_nothing_about_those_after_it(
+    walk: np.ndarray, rng: np.random.Generator, frames: slice
+) -> None:
+    """Frames with exchanged sides and points that are far off, of low scores, leave the others as they are."""
+    points, weight = walk.copy(), SEEN.copy()
+    points[frames] = points[frames][:, SIDES.mirror] + rng.normal(0, 12.0, points[frames].shape)
+    weight[frames] = 0.4
+    whole, live = find_swapped_parts(TIMES, points, weight, SIDES), run_filter(SwapFilter(SIDES), points, weight)
+    for found in (whole, live.is_swapped):
+        assert not np.delete(found, np.r_[frames], axis=0).any()
+
+
 @pytest.mark.parametrize('seen', [0, 2])
 def test_frames_that_show_nothing_are_not_swapped(walk: np.ndarray, seen: int) -> None:
     """Frames with all points at one position or without any change nothing around them."""
@@ -286,6 +299,13 @@ def find_attachment_cost(points: np.ndarray, weight: np.ndarray, body_size: floa
     return paths.cost[[1, 2, 4]] - INITIAL_COST
 
 
+def find_likelihoods(error: np.ndarray, age: np.ndarray, score: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the likelihoods of errors in body sizes if the points are inliers, and if they are outliers."""
+    sigma = (2 - score) * (PREDICTION_STD + PREDICTION_STD_PER_S * age + PREDICTION_STD_PER_S2 * age**2)
+    inlier = (1 - OUTLIER_PROBABILITY) * np.exp(-((error / sigma) ** 2) / 2) / sigma**2
+    return inlier, OUTLIER_PROBABILITY / (sigma**2 + OUTLIER_STD**2)
+
+
 def step_plainly(
     paths: ViterbiPaths, time_s: float, points: np.ndarray, weight: np.ndarray, body_size: float
 ) -> ViterbiPaths:
@@ -298,11 +318,8 @@ def step_plainly(
     horizon = VELOCITY_TIME_S * (1 - np.exp(-age / VELOCITY_TIME_S))
     with np.errstate(invalid='ignore', divide='ignore', over='ignore'):
         predicted = last_points + horizon[..., None] * last_velocity
-        growth = PREDICTION_STD + PREDICTION_STD_PER_S * age + PREDICTION_STD_PER_S2 * age**2
-        sigma = (2 - score) * growth[:, None]  # path, label, joint
-        error = np.linalg.norm(seen_points - predicted[:, None], axis=-1) / sigma / body_size
-        inlier = (1 - OUTLIER_PROBABILITY) * np.exp(-(error**2) / 2) / sigma**2
-        loss = -np.log(inlier + OUTLIER_PROBABILITY / (sigma**2 + OUTLIER_STD**2))
+        error = np.linalg.norm(seen_points - predicted[:, None], axis=-1) / body_size  # path, label, joint
+        loss = -np.log(sum(find_likelihoods(error, age[:, None], score)))
     loss = np.where((score > 0) & np.isfinite(age)[:, None], loss, 0)
     label_cost = np.stack([loss[:, :, part == p].sum(axis=-1) for p in range(3)], axis=1)  # path, part, label
     confused = label_cost[..., ::-1] + CONFUSION_COST < label_cost
@@ -321,10 +338,17 @@ def step_plainly(
             before = mirror[j] if part[j] >= 0 and confused[path, part[j], label] else j
             old = [a[path, before] for a in (last_points, last_velocity, last_seen_s)]
             if score[label, j] > 0:
-                step_s = max(time_s - old[2], MIN_STEP_S)
-                measured = (seen_points[label, j] - old[0]) / step_s
-                velocity = old[1] + (1 - np.exp(-step_s / VELOCITY_TIME_S)) * (measured - old[1])
-                old = [seen_points[label, j], velocity * (step_s < MAX_VELOCITY_GAP_S), time_s]
+                step_s, velocity = max(time_s - old[2], MIN_STEP_S), np.zeros(2)
+                if step_s < MAX_VELOCITY_GAP_S:
+                    blend = 1 - np.exp(-step_s / VELOCITY_TIME_S)
+                    moved = seen_points[label, j] - old[0]
+                    inlier, outlier = find_likelihoods(
+                        np.linalg.norm(moved - old[1] * VELOCITY_TIME_S * blend) / body_size,
+                        step_s,
+                        score[label, j],
+                    )
+                    velocity = old[1] + blend * inlier / (inlier + outlier) * (moved / step_s - old[1])
+                old = [seen_points[label, j], velocity, time_s]
             joints[state, j] = np.hstack(old)
     states = np.append(paths.states[predecessor], np.arange(8)[:, None], axis=1)
     return ViterbiPaths(cost - cost.min(), states, joints)
