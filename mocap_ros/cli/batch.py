@@ -8,17 +8,13 @@ from __future__ import annotations
 import argparse
 import shutil
 import time
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mocap_ros.cli.inputs import TOPIC_OPTIONS, VIDEO_OPTIONS, read_lens_parameters, read_video_options
 from mocap_ros.cli.options import CONFIG_OPTIONS, STRICT_OPTIONS, Options, load_config_file, option, parse_changes
 from mocap_ros.cli.terminal import make_bar, print_note, print_result
 from mocap_ros.errors import InputError, MocapError, tell_installation
+from mocap_ros.runtime.replay import ReplayOptions
 from mocap_ros.runtime.save_results import SUFFIXES
-
-if TYPE_CHECKING:
-    from mocap_ros.batch.job import Outcome, Settings
 
 DESCRIPTION = (
     'Replays every bag, or reconstructs or summarises every recording, that a folder, a pattern or a list '
@@ -51,63 +47,39 @@ OPTIONS: Options = {
 def run(args: argparse.Namespace) -> int:
     """Do the work on all recordings, write the table and the picture, and print the summary."""
     try:
-        from mocap_ros.batch.cluster import connect, run_jobs
-        from mocap_ros.batch.job import OWN_FOLDERS, UNFINISHED, Job, Status
-        from mocap_ros.batch.recordings import find_recordings, is_local
-        from mocap_ros.batch.report import save_report, summarise
+        from mocap_ros.batch.job import RECORDS, RESULTS, UNFINISHED, Settings
+        from mocap_ros.batch.recordings import find_recordings, open_path
+        from mocap_ros.batch.run import connect, run_jobs, save_report, summarise
     except ModuleNotFoundError as error:
         raise MocapError(f'{error.name} is not installed: {tell_installation("cluster")}') from None
     if args.scheduler is not None and (args.workers is not None or args.memory != 'auto'):
         raise InputError(
             '--workers and --memory are for this machine; the workers of a --scheduler have their own'
         )
-    settings = _make_settings(args)
-    own_folders = [settings.place(folder) for folder in OWN_FOLDERS]
-    recordings = find_recordings(args.source, settings.work, own_folders, print_note)
-    start = time.monotonic()
-    outcomes: list[Outcome] = []
+    is_replay, changes = args.work == 'replay', parse_changes(args)
+    if is_replay:
+        changes |= read_lens_parameters(args)
+    options = ReplayOptions(load_config_file(args), args.topic, args.camera_info, changes=changes)
+    settings = Settings(args.work, open_path(args.output), options, read_video_options(args), args.suffix)
+    own_folders = [settings.out / name for name in (RESULTS, RECORDS, UNFINISHED)]
+    key = settings.compute_key()
+    recordings = find_recordings(args.source, print_note, only_bags=is_replay, leave_out=own_folders)
+    start, outcomes, has_failed = time.monotonic(), [], False
     with (
         connect(args.scheduler, args.workers, args.memory) as client,
         make_bar(desc='batch', total=len(recordings)) as bar,
     ):
         print_note(f'{len(recordings)} recordings; dashboard: {client.dashboard_link}')
-
-        def report(outcome: Outcome) -> None:
-            outcomes.append(outcome)
+        for outcome in run_jobs(client, recordings, settings, key):
             bar.update()
-
-        run_jobs(client, [Job(recording, settings) for recording in recordings], report)
-    if is_local(settings.out):  # what lost workers have left
-        shutil.rmtree(settings.place(UNFINISHED), ignore_errors=True)
-    for path in save_report(outcomes, settings):
-        print_result(path)
-    for line in summarise(outcomes, time.monotonic() - start):
+            outcomes.append(outcome)
+            row = outcome.rows[0]
+            if outcome.status == 'failed':
+                print_note(row['error'])
+            elif row.get('grade') in ('doubtful', 'wrong'):
+                print_note(f'{row["url"]}: {row["note"]}')
+            has_failed |= outcome.status == 'failed' or (args.strict and row.get('grade') == 'wrong')
+    shutil.rmtree(str(own_folders[-1]), ignore_errors=True)  # what lost workers have left
+    for line in (*save_report(outcomes, settings.out), *summarise(outcomes, time.monotonic() - start)):
         print_result(line)
-    failed = [outcome for outcome in outcomes if outcome.status is Status.FAILED]
-    for outcome in failed:
-        print_note(outcome.reason)
-    rows = [row for outcome in outcomes for row in outcome.rows[:1]]
-    unsound = [row for row in rows if row.get('grade') in ('doubtful', 'wrong')]
-    for row in unsound:
-        print_note(f'{row["url"]}: {row["note"]}')
-    return int(bool(failed) or (args.strict and any(row['grade'] == 'wrong' for row in unsound)))
-
-
-def _make_settings(args: argparse.Namespace) -> Settings:
-    from mocap_ros.batch.job import Settings
-    from mocap_ros.batch.recordings import Work
-
-    changes = parse_changes(args)
-    if args.work == Work.REPLAY.value:
-        changes |= read_lens_parameters(args)
-    settings = Settings(
-        Work(args.work),
-        args.output if '://' in args.output else str(Path(args.output).resolve()),
-        config=load_config_file(args),
-        changes=changes,
-        topic=args.topic,
-        camera_info=args.camera_info,
-        video=read_video_options(args),
-        suffix=args.suffix,
-    )
-    return settings.seal()
+    return int(has_failed)
