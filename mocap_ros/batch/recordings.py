@@ -74,8 +74,8 @@ def find_recordings(
         matches = [base] if base == pattern else base.glob(str(pattern.relative_to(base)))
         for path in (path for match in matches for path in _search(match, seen)):
             folder = path.anchor if is_list else base if base in path.parents else path.parent
-            below = path.relative_to(folder)
-            names[path] = PurePosixPath(str(below if path.is_dir() else below.with_suffix('')))
+            below = PurePosixPath(str(path.relative_to(folder)))
+            names[path] = below if path.is_dir() else below.with_suffix('')
     bags = {path: name for path, name in names.items() if is_bag(path)}
     if only_bags and (others := len(names) - len(bags)):
         report(f'{source}: {others} recordings are no bags and are left out; --work reconstruct takes them')
