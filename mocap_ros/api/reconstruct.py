@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -207,9 +207,9 @@ def reconstruct(
         for argument, value in needed.items():
             if value is None:
                 raise InputError(f'{argument}: missing')
-        given: Any = keypoints, joint_names, times, image_size, camera_matrix, distortion
-        check_camera(*given[3:])
-        sequence = check_sequence(KeypointSequence(*given), 'times')
+        check_camera(image_size, camera_matrix, distortion)  # type: ignore[arg-type] # is no None here
+        given = KeypointSequence(keypoints, joint_names, times, image_size, camera_matrix, distortion)  # type: ignore[arg-type]
+        sequence = check_sequence(given, 'times')
     observations = extract_observations(sequence, config.tracker.nominal_focal_length)
     try:
         if method == 'keyframes':

@@ -77,9 +77,9 @@ class Tracker:
         self._joint_names = read_joint_names('joint_names', joint_names)
         with name_errors('joint_names'):
             build_joint_map(self._joint_names)
-        camera = check_camera(image_size, camera_matrix, distortion)
-        self._image_size = camera[0]
-        self._intrinsics = create_intrinsics(*camera, config.tracker.nominal_focal_length)
+        self._image_size, matrix, coefficients = check_camera(image_size, camera_matrix, distortion)
+        focal_in_sides = config.tracker.nominal_focal_length
+        self._intrinsics = create_intrinsics(self._image_size, matrix, coefficients, focal_in_sides)
         self._tracker = tracking.Tracker(load_models(model, config), config)
         self._frame_count = 0
         self._first_frames: list[tuple[float, Array]] = []
@@ -182,6 +182,8 @@ class Tracker:
                 other_unit := describe_other_unit(points[i], score[i], self._image_size[0])
             ):
                 raise InputError(f'people[{i}]: x, y: {other_unit}')
-        detected = [Person2D(*p) for p in zip(names, [self._joint_names] * len(names), points, score, strict=True)]
+        detected = [
+            Person2D(name, self._joint_names, p, s) for name, p, s in zip(names, points, score, strict=True)
+        ]
         check_ids('ids', detected)
         return detected

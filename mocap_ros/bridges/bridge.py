@@ -67,7 +67,8 @@ class Bridge:
         self._consumers = [CONSUMERS[name] for name in names]
         self._bodies = BodiesConverter() if 'bodies' in names else None
         self._numbers = PersonNumbers()
-        self._people, self._predictions = People(Header(0, '')), Predictions(Header(0, ''))
+        self._people = People(Header(0, ''))
+        self._predictions = Predictions(Header(0, ''))
 
     def feed_skeletons(self, raw: bytes) -> list[OutputMessage]:
         """Return the messages that a Skeleton3DArray causes."""

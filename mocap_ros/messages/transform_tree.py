@@ -127,8 +127,10 @@ class TransformTree:
             unknown = next((n for n in (source, target) if n not in self._links and not self._is_parent(n)), '')
             what = f'no transform names {unknown!r}' if unknown else 'they are not connected'
             raise InputError(f'no transform from {source!r} to {target!r}: {what}')
-        when = stamp_ns, round(tolerance_s * NS_PER_S), round(earlier_s * NS_PER_S)
-        to_common, from_common = (self._follow(names[: names.index(common)], *when) for names in (up, down))
+        tolerance_ns, earlier_ns = round(tolerance_s * NS_PER_S), round(earlier_s * NS_PER_S)
+        to_common, from_common = (
+            self._follow(names[: names.index(common)], stamp_ns, tolerance_ns, earlier_ns) for names in (up, down)
+        )
         return from_common.inverse().compose(to_common)
 
     def encode_all(self) -> tuple[list[bytes], list[bytes]]:

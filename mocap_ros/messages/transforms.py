@@ -106,7 +106,7 @@ def encode_transforms(
     """
     placed = [p for p in people if p.scale_known] if header.frame_id else []
     links = zip(placed, *compute_links(np.array([p.core for p in placed]).reshape(-1, CORE_COUNT, 3)), strict=True)
-    known = [(person, *found) for person, *found in links if np.isfinite(found[-1]).all()]
+    known = [link for link in links if np.isfinite(link[-1]).all()]
     names = FrameNames().assign([p.id for p, *_ in known]) if names is None else names
     transforms: list[StampedTransform] = []
     if world is not None and header.frame_id:

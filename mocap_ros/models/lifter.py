@@ -90,9 +90,17 @@ class Lifter:
         upward = np.zeros((len(weight), 3))
         if vertical is not None and vertical_std is not None:
             upward = weigh_vertical(vertical, vertical_std)
-        seen, focals = np.ascontiguousarray(points, float), np.full(len(weight), focal)
-        given = seen, np.ascontiguousarray(weight, float), focals, upward, self.network
-        return LiftedPoses(*engine.lift(*given, MIRROR_PERMUTATION, CORE_COUNT, *LOG_STD_RANGE))
+        joints, std = engine.lift(
+            np.ascontiguousarray(points, float),
+            np.ascontiguousarray(weight, float),
+            np.full(len(weight), focal),
+            upward,
+            self.network,
+            MIRROR_PERMUTATION,
+            CORE_COUNT,
+            *LOG_STD_RANGE,
+        )
+        return LiftedPoses(joints, std)
 
     def lift_sequence(self, points: Array, weight: Array, times: Array, focal: float = math.inf) -> LiftedPoses:
         """Estimate the pose of each of F frames from points (F, J, 2), weights and times (F,) s up to it."""

@@ -64,7 +64,14 @@ def encode_features(points: Array32, weight: Array32, focal: Array, upward: Arra
     Focal lengths (N,) are in the unit of the points; `upward` (N, 3) is what `weigh_vertical` returns. The newest
     points (N, J, 2), as in the features, and the unit (N,) of these, in the unit of the points, are returned too.
     """
-    seen, scores = np.ascontiguousarray(points, float), np.ascontiguousarray(weight, float)
-    known = np.ascontiguousarray(focal, float), np.ascontiguousarray(upward, float)
-    features, newest, size, _ = engine.encode(seen, scores, *known, MIRROR_PERMUTATION, CORE_COUNT, False, 1)
+    features, newest, size, _ = engine.encode(
+        np.ascontiguousarray(points, float),
+        np.ascontiguousarray(weight, float),
+        np.ascontiguousarray(focal, float),
+        np.ascontiguousarray(upward, float),
+        MIRROR_PERMUTATION,
+        CORE_COUNT,
+        False,
+        1,
+    )
     return features[:, 0], newest, size

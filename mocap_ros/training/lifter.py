@@ -242,8 +242,10 @@ class _Training:
     """
 
     def __init__(self, synthesiser: ExampleSynthesiser, settings: TrainingSettings, start: Lifter | None) -> None:
-        self.step, self.mean_error = 0, 0.0
-        self._synthesiser, self._settings = synthesiser, settings
+        self.step = 0
+        self.mean_error = 0.0
+        self._synthesiser = synthesiser
+        self._settings = settings
         self._network, self.averaged = (LifterNetwork(settings.width, settings.blocks) for _ in range(2))
         if start is not None:
             self._network.start_from(start)
@@ -292,7 +294,8 @@ class _Training:
 
     def restore(self, checkpoint: Mapping[str, Any]) -> None:
         """Go on from a state of `to_checkpoint`."""
-        self.step, self.mean_error = checkpoint['step'], checkpoint['mean_error']
+        self.step = checkpoint['step']
+        self.mean_error = checkpoint['mean_error']
         self._network.load_state_dict(checkpoint['network'])
         self.averaged.load_state_dict(checkpoint['averaged'])
         self._optimiser.load_state_dict(checkpoint['optimiser'])

@@ -111,7 +111,8 @@ class ExampleSynthesiser:
     """
 
     def __init__(self, library: MotionLibrary, seed: int, without: Collection[str] = ()) -> None:
-        self.library, self.without = library, without
+        self.library = library
+        self.without = without
         self.random = RandomArrays(seed)
         self.errors = DetectorErrors(self.random)
 
