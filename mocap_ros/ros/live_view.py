@@ -6,11 +6,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 
 import numpy as np
-import rclpy
 from rclpy.exceptions import InvalidNamespaceException
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.validate_namespace import validate_namespace
@@ -24,6 +23,7 @@ from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, decode_camer
 from mocap_ros.messages.keypoints import KEYPOINTS, KeypointsFrame, decode_keypoints
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
 from mocap_ros.ros.message_types import MessageVersions
+from mocap_ros.ros.nodes import run_node
 from mocap_ros.ros.topics import subscribe
 from mocap_ros.runtime.load_scene import average_core, make_scene_person, recover_intrinsics
 from mocap_ros.skeleton import BODY26, skeleton_from_joints
@@ -37,11 +37,14 @@ WAITING_NS = 6 * NS_PER_S  # for which keypoints wait for their skeletons; `trac
 
 
 class LiveView(Node):
-    """Node that puts the newest skeletons, with the keypoints of their image, into a live scene."""
+    """Node that serves the page of a live scene: the newest skeletons, with the keypoints of their image."""
 
-    def __init__(self, scene: LiveScene, namespace: str) -> None:
+    def __init__(self, port: int, namespace: str, announce: Callable[[str], None]) -> None:
         super().__init__('mocap_view', namespace=namespace)
-        self._scene, self._versions, self._limits = scene, MessageVersions(), NodeConfig()
+        self._versions, self._limits = MessageVersions(), NodeConfig()
+        self._topic = self.resolve_topic_name('skeletons')
+        self._scene = LiveScene('Live', self._topic)
+        self._port, self._announce, self._serving = port, announce, ExitStack()
         self._keypoints: dict[int, KeypointsFrame] = {}  # by stamp in ns
         self._camera: CameraInfo | None = None
         self._size = (640, 480)
@@ -51,6 +54,15 @@ class LiveView(Node):
             ('camera_info', CAMERA_INFO, self._take_camera, NEWEST_QOS),
         ):
             self._subscribe(topic, msgtype, take, qos)
+
+    def start(self) -> None:
+        """Serve the page, and announce its address."""
+        server = self._serving.enter_context(PageServer(self._scene, self._port))
+        self._announce(f'{server.address} shows {self._topic} in any browser of this machine; Ctrl-C ends')
+
+    def close(self) -> None:
+        """Serve the page no longer."""
+        self._serving.close()
 
     def _subscribe(self, topic: str, msgtype: str, take: Callable[[bytes], None], qos: QoSProfile) -> None:
         self._versions.add_input(msgtype)
@@ -75,6 +87,7 @@ class LiveView(Node):
 
     def _take_skeletons(self, raw: bytes) -> None:
         if not self._scene.is_viewed:
+            self._scene.leave_out()
             return
         array = decode_skeletons(raw)
         frame = self._keypoints.get(array.stamp_ns)
@@ -109,19 +122,8 @@ class LiveView(Node):
 
 def serve(port: int, namespace: str, announce: Callable[[str], None]) -> None:
     """Serve the page of the topics in a namespace until interrupted; `announce` gets the line with the address."""
-    scene = LiveScene('Live')
     try:
         validate_namespace(f'/{namespace.removeprefix("/")}')
     except InvalidNamespaceException:
         raise ConfigError(f'--live {namespace}: is no namespace; a file is shown without --live') from None
-    rclpy.init(args=[])
-    try:
-        node = LiveView(scene, namespace)
-        with PageServer(scene, port) as server:
-            topic = node.resolve_topic_name('skeletons')
-            announce(f'{server.address} shows {topic} in any browser of this machine; Ctrl-C ends')
-            rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass  # the only way to end it
-    finally:
-        rclpy.try_shutdown()
+    run_node([], lambda: LiveView(port, namespace, announce))

@@ -40,10 +40,15 @@ LEVEL_FRAMES = 30  # of these frames, from which they are found: 10 s at 30 Hz
 
 
 class LiveScene:
-    """The newest frame of a live scene as JSON, for any number of threads that wait for it."""
+    """The newest frame of a live scene as JSON, for any number of threads that wait for it.
 
-    def __init__(self, title: str) -> None:
-        self._title, self._number, self._frame, self._asked_s = title, 0, b'', -VIEWED_S
+    `topic` is the name of the topic of the skeletons.
+    """
+
+    def __init__(self, title: str, topic: str = '/skeletons') -> None:
+        self._title, self._topic = title, topic
+        self._number, self._frame, self._asked_s = 0, b'', -VIEWED_S
+        self._arrival_s: float | None = None  # steady clock; when the newest skeletons came
         self._changed = threading.Condition()
         self._skeleton = BODY26
         self._verticals: deque[NDArray[np.float64]] = deque(maxlen=LEVEL_FRAMES)
@@ -55,6 +60,11 @@ class LiveScene:
         """Whether a browser has asked lately; if not, frames need not be made."""
         return time.monotonic() - self._asked_s < VIEWED_S
 
+    @property
+    def age_s(self) -> float | None:
+        """Seconds since the newest skeletons came; None before the first."""
+        return None if self._arrival_s is None else time.monotonic() - self._arrival_s
+
     def build_page(self) -> str:
         """Return the page, which asks for the frames."""
         size = 640, 480  # px; the frames have their own
@@ -62,7 +72,7 @@ class LiveScene:
         empty = make_nobody(len(self._skeleton.joints), intrinsics)
         people = (empty,) * len(PERSON_COLOURS)
         scene = Scene(self._title, [0], people, (), size, intrinsics, skeleton=self._skeleton)
-        return build_page(scene, is_live=True)
+        return build_page(scene, live_topic=self._topic)
 
     def publish(
         self,
@@ -101,8 +111,13 @@ class LiveScene:
         }
         with self._changed:
             self._number += 1
+            self._arrival_s = time.monotonic()
             self._frame = json.dumps({'number': self._number, **frame}, separators=(',', ':')).encode()
             self._changed.notify_all()
+
+    def leave_out(self) -> None:
+        """Note skeletons that nobody views, so that there is no frame of them; the last one is out of date."""
+        self._arrival_s, self._frame = time.monotonic(), b''
 
     def _find_level(self, people: ScenePerson, vertical: NDArray[np.float64]) -> None:
         if np.linalg.norm(vertical) > 0:
@@ -175,7 +190,7 @@ class PageServer(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers `/` with the page and `/frame?after=N` with the newest frame."""
+    """Answers `/` with the page and `/frame?after=N` with the newest frame and the age of the newest skeletons."""
 
     server: PageServer
     protocol_version = 'HTTP/1.1'
@@ -194,15 +209,17 @@ class _Handler(BaseHTTPRequestHandler):
         number = parse_qs(url.query).get('after', [''])[0]
         if url.path == '/frame' and number.isdecimal() and number.isascii():
             frame = self.server.scene.wait(int(number[:18]))
-            return self._answer(200 if frame else 204, 'application/json', frame)
+            return self._answer(200 if frame else 204, 'application/json', frame, self.server.scene.age_s)
         return self._answer(404, 'text/plain', b'not found')
 
-    def _answer(self, status: int, kind: str, content: bytes) -> None:
+    def _answer(self, status: int, kind: str, content: bytes, age_s: float | None = None) -> None:
         self.send_response(status)
         self.send_header('Content-Type', kind)
         self.send_header('Content-Length', str(len(content)))
         self.send_header('Cache-Control', 'no-store')
         self.send_header('X-Content-Type-Options', 'nosniff')
+        if age_s is not None:
+            self.send_header('Age', str(int(age_s)))
         self.end_headers()
         self.wfile.write(content)
 

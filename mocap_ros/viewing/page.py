@@ -91,15 +91,16 @@ class Steps(NamedTuple):
 LIVE_STEPS = Steps(MIN_METRE_STEP, MIN_PIXEL_STEP)  # of all frames of a live scene
 
 
-def build_page(scene: Scene, *, is_live: bool = False) -> str:
+def build_page(scene: Scene, *, live_topic: str = '') -> str:
     """Return the page of a scene as HTML; it needs no other file and no network.
 
-    A live page asks its server for the frames; the people of its scene have its colours, and no frames.
+    A live page, of the skeletons on a topic, asks its server for the frames; the people of its scene have its
+    colours, and no frames.
     """
     packer = _Packer()
-    described = json.dumps({'isLive': is_live, **_describe_scene(scene, packer)}, separators=(',', ':'))
+    described = json.dumps({'liveTopic': live_topic, **_describe_scene(scene, packer)}, separators=(',', ':'))
     parts = {
-        'CONNECT': "'self'" if is_live else "'none'",
+        'CONNECT': "'self'" if live_topic else "'none'",
         'TITLE': html.escape(make_printable(scene.title)),
         'STYLE': _read('page.css'),
         'IMAGES': base64.b64encode(b''.join(scene.images.jpegs if scene.images else ())).decode('ascii'),

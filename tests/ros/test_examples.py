@@ -203,6 +203,24 @@ def test_the_page_gets_the_newest_people_with_their_keypoints(start: StartProgra
     assert (view.returncode, errors) == (0, '')
 
 
+# A signal comes while the node is made.
+ENDED_AT_THE_START = """
+import os, signal, sys
+from rclpy.node import Node
+from mocap_ros.cli.main import main
+
+make = Node.__init__
+Node.__init__ = lambda *given, **options: os.kill(os.getpid(), signal.SIGTERM) or make(*given, **options)
+sys.exit(main(['view', '--live', '--port', '0']))
+"""
+
+
+def test_a_page_that_is_ended_while_it_starts_ends_quietly(start: StartProgram) -> None:
+    view = start(sys.executable, '-c', ENDED_AT_THE_START)
+    _, errors = view.communicate(timeout=TIMEOUT_S)
+    assert (view.returncode, errors) == (0, '')
+
+
 BRIDGE = sys.executable, '-c', 'import sys; from mocap_ros.ros import main; sys.exit(main.bridge_main())'
 
 

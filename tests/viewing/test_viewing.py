@@ -16,6 +16,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,7 +40,7 @@ from mocap_ros.messages.images import IMAGE
 from mocap_ros.runtime.load_scene import read_images
 from mocap_ros.skeleton import CMU15
 from mocap_ros.units import NS_PER_S
-from mocap_ros.viewing import plots
+from mocap_ros.viewing import live_page, plots
 from mocap_ros.viewing import scene as scenes
 from mocap_ros.viewing.live_page import LiveScene, PageServer, make_nobody
 from mocap_ros.viewing.overlay import MAX_OFFSET_S, Overlay, StampedImage, find_frame, reduce_images
@@ -341,6 +342,25 @@ def test_a_slow_browser_gets_the_newest_frame_and_leaves_the_others_out(server: 
     assert server.scene.is_viewed
 
 
+def test_the_age_of_skeletons_is_told_and_those_that_nobody_viewed_are_left_out(
+    server: PageServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_page, 'WAIT_S', 0.01)
+
+    def ask_for_frame() -> tuple[int, str | None]:
+        connection = http.client.HTTPConnection(urlsplit(server.address).netloc, timeout=30)
+        connection.request('GET', '/frame?after=0')
+        with closing(connection), connection.getresponse() as answer:
+            return answer.status, answer.headers['Age']
+
+    assert ask_for_frame() == (204, None)
+    publish(server.scene, 0)
+    monkeypatch.setattr(server.scene, '_arrival_s', time.monotonic() - 12)
+    assert ask_for_frame() == (200, '12')
+    server.scene.leave_out()
+    assert ask_for_frame() == (204, '0')
+
+
 def test_an_image_without_people_is_a_frame_without_people() -> None:
     scene, nobody = LiveScene('Live'), make_nobody(len(CMU15.joints), INTRINSICS)
     scene.publish(START_NS, [], nobody, [], (640, 480), UP, CMU15)
@@ -360,7 +380,7 @@ def wait_for_clock(page: Any, text: str) -> None:
     wait_for(page, lambda page: page.inner_text('#clock') == text)
 
 
-def wait_for(page: Any, is_met: Callable[[Any], bool]) -> None:
+def wait_for(page: Any, is_met: Callable[[Any], object]) -> None:
     for _ in range(400):
         if is_met(page):
             return
@@ -391,6 +411,27 @@ def test_chromium_draws_the_newest_frame_and_can_pause(server: PageServer, page:
     page.click('#play')
     wait_for_clock(page, '3.03 s, live')
     assert min(page.evaluate('mocapPage.delays()')) > 0
+
+
+def wait_for_silence(page: Any, pattern: str) -> None:
+    """Wait until the page says this of missing skeletons and is grey, or says nothing and has its colours."""
+    state = 'body.silent' if pattern else 'body:not(.silent)'
+    wait_for(page, lambda page: re.fullmatch(pattern, page.inner_text(f'{state} #silence')))
+
+
+def test_chromium_says_that_no_skeletons_come(page: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_page, 'WAIT_S', 0.05)
+    page.context.set_offline(False)
+    with PageServer(LiveScene('Live', '/robot/skeletons'), 0) as server:
+        page.goto(server.address)
+        wait_for_silence(page, 'waiting for /robot/skeletons')
+        for frame in range(2):  # after the first one the page loads once more
+            publish(server.scene, 30 * frame)
+            wait_for_silence(page, '')
+            wait_for_clock(page, f'{frame:.2f} s, live')
+            monkeypatch.setattr(server.scene, '_arrival_s', time.monotonic() - 60)
+            wait_for_silence(page, 'no skeletons for 6[0-9] s')
+            wait_for_clock(page, f'{frame:.2f} s')
 
 
 MIRROR = list(CMU15.mirror)

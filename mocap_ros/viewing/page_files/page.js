@@ -27,6 +27,7 @@
   const LIVE_TRAIL = 120; // frames of a trail of a live scene at most
   const CURVES_S = 1; // s between two drawings of the curves of a live scene
   const RETRY_MS = 1000; // ms after which a page asks again for frames
+  const SILENCE_S = 10; // s without skeletons after which a live scene is grey
   const NAME_STEPS = 8; // heights of a line by which a name moves up at most, out of the way of others
   const SLOW_FRAME_MS = 30; // ms; slower pictures lower the resolution, so that 30 pictures a second remain
   const VERY_SLOW_FRAME_MS = 100; // ms; pictures that are slower than this lower it sooner
@@ -88,7 +89,7 @@
   // A scene whose frames come from the server, as arrays of the same form that grow, and lose their oldest half.
   class LiveScene {
     constructor(scene) {
-      Object.assign(this, scene, { palette: scene.people, count: 0 });
+      Object.assign(this, scene, { isLive: true, palette: scene.people, count: 0, isConnected: true, newestMs: null });
       this.clear();
     }
 
@@ -147,19 +148,30 @@
       return count;
     }
 
+    // Why nothing moves, in words; empty while skeletons come.
+    explainSilence() {
+      if (!this.isConnected) return 'not connected';
+      if (this.newestMs === null) return `waiting for ${this.liveTopic}`;
+      const silentS = Math.floor((performance.now() - this.newestMs) / 1000);
+      return silentS < SILENCE_S ? '' : `no skeletons for ${silentS} s`;
+    }
+
     // Ask the server for frames, for ever; it answers with the newest one that is not the last.
     async receive(onFrame) {
       for (let after = 0; ;) {
         try {
           const answer = await fetch(`frame?after=${after}`);
+          this.isConnected = answer.ok;
+          if (!answer.ok) throw new Error(answer.status);
+          const age = answer.headers.get('Age'); // s since the newest skeletons; none before the first
+          if (age !== null) this.newestMs = performance.now() - 1000 * age;
           if (answer.status === 204) continue;
-          if (answer.status !== 200) throw new Error(answer.status);
           const frame = await answer.json();
           if (frame.skeleton.join() !== this.joints.join()) return location.reload();
           after = frame.number;
           onFrame(frame);
         } catch (error) {
-          onFrame(null);
+          this.isConnected = false;
           await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
         }
       }
@@ -827,7 +839,7 @@
   async function start() {
     if (!window.DecompressionStream) return fail('This browser is too old for this page; any of 2023 or later opens it.');
     const read = readScene(await inflate($('data').textContent.trim()));
-    const scene = read.isLive ? new LiveScene(read) : read;
+    const scene = read.liveTopic ? new LiveScene(read) : read;
     let frame = 0;
     let seconds = 0;
     let isPlaying = false;
@@ -861,13 +873,21 @@
     $('time').max = scene.frameCount - 1;
     $('clouds').parentElement.hidden = !scene.isLive && !scene.people.some((person) => person.std.some((std) => std !== 255));
 
+    let silence = ''; // why nothing moves in a live scene
+    const showSilence = () => {
+      const reason = isPlaying && scene.isLive ? scene.explainSilence() : '';
+      if (reason === silence) return;
+      $('silence').textContent = silence = reason;
+      document.body.classList.toggle('silent', Boolean(reason));
+      refresh();
+    };
     const show = () => {
       if (!scene.frameCount) return;
       space.update(frame);
       image.update(frame);
       curves.update(seconds);
       $('time').value = frame;
-      $('clock').textContent = scene.isLive ? `${seconds.toFixed(2)} s${isPlaying ? ', live' : ''}`
+      $('clock').textContent = scene.isLive ? `${seconds.toFixed(2)} s${isPlaying && !silence ? ', live' : ''}`
         : `${seconds.toFixed(2)} s (${frame + 1} / ${scene.frameCount})`;
     };
     const setPlaying = (value) => {
@@ -882,8 +902,6 @@
     let curvesMs = -Infinity; // when the curves of a live scene were drawn
     const delays = []; // ms from the stamp to the picture, of the frames of a live scene that were drawn
     const takeFrame = (received) => {
-      $('title').textContent = received ? scene.title : `${scene.title}: not connected`;
-      if (!received) return;
       const isFirst = !scene.frameCount;
       const removed = scene.add(received);
       $('time').max = scene.frameCount - 1;
@@ -906,6 +924,7 @@
     const tick = (now) => {
       const elapsed = now - before;
       before = now;
+      showSilence();
       if (isPlaying && !scene.isLive) {
         const end = scene.seconds[scene.frameCount - 1];
         const next = seconds + Math.min(elapsed, 500) / 1000 * Number($('speed').value);
