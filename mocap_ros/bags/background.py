@@ -9,20 +9,22 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
 from types import MappingProxyType
 
 from mocap_ros.bags.mcap_file import Attachment
-from mocap_ros.bags.recorder import MAX_SYNCS, RecordedMessage, Recorder, choose_bag_folder
+from mocap_ros.bags.recorder import RECOVERY_HINT, RecordedMessage, Recorder, choose_bag_folder
 from mocap_ros.bags.rosbag2 import Topic, TypeDefinition
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import FolderTaken, RecordingError
 
 CHUNK_PERIOD_S = 0.1  # s, after which a chunk is closed and the disk is checked; a killed process loses no more
 SYNC_PERIOD_S = 0.2  # s; a power cut loses the sum of both periods and the time of a sync, to be below 1 s
+# s; for which the end of a recording waits for a disk that takes nothing: launch kills a node 10 s after Ctrl-C
+MAX_END_STALL_S = 8.0
 MAX_WAITING_BYTES = 256_000_000  # bytes of waiting messages; far above 1000 messages of people; guards the memory
 
 
@@ -55,8 +57,7 @@ class BackgroundRecorder:
     ) -> None:
         self.folder = folder
         self.refused_count = 0
-        self._executor = ThreadPoolExecutor(MAX_SYNCS, 'mocap recorder sync')
-        self._recorder = Recorder(folder, config, attachments, definitions=definitions, executor=self._executor)
+        self._recorder = Recorder(folder, config, attachments, definitions=definitions, start=_start_thread)
         self._config = config
         self._batches: deque[tuple[RecordedMessage | Topic, ...]] = deque()
         self._waiting_bytes = 0
@@ -64,7 +65,7 @@ class BackgroundRecorder:
         self._closing = False
         self._error: RecordingError | None = None
         self._busy_since_s: float | None = None  # steady clock; when the present step began; None: nothing to do
-        self._thread = threading.Thread(target=self._run, name='mocap recorder')
+        self._thread = threading.Thread(target=self._run, name='mocap recorder', daemon=True)
         self._thread.start()
 
     @property
@@ -108,16 +109,26 @@ class BackgroundRecorder:
             raise error
 
     def close(self) -> None:
-        """Write the waiting batches and finish the bag."""
+        """Write the waiting batches and finish the bag.
+
+        RecordingError where the disk takes nothing for `MAX_END_STALL_S`. The bag is still finished if the disk
+        works again before the process ends, which does not wait for it.
+        """
         with self._wake:
             self._closing = True
             self._wake.notify()
-        self._thread.join()
+        begin_s = time.monotonic()
+        while self._thread.is_alive():
+            self._thread.join(CHUNK_PERIOD_S)
+            if min(self.stalled_s, time.monotonic() - begin_s) > MAX_END_STALL_S:
+                advice = f'{RECOVERY_HINT} {self.folder}` restores what was written'
+                raise RecordingError(f'{self.folder}: the disk takes nothing{advice}')
         self.check()
 
     def _run(self) -> None:
         try:
             self._write_until_closed()
+            self._busy_since_s = time.monotonic()
             self._recorder.close()
         except RecordingError as error:
             self._error = error
@@ -126,7 +137,6 @@ class BackgroundRecorder:
         finally:
             with suppress(Exception):  # the first error is reported; without one the bag is closed already
                 self._recorder.close()
-            self._executor.shutdown()
             self._busy_since_s = None
 
     def _write_until_closed(self) -> None:
@@ -156,6 +166,21 @@ class BackgroundRecorder:
                     sync_due_s = now_s + SYNC_PERIOD_S
             if is_finished:
                 return
+
+
+def _start_thread(call: Callable[[], None]) -> Future[None]:
+    """Call a function in a thread of its own, for which the end of the process does not wait."""
+    future = Future[None]()
+
+    def run() -> None:
+        try:
+            call()
+            future.set_result(None)
+        except Exception as error:
+            future.set_exception(error)
+
+    threading.Thread(target=run, name='mocap recorder sync', daemon=True).start()
+    return future
 
 
 def _count_bytes(batch: Iterable[RecordedMessage | Topic]) -> int:

@@ -8,9 +8,10 @@ diagnostic_msgs/DiagnosticStatus for each input and for each further event that 
 
     name         message              level                         values
     input        reason, or empty     OK, WARN, ERROR or STALE      input: number of the input
-    reset        empty                OK                            input: number of the last input before it
-    parameters   empty                OK                            the same, and every parameter as JSON
-    lost         empty                OK                            the same, and lost: number of lost inputs
+    reset        empty                OK                            input: number of the last input before it, and
+                                                                    what is kept (`runtime/run_memory.py`)
+    parameters   empty                OK                            input, and every parameter as JSON
+    lost         empty                OK                            input, and lost: number of lost inputs
 
 Inputs of all topics are counted together from 1, in the order of their log times. An input is lost when the disk
 is too slow to record it; the tracker received it nevertheless.
@@ -25,7 +26,7 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from enum import IntEnum
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import RecordedMessage
@@ -62,8 +63,8 @@ class Entry:
     verdict: Verdict = Verdict.ACCEPTED
     reason: str = ''  # why the input was not accepted, or what is to be said of an accepted one; usually empty
     topic: str = ''  # of the input; empty for other kinds
-    # Values of the parameters by name; for `lost`, the number of lost inputs under `lost`
-    parameters: Mapping[str, Value] = field(default_factory=dict)
+    # Values by name: of the parameters, or what is kept at a reset; for `lost`, the number of lost inputs
+    parameters: Mapping[str, Any] = field(default_factory=dict)
 
 
 def encode_entry(entry: Entry) -> bytes:
@@ -133,9 +134,11 @@ class Journal:
         self._input_count -= 1
         self._lost_count = self._reported_lost_count + 1
 
-    def make_reset_record(self, log_time_ns: int) -> RecordedMessage:
+    def make_reset_record(
+        self, log_time_ns: int, kept: Mapping[str, Any] = MappingProxyType({})
+    ) -> RecordedMessage:
         """Return the message that records a reset of the tracker."""
-        return self._make_record(Entry(RESET, self._input_count), log_time_ns)
+        return self._make_record(Entry(RESET, self._input_count, parameters=kept), log_time_ns)
 
     def make_parameters_record(self, values: Mapping[str, Value], log_time_ns: int) -> RecordedMessage:
         """Return the message that records the parameters used from now on; each file of the bag repeats it."""

@@ -21,7 +21,7 @@ import errno
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
 from functools import partial
@@ -109,7 +109,7 @@ class Recorder:
 
     Every method raises RecordingError if the disk is full or fails, or if the bag is closed. Names of files begin
     with `name`, by default that of the folder. `definitions` are those of message types that differ from this
-    package's. An `executor` runs what waits for the disk; by default, the methods wait themselves.
+    package's. `start` begins what waits for the disk, in another thread; by default, the methods wait themselves.
     `ros_distro` is the distribution of ROS 2 that the bag names, by default the one on which this program runs.
     """
 
@@ -120,12 +120,12 @@ class Recorder:
         attachments: Sequence[Attachment] = (),
         name: str = '',
         definitions: Mapping[str, TypeDefinition] = MappingProxyType({}),
-        executor: Executor | None = None,
+        start: Callable[[Callable[[], None]], Future[None]] | None = None,
     ) -> None:
         self.folder = folder
         self.ros_distro = find_ros_distro()
         self.topics: dict[str, Topic] = {}
-        self._executor = executor
+        self._start = start
         self._syncs: list[Future[None]] = []  # that have not been found to be done
         self._definitions = definitions
         # bytes of a name that are no UTF-8 are replaced, because the description of a bag cannot hold them
@@ -264,11 +264,11 @@ class Recorder:
         return file
 
     def _sync(self, sync: Callable[[], None]) -> None:
-        """Call a function that waits for the disk, in another thread if there is an executor."""
-        if self._executor is None:
+        """Call a function that waits for the disk, in another thread if there is a way to start one."""
+        if self._start is None:
             sync()
         else:
-            self._syncs.append(self._executor.submit(sync))
+            self._syncs.append(self._start(sync))
 
     def _select_file(self, file: McapFile, log_time_ns: int, *, may_begin: bool) -> McapFile:
         """Return the current file, or the next one where that may begin and the current file has reached a limit.

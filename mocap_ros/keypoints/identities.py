@@ -25,7 +25,13 @@ import numpy as np
 
 from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
-from mocap_ros.keypoints.association import VELOCITY_SPAN_S, SeenPeople, expect_people, measure_distances
+from mocap_ros.keypoints.association import (
+    VELOCITY_SPAN_S,
+    KnownPerson,
+    SeenPeople,
+    expect_people,
+    measure_distances,
+)
 from mocap_ros.keypoints.matching import (
     GATE,
     GATE_GROWTH_PER_S,
@@ -57,13 +63,19 @@ def find_absence(settings: TrackerConfig) -> float:
     return max(settings.forget_all_after, settings.forget_after, settings.lag)
 
 
-class _Lost(NamedTuple):
-    """A person who was forgotten: name, stamp of the last frame in ns, the person expected in it, and the gate."""
+class FormerPerson(NamedTuple):
+    """A person who may come again: name, stamp of the last frame in ns, and the person expected in it."""
 
     name: str
     stamp_ns: int
-    expected: SeenPeople
-    gate: float
+    expected: SeenPeople  # of one person
+
+
+class Names(NamedTuple):
+    """What is kept of names where all else is forgotten."""
+
+    numbered: int = 0  # names that were given to people without an id
+    people: tuple[FormerPerson, ...] = ()
 
 
 class Identities(Generic[P]):
@@ -84,7 +96,7 @@ class Identities(Generic[P]):
         self.newest_person_ns: int | None = None
         self.are_ids_ignored = False
         self._exchanges_ns: list[int] = []
-        self._lost: list[_Lost] = []
+        self._lost: list[FormerPerson] = []
         self._names: deque[str] = deque(maxlen=MAX_NAMES)
         self._name_count = 0  # names that were given to people without an id
 
@@ -103,10 +115,18 @@ class Identities(Generic[P]):
             if age_ns > longest_ns or is_misdetection:
                 lost.append(person)
                 if not (person.is_tentative and was_missed):
-                    gate = GATE + GATE_GROWTH_PER_S * self._settings.forget_after
-                    expected = expect_people([person], person.stamps_ns[-1])
-                    self._lost.append(_Lost(person.id, person.stamps_ns[-1], expected, gate))
+                    self._lost.append(_leave(person))
         return lost
+
+    def list_names(self, people: Sequence[P]) -> Names:
+        """Return the names of the people who are known, and of those who were lost."""
+        return Names(self._name_count, (*self._lost, *map(_leave, people)))
+
+    def recall(self, names: Names) -> None:
+        """Take people for those who were known, and had these names, where they were less than `RETURN_S` ago."""
+        self._name_count = names.numbered
+        self._lost = [*names.people]
+        self._names.extend(person.name for person in names.people)
 
     def match(self, stamp_ns: int, people: Sequence[P], detections: Sequence[Detection]) -> Matches[P]:
         """Match the detections of a frame, stamp in ns, with the people who are known."""
@@ -137,9 +157,8 @@ class Identities(Generic[P]):
         if self._lost and name not in self._names:
             lost = SeenPeople(*map(np.concatenate, zip(*(p.expected for p in self._lost), strict=True)))
             distances = measure_distances(lost, SeenPeople(detection.rays[None], detection.weight[None]))[0][0]
-            shares = distances / [p.gate for p in self._lost]
-            if shares.min() < 1:
-                name = self._lost[int(shares.argmin())].name
+            if distances.min() < GATE + GATE_GROWTH_PER_S * self._settings.forget_after:
+                name = self._lost[int(distances.argmin())].name
         while not name or name in used:
             self._name_count += 1
             name = f'person_{self._name_count}'
@@ -151,6 +170,11 @@ class Identities(Generic[P]):
         """Remember the stamp of a frame, in ns, and whether a detection could be used."""
         self.newest_ns = stamp_ns
         self.newest_person_ns = stamp_ns if has_people else self.newest_person_ns
+
+
+def _leave(person: KnownPerson) -> FormerPerson:
+    stamp_ns = person.stamps_ns[-1]
+    return FormerPerson(person.id, stamp_ns, expect_people([person], stamp_ns))
 
 
 @dataclass(eq=False)

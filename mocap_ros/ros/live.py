@@ -31,6 +31,7 @@ from mocap_ros.ros.live_recording import FindOfferedQos, Recording
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.throttled_log import Logger, ThrottledLog, TracebackLog
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
+from mocap_ros.runtime.run_memory import NOTHING, RunMemory
 
 RECORDER_CHECK_SECONDS = 0.25  # s; between two looks at the recorder while no message arrives
 # s; for which inputs wait while a recording is finished, which then goes on by itself; 50 of a topic can wait
@@ -113,6 +114,11 @@ class LiveRun:
             self._logger.info(done := 'tracking was restarted by ~/reset')
         return done
 
+    def check(self, config: Config) -> None:
+        """Raise the error of `reconfigure` if these parameters cannot be used."""
+        with self._pipeline_lock:
+            self._pipeline.check(config)
+
     def reconfigure(self, config: Config) -> None:
         """Use other parameters from now on."""
         with self._pipeline_lock:
@@ -146,7 +152,7 @@ class LiveRun:
         return recording.failure if recording else self._start_failure
 
     def start_recording(self) -> Path:
-        """Reset the tracker, start a recording and return the folder of the bag."""
+        """Reset the tracker but for people's names, start a recording and return the folder of the bag."""
         with self._pipeline_lock:
             if self._running:
                 raise RecordingError(f'a recording to {self._running.folder} is already running')
@@ -158,7 +164,7 @@ class LiveRun:
             except RecordingError as error:
                 self._start_failure = str(error) if self._pipeline.config.recorder.enabled else ''
                 raise
-            self._try_to_publish(self._reset_pipeline())
+            self._try_to_publish(self._reset_pipeline(self._pipeline.memory))
             self._logger.info(f'the recording to {recording.folder} has started')
             return recording.folder
 
@@ -199,29 +205,31 @@ class LiveRun:
         return time.monotonic_ns() + self._clock_offset_ns
 
     def _process_until_stopped(self) -> None:
-        is_running = True
-        while is_running:
-            try:
-                is_running = self._process_next()
-            except Exception:  # noqa: PERF203, an internal error must not end the worker thread
-                self._tracebacks.report(traceback.format_exc())
+        while self._wait_for_message():
+            with self._pipeline_lock:
+                for step in (self._check_recording, self._report_removed, self._process_next):
+                    try:
+                        step()
+                    except Exception:  # noqa: PERF203, an internal error must not end the thread or keep a message
+                        self._tracebacks.report(traceback.format_exc())
 
-    def _process_next(self) -> bool:
-        """Wait for the next message and process or skip it; return False when the run is to stop."""
+    def _wait_for_message(self) -> bool:
+        """Wait for a message, for `RECORDER_CHECK_SECONDS` at most; return False when the run is to stop."""
         is_stopping = self.queue.wait(RECORDER_CHECK_SECONDS)
-        if is_stopping and (not self.queue or time.monotonic() > self._stop_deadline):
-            return False
-        with self._pipeline_lock:
-            if self._recording:
-                self._recording.check()
-            self._report_removed()
-            if popped := self.queue.pop(self._pipeline.config.node.queue):
-                message, is_skipped = popped
-                if is_skipped:
-                    self._publish_result(message, self._pipeline.note_backlog())
-                else:
-                    self._process(message)
-        return True
+        return not is_stopping or (len(self.queue) > 0 and time.monotonic() <= self._stop_deadline)
+
+    def _process_next(self) -> None:
+        """Process or skip the next message, if one waits."""
+        if popped := self.queue.pop(self._pipeline.config.node.queue):
+            message, is_skipped = popped
+            if is_skipped:
+                self._publish_result(message, self._pipeline.note_backlog())
+            else:
+                self._process(message)
+
+    def _check_recording(self) -> None:
+        if self._recording:
+            self._recording.check()
 
     def _report_removed(self) -> None:
         for topic, count in self.queue.pop_removed_counts().items():
@@ -246,9 +254,9 @@ class LiveRun:
             if error_traceback := self._pipeline.run_deferred_work():
                 self._tracebacks.report(error_traceback)
 
-    def _reset_pipeline(self) -> list[OutputMessage]:
+    def _reset_pipeline(self, memory: RunMemory = NOTHING) -> list[OutputMessage]:
         """Discard all people; return the messages that delete them, in the installed versions of their types."""
-        return [self._versions.write_output(output) for output in self._pipeline.reset()]
+        return [self._versions.write_output(output) for output in self._pipeline.reset(memory)]
 
     def _publish_result(self, message: ReceivedMessage, result: ProcessingResult) -> None:
         self._try_to_publish(result.outputs)

@@ -58,9 +58,10 @@ class Recording:
         self._declared = {names[topic] for topic in LATCHED_OUTPUTS}  # topics that are in the bag
         self._stalled_s = 0.0  # of the stall that has been logged
         attachments = provenance_attachments(pipeline.config, pipeline.models)
+        first_records = self._make_first_records(pipeline, start_ns)
         self._recorder = start_recorder(start_ns, pipeline.config.recorder, attachments, versions.definitions)
         self.folder, self.failure = self._recorder.folder, ''
-        self._put(self._make_first_records(pipeline, start_ns))
+        self._put(first_records)
 
     @property
     def state(self) -> str:
@@ -147,6 +148,8 @@ class Recording:
             self._journal.make_parameters_record(values(pipeline.config), start_ns),
             self._make_output_record(definition, start_ns),
         ]
+        if kept := pipeline.memory.encode():
+            records.append(self._journal.make_reset_record(start_ns, kept))
         static, dynamic = pipeline.transforms.encode_all()
         prefix = pipeline.config.node.frame_prefix  # a replay takes what is of people only as an output
         known = {

@@ -138,7 +138,7 @@ class MocapNode(ManagedNode):
         try:
             config = with_values(self._config, self._select_own(changed))
             if self._pipeline is not None:
-                self._pipeline.check(config)
+                (self._run or self._pipeline).check(config)
         except MocapError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

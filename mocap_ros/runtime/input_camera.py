@@ -84,11 +84,12 @@ class InputCamera:
 class CalibrationWait:
     """Waits for the first CameraInfo, so that people do not change their size and distance when it comes.
 
-    Images are left out until it comes or `node.camera_info_wait` has passed by their stamps. If it comes still
-    later, tracking is restarted.
+    Images are left out until it comes or `node.camera_info_wait` has passed by their stamps; then the wait
+    `is_over`. If it comes still later, tracking is restarted.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, is_over: bool = False) -> None:
+        self.is_over = is_over
         self._first_ns: int | None = None
         self._last_ns: int | None = None
         self._source: FocalSource | None = None
@@ -98,7 +99,7 @@ class CalibrationWait:
 
         FrameDropped where its stamp repeats that of the image before, so that no time passes by the stamps.
         """
-        if self._source is not None:
+        if self.is_over:
             return False
         if stamp_ns == self._last_ns:
             raise FrameDropped(f'stamp {stamp_ns} ns repeats that of the image before')
@@ -109,7 +110,7 @@ class CalibrationWait:
 
     def find_restart(self, source: FocalSource) -> str:
         """Note where the focal length of an image is from; return why tracking must be restarted, usually ''."""
-        before, self._source = self._source, source
+        before, self._source, self.is_over = self._source, source, True
         if before == NOMINAL and source == KNOWN:
             return 'the first CameraInfo came late and changes all distances, so tracking was restarted'
         return ''

@@ -35,6 +35,7 @@ from mocap_ros.runtime.input_camera import GIVEN, KNOWN, NOMINAL, CalibrationWai
 from mocap_ros.runtime.input_checks import InputChecks
 from mocap_ros.runtime.output_frame import OutputFrame
 from mocap_ros.runtime.outputs import OutputEncoder
+from mocap_ros.runtime.run_memory import NOTHING, RunMemory
 from mocap_ros.runtime.summary import RunSummary
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.units import NS_PER_S
@@ -121,6 +122,7 @@ class Pipeline:
         self.models = models or load_base_pose_models(config.tracker.model)
         self._make_tracker = make_tracker
         self._tracker: Tracker = make_tracker(self.models, config)
+        self._checked = config, self._tracker  # the last parameters that were checked, and their tracker
         self._swapped_before = self._unusable_before = 0  # as the trackers of earlier parameters counted
         self._outputs = OutputEncoder()
         self._assembler = FrameAssembler()
@@ -206,36 +208,41 @@ class Pipeline:
         self._camera_note = '; '.join(filter(None, (calibration.note if calibration else '', ignored)))
         return '' if self._camera_note == before else self._camera_note
 
-    def reset(self) -> tuple[OutputMessage, ...]:
-        """Discard all people and return the messages that delete them from viewers."""
+    @property
+    def memory(self) -> RunMemory:
+        """What a recording keeps that starts now."""
+        return RunMemory(self._wait.is_over, self._tracker.list_names())
+
+    def reset(self, memory: RunMemory = NOTHING) -> tuple[OutputMessage, ...]:
+        """Discard all people but for what is remembered, and return the messages that delete them from viewers."""
         self._tracker.reset()
+        self._tracker.recall_names(memory.names)
         self._assembler.reset()
         self._camera.reset()
         self.checks = InputChecks()
         self.summary.restart()
-        self._wait = CalibrationWait()
+        self._wait = CalibrationWait(is_over=self._wait.is_over or memory.has_waited)
         self.people = ()
         self.header = Header(0, '')
         return self._outputs.encode_clear(self.output_header)
 
     def reconfigure(self, config: Config) -> bool:
         """Use other parameters; return whether the tracker had to be restarted. An error leaves all as it was."""
-        tracker = self.check(config)
-        self.config = config
-        if tracker is None:
+        if config != self._checked[0]:
+            self.check(config)
+        self.config, tracker = self._checked
+        if tracker is self._tracker:
             return False
         self._swapped_before, self._unusable_before = self.swapped_frames, self.unusable_people
         self._tracker = tracker
         return True
 
-    def check(self, config: Config) -> Tracker | None:
-        """Return the tracker that other parameters need, or None if they need none; errors as `reconfigure`."""
+    def check(self, config: Config) -> None:
+        """Make the tracker that other parameters need, if they need one, for `reconfigure`; errors as there."""
         _check_lens(config)
         read_prediction_times(config)
-        if all(getattr(self.config, group) == getattr(config, group) for group in TRACKER_GROUPS):
-            return None
-        tracker: Tracker = self._make_tracker(self.models, config)
-        return tracker
+        is_same = all(getattr(self.config, group) == getattr(config, group) for group in TRACKER_GROUPS)
+        self._checked = config, self._tracker if is_same else self._make_tracker(self.models, config)
 
     def _decode_frames(self, source: Source, raw: bytes, topic: str) -> list[KeypointsFrame]:
         if source is Source.CAMERA_INFO:

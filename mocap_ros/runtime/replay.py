@@ -28,7 +28,7 @@ from mocap_ros.bags.topics import (
     make_repeat_keys,
 )
 from mocap_ros.config import Config, Value, settings, values, with_values
-from mocap_ros.errors import ConfigError, InputError, RecordingError
+from mocap_ros.errors import ConfigError, InputError, RecordingError, name_errors
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.models.model_file import AUTO, PRIORS, list_shipped_base_poses
@@ -37,6 +37,7 @@ from mocap_ros.runtime.input_checks import find_kind
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, build_skeleton_definition
 from mocap_ros.runtime.pipeline import Counters, Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
+from mocap_ros.runtime.run_memory import RunMemory
 from mocap_ros.runtime.summary import Summary
 
 JOURNAL_TOPIC = '/mocap_replay/journal'  # ends as the journal of a live run, so that a replay can be replayed
@@ -182,8 +183,10 @@ class _Replay:
     def _repeat_events(self, number: int, now_ns: int) -> None:
         for entry in self._run.events.get(number, ()):
             if entry.kind == RESET:
-                self._recorder.write(*self._journal.make_reset_record(now_ns))
-                for output in self._pipeline.reset():
+                with name_errors(f'{self._bag.path}: reset after input {number}'):
+                    memory = RunMemory.decode(entry.parameters)
+                self._recorder.write(*self._journal.make_reset_record(now_ns, memory.encode()))
+                for output in self._pipeline.reset(memory):
                     self._write(output, now_ns)
             elif self._repeats_parameters:
                 if entry.kind != PARAMETERS:

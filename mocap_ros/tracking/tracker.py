@@ -28,7 +28,7 @@ from mocap_ros.errors import FrameDropped
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import CALIBRATED_TILT_STD, Floor
 from mocap_ros.geometry.virtual_camera import solver_focal
-from mocap_ros.keypoints.identities import Identities
+from mocap_ros.keypoints.identities import Identities, Names
 from mocap_ros.keypoints.left_right import BodySides, SwapFilter
 from mocap_ros.keypoints.matching import Detection
 from mocap_ros.keypoints.person import Person2D
@@ -151,6 +151,14 @@ class Tracker:
         self._at_work: Sequence[Track] = ()  # the people whom a stage works on
         self._side = CameraSide()
         self._vertical = self._vertical and self._vertical.forget()
+
+    def list_names(self) -> Names:
+        """Return the names of people, and where they are, for a tracker that begins without them."""
+        return self._who.list_names(self.tracks)
+
+    def recall_names(self, names: Names) -> None:
+        """Give people their names of before, where they were; only right after the start or `reset`."""
+        self._who.recall(names)
 
     def update(
         self, stamp_ns: int, people: Sequence[Person2D], intrinsics: Intrinsics, floor: Floor | None = None

@@ -62,7 +62,7 @@ def run_in_subprocess(code: str, *arguments: object) -> subprocess.CompletedProc
     command = [sys.executable, '-c', PRELUDE + code, *map(str, arguments)]
     # Without coverage, which cannot write its data where the code limits the size of files.
     env = {name: value for name, value in os.environ.items() if not name.startswith('COVERAGE_')}
-    return subprocess.run(command, cwd=ROOT, env=env, check=False, capture_output=True, text=True)
+    return subprocess.run(command, cwd=ROOT, env=env, check=False, capture_output=True, text=True, timeout=60)
 
 
 def test_a_killed_recording_loses_no_more_than_a_chunk(tmp_path: Path) -> None:
@@ -301,3 +301,23 @@ def test_what_comes_while_the_disk_is_checked_is_written(tmp_path: Path, monkeyp
     closing.join(60)
     with Bag(tmp_path / 'bag') as bag:
         assert bag.count(['/a']) == 1
+
+
+STUCK_DISK = """
+import threading
+from mocap_ros.bags import background
+
+recorder = background.BackgroundRecorder(Path(sys.argv[1]), RecorderConfig())
+os.fsync = os.fdatasync = lambda _: threading.Event().wait()
+background.MAX_END_STALL_S = 0.1
+try:
+    recorder.close()
+except RecordingError as error:
+    print(error)
+"""
+
+
+def test_a_process_ends_though_the_disk_is_stuck(tmp_path: Path) -> None:
+    done = run_in_subprocess(STUCK_DISK, tmp_path / 'bag')
+    assert done.stdout.startswith(f'{tmp_path}/bag: the disk takes nothing')
+    assert (done.returncode, done.stderr) == (0, '')

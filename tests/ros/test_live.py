@@ -7,6 +7,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -261,6 +262,85 @@ def test_lost_inputs_are_counted(tmp_path: Path, stream: list[bytes], monkeypatc
     assert run.lost_count == missing
     before = sum(raw in stream[:8] for raw in recorded)
     assert {number: [e.kind for e in events] for number, events in run.events.items()} == {before: ['reset']}
+
+
+def fail(*_: object) -> Any:
+    raise ZeroDivisionError('a fault of ours')
+
+
+def test_a_fault_between_two_messages_costs_none(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = CollectingRun(recording_to(tmp_path / 'live'))
+    with monkeypatch.context() as patch:
+        patch.setattr(Recording, 'check', fail)
+        live.process(stream[:3])
+    live.run.stop()
+    assert live.count_lines('ZeroDivisionError') == 1
+    assert read_messages(find_bag(tmp_path), '/keypoints') == stream[:3]
+
+
+def test_a_recording_that_cannot_begin_leaves_no_thread(tmp_path: Path) -> None:
+    pipeline, threads = Pipeline(recording_to(tmp_path)), threading.enumerate()
+    pipeline.set_camera_info(camera_info())
+    with pytest.raises(ZeroDivisionError):
+        Recording(pipeline, START_NS, NAMES, LineLog(), fail, MessageVersions())
+    assert threading.enumerate() == threads
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_stop_does_not_wait_for_ever_for_a_stuck_disk(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('mocap_ros.bags.background.MAX_END_STALL_S', 0.05)
+    disk_is_ready = block_disk(monkeypatch)
+    live = CollectingRun(recording_to(tmp_path / 'live'))
+    live.process(stream[:2])
+    stopping = threading.Thread(target=live.run.stop)
+    stopping.start()
+    stopping.join(TIMEOUT_S)
+    has_stopped = not stopping.is_alive()
+    disk_is_ready.set()
+    assert has_stopped
+    assert live.count_lines('the disk takes nothing') == 1
+    wait_until((find_bag(tmp_path) / 'metadata.yaml').is_file)  # what was not written yet is not lost
+    assert read_messages(find_bag(tmp_path), '/keypoints') == stream[:2]
+
+
+def test_people_keep_their_names_and_go_on_when_a_recording_starts(tmp_path: Path, stream: list[bytes]) -> None:
+    """Two people before a camera that is not calibrated; one goes, after which the other would be the first."""
+    values = {'recorder.enabled': False, 'node.camera_info_wait': 0.1, 'node.queue': 100}
+    images = [decode_keypoints(raw, FAST_CONFIG.node) for raw in stream]
+    together = [[p, replace(p, points=p.points + [250.0, 0.0])] for image in images for p in image.people]
+    shown = [people if frame < 8 else people[1:] for frame, people in enumerate(together)]
+    messages = [encode_keypoints(i.header, (640, 480), p) for i, p in zip(images, shown, strict=True)]
+    live = CollectingRun(recording_to(tmp_path / 'live', **values))
+    live.enqueue(*messages[:3])  # they wait for a CameraInfo
+    live.process(messages[3:10])
+    live.run.start_recording()
+    live.process(messages[10:])
+    live.run.stop()
+    ids = [[p.id for p in decode(o.data, SKELETONS).people if not p.predicted] for o in live.skeletons]
+    assert ids == [['person_1', 'person_2']] * 5 + [['person_2']] * (FRAMES - 8)
+    with Bag(find_bag(tmp_path)) as bag:
+        replay(bag, tmp_path / 'again')
+    assert read_messages(tmp_path / 'again', '/skeletons') == [o.data for o in live.skeletons[7:]]
+
+
+def test_a_change_of_parameters_makes_one_tracker_while_no_frame_is_processed() -> None:
+    has_lock: list[bool] = []
+
+    def make_tracker(*given: Any) -> Tracker:
+        has_lock.append(bool(CollectingRun.started) and live.run._pipeline_lock.locked())
+        return Tracker(*given)
+
+    live = CollectingRun(FAST_CONFIG, make_tracker)
+    for components in (5, 6):
+        config = with_settings(FAST_CONFIG, {'tracker.components': components})
+        live.run.check(config)
+        live.run.reconfigure(config)
+    live.run.stop()
+    assert has_lock == [False, True, True]
 
 
 def test_what_the_middleware_refuses_is_recorded_and_stops_nothing_else(

@@ -41,6 +41,7 @@ from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.playback import Playback, encode_sequence
 from mocap_ros.runtime.provenance import RECORDED_PACKAGES
 from mocap_ros.runtime.replay import ReplayOptions, replay
+from mocap_ros.skeleton import CORE_COUNT
 from tests.support.camera_messages import camera_info, encode_ros1_camera_info, make_ros1_header, make_transforms
 from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import (
@@ -196,11 +197,16 @@ CHANGED_AFTER = 6  # inputs after which it was given others
 CHANGED = {**RECORDED, 'tracker.lag': 0.0, 'tracker.min_score': 0.2}
 
 
-def write_started_run(folder: Path, stream: list[bytes], parameters: dict[str, Value]) -> None:
+def write_started_run(
+    folder: Path, stream: list[bytes], parameters: dict[str, Value], kept: dict[str, object] | None = None
+) -> None:
     """Write a bag of a run that began with these parameters, or of none where there are none."""
+    journal = Journal('/mocap_node/journal')
     with Recorder(folder, RecorderConfig()) as recorder:
         if parameters:
-            recorder.write(*Journal('/mocap_node/journal').make_parameters_record(parameters, START_NS))
+            recorder.write(*journal.make_parameters_record(parameters, START_NS))
+        if kept:
+            recorder.write(*journal.make_reset_record(START_NS, kept))
         for number, raw in enumerate(stream):
             recorder.write('/keypoints', KEYPOINTS, raw, START_NS + number, START_NS + number)
 
@@ -266,6 +272,26 @@ def test_a_replay_waits_for_a_calibration_as_live(tmp_path: Path, stream: list[b
     options = ReplayOptions(config if version == 'unrecorded' else None)
     assert len(expected) == FRAMES - 3 * (version == 'this')
     assert replay_skeletons(tmp_path / 'bag', tmp_path / 'out', options) == expected
+
+
+@pytest.mark.parametrize(
+    'kept',
+    [
+        {'numbered': 'two'},
+        {'people': 3},
+        {'people': [['anna', 1]]},
+        {'people': [['anna', 1, [[0.0, 0.0, 1.0]]]]},
+        {'people': [['anna', 1, [[0.0, float('inf'), 1.0]] * CORE_COUNT]]},
+    ],
+    ids=str,
+)
+def test_what_a_reset_keeps_is_checked(tmp_path: Path, stream: list[bytes], kept: dict[str, object]) -> None:
+    write_started_run(tmp_path / 'bag', stream[:2], values(FAST_CONFIG), kept)
+    with (
+        Bag(tmp_path / 'bag') as bag,
+        pytest.raises(InputError, match=f'{bag.path}: reset after input 0: people: '),
+    ):
+        replay(bag, tmp_path / 'out')
 
 
 def test_only_the_user_chooses_files_of_models(tmp_path: Path, stream: list[bytes]) -> None:
