@@ -147,7 +147,7 @@ def arrange_frames(people_by_image: Mapping[Any, Sequence[Person2D]], video: Vid
     repeated = {person_id for count_by_id in counts for person_id, n in count_by_id.items() if n > 1}
     people = [[replace(p, id='') if p.id in repeated else p for p in image] for image in images]
     if repeated:
-        ids = _list_some(sorted(repeated))
+        ids = list_some(sorted(repeated))
         notes.append(f'ids left out, because two people of one frame have the same: {ids}')
     size = resolve_image_size(configured=video.image_size)
     return Detections(people, stamps, size, notes=tuple(notes))
@@ -233,7 +233,7 @@ def select_person(
         _refuse_other_unit(detections)
         raise InputError(f'no person is seen with {settings.min_joints} joints in any frame')
     frame_counts = Counter({track.id: len(track.detection_by_frame) for track in tracks})
-    everybody = _list_some([f'{name} ({n})' for name, n in frame_counts.most_common()])
+    everybody = list_some([f'{name} ({n})' for name, n in frame_counts.most_common()])
     wanted = frame_counts.most_common(1)[0][0] if person_id is None else person_id
     if wanted not in frame_counts:
         by_id = Counter({t.id: sum(p.id == wanted for p in t.detection_by_frame.values()) for t in tracks})
@@ -301,5 +301,6 @@ def _arrange_sequence(detections: Detections, track: PersonTrack, focal_source: 
     )
 
 
-def _list_some(people: Sequence[str]) -> str:
+def list_some(people: Sequence[str]) -> str:
+    """Return the first `MAX_LISTED_PEOPLE` names in a line."""
     return ', '.join(people[:MAX_LISTED_PEOPLE]) + (', ...' if len(people) > MAX_LISTED_PEOPLE else '')

@@ -13,11 +13,12 @@ with the list of `people`, or the list itself. Of single files, these forms are 
   as `instance_info` and the names of the joints as `meta_info`: MMPose.
 - A list that holds the list of people of each frame, with keypoints {x, y, visible}: YOLO's `to_json` of all
   frames.
+- A list of frames {frame_id, predictions: [...], image: {width, height}}: Roboflow.
 - A mapping of the name of each image to {people} or {bodies}: AlphaPose in the formats of OpenPose and CMU-Pose.
 - {keypoints: [{id: [[y, x, score], ...]} of each frame], skeleton: names}: easy_ViTPose.
 
-A person's `keypoints` are x, y and the score (or the visibility 0, 1, 2) of the joints of a known layout, or of
-those that the file names.
+`json_keypoints` reads the keypoints of a person: x, y and the score (or the visibility 0, 1, 2) of the joints of a
+known layout, or of those that the file names.
 """
 
 from __future__ import annotations
@@ -29,33 +30,36 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError, naming
-from mocap_ros.formats.detections import Detections, Video, arrange_frames, create_person
+from mocap_ros.formats.detections import MAX_KEYPOINTS, Detections, Video, arrange_frames, create_person, list_some
 from mocap_ros.formats.image_names import MAX_FRAME_NUMBER, ImageName
+from mocap_ros.formats.json_keypoints import (
+    NAME_KEYS,
+    JsonKeypoints,
+    Names,
+    arrange_labels,
+    list_names,
+    read_keypoints,
+)
 from mocap_ros.formats.text_files import read_json
 from mocap_ros.keypoints.image_size import ImageSize, resolve_image_size
 from mocap_ros.keypoints.person import Person2D, is_person_class
 from mocap_ros.skeleton import detector_joint_names
-
-Names = tuple[str, ...]  # of joints, in the order of the keypoints; empty where they are not known
 
 FILE_SUFFIX = '_keypoints.json'  # end of the names of OpenPose's files
 # Keys of a person's keypoints: of most detectors, of OpenPose since version 1.0 and before, and of CMU-Pose.
 KEYPOINT_KEYS = ('keypoints', 'pose_keypoints_2d', 'pose_keypoints', 'joints')
 MIN_PERSON_SCORE = 0.1  # people with a lower score are left out: COCO results hold many improbable people
 VISIBLE = 2.0  # COCO's visibility of a joint that is seen; 1 is a joint that is labelled but hidden
-ID_KEYS = ('track_id', 'idx', 'person_id')  # keys of the id that a tracker gives to a person
+CLASS_KEYS = ('name', 'class', 'class_name')  # keys of the class of a detection
+ID_KEYS = ('track_id', 'tracker_id', 'idx', 'person_id')  # keys of the id that a tracker gives to a person
 SCORE_KEYS = ('score', 'bbox_score', 'confidence')  # keys of the score of a person
 LIST_KEYS = ('annotations', 'instance_info', 'predictions')  # keys of the list of people or frames
 PEOPLE_KEYS = ('people', 'instances', 'bodies', 'instance_info', 'predictions')  # of the people of one frame
-# Keys of the names of the joints: in any mapping, in the `meta_info` of MMPose, and of easy_ViTPose
-NAME_KEYS = (
-    'keypoint_names', 'joint_names', 'keypoint_id2name', 'keypoint_name2id', 'keypoint_info', 'skeleton',
-)  # fmt: skip
 PERSON_CLASS, PERSON_ID = 'person', 1  # name and id of people among the categories of COCO
 LANDMARK_KEYS = ('pose_landmarks', 'landmarks', 'pose_world_landmarks')  # of MediaPipe
 EXPECTED_KEYPOINTS = 'keypoints: expected x, y, score of every joint'
+EXPECTED_SIZE = 'expected width and height in px'
 
 
 class _Entry(NamedTuple):
@@ -75,8 +79,8 @@ class _Categories(NamedTuple):
 @dataclass
 class _Found:
     people: dict[ImageName, list[Person2D]] = field(default_factory=dict)
-    # Entry, (J, 3) keypoints and the names of the joints of each person
-    entries: list[tuple[_Entry, Array, Names]] = field(default_factory=list)
+    # Entry, keypoints and the names of the joints of each person
+    entries: list[tuple[_Entry, JsonKeypoints, Names]] = field(default_factory=list)
     without_keypoints: int = 0  # number of detections without keypoints
     others: int = 0
 
@@ -92,15 +96,17 @@ def load_json_folder(folder: Path, video: Video) -> Detections:
         raise InputError(f'{folder}: no *.json in it')
     if len(paths) == 1 and not paths[0].name.endswith(FILE_SUFFIX) and not _is_frame(read_json(paths[0])):
         return load_json_file(paths[0], video)
-    found = _Found()
+    found, sizes = _Found(), set[ImageSize]()  # px
     for path in paths:
         content = read_json(path)
         with naming(path):
+            with naming('image', EXPECTED_SIZE):
+                sizes |= _read_sizes([content])
             image = path.name.removesuffix(FILE_SUFFIX) if path.name.endswith(FILE_SUFFIX) else path.stem
             found.people[image] = []
             _add_people(found, _iterate_people(image, '', content), _read_categories(content))
     with naming(folder):
-        return _arrange(found, video, None)
+        return _arrange(found, video, _choose_size(sizes))
 
 
 def load_json_file(path: Path, video: Video) -> Detections:
@@ -119,23 +125,32 @@ def load_json_file(path: Path, video: Video) -> Detections:
 
 def _arrange(found: _Found, video: Video, size: ImageSize | None) -> Detections:
     """Return the people whose keypoints were read; the size in px is what the file states, None for nothing."""
-    factor = 1 / VISIBLE if _are_visibilities([keypoints for _, keypoints, _ in found.entries]) else 1.0
+    everybody = [keypoints for _, keypoints, _ in found.entries]
+    labelled = [keypoints for keypoints in everybody if keypoints.labels]
+    general = next((names for _, _, names in found.entries if names), ())
+    placement = arrange_labels(labelled, video.layout, general) if labelled else None
+    if placement and placement.size * len(labelled) > MAX_KEYPOINTS:
+        people = f'{len(labelled)} people of {placement.size} joints'
+        raise InputError(f'{people}, more than {MAX_KEYPOINTS} keypoints')
+    factor = 1 / VISIBLE if _are_visibilities(everybody) else 1.0
     has_points = False
-    for entry, keypoints, names in found.entries:
-        keypoints[:, 2] *= factor
-        has_points = has_points or bool((keypoints[:, :2] > 0).any())
+    for entry, keypoints, own_names in found.entries:
+        values, names = keypoints.values, own_names
+        has_points = has_points or bool((values[:, :2] > 0).any())
+        if placement and keypoints.labels:
+            values, names = placement.place(keypoints), placement.joints
         with naming(entry.place):
-            person = create_person(keypoints, video.layout, _read_id(entry.content), names)
+            person = create_person(values * [1.0, 1.0, factor], video.layout, _read_id(entry.content), names)
         if (person.score > 0).any():
             found.people[entry.image].append(person)
     video = replace(video, image_size=resolve_image_size(stated=size, configured=video.image_size))
     detections = arrange_frames(found.people, video)
     if not any(found.people.values()):
         raise InputError(_describe_absence(found, has_points=has_points))
-    if not found.others:
-        return detections
-    note = f'{found.others} detections that are no people are left out'
-    return replace(detections, notes=(*detections.notes, note))
+    unknown = [repr(key) for key in dict.fromkeys(key for keypoints in everybody for key in keypoints.unknown)]
+    others = f'{found.others} detections that are no people are left out' if found.others else ''
+    unused = f'not known and not used, beside the keypoints: {list_some(unknown)}' if unknown else ''
+    return replace(detections, notes=(*detections.notes, *filter(None, (others, unused))))
 
 
 def _describe_absence(found: _Found, *, has_points: bool) -> str:
@@ -198,8 +213,10 @@ def _iterate_entries(
         with naming(place, 'expected image_id and keypoints, or frame_id and instances'):
             if isinstance(entry, list):
                 image, people = _parse_image_name(index), entry
-            elif 'instances' in entry:
-                image, people = _parse_image_name(int(entry['frame_id'])), list(entry['instances'])
+            elif people_key := next((k for k in PEOPLE_KEYS if k in entry), ''):
+                number = entry.get('frame_id')
+                image = _parse_image_name(index if number is None else int(number))
+                place, people = f'{place}.{people_key}', list(entry[people_key])
             else:
                 _refuse_landmarks(entry)
                 image = entry['image_id']
@@ -208,7 +225,7 @@ def _iterate_entries(
         if people is None:
             yield _Entry(image, place, entry)
         else:
-            yield from _iterate_people(image, f'{place}.instances', people)
+            yield from _iterate_people(image, place, people)
 
 
 def _iterate_mapping(content: dict[str, Any], frames: dict[ImageName, list[Person2D]]) -> Iterator[_Entry]:
@@ -242,7 +259,8 @@ def _add_people(found: _Found, entries: Iterable[_Entry], categories: _Categorie
     """Add the keypoints of probable people in images; other detections are counted."""
     entries = list(entries)
     ids = set()
-    has_people = any(isinstance(e.content, dict) and e.content.get('name') == PERSON_CLASS for e in entries)
+    contents = [entry.content for entry in entries if isinstance(entry.content, dict)]
+    has_people = any(_read_class(content, '') == PERSON_CLASS for content in contents)
     for entry in entries:
         if isinstance(entry.content, dict) and 'category_id' in entry.content:
             with naming(entry.place, 'category_id: expected a number or a name'):
@@ -254,7 +272,7 @@ def _add_people(found: _Found, entries: Iterable[_Entry], categories: _Categorie
         if not isinstance(person, dict):
             raise InputError(f'{entry.place}: expected a person with keypoints')
         key = next((key for key in KEYPOINT_KEYS if key in person), None)
-        category, name = person.get('category_id'), person.get('name', PERSON_CLASS)
+        category, name = person.get('category_id'), _read_class(person, PERSON_CLASS)
         if not is_person_class(name) or (has_people and name != PERSON_CLASS) or category in others:
             found.others += 1
         elif key is None and 'people[' in entry.place:
@@ -266,9 +284,13 @@ def _add_people(found: _Found, entries: Iterable[_Entry], categories: _Categorie
             if isinstance(score, (int, float)) and score < MIN_PERSON_SCORE:
                 continue
             with naming(entry.place, EXPECTED_KEYPOINTS):
-                keypoints = _read_keypoints(person[key], person)
-            names = _read_own_names(person) or categories.names.get(category) or categories.general
+                keypoints = read_keypoints(person, key)
+            names = categories.names.get(category) or categories.general
             found.entries.append((entry, keypoints, names))
+
+
+def _read_class(person: Mapping[str, Any], default: str) -> str:
+    return next((person[key] for key in CLASS_KEYS if isinstance(person.get(key), str)), default)
 
 
 def _has_no_keypoints(raw: Any) -> bool:
@@ -303,52 +325,39 @@ def _read_images(content: Any) -> tuple[dict[Any, ImageName], ImageSize | None]:
     """Return the name of each image by the image's id, and the size in px, None where no image has one."""
     entries = content.get('images', []) if isinstance(content, dict) else []
     name_by_image: dict[Any, ImageName] = {}
-    sizes, names = set(), set()
+    with naming('image', EXPECTED_SIZE):
+        sizes, names = _read_sizes(content), set()
     with naming('images', 'expected a list'):
         entries = list(entries)
     for index, image in enumerate(entries):
         with naming(f'images[{index}]', 'expected id, file_name, width, height'):
             name = _parse_image_name(image.get('frame_id', image.get('file_name', image['id'])))
-            if 'width' in image:
-                sizes.add((int(image['width']), int(image['height'])))
-                if min(min(size) for size in sizes) < 1:
-                    raise ValueError
+            sizes |= _read_sizes([{'image': image}])
             name_by_image[image['id']] = name
             if name in names:
                 raise InputError(f'a second image {name!r}; a file must hold one video')
             names.add(name)
+    return name_by_image, _choose_size(sizes)
+
+
+def _read_sizes(frames: Any) -> set[ImageSize]:
+    """Return the sizes in px that a list of frames states of its images; one of `MALFORMED` where it is none."""
+    images = [f.get('image') for f in frames if isinstance(f, dict)] if isinstance(frames, list) else []
+    sizes = {(int(i['width']), int(i['height'])) for i in images if isinstance(i, dict) and 'width' in i}
+    if sizes and min(map(min, sizes)) < 1:
+        raise ValueError
+    return sizes
+
+
+def _choose_size(sizes: set[ImageSize]) -> ImageSize | None:
     if len(sizes) > 1:
         raise InputError('images: of different sizes; a file must hold one video')
-    return name_by_image, next(iter(sizes), None)
+    return next(iter(sizes), None)
 
 
-def _read_keypoints(raw: Any, content: Mapping[str, Any]) -> Array:
-    """Return (J, 3) x and y in px and the score; one of `MALFORMED` where the content has another shape."""
-    if isinstance(raw, list) and raw and isinstance(raw[0], dict):
-        visible = [p.get('score', p.get('visibility', p.get('confidence', 1.0))) for p in raw]
-        raw = {'x': [p['x'] for p in raw], 'y': [p['y'] for p in raw], 'visible': visible}
-    if isinstance(raw, dict):
-        raw = np.array([raw['x'], raw['y'], raw.get('visible', [1.0] * len(raw['x']))], np.float64).T
-    keypoints = np.array(raw, np.float64)
-    own_scores = content.get('keypoint_scores', content.get('keypoints_visible'))
-    if keypoints.ndim == 1:
-        return keypoints.reshape(-1, 3)
-    if keypoints.ndim == 2 and keypoints.shape[1] == 2:
-        scores = np.ones(len(keypoints)) if own_scores is None else np.array(own_scores, np.float64)
-        return np.column_stack([keypoints, scores])
-    if keypoints.ndim == 2 and (keypoints.shape[1] == 4 or (keypoints.shape[1] == 3 and own_scores is not None)):
-        raise InputError(
-            'keypoints: x, y, z of 3D joints, as MMPose human3d writes them; expected 2D keypoints in px: '
-            'give the output of a 2D pose estimator'
-        )
-    if keypoints.ndim != 2 or keypoints.shape[1] != 3:
-        raise ValueError
-    return keypoints
-
-
-def _are_visibilities(arrays: list[Array]) -> bool:
+def _are_visibilities(people: list[JsonKeypoints]) -> bool:
     """Return whether the scores of all keypoints are COCO's visibility (0, 1 or 2)."""
-    scores = np.concatenate([a[:, 2] for a in arrays]) if arrays else np.zeros(0)
+    scores = np.concatenate([np.zeros(0), *(keypoints.values[:, 2] for keypoints in people)])
     return bool(np.isin(scores, (0.0, 1.0, VISIBLE)).all() and (scores == VISIBLE).any())
 
 
@@ -373,15 +382,7 @@ def _read_own_names(content: Any) -> Names:
 
 
 def _read_names(names: Any) -> Names:
-    """Return the names of joints that are listed, or mapped from their indices; empty if these are no names."""
-    if isinstance(names, dict):
-        with naming('names of the keypoints', 'expected a name for each index'):
-            if all(isinstance(index, int) for index in names.values()):  # keypoint_name2id
-                names = dict(zip(names.values(), names, strict=True))
-            names = [names[key] for key in sorted(names, key=int)]
-            names = [name['name'] if isinstance(name, dict) else name for name in names]  # keypoint_info
-    is_list = isinstance(names, list) and all(isinstance(name, str) for name in names)
-    return detector_joint_names(names) if is_list else ()
+    return detector_joint_names(list_names(names))
 
 
 def _read_id(content: Mapping[str, Any]) -> str:

@@ -53,6 +53,38 @@ def make_yolo_person(keypoints: list[float], **fields: Any) -> dict[str, Any]:
     return {'name': 'person', 'confidence': 0.8, 'keypoints': {'x': x, 'y': y, 'visible': visible}, **fields}
 
 
+LONG_NAMES = [n.replace('l', 'left_', 1) if n[0] == 'l' else n.replace('r', 'right_', 1) for n in COCO17]
+
+
+def name_points(keypoints: list[float], label: str, score: str) -> list[dict[str, Any]]:
+    """Return the seen keypoints with the names of their joints, under the key `label`, in another order."""
+    points = zip(LONG_NAMES, np.reshape(keypoints, (-1, 3)).tolist(), strict=True)
+    named = [{'x': x, 'y': y, score: s, label: name} for name, (x, y, s) in points if s > 0]
+    return sorted(named, key=lambda point: point[label])
+
+
+def make_vitpose_person(keypoints: list[float], score: str = 'scores') -> dict[str, Any]:
+    """Return the seen keypoints of a person as ViTPose of Hugging Face gives them with a threshold."""
+    points = np.reshape(keypoints, (-1, 3))
+    seen = np.flatnonzero(points[:, 2] > 0)
+    columns = {'keypoints': points[seen, :2].tolist(), score: points[seen, 2].tolist(), 'labels': seen.tolist()}
+    return {**columns, 'bbox': [1, 2, 3, 4]}
+
+
+def make_roboflow_person(keypoints: list[float], **fields: Any) -> dict[str, Any]:
+    """Return a person as Roboflow's inference writes one, whose list is filled up with keypoints without names."""
+    filler = {'x': 0.0, 'y': 0.0, 'confidence': 0.0, 'class': '', 'class_id': 0}
+    points = [*name_points(keypoints, 'class', 'confidence'), filler, filler]
+    box = {'x': 9.0, 'y': 9.0, 'width': 5.0, 'height': 9.0, 'confidence': 0.9, 'detection_id': 'a'}
+    return {'keypoints': points, 'class': 'person', 'class_id': 0, **box, **fields}
+
+
+def make_ml5_person(keypoints: list[float]) -> dict[str, Any]:
+    points = name_points(keypoints, 'name', 'confidence')
+    by_name = {p['name']: {'x': p['x'], 'y': p['y'], 'confidence': p['confidence']} for p in points}
+    return {'keypoints': points, 'box': {'xMin': 1}, 'id': 1, 'confidence': 0.9, 'keypoints3D': [], **by_name}
+
+
 def set_unseen(keypoints: list[float], point: tuple[float, float], score: float | None) -> list[float]:
     """Return keypoints of which those that are not seen are at a point, with a score or as it is."""
     points = np.reshape(keypoints, (-1, 3)).copy()
@@ -103,6 +135,25 @@ FORMS: dict[str, Callable[[Frames], Any]] = {
         *({'image_id': i, 'keypoints': p, 'score': 0.9} for i, p in enumerate(k)),
         *({'image_id': i, 'keypoints': p, 'score': 0.01} for i, p in enumerate(k)),
     ],
+    'ViTPose': lambda k: [[make_vitpose_person(p)] for p in k],
+    'torchvision': lambda k: [
+        [{'keypoints': (np.reshape(p, (-1, 3)) * [1, 1, 0] + [0, 0, 1]).tolist(), 'keypoints_scores': p[2::3],
+          'boxes': [1, 2, 3, 4], 'labels': 1, 'scores': 0.9, 'track_id': 5, 'area': 7.0}] for p in k
+    ],
+    'Roboflow with a dog': lambda k: [
+        {'predictions': [make_roboflow_person(BODY[:51], **{'class': 'dog'}), make_roboflow_person(p)],
+         'image': {'width': 640, 'height': 480}, 'frame_id': None} for p in k
+    ],
+    'ml5': lambda k: [[make_ml5_person(p)] for p in k],
+    'PoseNet': lambda k: [
+        [{'keypoints': [{'part': p['part'], 'position': p, 'score': p['score']} for p in q]}]
+        for q in (name_points(p, 'part', 'score') for p in k)
+    ],
+    'by joint': lambda k: [[{'keypoints': {p['name']: p for p in name_points(q, 'name', 'score')}}] for q in k],
+    'names beside the points': lambda k: [
+        [{'keypoints': [[p['x'], p['y'], p['score']] for p in q], 'names': [p['name'] for p in q]}]
+        for q in (name_points(p, 'name', 'score') for p in k)
+    ],
     'tfjs': lambda k: [
         [{'keypoints': [{'x': x, 'y': y, 'score': s} for x, y, s in np.reshape(p, (-1, 3)).tolist()]}] for p in k
     ],
@@ -134,7 +185,42 @@ def test_every_form_gives_the_same_keypoints(tmp_path: Path, form: str) -> None:
         assert sequence.keypoints[..., 2] == pytest.approx(expected)
     else:
         check_same_keypoints(detections, WALKER)
-    assert ('no people' in ''.join(detections.notes)) == ('dog' in form or 'annotations' in form)
+    assert [n.endswith('left out') for n in detections.notes] == [True] * ('dog' in form or 'annotations' in form)
+
+
+@pytest.mark.parametrize(
+    'key', ['keypoint_scores', 'keypoints_scores', 'confidence', 'keypoint_confidence', 'kpt_conf', 'visibility']
+)
+def test_scores_beside_the_keypoints_are_used(tmp_path: Path, key: str) -> None:
+    content = [[make_vitpose_person(p, key)] for p in flatten_keypoints(WALKER)]
+    check_same_keypoints(load(tmp_path, content), WALKER)
+
+
+@pytest.mark.parametrize(
+    ('person', 'named'),
+    [
+        ({'certainty': [0.5] * 17, 'scores': [0.5] * 3}, ["'certainty'", "'scores'"]),
+        ({'keypoints': [{'x': 50.0 + i, 'y': 60.0, 'certainty': 1, 'class': f'k{i}'} for i in range(17)]},
+         ["'certainty'", "'class'"]),
+        ({'bbox': [1, 2, 3, 4], 'bbox_score': 0.9, 'labels': [1] * 17, 'trackId': 3, 'area': 9.0, 'class_id': 0,
+          'num_keypoints': 17, 'pose_keypoints_3d': [], 'hand_left_keypoints_2d': []}, []),
+    ],
+)  # fmt: skip
+def test_a_line_names_what_is_not_understood_beside_the_keypoints(
+    tmp_path: Path, person: dict[str, Any], named: list[str]
+) -> None:
+    (tmp_path / '0.json').write_text(json.dumps({'people': [{'keypoints': BODY[:51], **person}] * 2}))
+    notes = load_json_folder(tmp_path, VIDEO).notes
+    assert [word for note in notes for word in re.findall("'[a-z]+'", note)] == named
+    assert len(notes) == bool(named)
+
+
+def test_frames_state_the_size_of_their_images(tmp_path: Path) -> None:
+    content = FORMS['Roboflow with a dog'](flatten_keypoints(WALKER))
+    assert load(tmp_path, content, Video(fps=FPS)).image_size == (640, 480)
+    write_folder(tmp_path, {f'{i}.json': frame for i, frame in enumerate(content)})
+    (tmp_path / 'people.json').unlink()
+    assert load_json_folder(tmp_path, Video(fps=FPS)).image_size == (640, 480)
 
 
 @pytest.mark.parametrize('tool', FOLDERS)
@@ -182,7 +268,8 @@ SWAPPED_COCO = [n.replace('left', '?').replace('right', 'left').replace('?', 'ri
     'place', ['keypoint_id2name', 'keypoint_name2id', 'keypoint_info', 'categories', 'keypoint_names', 'person']
 )
 def test_the_file_names_joints(tmp_path: Path, place: str, names: list[str], expected: tuple[str, ...]) -> None:
-    person: dict[str, Any] = {'image_id': 0, 'category_id': 5, 'keypoints': (2 * BODY)[: 3 * len(names)]}
+    numbered = [[100.0 + i, 100.0, 0.9] for i in range(len(names))]
+    person: dict[str, Any] = {'image_id': 0, 'category_id': 5, 'keypoints': numbered}
     content: Any = {'annotations': [person]}
     if place in ('keypoint_id2name', 'keypoint_name2id', 'keypoint_info'):
         by_index: dict[str, Any] = {str(i): n for i, n in enumerate(names)}
@@ -199,7 +286,8 @@ def test_the_file_names_joints(tmp_path: Path, place: str, names: list[str], exp
     else:
         person['keypoint_names'] = names
     ((found,),) = load(tmp_path, content).people
-    assert found.joints[: len(expected)] == expected or names[1] == 'left_hip 1'
+    x_by_joint = dict(zip(found.joints, found.points[:, 0].tolist(), strict=True))
+    assert [x_by_joint.get(joint, 101) for joint in expected] == [100 + i for i in range(len(expected))]
 
 
 def test_an_id_that_two_people_of_one_frame_have_is_none(tmp_path: Path) -> None:
@@ -284,10 +372,13 @@ POINTS_3D = [[0.1 * i - 0.8, 0.2, 0.9] for i in range(17)]
         (make_results(BODY[:51], keypoint_names=HALPE), r'\[0\]: 17 keypoints, but names of 26'),
         (make_results([1e300] * 51), r'\[0\]: x of nose is 1e\+300'),
         (make_results([1.0, 2.0, 1e999] * 17), r'\[0\]: score of nose is inf'),
+        (make_results([{'x': 1, 'y': 2, 'name': 'nose'}] * 17), r"\[0\]: keypoints: two are called 'nose'"),
+        (make_results([[1, 2]] * 9, labels=[*range(9)]), r'\[0\]: 9 keypoints: no layout known'),
+        ([{'predictions': [], 'image': {'width': 0, 'height': 1}}], 'image: expected width and height'),
         ([{'image_id': i, 'keypoints': BODY[:51]} for i in (1, 2, 10**9)], 'not one video of 25 Hz'),
         (make_results([0.5, 0.5, 1.0] * 17), 'looks normalised; px expected: multiply'),
         (make_results(np.ravel(POINTS_3D).tolist()), '3D joints in m; 2D'),
-        (make_results(POINTS_3D, keypoint_scores=[0.9] * 17), '3D joints, .*2D'),
+        (make_results(POINTS_3D, keypoint_scores=[0.8] * 17), '3D joints, .*2D'),
         (make_results([[1, 2, 3, 0.9]] * 17), '3D joints, .*2D'),
         ([[LANDMARK] * 33], 'landmarks of MediaPipe'),
         ([[[LANDMARK] * 33]], 'landmarks of MediaPipe'),
