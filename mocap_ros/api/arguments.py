@@ -135,6 +135,8 @@ def check_sequence(sequence: KeypointSequence, times: str = 'timestamps') -> Key
         ('person_id', str, ''),
         ('frame_id', str, ''),
         ('focal_source', str, ''),
+        ('is_size_assumed', bool, False),
+        ('recording_start', float, None),
         ('truth', GroundTruth, None),
         ('calibration', Intrinsics, None),
     ):
@@ -164,6 +166,8 @@ def check_sequence(sequence: KeypointSequence, times: str = 'timestamps') -> Key
         recorded_ns=tuple(stamps.tolist()) if is_same else (),
         calibration=sequence.calibration,
         focal_source=sequence.focal_source,
+        is_size_assumed=sequence.is_size_assumed,
+        recording_start=sequence.recording_start if is_same else None,
     )
 
 

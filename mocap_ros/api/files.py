@@ -42,6 +42,7 @@ def read(
     detector: str | Path | None = None,
     hfov: float | None = None,
     focal: float | None = None,
+    video: str | Path | None = None,
 ) -> KeypointSequence:
     """Read one person's keypoints from a sequence file, a bag, OpenPose files, COCO keypoints, or a video.
 
@@ -54,7 +55,7 @@ def read(
         person: id of the person; by default the person who is seen in most frames.
         topic: topic of the keypoints; needed only for a bag with several.
         camera_info: topic of the CameraInfo; by default the one that shares most of the keypoints' namespace.
-        fps: Hz, frame rate; needed for JSON, which has no times.
+        fps: Hz, frame rate; needed for JSON, which has no times, without its `video`.
         image_size: (width, height) in px, where JSON does not state it.
         layout: name of the keypoint layout of JSON; by default the one with that number of keypoints.
         detector: file of the model that finds the keypoints in a video: MediaPipe's pose landmarker (`.task`), or
@@ -62,6 +63,8 @@ def read(
         hfov: degrees, horizontal field of view of a camera without calibration; by default a nominal focal length
             is assumed, to which distances from the camera are proportional.
         focal: px, focal length of a camera without calibration, instead of `hfov`.
+        video: video file in which the keypoints of JSON or Sports2D were detected; it gives the times, the image
+            size and, if it states it, the focal length, where the other arguments do not.
 
     Raises:
         InputError: the file has none of these formats, or its content or an argument is not valid; the error names
@@ -84,9 +87,10 @@ def read(
         with name_errors('layout'):
             keypoint_layout(layout)
     model = None if detector is None else read_path('detector', detector)
+    clip = None if video is None else read_path('video', video)
     try:
-        video = Video(fps, image_size, layout, model, hfov, focal)
-        sequence, lines = load_input(path, InputOptions(video, NodeConfig(), person, topic, camera_info))
+        stated = Video(fps, image_size, layout, model, hfov, focal, clip)
+        sequence, lines = load_input(path, InputOptions(stated, NodeConfig(), person, topic, camera_info))
     except InputError as error:
         raise InputError(_name_arguments(str(error))) from None
     for line in lines:

@@ -64,7 +64,7 @@ LENS_OPTIONS: Options = {
     ),
 }
 VIDEO_OPTIONS: Options = {
-    '--fps HZ': 'frames per second, which JSON needs (default: none)',
+    '--fps HZ': 'frames per second, which JSON needs without its video (default: none)',
     '--image-size WxH': option(
         'px, size of the image if the input gives none (default: a common size that contains all points)',
         type=_parse_image_size,
@@ -81,6 +81,8 @@ INPUT_OPTIONS: Options = {
     '--person ID': 'one person of several in the input (default: the one seen in most frames)',
     **TOPIC_OPTIONS,
     **VIDEO_OPTIONS,
+    '--video FILE': 'video in which the keypoints of JSON or Sports2D were detected, which gives times, image '
+    'size and, if it states it, the focal length (default: none)',
 }
 
 
@@ -108,8 +110,9 @@ def read_lens_parameters(args: argparse.Namespace) -> dict[str, Value]:
 
 
 def read_video_options(args: argparse.Namespace) -> Video:
-    """Return what the options of `VIDEO_OPTIONS` state."""
-    return Video(args.fps, args.image_size, args.layout or '', args.detector, args.hfov, args.focal)
+    """Return what the options of `VIDEO_OPTIONS` state, and the video of `INPUT_OPTIONS`."""
+    given = args.fps, args.image_size, args.layout or '', args.detector, args.hfov, args.focal
+    return Video(*given, getattr(args, 'video', None))
 
 
 def read_input_options(args: argparse.Namespace, config: Config) -> InputOptions:

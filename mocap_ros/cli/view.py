@@ -25,10 +25,12 @@ from mocap_ros.cli.options import (
     parse_count,
 )
 from mocap_ros.cli.terminal import Report, ShareBar, finish, print_note, print_result
+from mocap_ros.config import Config
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.formats.video import write_video
-from mocap_ros.runtime.input_kind import require_kind
+from mocap_ros.runtime.input_kind import find_input_kind, require_kind
+from mocap_ros.runtime.load_keypoints import LOADERS, InputOptions
 from mocap_ros.runtime.load_results import holds_result
 from mocap_ros.runtime.load_scene import VIEWED_FORMATS, VIEWED_KINDS, SceneOptions, load_scene, read_images
 from mocap_ros.viewing import plots
@@ -57,7 +59,8 @@ OPTIONS: Options = {
     'input IN': option(f'{INPUT_OPTIONS["input IN"]} (default: none, for --live)', nargs='?'),
     '-o --output OUT': 'page (.html), film (.mp4) or picture (.png, .svg, .pdf, ...) to write (default: IN.html '
     'in the current folder)',
-    '--video FILE': 'video, or bag with images, that the keypoints of IN come from (default: IN)',
+    '--video FILE': 'video, or bag with images, that the keypoints of IN come from; the video of JSON or Sports2D '
+    'also gives times, image size and focal length (default: IN)',
     '--live NAMESPACE': option(
         'serve the page of the topics that the running node publishes, of a namespace if there is one, to '
         'browsers of this machine; needs ROS 2 and no IN (default: show IN)',
@@ -91,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     config = load_config(args)
     sources = list_sources(args, config)
     check_output(output, *sources)
-    options = SceneOptions(config, load_models(args, config), read_input_options(args, config), is_picture)
+    options = SceneOptions(config, load_models(args, config), _read_input_options(args, config), is_picture)
     with ShareBar('view') as report:
         scene, lines = load_scene(args.input, options, report)
     for line in lines:
@@ -116,6 +119,14 @@ def run(args: argparse.Namespace) -> int:
         print_note(line)
     print_result(output)
     return finish(args.input, scene.summary, scene.is_wrong, is_strict=args.strict) if scene.summary else 0
+
+
+def _read_input_options(args: argparse.Namespace, config: Config) -> InputOptions:
+    """Return how the input is read; a video beside other inputs than JSON and Sports2D has the images alone."""
+    options = read_input_options(args, config)
+    if args.video and find_input_kind(args.input) in LOADERS and not is_bag(args.video):
+        return options
+    return options._replace(video=replace(options.video, clip=None))
 
 
 def _check_times(

@@ -64,6 +64,9 @@ class Video:
     hfov: float | None = None  # degrees, horizontal field of view of the camera, or None where it is not given
     # px, focal length of the camera, or None where it is not given; only one of the two is given
     focal: float | None = None
+    clip: Path | None = None  # video in which the keypoints were detected, or None where it is not given
+    times_s: tuple[float, ...] = ()  # s, of the images of that video since the first, or empty
+    is_lens_of_clip: bool = False  # whether that video states the focal length
 
     def find_focal_length(self, image_width: int, name: str = '--focal') -> float | None:
         """Return the focal length in px, in images of this width in px; None where nothing gives it."""
@@ -141,7 +144,7 @@ def arrange_frames(people_by_image: Mapping[Any, Sequence[Person2D]], video: Vid
             notes.append('the names of the images are times; --fps is not used')
     else:
         people_by_number = {number: people_by_image[name] for name, number in order.numbers.items()}
-        all_numbers, stamps = _number_frames(list(people_by_number), video.fps)
+        all_numbers, stamps = _number_frames(list(people_by_number), video)
         images = [people_by_number.get(number, ()) for number in all_numbers]
     counts = (Counter(person.id for person in people if person.id) for people in images)
     repeated = {person_id for count_by_id in counts for person_id, n in count_by_id.items() if n > 1}
@@ -153,21 +156,26 @@ def arrange_frames(people_by_image: Mapping[Any, Sequence[Person2D]], video: Vid
     return Detections(people, stamps, size, notes=tuple(notes))
 
 
-def _number_frames(numbers: Sequence[int], fps: float | None) -> tuple[range, list[int]]:
+def _number_frames(numbers: Sequence[int], video: Video) -> tuple[range, list[int]]:
     """Return the numbers of all frames, also of those that sorted numbers lack, and their times in ns.
 
     Times count from frame 0; from the first frame where that is 1, or where numbers reach `MAX_FRAMES`.
     """
+    fps, times_s, first, last = video.fps, video.times_s, numbers[0], numbers[-1]
+    start = 0 if first > 1 and last < MAX_FRAMES else first
+    step = gcd(*(b - a for a, b in pairwise(numbers))) or 1
+    every = range(first, last + 1, step)
+    if fps is None and times_s:
+        if last - start >= len(times_s):
+            count = f'{len(times_s)} images of {video.clip}'
+            raise InputError(f'frames are numbered {first} to {last}, beyond the {count}; is it that video?')
+        return every, [round(times_s[number - start] * NS_PER_S) for number in every]
     if fps is None:
-        raise InputError('the file has no timestamps; give the frame rate (--fps)')
+        raise InputError('the file has no timestamps; give the frame rate (--fps) or the video (--video)')
     if fps > MAX_FRAME_RATE_HZ:
         raise InputError(f'--fps: {fps:.10g} Hz, at most {MAX_FRAME_RATE_HZ:g} Hz expected')
-    first, last = numbers[0], numbers[-1]
-    step = gcd(*(b - a for a, b in pairwise(numbers))) or 1
-    if (last - first) // step >= MAX_FRAMES or (last - first) / fps >= MAX_TIMESTAMP_S:
+    if len(every) > MAX_FRAMES or (last - first) / fps >= MAX_TIMESTAMP_S:
         raise InputError(f'frames are numbered {first} to {last}: not one video of {fps:g} Hz')
-    every = range(first, last + 1, step)
-    start = 0 if first > 1 and last < MAX_FRAMES else first
     return every, [round((number - start) / fps * NS_PER_S) for number in every]
 
 
@@ -257,13 +265,13 @@ def arrange_people(
     what was left out of the detections and assumed of them.
     """
     _refuse_other_unit(detections)
-    source = ''
-    if not all(detections.image_size):
+    is_size_assumed = not all(detections.image_size)
+    if is_size_assumed:
         size = resolve_image_size(keypoints=_stack_keypoints(detections))
-        line = f'image size not known, {size[0]}x{size[1]} px assumed; give it by --image-size'
+        line = f'image size not known, {size[0]}x{size[1]} px assumed; give it by --image-size or --video'
         detections = replace(detections, image_size=size, notes=(*detections.notes, line))
-        source = f'nominal, of an assumed {size[0]}x{size[1]} image'
-    return [_arrange_sequence(detections, track, source) for track in tracks], detections.notes
+    sequences = [_arrange_sequence(detections, track) for track in tracks]
+    return [replace(s, is_size_assumed=is_size_assumed) for s in sequences], detections.notes
 
 
 def _stack_keypoints(detections: Detections) -> Array:
@@ -277,7 +285,7 @@ def _refuse_other_unit(detections: Detections) -> None:
         raise InputError(f'keypoints: {fault}')
 
 
-def _arrange_sequence(detections: Detections, track: PersonTrack, focal_source: str) -> KeypointSequence:
+def _arrange_sequence(detections: Detections, track: PersonTrack) -> KeypointSequence:
     frames = range(min(track.detection_by_frame), max(track.detection_by_frame) + 1)
     names = tuple(dict.fromkeys(name for person in track.detection_by_frame.values() for name in person.joints))
     column = {name: i for i, name in enumerate(names)}
@@ -297,7 +305,7 @@ def _arrange_sequence(detections: Detections, track: PersonTrack, focal_source: 
         frame_id=detections.frame_id,
         recorded_ns=stamps,
         calibration=detections.intrinsics,
-        focal_source=focal_source,
+        recording_start=detections.stamps_ns[0] / NS_PER_S,
     )
 
 

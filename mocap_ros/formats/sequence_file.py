@@ -81,9 +81,11 @@ class KeypointSequence:
         recorded_ns: (F,) timestamps in ns, where they are known more exactly than in s, or empty.
         calibration: intrinsics of the camera, where they are given in another form than `camera_matrix` and
             `distortion`, or None.
-        focal_source: where the focal length is from if it is neither a calibration nor nominal for a known image
-            size, such as `given`.
+        focal_source: where the focal length is from if it is neither a calibration nor nominal, such as `given`.
         notes: lines for the user about the content of the file.
+        is_size_assumed: whether the image size is one that holds the keypoints, because it is not known.
+        recording_start: s, time of the first image of the recording, which may show somebody else; None where it
+            is the first of `timestamps`.
     """
 
     keypoints: Array
@@ -99,6 +101,8 @@ class KeypointSequence:
     calibration: Intrinsics | None = None
     focal_source: str = ''
     notes: tuple[str, ...] = ()
+    is_size_assumed: bool = False
+    recording_start: float | None = None
 
     def __len__(self) -> int:
         return len(self.timestamps)

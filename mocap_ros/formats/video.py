@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -38,6 +39,7 @@ JOIN_S = 0.5  # s; the decoder of a camera that gives no more images is left aft
 # Ends of the names under which telephones write their focal length, on film of 35 mm, without underscores.
 FOCAL_TAGS = ('focallength.35mmequivalent', 'focallengthin35mmfilm', 'focallengthin35mmformat')
 FOCAL_RANGE_MM = 5.0, 500.0  # on film of 35 mm; anything else is damaged
+FILM_DIAGONAL_MM = math.hypot(36, 24)  # mm; of the film of 35 mm to which a telephone's focal length refers
 
 
 class VideoImage(NamedTuple):
@@ -45,6 +47,14 @@ class VideoImage(NamedTuple):
 
     image: NDArray[np.uint8]
     time_s: float
+
+
+class VideoFacts(NamedTuple):
+    """What a video file states of its images."""
+
+    times_s: tuple[float, ...]  # s since the first image
+    size: tuple[int, int]  # px, width and height of the upright images
+    focal_px: float | None  # px, focal length in images of that size; None where it is not stated
 
 
 def find_camera(name: str) -> Path | None:
@@ -113,6 +123,22 @@ class VideoReader:
         duration_s = float(self._container.duration or 0) / MICROSECONDS
         return round(duration_s * float(stream.average_rate)) or None if stream.average_rate else None
 
+    def find_focal_length(self, size: tuple[int, int]) -> float | None:
+        """Return the focal length in px, in images of this size in px; None where the file states none."""
+        return None if self.focal_mm is None else self.focal_mm / FILM_DIAGONAL_MM * math.hypot(*size)
+
+    def read_times(self) -> tuple[float, ...]:
+        """Return the times in s of all images since the first, without decoding any, in place of the iteration."""
+        stamps = set()
+        with suppress(*self._errors):  # the rest of the file is missing or damaged
+            for packet in self._container.demux(self._stream):
+                if packet.pts is not None and not packet.is_discard:
+                    stamps.add(packet.pts)
+        if not stamps:
+            raise InputError(f'{self._path}: states no times of its images')
+        first = min(stamps)
+        return tuple(float((stamp - first) * self._stream.time_base) for stamp in sorted(stamps))
+
     def __iter__(self) -> Iterator[VideoImage]:
         """Yield the images; InputError where none can be decoded."""
         first_s = last_s = None
@@ -157,6 +183,15 @@ class VideoReader:
                 yield from frames
             except self._errors:
                 self.left_out += 1
+
+
+def read_video_facts(path: Path) -> VideoFacts:
+    """Return what a video file states of its images, of which only the first is decoded."""
+    with VideoReader(path) as reader:
+        times_s = reader.read_times()
+    with VideoReader(path) as reader:
+        height, width = next(iter(reader)).image.shape[:2]
+        return VideoFacts(times_s, (width, height), reader.find_focal_length((width, height)))
 
 
 def _turn_as_players_do(image: NDArray[np.uint8], matrix: Any) -> NDArray[np.uint8]:

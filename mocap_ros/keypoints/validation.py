@@ -84,6 +84,11 @@ def describe_other_unit(points: Array, score: Array, image_width: int) -> str:
     return ''
 
 
+def measure_distance(mean: Array, size: tuple[float, float]) -> float:
+    """Return d (formula of `PointPlaces`) of the mean position (2,) of points in an image; both in px."""
+    return float((((mean / size - MIDDLE) / SPREAD) ** 2).sum())
+
+
 class PointPlaces:
     """Where the points of people lie over many images of one size, which shows whether it is their size.
 
@@ -126,7 +131,8 @@ class PointPlaces:
             return f'{beyond}, but inside {height} x {width} px: {TRANSPOSED}' if held[1] else beyond
         if self._count < MIN_JUDGED_POINTS:
             return ''
-        own, *others = map(self._measure_distance, (self._size, *self._list_others()))
+        mean = self._sum / self._count
+        own, *others = (measure_distance(mean, size) for size in (self._size, *self._list_others()))
         is_beyond = outside > MIN_SHARE_BEYOND
         evidence = (own - np.array(others)) / 2 + [0.0, 0.0, BEYOND_EVIDENCE if is_beyond else -math.inf]
         evidence = np.where(held[1:], evidence, -math.inf)
@@ -140,9 +146,6 @@ class PointPlaces:
     def _list_others(self) -> list[tuple[float, float]]:
         width, height = self._size
         return [(x * width + y * height, x * height + y * width) for x, y in OTHER_SIZES]
-
-    def _measure_distance(self, size: tuple[float, float]) -> float:
-        return float((((self._sum / self._count / size - MIDDLE) / SPREAD) ** 2).sum())
 
 
 def check_places(points: Array, score: Array, image_size: tuple[int, int]) -> str:

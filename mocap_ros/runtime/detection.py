@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -22,7 +21,6 @@ from mocap_ros.units import NS_PER_S
 # A function that shows progress while the images are iterated; its second argument is their number, if known.
 ShowProgress = Callable[[Iterable[VideoImage], int | None], Iterable[VideoImage]]
 
-FILM_DIAGONAL_MM = math.hypot(36, 24)  # mm; of the film of 35 mm to which a telephone's focal length refers
 MAX_LISTED_CHANGES = 5  # changes of the person that are named in a line
 NO_PERSON_SEEN = 'no person is seen in any image'
 
@@ -76,8 +74,7 @@ def detect_in_video(
         ending or reader.ending,
     )
     intrinsics = None
-    if reader.focal_mm is not None:
-        focal = reader.focal_mm / FILM_DIAGONAL_MM * math.hypot(*size)
+    if (focal := reader.find_focal_length(size)) is not None:
         intrinsics = Intrinsics(focal, (size[0] / 2, size[1] / 2), True, image_size=size)
         notes = *notes, f'focal length of {reader.focal_mm:g} mm (on film of 35 mm) by the video'
     detections, changes = name_people(Detections(people, stamps_ns, size, intrinsics))

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
@@ -23,6 +24,7 @@ from mocap_ros.formats.detections import Detections, Video, arrange_people, asso
 from mocap_ros.formats.detector_json import load_json_file, load_json_folder
 from mocap_ros.formats.sequence_file import KeypointSequence, find_longest_gap, load_sequence
 from mocap_ros.formats.sports2d import load_pixel_files
+from mocap_ros.formats.video import read_video_facts
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.keypoints.validation import check_places
 from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
@@ -38,15 +40,16 @@ from mocap_ros.units import NS_PER_S
 RESTART_S = 1.0  # s; messages are at most so late, and an older one begins a new run of the clock
 MIN_RUN_SHARE = 0.1  # 1; share of the images that the longest run of the clock must have
 MAX_CAMERA_INFOS = 1000  # messages in which a valid CameraInfo is searched
+MIN_SHARE_SEEN = 0.9  # 1; share of a video at whose end mostly somebody is seen
 MIN_FRAMES = 10  # frames; of all people, those who are seen in less are mostly errors of the detector
 # Options that apply to a kind of input; those of the focal length apply to all.
 OPTIONS_BY_KIND = {
     InputKind.SEQUENCE: (),
     InputKind.BAG: ('--person', '--topic', '--camera-info', '--image-size'),
     InputKind.VIDEO: ('--person', '--detector'),
-    InputKind.OPENPOSE: ('--person', '--fps', '--image-size', '--layout'),
-    InputKind.JSON: ('--person', '--fps', '--image-size', '--layout'),
-    InputKind.SPORTS2D: ('--person', '--image-size'),
+    InputKind.OPENPOSE: ('--person', '--fps', '--image-size', '--layout', '--video'),
+    InputKind.JSON: ('--person', '--fps', '--image-size', '--layout', '--video'),
+    InputKind.SPORTS2D: ('--person', '--image-size', '--video'),
 }
 
 LOADERS = {
@@ -88,6 +91,8 @@ def load_people(
     """
     kind, options = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS), _add_lens(options)
     _refuse_options(path, kind, options)
+    if options.video.clip is not None:
+        options = options._replace(video=_read_clip(options.video, options.video.clip))
     if kind is InputKind.SEQUENCE:
         if not only_one:
             raise InputError(f'{path}: a sequence file holds one person; --all-people does not apply')
@@ -121,6 +126,16 @@ def _add_lens(options: InputOptions) -> InputOptions:
     return options._replace(video=replace(video, hfov=node.hfov or None, focal=node.focal or None))
 
 
+def _read_clip(video: Video, clip: Path) -> Video:
+    """Return what the video of the keypoints states, where it is not given: times, image size and focal length."""
+    facts = read_video_facts(clip)
+    video = replace(video, times_s=facts.times_s, image_size=video.image_size or facts.size)
+    if facts.focal_px is None or video.hfov or video.focal:
+        return video
+    hfov = math.degrees(2 * math.atan2(facts.size[0] / 2, facts.focal_px))
+    return replace(video, hfov=hfov, is_lens_of_clip=True)
+
+
 def _finish(
     path: Path, kind: InputKind, sequences: list[KeypointSequence], video: Video, lines: Iterable[str]
 ) -> tuple[list[KeypointSequence], list[str]]:
@@ -135,7 +150,8 @@ def _finish(
         focal, is_known = video.find_focal_length(size[0]), sequences[0].is_camera_known
         if focal is not None and not is_known:  # the principal point is in the middle, and nothing is distorted
             matrix = np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1]])
-            sequences = [replace(s, camera_matrix=matrix, focal_source=GIVEN) for s in sequences]
+            source = FROM_VIDEO if video.is_lens_of_clip else GIVEN
+            sequences = [replace(s, camera_matrix=matrix, focal_source=source) for s in sequences]
     unused = 'has a calibrated camera; --hfov and --focal are not used' if focal is not None and is_known else ''
     # Any focal length will do, because only cameras that are known have a distortion.
     lens = describe_unusable_distortion(sequences[0].intrinsics(1.0))
@@ -171,6 +187,10 @@ def _load_detections(path: Path, kind: InputKind, options: InputOptions) -> Dete
     detections = LOADERS[kind](path, video)
     if not all(detections.image_size) and (video.hfov or video.focal):
         raise InputError(f'{path}: --hfov and --focal need --image-size, as the input does not state it')
+    end_s, length_s = detections.stamps_ns[-1] / NS_PER_S, max(video.times_s, default=0.0)
+    if end_s < MIN_SHARE_SEEN * length_s:
+        line = f'the keypoints end after {end_s:.1f} s, and {video.clip} after {length_s:.1f} s; is it that video?'
+        return replace(detections, notes=(*detections.notes, line))
     return detections
 
 
@@ -178,7 +198,7 @@ def _refuse_options(path: Path, kind: InputKind, options: InputOptions) -> None:
     video = options.video
     given: dict[str, Any] = {'--person': options.person, '--topic': options.topic}
     given |= {'--camera-info': options.camera_info, '--fps': video.fps, '--image-size': video.image_size}
-    given |= {'--layout': video.layout, '--detector': video.detector}
+    given |= {'--layout': video.layout, '--detector': video.detector, '--video': video.clip}
     unused = [name for name, value in given.items() if value and name not in OPTIONS_BY_KIND[kind]]
     if unused:
         raise InputError(f'{path}: {kind.value}, to which {", ".join(unused)} does not apply')

@@ -132,8 +132,15 @@ def _save_csv(path: Path, reconstruction: ReconstructedSequence) -> None:
     _write_table(path, columns, reconstruction.sequence.timestamps, result.joints.reshape(len(result.joints), -1))
 
 
+def _count_times(sequence: KeypointSequence) -> Array:
+    """Return the times (F,) in s since the first image of the recording, the same for all of its people."""
+    first = float(sequence.timestamps[0])
+    start = first if sequence.recording_start is None else sequence.recording_start
+    return sequence.timestamps - min(start, first)
+
+
 def _save_angles(path: Path, reconstruction: ReconstructedSequence) -> None:
-    times, joints = reconstruction.sequence.timestamps, stand_on_floor(reconstruction.result, WORLD_TO_GROUND)
+    times, joints = _count_times(reconstruction.sequence), stand_on_floor(reconstruction.result, WORLD_TO_GROUND)
     known = np.isfinite(joints).all(axis=(1, 2))
     angles = np.full((len(times), len(COORDINATES)), np.nan)
     fps = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 1.0
@@ -249,7 +256,7 @@ def stand_on_floor(result: SequenceResult, axes: Array) -> Array:
 
 
 def _save_bvh(path: Path, reconstruction: ReconstructedSequence) -> None:
-    resampled = _resample_at_constant_rate(reconstruction, MAX_BVH_GAP_S, WORLD_TO_ANIMATION)
+    resampled = _resample_at_constant_rate(reconstruction, MAX_BVH_GAP_S, WORLD_TO_ANIMATION, is_from_start=True)
     orientation = resampled.orientation
     if orientation is not None:
         orientation /= np.maximum(np.linalg.norm(orientation, axis=-1, keepdims=True), SMALLEST_NORM)
@@ -261,7 +268,7 @@ def _save_bvh(path: Path, reconstruction: ReconstructedSequence) -> None:
 def _save_trc(path: Path, reconstruction: ReconstructedSequence) -> None:
     resampled = _resample_at_constant_rate(reconstruction, MAX_EMPTY_S, WORLD_TO_GROUND)
     resampled.joints[~resampled.in_sight] = np.nan
-    save_trc(path, reconstruction.result.skeleton.joints, resampled.joints, resampled.fps)
+    save_trc(path, reconstruction.result.skeleton.joints, resampled.joints, resampled.fps, resampled.first)
 
 
 class _Resampled(NamedTuple):
@@ -269,12 +276,18 @@ class _Resampled(NamedTuple):
     joints: Array  # (F, J, 3) m; before the first and after the last skeleton of the result the nearest pose
     orientation: Array | None  # (F, J, 4) quaternions in the optical frame, not of length 1; None if unknown
     in_sight: NDArray[np.bool_]  # (F,) whether the frame is between skeletons at most `MAX_GAP_S` apart
+    first: int  # number of the first frame, which is 0 at the first image of the recording
 
 
-def _resample_at_constant_rate(reconstruction: ReconstructedSequence, max_gap_s: float, axes: Array) -> _Resampled:
-    """Interpolate a result linearly, at about the median frame rate of the sequence; InputError at longer gaps."""
+def _resample_at_constant_rate(
+    reconstruction: ReconstructedSequence, max_gap_s: float, axes: Array, *, is_from_start: bool = False
+) -> _Resampled:
+    """Interpolate a result linearly, at about the median frame rate of the sequence; InputError at longer gaps.
+
+    The frames begin with those of the sequence, or at the start of the recording, with the first pose.
+    """
     result, joints = reconstruction.result, stand_on_floor(reconstruction.result, axes)
-    times = reconstruction.sequence.timestamps - reconstruction.sequence.timestamps[0]
+    times = _count_times(reconstruction.sequence)
     step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
     if step * MAX_FRAME_RATE_HZ < 1.0 - RATE_TOLERANCE:
         raise InputError(
@@ -288,23 +301,24 @@ def _resample_at_constant_rate(reconstruction: ReconstructedSequence, max_gap_s:
             f'timestamps: a gap of {gap:.1f} s after {start:.1f} s, without images or by a clock that was set, '
             'does not fit a format with a constant frame rate; write .npz or .csv, or cut the recording there'
         )
-    if frame_count > MAX_RESAMPLED_FRAMES:
+    step = float(times[-1]) / (frame_count - 1) if frame_count > 1 else step
+    first = 0 if is_from_start else round(float(times[0]) / step)
+    if frame_count - first > MAX_RESAMPLED_FRAMES:
         raise InputError(f'timestamps: {times[-1]:.0f} s would be {frame_count} frames at a constant rate')
-    grid = np.linspace(0.0, times[-1], frame_count)
-    step = float(grid[-1]) / (frame_count - 1) if frame_count > 1 else step
+    grid = step * np.arange(first, frame_count)
 
     def interpolate(values: Array) -> Array:
         known = np.isfinite(values).all(axis=(1, 2))
         columns = values[known].reshape(int(known.sum()), -1).T
         mixed = np.stack([np.interp(grid, times[known], column) for column in columns], axis=1)
-        return mixed.reshape(frame_count, *values.shape[1:])
+        return mixed.reshape(len(grid), *values.shape[1:])
 
     in_sight = (grid > known_times[0] - step / 2) & (grid < known_times[-1] + step / 2)
     for before, after in pairwise(known_times):
         if after - before > MAX_GAP_S:
             in_sight &= (grid < before + step / 2) | (grid > after - step / 2)
     orientation = None if result.orientation is None else interpolate(result.orientation)
-    return _Resampled(1 / step, interpolate(joints), orientation, in_sight)
+    return _Resampled(1 / step, interpolate(joints), orientation, in_sight, first)
 
 
 # The function that writes each format, by file suffix.

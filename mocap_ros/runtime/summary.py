@@ -91,8 +91,7 @@ class Summary:
     # NaN if unknown
     distance_m: float
     focal_px: float  # px, focal length; NaN if unknown
-    # `known` by a calibration, `given` by the user, `from the video`, or `nominal`, with the image size if assumed
-    focal_source: str
+    focal_source: str  # `known` by a calibration, `given` by the user, `from the video`, or `nominal`
     vertical: str  # `given`, `found`, `uncertain` or `none`
     vertical_std_deg: float  # degrees, standard deviation of the vertical; NaN if there is none
     grade: str  # `good`, `doubtful` or `wrong`; `not judged` if too little was seen
@@ -173,11 +172,11 @@ def summarise(sequences: Sequence[KeypointSequence], results: Sequence[SequenceR
     counts = [len(sequence) for sequence in sequences]
     residual, share, depth, std = np.average(rows, axis=0, weights=counts).tolist()
     size, size_fault = judge_size(places)
-    judgement = judge(average(measured), share, size, is_backwards=walk.is_backwards)
     sequence, intrinsics = sequences[0], results[0].virtual_camera.intrinsics
-    is_known, source = intrinsics.is_focal_known, sequence.focal_source
-    if not source or (is_known and source.startswith('nominal')):  # a camera was given after reading
-        source = 'known' if is_known else 'nominal'
+    is_known, (width, height) = intrinsics.is_focal_known, sequence.image_size
+    if sequence.is_size_assumed and not is_known and size is Grade.GOOD:
+        size, size_fault = Grade.DOUBTFUL, f'the image size of {width}x{height} px is assumed'
+    judgement = judge(average(measured), share, size, is_backwards=walk.is_backwards)
     return Summary(
         people=len(sequences),
         frames=len(set().union(*(s.stamps_ns for s in sequences))),
@@ -186,7 +185,7 @@ def summarise(sequences: Sequence[KeypointSequence], results: Sequence[SequenceR
         residual_share=share,
         distance_m=depth,
         focal_px=intrinsics.focal,
-        focal_source=source,
+        focal_source=sequence.focal_source or ('known' if is_known else 'nominal'),
         vertical=describe_vertical(std, is_given=given is not None),
         vertical_std_deg=math.degrees(std),
         grade=describe_grade(judgement),

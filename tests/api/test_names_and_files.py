@@ -89,16 +89,16 @@ def test_the_camera_of_a_bag_is_written_but_for_a_fisheye(
 
 
 def test_json_needs_the_frame_rate_and_logs_what_is_assumed(openpose: Path, caplog: Any) -> None:
-    for path, reason in ((openpose, r'give the frame rate \(fps\)'), (openpose / 'a--b.json', r'a--b\.json: ')):
+    for path, reason in ((openpose, r'\(fps\) or the video \(video\)'), (openpose / 'a--b.json', r'a--b\.json: ')):
         with pytest.raises(mocap_ros.InputError, match=reason):
             mocap_ros.read(path)
     sequence = mocap_ros.read(openpose, fps=FPS)
     assert (len(sequence), sequence.image_size) == (40, (640, 480))
     choice, size = (record.getMessage() for record in caplog.records)
     assert "person 'person_1', seen in 40 of 40 frames; 1 more, choose by person: " in choice
-    assert size.endswith('image size not known, 640x480 px assumed; give it by image_size')
+    assert size.endswith('image size not known, 640x480 px assumed; give it by image_size or video')
     matrix = np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]])
-    for camera, source in ((None, 'nominal, of an assumed 640x480 image'), (matrix, 'known')):
+    for camera, source in ((None, 'nominal'), (matrix, 'known')):
         result = mocap_ros.reconstruct(replace(sequence, camera_matrix=camera))
         assert f'px, {source}' in str(result.summary)
     other = mocap_ros.read(openpose, fps=FPS, image_size=(800, 600), person='person_2', layout='coco18')
@@ -230,7 +230,8 @@ PUBLIC: dict[str, str] = {
     'metric_mpjpe_mm mpjpe_mm pa_mpjpe_mm residual_px root_mm seq_mpjpe_mm',
     'GroundTruth': '(joints, joint_names)',
     'KeypointSequence': '(keypoints, joint_names, timestamps, image_size, camera_matrix=None, distortion=None, '
-    "truth=None, person_id='', frame_id='', recorded_ns=(), calibration=None, focal_source='', notes=())",
+    "truth=None, person_id='', frame_id='', recorded_ns=(), calibration=None, focal_source='', notes=(), "
+    'is_size_assumed=False, recording_start=None)',
     'Motion': 'cadence category kind residual',
     'Person3D': 'age contact core id inferred joint_names joints motion orientation predicted residual root '
     'root_covariance root_velocity root_velocity_covariance rotation scale scale_known skeleton std tentative '
@@ -241,7 +242,7 @@ PUBLIC: dict[str, str] = {
     'Tracker': "(joint_names, *, image_size, camera_matrix=None, distortion=None, model='auto', parameters=None)",
     'evaluate': "(joints, truth=None, *, truth_names='cmu15', times=None, limbs_only=False)",
     'read': "(path, *, person=None, topic=None, camera_info=None, fps=None, image_size=None, layout='', "
-    'detector=None, hfov=None, focal=None)',
+    'detector=None, hfov=None, focal=None, video=None)',
     'reconstruct': '(keypoints, joint_names=None, times=None, *, image_size=None, camera_matrix=None, '
     "distortion=None, model='auto', parameters=None, method='whole')",
     'write': '(path, result)',

@@ -26,7 +26,7 @@ from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig, with_values
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError
-from mocap_ros.formats.bvh import save_bvh
+from mocap_ros.formats.bvh import load_bvh, save_bvh
 from mocap_ros.formats.detections import Detections
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS
@@ -42,8 +42,15 @@ from mocap_ros.runtime.playback import encode_sequence
 from mocap_ros.runtime.save_results import save_detections
 from mocap_ros.skeleton import CMU15
 from mocap_ros.training.fit_base_poses import fit_base_poses
+from mocap_ros.units import NS_PER_S
 from tests.support.blob_people import draw, save_movenet, save_multi_pose_movenet, walk, write_video
-from tests.support.input_files import QUICK_OPTIONS, Z_UP_TO_Y_UP, make_poses
+from tests.support.input_files import (
+    QUICK_OPTIONS,
+    Z_UP_TO_Y_UP,
+    flatten_keypoints,
+    make_poses,
+    make_walker,
+)
 from tests.support.pipeline_inputs import FAST_CONFIG, make_calibrated
 
 
@@ -85,6 +92,34 @@ def test_a_summary_tells_the_scale(
             assert (arrays['grade'], f'{short_recording}: {arrays["summary"]}') == ('good', line)
 
 
+def test_the_video_of_the_keypoints_gives_times_size_and_focal_length(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A size that is assumed is never good."""
+    (folder := tmp_path / 'keypoints').mkdir()
+    for frame, keypoints in enumerate(flatten_keypoints(make_walker())):
+        text = json.dumps({'people': [{'pose_keypoints_2d': keypoints}]})
+        (folder / f'{frame + 1:03d}_keypoints.json').write_text(text)
+    times = np.cumsum([0.0, *[0.02, 0.06] * 20])[:FRAMES].round(3)
+    grey = [np.full((480, 640, 3), 50, np.uint8)] * FRAMES
+    tags = {'FocalLengthIn35mmFilm': '26'}
+    video = write_video(tmp_path / 'walk.mov', grey, times.tolist(), 'mpeg4', 'yuv420p', **tags)
+    command = ['reconstruct', str(folder), '-o', str(tmp_path / 'r.npz'), *QUICK_OPTIONS]
+    grades = []
+    for given in (['--fps', '25'], ['--fps', '25', '--image-size', '640x480'], ['--video', str(video)]):
+        assert main([*command, *given]) == 0
+        grades.append(str(np.load(tmp_path / 'r.npz')['summary']).partition(';')[0])
+    assert grades == ['doubtful: the image size of 640x480 px is assumed', 'good', 'good']
+    with np.load(tmp_path / 'r.npz') as result:
+        assert result['timestamps'] == pytest.approx(times, abs=1e-3)
+        assert result['camera_matrix'][0, 0] == pytest.approx(26 / 43.27 * 800, rel=1e-3)
+        assert f'focal length {26 / 43.27 * 800:.0f} px, from the video' in str(result['summary'])
+    short = write_video(tmp_path / 'short.mkv', grey[:30], times[:30].tolist())
+    capsys.readouterr()
+    assert main([*command, '--video', str(short)]) == 1
+    assert 'frames are numbered 1 to 40, beyond the 30 images of' in capsys.readouterr().err
+
+
 def write_two_people(path: Path, ids: tuple[str, str], seen_joints: int = 17) -> list[str]:
     """Write a bag of a walker, another beside, and one who is seen for three frames; return a command."""
     sequence = make_recording().sequence()
@@ -109,6 +144,30 @@ def test_all_people_have_files_of_their_own(tmp_path: Path, capsys: pytest.Captu
     left, right = (np.genfromtxt(tmp_path / f'r_a_b{n}.angles.csv', delimiter=',', names=True) for n in ('', '.2'))
     apart = [right[f'pelvis_t{axis}_m'] - left[f'pelvis_t{axis}_m'] for axis in 'xz']
     assert (np.hypot(*apart) > 0.5).all(), 'in one world'
+
+
+def test_people_of_one_recording_are_together_in_time(tmp_path: Path) -> None:
+    """Time 0 is the first image of the recording, also for one who enters later."""
+    sequence, enters, frames = make_recording().sequence(), 15, 30
+    people = [[sequence.person(f, 'a')] for f in range(frames)]
+    for frame in range(enters, frames):
+        late = sequence.person(frame, 'b')
+        people[frame].append(replace(late, points=late.points + [150.0, 0.0]))
+    stamps = [1_760_000_000 * NS_PER_S + ns for ns in sequence.stamps_ns[:frames]]
+    save_detections(tmp_path / 'in.mcap', Detections(people, stamps, (640, 480)))
+    outputs = [f'-o{tmp_path / "r"}{suffix}' for suffix in ('.trc', '.bvh', '.angles.csv')]
+    assert main(['reconstruct', str(tmp_path / 'in.mcap'), '--all-people', *outputs, *QUICK_OPTIONS]) == 0
+    for name, first in (('a', 0), ('b', enters)):
+        expected = pytest.approx(np.arange(first, frames) / 30, abs=1e-4)
+        rows = [line.split('\t') for line in (tmp_path / f'r_{name}.trc').read_text().splitlines()]
+        assert [float(row[1]) for row in rows[6:]] == expected
+        assert [int(row[0]) for row in rows[6:]] == [*range(first + 1, frames + 1)]
+        assert rows[2][6:] == [str(first + 1), str(frames - first)]
+        assert np.genfromtxt(tmp_path / f'r_{name}.angles.csv', delimiter=',')[1:, 0] == expected
+        motion = load_bvh(tmp_path / f'r_{name}.bvh').motion
+        assert len(motion) == frames
+        assert (motion[:first] == motion[0]).all()
+        assert not np.array_equal(motion[first], motion[first + 1])
 
 
 def test_one_who_cannot_be_saved_does_not_stop_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -201,7 +260,7 @@ def test_a_video_becomes_a_skeleton(folder: Path, tmp_path: Path, capsys: pytest
     assert errors.pa_mpjpe_mm is not None
     assert errors.pa_mpjpe_mm < 30.0, 'measured: 22.1'
     assert main([*command, '-o', str(tmp_path / 'out.bvh')]) == 0
-    assert 'Frames: 40' in (tmp_path / 'out.bvh').read_text()
+    assert 'Frames: 44' in (tmp_path / 'out.bvh').read_text(), 'from the first image on'
 
 
 def test_detect_writes_the_keypoints_of_one_person_or_a_bag_of_all(

@@ -164,6 +164,23 @@ def test_the_size_of_the_image_is_that_of_message_camera_user_or_the_smallest_th
     assert found == size
 
 
+@pytest.mark.parametrize(
+    ('left', 'top', 'right', 'bottom', 'size'),
+    [
+        (330, 540, 800, 1560, (1080, 1920)),
+        (200, 300, 520, 1150, (720, 1280)),
+        (330, 540, 1500, 1060, (1920, 1080)),
+        (250, 200, 1000, 1000, (1920, 1080)),
+        (60, 100, 420, 470, (640, 480)),
+    ],
+)
+def test_an_upright_size_is_assumed_of_people_far_from_the_middle_of_others(
+    left: float, top: float, right: float, bottom: float, size: ImageSize
+) -> None:
+    x, y = np.meshgrid(np.linspace(left, right, 9), np.linspace(top, bottom, 9))
+    assert resolve_image_size(keypoints=np.stack([x, y, np.ones_like(x)], axis=-1)) == size
+
+
 NAMES = keypoint_layout('coco17').joints
 MIN_SCORE = 0.3
 MAX_POINT_PX = 1e7  # coordinates beyond it count as not seen

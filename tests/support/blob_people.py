@@ -63,11 +63,17 @@ def draw(people: Iterable[np.ndarray], size: tuple[int, int] = SIZE, radius: flo
 
 
 def write_video(
-    path: Path, images: Sequence[np.ndarray], times_s: Sequence[float], codec: str = 'ffv1', pixels: str = 'bgr0'
+    path: Path,
+    images: Sequence[np.ndarray],
+    times_s: Sequence[float],
+    codec: str = 'ffv1',
+    pixels: str = 'bgr0',
+    **tags: str,
 ) -> Path:
-    """Write images (H, W, 3) with their times; without loss by default."""
+    """Write images (H, W, 3) with their times; without loss by default. Only .mov has tags of any name."""
     av = pytest.importorskip('av', reason="needs PyAV: pip install -e '.[video]'")
-    with av.open(str(path), 'w') as container:
+    with av.open(str(path), 'w', options={'movflags': 'use_metadata_tags'} if tags else {}) as container:
+        container.metadata.update(tags)
         stream = container.add_stream(codec, rate=30)
         stream.height, stream.width = images[0].shape[:2]
         stream.pix_fmt = pixels
