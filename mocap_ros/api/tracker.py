@@ -27,13 +27,15 @@ from mocap_ros.api.arguments import (
 )
 from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError, name_errors
-from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, MIN_JUDGED_FRAMES, check_timestamps, create_intrinsics
+from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, check_timestamps, create_intrinsics
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import (
     MAX_METRES,
+    MIN_JUDGED_FRAMES,
     check_places,
     describe_other_unit,
+    describe_step,
     mark_unseen,
 )
 from mocap_ros.messages.keypoints import check_ids
@@ -149,6 +151,8 @@ class Tracker:
             InputError: the times seem to have another unit, or width and height of the image to be transposed.
         """
         newest_s = self._first_frames[-1][0] if self._first_frames else -1.0
+        if 0 < time_s - newest_s < 1 / NS_PER_S:
+            raise InputError(f'time_s: {describe_step(time_s - newest_s)}')
         if len(self._first_frames) == MIN_JUDGED_FRAMES or time_s <= newest_s:
             return self._first_frames
         points = np.concatenate([np.empty((0, 3)), *(np.column_stack([p.points, p.score]) for p in detected)])

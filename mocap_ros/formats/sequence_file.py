@@ -22,7 +22,13 @@ from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import check_places, describe_other_unit, mark_unseen
+from mocap_ros.keypoints.validation import (
+    check_places,
+    describe_other_unit,
+    describe_rate,
+    describe_step,
+    mark_unseen,
+)
 from mocap_ros.messages.camera_info import check_coefficients
 from mocap_ros.npz_file import write_npz
 from mocap_ros.skeleton import (
@@ -35,10 +41,6 @@ from mocap_ros.skeleton import (
 from mocap_ros.units import NS_PER_S
 
 MAX_TIMESTAMP_S = 2.0**31  # s; the seconds of a ROS stamp are an int32
-MAX_MEDIAN_STEP_S = 1.0  # s; a person moves too much in it to be followed from frame to frame
-MIN_JUDGED_FRAMES = 30  # frames; fewer at long intervals may be single pictures instead of a video
-# Units for which timestamps may be mistaken, each with its number in a second.
-OTHER_TIME_UNITS = {'milliseconds': 1e3, 'microseconds': 1e6, 'nanoseconds': 1e9}
 MAX_IMAGE_SIDE_PX = 100_000  # px; guard against garbage, far above any real image
 MAX_COORDINATE_M = 1e6  # m; guard against garbage, far above any real distance
 FISHEYE = 'equidistant'  # the lens model of a CameraInfo whose coefficients a sequence file cannot hold
@@ -291,15 +293,16 @@ def check_timestamps(timestamps: Array) -> None:
     """Check that timestamps (F,) in s can be those of a video."""
     invalid = ~(np.abs(timestamps) < MAX_TIMESTAMP_S) | (timestamps < 0)
     if invalid.any():
-        frame = int(invalid.argmax())
-        raise InputError(f'timestamps: frame {frame}: {timestamps[frame]:g} s{_guess_time_unit(timestamps)}')
+        frame, steps = int(invalid.argmax()), np.diff(timestamps[np.isfinite(timestamps)])
+        fault = describe_step(float(np.median(steps))) if len(steps) else ''
+        raise InputError(f'timestamps: frame {frame}: {timestamps[frame]:g} s{fault and "; "}{fault}')
+    if (np.diff(timestamps) > 0).all() and (fault := describe_rate(timestamps)):
+        raise InputError(f'timestamps: {fault}')
     not_increasing = np.diff(timestamps) < 1 / NS_PER_S
     if not_increasing.any():
         frame = int(not_increasing.argmax()) + 1
         relation = 'repeats' if timestamps[frame] == timestamps[frame - 1] else 'is not later than'
         raise InputError(f'timestamps: frame {frame}: {timestamps[frame]:.9g} s {relation} frame {frame - 1}')
-    if len(timestamps) >= MIN_JUDGED_FRAMES and (unit := _guess_time_unit(timestamps)):
-        raise InputError(f'timestamps: {np.median(np.diff(timestamps)):.9g} s from frame to frame{unit}')
 
 
 def find_longest_gap(times: Array) -> tuple[float, float]:
@@ -307,16 +310,6 @@ def find_longest_gap(times: Array) -> tuple[float, float]:
     steps = np.diff(times)
     longest = int(steps.argmax()) if len(steps) else -1
     return (float(steps[longest]), float(times[longest])) if len(steps) else (0.0, 0.0)
-
-
-def _guess_time_unit(timestamps: Array) -> str:
-    """Return a clause that names the unit in which timestamps (F,) seem to be, or nothing if it may be seconds."""
-    finite = timestamps[np.isfinite(timestamps)]
-    step = float(np.median(np.diff(finite))) if len(finite) > 1 else 0.0
-    if step <= MAX_MEDIAN_STEP_S:
-        return ''
-    suitable = [unit for unit, per_s in OTHER_TIME_UNITS.items() if step <= MAX_MEDIAN_STEP_S * per_s]
-    return f': looks like {suitable[0]}; s expected' if suitable else ''
 
 
 def _create_distortion(distortion: Array | None) -> Distortion:

@@ -4,8 +4,8 @@
 """Mistakes in valid input, each described in words once: what is suspicious, and what to check.
 
 A vertical that people contradict is suspected once they do so for seconds (`tracking/vertical_check.py`); misspelt
-names of joints, distortions without an inverse, and a camera without a calibration are certain. Whether the points
-fit their layout and the image, `summary.RunSummary` judges.
+names of joints, distortions without an inverse, stamps that are those of no camera, and a camera without a
+calibration are certain. Whether the points fit their layout and the image, `summary.RunSummary` judges.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -22,6 +22,7 @@ from mocap_ros.config import Config, TrackerConfig
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import Floor
 from mocap_ros.keypoints.identities import EXCHANGED_IDS, find_absence
+from mocap_ros.keypoints.validation import MIN_JUDGED_FRAMES, describe_rate
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15, KNOWN_JOINTS, canonical_joint_names
@@ -73,6 +74,8 @@ class InputChecks:
 
     def __init__(self) -> None:
         self._last_ns = 0  # stamp of the last image
+        self._stamps: list[int] = []  # of the last images, in ns
+        self.rate_fault = ''  # why the stamps can be those of no camera, as of `MIN_JUDGED_FRAMES` of them
         self._has_keypoints = False  # whether any detection so far had some
         self._box_images = 0  # images so far with detections of people without any
         self._unusable_count = 0  # as the tracker counted up to the last image
@@ -86,6 +89,16 @@ class InputChecks:
         self._unusable_ns: int | None = None  # stamp of the first unusable detection since people were shown
         self._described: set[str] = set()  # kinds of what was described
         self.warnings: tuple[str, ...] = ()
+
+    def add_stamp(self, stamp_ns: int) -> list[str]:
+        """Add the stamp of any image; return what is wrong with the stamps and was not described before."""
+        self._stamps.append(stamp_ns)
+        if len(self._stamps) == MIN_JUDGED_FRAMES:
+            self.rate_fault = describe_rate((np.array(self._stamps) - self._stamps[0]) / NS_PER_S)
+            self._stamps = []
+        if self.rate_fault and self.rate_fault not in self.warnings:
+            self.warnings = (self.rate_fault, *self.warnings)
+        return self._choose_new([self.rate_fault])
 
     def advance(
         self,
@@ -111,6 +124,7 @@ class InputChecks:
             self._newest_seen_ns = stamp_ns
         self._last_ns = stamp_ns
         found = (
+            self.rate_fault,
             self._check_vertical(people, tracker, config, has_floor=floor[0] is not None),
             fault and f'people: {fault}',
             next(filter(None, (describe_misspelt_joint(p.joints) for p in frame.people)), ''),
@@ -131,8 +145,11 @@ class InputChecks:
             if stamp_ns - self._unusable_ns > UNUSABLE_S * NS_PER_S:
                 notes.append(f'no usable detection for {UNUSABLE_S:g} s: {UNUSABLE}')
         self._unusable_count = tracker.unusable_people
+        return self._choose_new((*notes, *self.warnings))
+
+    def _choose_new(self, found: Iterable[str]) -> list[str]:
         new = []
-        for words in filter(None, (*notes, *self.warnings)):
+        for words in filter(None, found):
             if (kind := find_kind(words)) not in self._described:
                 self._described.add(kind)
                 new.append(words)

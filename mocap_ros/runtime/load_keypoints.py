@@ -26,7 +26,7 @@ from mocap_ros.formats.sequence_file import KeypointSequence, find_longest_gap, 
 from mocap_ros.formats.sports2d import load_pixel_files
 from mocap_ros.formats.video import read_video_facts
 from mocap_ros.keypoints.image_size import resolve_image_size
-from mocap_ros.keypoints.validation import check_places
+from mocap_ros.keypoints.validation import check_places, describe_rate
 from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.offline.whole_sequence import MAX_GAP_S
@@ -141,7 +141,10 @@ def _finish(
 ) -> tuple[list[KeypointSequence], list[str]]:
     """Return sequences of one camera with its focal length, and all lines to print, which name the input."""
     size, outside = sequences[0].image_size, ''
+    stamps_ns = np.array(sequences[0].stamps_ns)
     with naming(path):
+        if video.fps is None and (fault := describe_rate((stamps_ns - stamps_ns[0]) / NS_PER_S)):
+            raise InputError(fault)
         with naming('--image-size' if size == video.image_size else 'image size'):
             for keypoints in (sequence.keypoints for sequence in sequences):
                 outside = outside or check_places(keypoints[..., :2], keypoints[..., 2], size)

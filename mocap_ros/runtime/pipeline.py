@@ -12,7 +12,7 @@ from __future__ import annotations
 import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mocap_ros.bags.journal import Verdict
@@ -259,6 +259,8 @@ class Pipeline:
     def _process_frame(self, frame: KeypointsFrame) -> ProcessingResult:
         """Track the people of an image; the result of an accepted image has one message for each of `OUTPUTS`."""
         config, tracker, stamp_ns = self.config, self._tracker, frame.header.stamp_ns
+        faults = self.checks.add_stamp(stamp_ns)
+        self.summary.rate_fault = self.checks.rate_fault or self.summary.rate_fault
         try:
             if is_stamp_missing(stamp_ns, self.header.stamp_ns):
                 raise FrameDropped(MISSING_STAMP)
@@ -269,7 +271,7 @@ class Pipeline:
                 and focal_source == NOMINAL
                 and self._wait.is_waiting(stamp_ns, config.node.camera_info_wait)
             ):
-                return ProcessingResult(Verdict.ACCEPTED)
+                return ProcessingResult(Verdict.ACCEPTED, '; '.join(faults))
             restart = restart or self._wait.find_restart(focal_source)
             floor = self._output_frame.find_floor(frame.header, intrinsics, config)
             if restart:
@@ -288,11 +290,12 @@ class Pipeline:
             )
             seen = frame.people, people
             self.summary.add(stamp_ns, *seen, intrinsics, focal_source, tracker.vertical, config)
-            found = self.checks.advance(frame, intrinsics, people, tracker, config, floor, self.summary.reason)
+            faults += self.checks.advance(frame, intrinsics, people, tracker, config, floor, self.summary.reason)
         except Exception as error:
             if isinstance(error, FrameDropped) and stamp_ns == self.header.stamp_ns == 0:
                 error = FrameDropped(MISSING_STAMP)
-            return ProcessingResult.of_error(error, was_decoded=True)
+            result = ProcessingResult.of_error(error, was_decoded=True)
+            return replace(result, reason='; '.join((result.reason, *faults)))
         before_ns = self.header.stamp_ns
         self.header, self.output_header, self.people = frame.header, header, people
         self._camera.accept(frame.header, calibration)
@@ -301,7 +304,7 @@ class Pipeline:
             reason = f'a gap of {gap_s:.1f} s before this stamp: no images for so long, or the clock was set'
         if back_s := tracker.backward_jump_s:
             reason = f'the stamp went back by {back_s:.1f} s, so tracking was restarted'
-        return ProcessingResult(Verdict.ACCEPTED, '; '.join(filter(None, (restart, reason, *found))), outputs)
+        return ProcessingResult(Verdict.ACCEPTED, '; '.join(filter(None, (restart, reason, *faults))), outputs)
 
     def _find_intrinsics(self, frame: KeypointsFrame, camera: CameraInfo | None) -> tuple[Intrinsics, FocalSource]:
         node, stated = self.config.node, (frame.image_width, frame.image_height)

@@ -232,6 +232,7 @@ class RunSummary:
         self._vertical: CameraVertical | None = None
         self._names: tuple[str, ...] = ()
         self._messages = self._refused = self._refused_in_turn = 0
+        self.rate_fault = ''  # why the stamps of some images can be those of no camera
         self.restart()
 
     def restart(self) -> None:
@@ -377,9 +378,9 @@ class RunSummary:
         """Return the summary of all images and messages so far."""
         judgement, *faults = self._find_worst()
         grade = describe_grade(judgement)
-        if refusals := self._describe_refusals():
+        if reasons := [*filter(None, (self.rate_fault, self._describe_refusals()))]:
             least = Grade.WRONG if self._refused == self._messages else Grade.DOUBTFUL
-            grade, faults = max(judgement.grade, least).name.lower(), [refusals, *faults]
+            grade, faults = max(judgement.grade, least).name.lower(), [*reasons, *faults]
         seen, residual, share, depth = (self._sums / (self._counted or math.nan)).tolist()
         vertical, std = self._vertical, self._vertical.std if self._vertical else math.nan
         return Summary(

@@ -129,7 +129,9 @@ INPUT, MODEL, CONFIG = mocap_ros.InputError, mocap_ros.ModelError, mocap_ros.Con
         ({'joint_names': 'coco16'}, mocap_ros.SkeletonError, "joint_names: unknown keypoint layout 'coco16'"),
         ({'times': None}, INPUT, 'times: missing'),
         ({'times': np.arange(40)[::-1] / 30}, INPUT, 'times: frame 1: 1.2666.* s is not later than frame 0'),
-        ({'times': np.arange(40) * 33.3}, INPUT, 'times: 33.3 s from frame to frame: looks like milliseconds'),
+        ({'times': np.arange(40) * 33.3}, INPUT, 'times: one image every 33.3 s .*: looks like milliseconds'),
+        ({'times': np.arange(40) / 15e3}, INPUT, 'times: 15000 images/s .*: looks like microseconds'),
+        ({'times': np.arange(40) / 30e9}, INPUT, 'times: 30000000000 images/s .*: looks like seconds'),
         ({'image_size': 640}, INPUT, r'image_size: shape \(\), expected \(2\)'),
         ({'image_size': (480, 640), 'keypoints': lambda k: k + [250, 0, 0]}, INPUT, 'image_size: .* transposed'),
         ({'camera_matrix': np.diag([0.006, 0.006, 1])}, INPUT, 'camera_matrix: focal lengths 0.006'),
@@ -228,7 +230,8 @@ def test_a_wrong_frame_changes_nothing(keypoints: np.ndarray, change: dict[str, 
 @pytest.mark.parametrize(
     ('change', 'message'),
     [
-        ({'step': 33.3}, 'time_s: 33.3 s from frame to frame: looks like milliseconds; s expected'),
+        ({'step': 33.3}, 'time_s: one image every 33.3 s by the stamps: looks like milliseconds'),
+        ({'step': 1 / 15e3}, 'time_s: 15000 images/s by the stamps: looks like microseconds'),
         ({'image_size': (480, 640), 'shift': 250.0}, 'image_size: .* width and height look transposed'),
     ],
 )
@@ -243,6 +246,13 @@ def test_thirty_frames_show_a_wrong_unit_or_a_transposed_image(
     for frame in (29, 30):
         with pytest.raises(INPUT, match=message):
             tracker.update(times[frame], [shifted[frame]])
+
+
+def test_seconds_that_are_taken_for_nanoseconds_are_named_at_once() -> None:
+    tracker = make_tracker()
+    tracker.update(1.76, [])
+    with pytest.raises(INPUT, match=r'time_s: 29999\d+ images/s by the stamps: looks like seconds'):
+        tracker.update(1.76 + 1 / 30e9, [])
 
 
 @pytest.fixture(scope='module')

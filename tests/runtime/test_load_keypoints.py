@@ -252,6 +252,45 @@ def test_a_bag_without_a_clock_is_refused(tmp_path: Path, edit: Edit, reason: st
         load_input(write_bag_with_clock(tmp_path / 'bag', edit), InputOptions(Video(), LIMITS))
 
 
+TOO_DENSE, TOO_SPARSE, IN_NS = 1e-3, 1e3, 1e-9  # factors on times
+WRONG_UNITS = [
+    (TOO_DENSE, '25000 images/s by the stamps: looks like microseconds'),
+    (TOO_SPARSE, 'one image every 40 s by the stamps: looks like milliseconds'),
+]
+
+
+def scale_times(factor: float) -> list[Shot]:
+    stamps = [START_NS + round((t - START_NS) * factor) for t in REGULAR]
+    return [(t, 'cam', (640, 480), n) for n, t in enumerate(stamps)]
+
+
+@pytest.mark.parametrize(('factor', 'line'), WRONG_UNITS)
+def test_a_bag_whose_stamps_have_another_unit_is_refused(tmp_path: Path, factor: float, line: str) -> None:
+    with pytest.raises(InputError, match=f'bag: {line}'):
+        load_input(write_bag(tmp_path / 'bag', scale_times(factor)), InputOptions(Video(), LIMITS))
+
+
+@pytest.mark.parametrize('wait_s', [0.0, 1.0])
+@pytest.mark.parametrize(
+    ('factor', 'line'), [*WRONG_UNITS, (IN_NS, 'images/s by the stamps: looks like seconds'), (1.0, '')]
+)
+def test_the_live_pipeline_says_once_that_stamps_have_another_unit(
+    factor: float, line: str, wait_s: float
+) -> None:
+    """Also while no image is used, because the first CameraInfo is waited for by the stamps."""
+    pipeline = Pipeline(with_values(FAST_CONFIG, {'node.camera_info_wait': wait_s}))
+    results = [pipeline.feed(Source.KEYPOINTS, encode_image(image)) for image in scale_times(factor)]
+    said = [n for n, result in enumerate(results) if 'by the stamps' in result.reason]
+    assert said == ([29] if line else [])
+    if line:
+        assert line in results[29].reason
+        assert any(line in warning for warning in pipeline.checks.warnings)
+        assert (pipeline.summary.summarise().grade, line in pipeline.summary.summarise().reason) == (
+            'doubtful',
+            True,
+        )
+
+
 @pytest.mark.parametrize('jump_s', [-3600.0, 3600.0, 30.0])
 def test_the_live_pipeline_names_a_jump_once(jump_s: float) -> None:
     pipeline = Pipeline(FAST_CONFIG)
