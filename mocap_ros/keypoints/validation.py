@@ -28,9 +28,8 @@ MIN_EVIDENCE = 2.5  # 1, log likelihood; people who stay in a corner for a whole
 BEYOND_EVIDENCE = 1.5  # 1, of points beyond the image, which detectors give of people whom it cuts off
 MIN_SHARE_BEYOND = 0.02  # 1; share of points beyond the image that counts
 MIN_JUDGED_POINTS = 4  # points; fewer may lie in the corner of the image by chance
-# s, from image to image: no camera that sees whole people takes more than 2000 images/s, and people move too much
-# within a second to be followed
-STEP_RANGE_S = 1 / 2000, 1.0
+MIN_STEP_S = 1 / 2000  # s, from image to image; no camera that sees whole people is faster
+MAX_STEP_S = 1.0  # s; a person moves too much in it to be followed from image to image
 MIN_JUDGED_FRAMES = 30  # frames; fewer at long intervals may be single pictures instead of a video
 UNITS = 'seconds', 'milliseconds', 'microseconds', 'nanoseconds'  # each a thousandth of the one before
 
@@ -89,23 +88,22 @@ def describe_other_unit(points: Array, score: Array, image_width: int) -> str:
     return ''
 
 
-def describe_rate(times: Array) -> str:
+def describe_rate(times: Array, longest_s: float = MAX_STEP_S) -> str:
     """Describe in a clause that times (F,) in s can be those of no video; empty if they may be, or are too few."""
     if len(times) < MIN_JUDGED_FRAMES:
         return ''
     steps = np.diff(times)
-    return describe_step(float(np.median(steps) or steps.mean()))
+    return describe_step(float(np.median(steps) or steps.mean()), longest_s)
 
 
-def describe_step(step_s: float) -> str:
+def describe_step(step_s: float, longest_s: float = MAX_STEP_S) -> str:
     """Describe in a clause that a step in s from image to image is that of no video; empty if it may be one."""
-    shortest, longest = STEP_RANGE_S
-    if step_s <= 0 or shortest <= step_s <= longest:
+    if step_s <= 0 or MIN_STEP_S <= step_s <= longest_s:
         return ''
-    if step_s > longest:
-        unit = next((unit for n, unit in enumerate(UNITS) if step_s <= longest * 1000**n), UNITS[-1])
+    if step_s > longest_s:
+        unit = next((unit for n, unit in enumerate(UNITS) if step_s <= MAX_STEP_S * 1000**n), UNITS[-1])
         return f'one image every {step_s:.3g} s by the stamps: looks like {unit} taken for seconds'
-    unit = next((unit for n, unit in enumerate(UNITS[::-1]) if step_s * 1000**n >= shortest), UNITS[0])
+    unit = next((unit for n, unit in enumerate(UNITS[::-1]) if step_s * 1000**n >= MIN_STEP_S), UNITS[0])
     return f'{1 / step_s:.0f} images/s by the stamps: looks like {unit} taken for nanoseconds'
 
 

@@ -42,6 +42,7 @@ MAX_LENS_ERROR = 0.01  # of half the shorter side; far above the errors of the i
 MAX_DISTORTED_SHARE = 0.2  # 1; part of the middle of the image, in all of which lenses have an inverse
 MAX_CACHED_LENSES = 4  # lenses of the cameras of one node
 MAX_CACHED_NAMES = 64  # lists of joint names; guards memory against messages that name ever new ones
+SLOWEST_STREAM_S = 5.0  # s, from image to image, of detectors that run now and then
 MIN_BOX_IMAGES = 10  # images; models for poses leave out keypoints of a low score, at times all of a person
 UNUSABLE_S = 2.0  # s; from the first unusable detection, while nobody is shown, until it is described
 # Why messages of detections show no people.
@@ -94,7 +95,8 @@ class InputChecks:
         """Add the stamp of any image; return what is wrong with the stamps and was not described before."""
         self._stamps.append(stamp_ns)
         if len(self._stamps) == MIN_JUDGED_FRAMES:
-            self.rate_fault = describe_rate((np.array(self._stamps) - self._stamps[0]) / NS_PER_S)
+            times = (np.array(self._stamps) - self._stamps[0]) / NS_PER_S
+            self.rate_fault = describe_rate(times, SLOWEST_STREAM_S)
             self._stamps = []
         if self.rate_fault and self.rate_fault not in self.warnings:
             self.warnings = (self.rate_fault, *self.warnings)

@@ -272,7 +272,8 @@ def test_a_bag_whose_stamps_have_another_unit_is_refused(tmp_path: Path, factor:
 
 @pytest.mark.parametrize('wait_s', [0.0, 1.0])
 @pytest.mark.parametrize(
-    ('factor', 'line'), [*WRONG_UNITS, (IN_NS, 'images/s by the stamps: looks like seconds'), (1.0, '')]
+    ('factor', 'line'),
+    [*WRONG_UNITS, (IN_NS, 'images/s by the stamps: looks like seconds'), (1.0, ''), (50.0, '')],
 )
 def test_the_live_pipeline_says_once_that_stamps_have_another_unit(
     factor: float, line: str, wait_s: float
@@ -285,10 +286,8 @@ def test_the_live_pipeline_says_once_that_stamps_have_another_unit(
     if line:
         assert line in results[29].reason
         assert any(line in warning for warning in pipeline.checks.warnings)
-        assert (pipeline.summary.summarise().grade, line in pipeline.summary.summarise().reason) == (
-            'doubtful',
-            True,
-        )
+        summary = pipeline.summary.summarise()
+        assert (summary.grade, line in summary.reason) == ('doubtful', True)
 
 
 @pytest.mark.parametrize('jump_s', [-3600.0, 3600.0, 30.0])
