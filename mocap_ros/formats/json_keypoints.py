@@ -42,7 +42,7 @@ LABEL_KEYS = (
     'name', 'names', 'class', 'classname', 'label', 'labels', 'part', 'joint', 'bodypart', 'keypoint', 'type',
 )  # fmt: skip
 INDEX_KEY = 'labels'  # of the indices of the joints, of Hugging Face's ViTPose
-MAX_INDEX = 1000  # of a joint; guards the memory, and layouts have at most some hundreds
+MAX_JOINTS = 1000  # of all people of a file; guards the memory, and layouts have at most some hundreds
 USUAL_COUNT = 17  # keypoints of ViTPose, of which people may have some only, with their indices
 # Words of keys that say nothing about the keypoints: of boxes, people, images and other parts of the body
 OTHER_WORDS = frozenset((
@@ -155,7 +155,7 @@ def _find_labels(beside: Mapping[str, Any], count: int) -> tuple[str, tuple[str 
             _refuse_repeated(beside[key])
             return key, tuple(beside[key])
     indices = beside.get(INDEX_KEY, [])
-    if _is_column(indices, count, int) and len({i for i in indices if 0 <= i < MAX_INDEX}) == count:
+    if _is_column(indices, count, int) and len({i for i in indices if 0 <= i < MAX_JOINTS}) == count:
         return INDEX_KEY, tuple(indices)
     return '', ()
 
@@ -201,6 +201,8 @@ def arrange_labels(people: Sequence[JsonKeypoints], layout: str, general: Names)
     has them all, if most of its joints are named. Without names they are `general`, if known.
     """
     labels = dict.fromkeys(label for keypoints in people for label in keypoints.labels)
+    if len(labels) > MAX_JOINTS:
+        raise InputError(f'keypoints with {len(labels)} names, at most {MAX_JOINTS} expected')
     named = [label for label in labels if isinstance(label, str)]
     indices = [label for label in labels if isinstance(label, int)]
     joint_by_name = dict(zip(named, detector_joint_names(named), strict=True))

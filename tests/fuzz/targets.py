@@ -54,7 +54,7 @@ from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.models.model_file import decode_base_poses, decode_lifter, load_base_poses, save_base_poses
 from mocap_ros.npz_file import write_npz
 from mocap_ros.runtime.load_keypoints import InputOptions, load_input
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import CMU15, keypoint_layout
 from tests.support.bodies import make_person_3d
 from tests.support.camera_messages import camera_info, encode, encode_ros1_camera_info, make_transforms
 from tests.support.foreign_messages import create_blank_message, make_inputs
@@ -271,6 +271,11 @@ def make_messages() -> list[bytes]:
     return [bytes([number]) + by_type[name] for number, (name, _) in enumerate(MESSAGE_READERS)]
 
 
+def _name_points(flat: list[float]) -> list[dict[str, object]]:
+    points = zip(keypoint_layout('coco17').joints, np.reshape(flat, (-1, 3)).tolist(), strict=True)
+    return [{'x': x, 'y': y, 'confidence': s, 'class': name} for name, (x, y, s) in points]
+
+
 def make_json() -> list[bytes]:
     flat = np.nan_to_num(make_recording().keypoints[:2]).round(1).reshape(2, -1).tolist()
     people = [
@@ -289,6 +294,8 @@ def make_json() -> list[bytes]:
         {'instance_info': [{'frame_id': i, 'instances': [p]} for i, p in enumerate(people)]},
         [[{'keypoints': c, 'track_id': 3, 'confidence': 0.8}] for c in columns],
         {'people': [{'person_id': [4], 'pose_keypoints_2d': flat[0]}]},
+        [[{'keypoints': p['keypoints'], 'scores': p['keypoint_scores'], 'labels': [*range(17)]}] for p in people],
+        [{'predictions': [{'keypoints': _name_points(f)}], 'image': {'width': 640, 'height': 480}} for f in flat],
     ]
     return [json.dumps(form).encode() for form in forms]
 
