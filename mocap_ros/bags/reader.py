@@ -9,10 +9,10 @@ Messages are read one at a time. Damage is always reported as an error; no messa
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
-from itertools import takewhile
+from itertools import islice, takewhile
 from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -29,8 +29,8 @@ from rosbags.rosbag2.storage_mcap import get_msgdef
 from mocap_ros.bags.mcap_scan import MAGIC, PARSE_ERRORS, read_summary
 from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.errors import MALFORMED, InputError, describe_parse_error, name_errors
-from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import typestore
+from mocap_ros.messages.camera_info import CAMERA_INFO, may_be_one_camera
+from mocap_ros.messages.cdr import read_frame_id, typestore
 from mocap_ros.messages.foreign_types import INPUT_DEFINITIONS, find_current_type
 from mocap_ros.messages.versions import (
     MAX_DEFINITION_CHARACTERS,
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
 ROS2_SUFFIXES = ('.mcap', '.db3')  # of the files of ROS 2 bags
 ROS1_SUFFIX = '.bag'  # of ROS 1 bags
+MAX_HEADERS = 100  # messages of a topic in which a `frame_id` is searched; few detectors leave only some empty
 MAX_QOS_TEXTS = 256  # different QoS profiles that are remembered
 
 
@@ -126,10 +127,16 @@ class Bag:
         """Return the topics that have one of the message types and hold messages."""
         return list(dict.fromkeys(c.topic for c in self._connections if self._types[c.id] in types and c.msgcount))
 
-    def find_camera_info_topic(self, keypoints_topic: str, name: str | None = None) -> str | None:
-        """Return the CameraInfo topic that shares most of the namespace of the keypoints, or that of this `name`.
+    def find_frame_id(self, topics: Collection[str]) -> str:
+        """Return the first `header.frame_id` on the topics that is not empty, if it is in the first messages."""
+        names = (read_frame_id(m.raw) for m in islice(self.messages(topics), MAX_HEADERS))
+        return next(filter(None, names), '')
 
-        It is None where the bag has no CameraInfo.
+    def find_camera_info_topic(self, keypoints_topics: Sequence[str], name: str | None = None) -> str | None:
+        """Return the CameraInfo topic of the camera of the keypoints, or that of this `name`.
+
+        Of several it is one of their `frame_id`, and of these that which shares most of the namespace of the first
+        topic. It is None where the bag has no CameraInfo.
         """
         candidates = self.topics_of_type([CAMERA_INFO])
         if name is not None:
@@ -137,7 +144,11 @@ class Bag:
                 present = ', '.join(candidates) or 'none'
                 raise InputError(f'{self.path}: there is no CameraInfo on {name}; there is {present}')
             return name
-        shared = {topic: _count_shared_namespaces(topic, keypoints_topic) for topic in candidates}
+        if len(candidates) > 1:
+            frame_id = self.find_frame_id(keypoints_topics)
+            own = [t for t in candidates if may_be_one_camera(frame_id, self.find_frame_id([t]))]
+            candidates = own or candidates[:1]  # of another camera none is used
+        shared = {topic: _count_shared_namespaces(topic, keypoints_topics[0]) for topic in candidates}
         best = [topic for topic in candidates if shared[topic] == max(shared.values())]
         if len(best) > 1:
             raise InputError(

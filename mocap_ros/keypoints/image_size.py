@@ -28,6 +28,7 @@ def resolve_image_size(
     stated: ImageSize | None = None,
     camera: ImageSize | None = None,
     configured: ImageSize | None = None,
+    other_camera: ImageSize | None = None,
     keypoints: Array | None = None,
 ) -> ImageSize:
     """Return the (width, height) of the image in px: the first in this order that is known, or `UNKNOWN_SIZE`.
@@ -36,7 +37,7 @@ def resolve_image_size(
     `COMMON_IMAGE_SIZES` that holds 99 % of the seen ones, upright where that is likelier by `UPRIGHT_EVIDENCE`; in
     a live stream, later ones could change the size.
     """
-    for size in (stated, camera, configured):
+    for size in (stated, camera, configured, other_camera):
         if size is not None and all(size):
             return size
     return UNKNOWN_SIZE if keypoints is None else _assume_common_size(keypoints)

@@ -49,6 +49,25 @@ class CameraInfo:
     raw: bytes = field(default=b'', compare=False, repr=False)  # the message as CDR
 
 
+def may_be_one_camera(frame_id: str, other: str) -> bool:
+    """Return whether two `frame_id` may be of one camera: an empty one says nothing.
+
+    A camera's optical frame has `_optical` in its name, its other frame has not (REP 103), as of the ZED wrapper;
+    names of ROS 1 may begin with `/`.
+    """
+    first, second = (name.lstrip('/').replace('_optical', '') for name in (frame_id, other))
+    return first == second or not (first and second)
+
+
+def describe_other_camera(frame_id: str, camera: CameraInfo, topic: str) -> str:
+    """Return why the CameraInfo on a topic is not used for the images of another camera, in words."""
+    return (
+        f'header.frame_id: {frame_id!r}, but the CameraInfo on {topic or "camera_info"} is of '
+        f'{camera.frame_id!r}, another camera, and is not used; correct header.frame_id, give the CameraInfo of '
+        f'{frame_id!r}, or the focal length (node.focal, --focal)'
+    )
+
+
 def check_image_size(frame: KeypointsFrame, camera: CameraInfo) -> None:
     """Raise InputError if an image and a CameraInfo both give a size, and the sizes differ."""
     frame_size = frame.image_width, frame.image_height

@@ -26,6 +26,7 @@ CDR_ALIGNMENT_BYTES = 4  # DDS (RTPS) pads every payload to a multiple of this l
 MAX_INPUT_BYTES = 4_000_000
 MOCAP_ROS_MSGS = 'mocap_ros_msgs/msg/'  # prefix of the type names of this package's own messages
 ENCAPSULATION = b'\0\1\0\0'  # the first bytes of a message: CDR, little endian
+STAMP_BYTES, LENGTH_BYTES = 8, 4  # of a stamp, and of the number of bytes of a text that follows
 BIG_ENDIAN = b'\0\0'  # the first bytes of a message in the other order of bytes
 
 
@@ -93,6 +94,17 @@ def read_stamp_ns(raw: bytes) -> int:
     except struct.error:
         return 0
     return int(seconds) * NS_PER_S + int(nanoseconds)
+
+
+def read_frame_id(raw: bytes) -> str:
+    """Return the `frame_id` of such a message, likewise; it is empty where the bytes end before it."""
+    try:
+        order = '>' if raw[:2] == BIG_ENDIAN else '<'
+        (length,) = struct.unpack_from(f'{order}I', raw, len(ENCAPSULATION) + STAMP_BYTES)
+    except struct.error:
+        return ''
+    start = len(ENCAPSULATION) + STAMP_BYTES + LENGTH_BYTES
+    return raw[start : start + length].rstrip(b'\0').decode(errors='replace')
 
 
 def validate_header(header: Any, limits: NodeConfig) -> Header:

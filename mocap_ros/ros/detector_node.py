@@ -18,7 +18,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.ros.help import DETECTOR_NAME, DETECTOR_PARAMETERS, IMAGE_TOPIC, KEYPOINTS_TOPIC
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.nodes import declare_parameters
-from mocap_ros.ros.qos import IMAGE_QOS, OUTPUT_QOS
+from mocap_ros.ros.qos import NEWEST_QOS, OUTPUT_QOS
 from mocap_ros.ros.throttled_log import ThrottledLog
 from mocap_ros.ros.topics import subscribe, warn_of_subscribers
 from mocap_ros.runtime.detection import detect_people
@@ -48,7 +48,7 @@ class DetectorNode(Node):
         self._versions.add_output(KEYPOINTS)
         published, events = load_interface_class(KEYPOINTS), warn_of_subscribers(self, KEYPOINTS_TOPIC)
         self._publisher = self.create_publisher(published, KEYPOINTS_TOPIC, OUTPUT_QOS, event_callbacks=events)
-        subscribe(self, self._type, IMAGE_TOPIC, self._take_image, IMAGE_QOS)
+        subscribe(self, self._type, IMAGE_TOPIC, self._take_image, NEWEST_QOS)
         self.get_logger().info(
             f'{self._detector.name} looks at the images on {self.resolve_topic_name(IMAGE_TOPIC)} and publishes '
             f'keypoints on {self.resolve_topic_name(KEYPOINTS_TOPIC)}'

@@ -24,14 +24,13 @@ from mocap_ros.messages.keypoints import KEYPOINTS, KeypointsFrame, decode_keypo
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.nodes import run_node
+from mocap_ros.ros.qos import NEWEST_QOS
 from mocap_ros.ros.topics import subscribe
 from mocap_ros.runtime.load_scene import average_core, make_scene_person, recover_intrinsics
 from mocap_ros.skeleton import BODY26, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.live_page import LiveScene, PageServer, make_nobody
 
-# Only the newest messages count: a page that is late must not fall behind.
-NEWEST_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 KEYPOINTS_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 WAITING_NS = 6 * NS_PER_S  # for which keypoints wait for their skeletons; `tracker.lag` is at most 5 s
 

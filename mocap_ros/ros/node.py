@@ -24,7 +24,7 @@ from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.nodes import ManagedNode, declare_parameters
 from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS, TF_QOS, profile_to_rosbag2
 from mocap_ros.ros.subscriptions import InputSubscriptions
-from mocap_ros.ros.topics import Publishers
+from mocap_ros.ros.topics import CameraInfoSearch, Publishers
 from mocap_ros.runtime.cpu_setup import release_free_memory
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, build_skeleton_definition, list_switched_outputs
 from mocap_ros.runtime.pipeline import Pipeline
@@ -51,6 +51,7 @@ class MocapNode(ManagedNode):
         self._provided_services: list[Any] = []  # while configured
         self._run: LiveRun | None = None  # while active
         self._reporter: DiagnosticsReporter | None = None  # while active
+        self._camera_search = CameraInfoSearch(self)
         self._run_timers: list[Any] = []  # while active
         declared = declare_parameters(self, [*parameters()], '`mocap-ros config --all`')
         self._config = with_values(Config(), declared)
@@ -127,6 +128,7 @@ class MocapNode(ManagedNode):
         try:
             if self._inputs is not None:
                 self._inputs.unsubscribe()
+            self._camera_search.advance('')
             for timer in self._run_timers:
                 self.destroy_timer(timer)
             self._run_timers, self._reporter = [], None
@@ -187,6 +189,8 @@ class MocapNode(ManagedNode):
     def _check_silence(self) -> None:
         if self._inputs is not None:
             self._inputs.silence.check(self._config.node.silence_warning)
+        if self._pipeline is not None:
+            self._camera_search.advance(self._pipeline.missing_camera)
 
     def _publish_diagnostics(self) -> None:
         run, reporter = self._run, self._reporter

@@ -28,8 +28,8 @@ OVERRIDABLE_POLICIES = tuple(QoSPolicyKind[name] for name in ('HISTORY', 'DEPTH'
 
 # Best effort is compatible with reliable and with best-effort publishers, reliable with both kinds of subscribers.
 INPUT_QOS = QoSProfile(depth=INPUT_QUEUE_DEPTH, reliability=BEST_EFFORT)
-# The newest image only: a detector that is slower than the camera must not fall behind.
-IMAGE_QOS = QoSProfile(depth=1, reliability=BEST_EFFORT)
+# The newest message only: a detector that is slower than the camera must not fall behind.
+NEWEST_QOS = QoSProfile(depth=1, reliability=BEST_EFFORT)
 OUTPUT_QOS = QoSProfile(depth=10, reliability=RELIABLE)  # the default of ROS 2
 TF_QOS = QoSProfile(depth=TF_QUEUE_DEPTH, reliability=RELIABLE)
 # Late subscribers get the last messages: of /tf_static those of each publisher, as tf2_ros subscribes to it.

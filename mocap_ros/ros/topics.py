@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from copy import copy
+from functools import partial
 from typing import Any
 
 from rclpy.duration import Duration
@@ -18,12 +19,14 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from mocap_ros.bags.topics import Source
 from mocap_ros.errors import ConfigError
-from mocap_ros.messages.cdr import OutputMessage
+from mocap_ros.messages.camera_info import CAMERA_INFO, may_be_one_camera
+from mocap_ros.messages.cdr import OutputMessage, read_frame_id
 from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.messages.input_types import KEYPOINT_TYPES
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
-from mocap_ros.ros.qos import OVERRIDABLE_POLICIES
+from mocap_ros.ros.qos import NEWEST_QOS, OVERRIDABLE_POLICIES
 
 MAX_ACKNOWLEDGEMENT_S = 0.2  # s; for which a subscriber that does not answer delays the end of the node
 START_DETECTOR = 'start the detector, or remap the topic to the one on which it publishes'
@@ -122,6 +125,40 @@ class Publishers(dict[str, Any]):
         """Publish an output, in the installed version of its type, if its topic has a publisher."""
         if output.topic in self:
             self[output.topic].publish(output.data)
+
+
+class CameraInfoSearch:
+    """Looks for the CameraInfo of a camera on the topics to which the node is not subscribed."""
+
+    def __init__(self, node: Node) -> None:
+        self._node, self._frame_id, self._is_found = node, '', False
+        self._subscriptions: dict[str, Any] = {}  # by topic
+
+    def advance(self, frame_id: str) -> None:
+        """Look for the CameraInfo of a `frame_id`, once, and log where it is; an empty one ends the search."""
+        if frame_id != self._frame_id:
+            self._frame_id, self._is_found = frame_id, False
+        if self._is_found or not frame_id:
+            for subscription in filter(None, self._subscriptions.values()):
+                self._node.destroy_subscription(subscription)
+            self._subscriptions = {}
+            return
+        own = self._node.resolve_topic_name(Source.CAMERA_INFO.value)
+        for topic, types in self._node.get_topic_names_and_types():
+            if types == [CAMERA_INFO] and topic not in (own, *self._subscriptions):
+                self._subscriptions[topic] = None
+                with suppress(RuntimeError):  # SROS2 may forbid it
+                    how = partial(self._take, topic), NEWEST_QOS
+                    self._subscriptions[topic] = subscribe(self._node, CAMERA_INFO, topic, *how, overridable=False)
+
+    def _take(self, topic: str, raw: bytes) -> None:
+        frame_id = read_frame_id(raw)
+        if frame_id and may_be_one_camera(frame_id, self._frame_id) and not self._is_found:
+            self._is_found = True
+            self._node.get_logger().warning(
+                f'{topic} has the CameraInfo of {frame_id!r}, the camera of the keypoints; remap '
+                f'{Source.CAMERA_INFO.value} to it'
+            )
 
 
 class SilenceMonitor:

@@ -111,12 +111,13 @@ class InputChecks:
         config: Config,
         floor: tuple[Floor | None, str],
         fault: str = '',
+        other_camera: str = '',
     ) -> list[str]:
         """Return what is wrong with the input and was not described before.
 
         Once no person has been seen for so long that the tracker has forgotten all, everything is described anew.
-        The floor, if it is known, comes with what it cannot be used for, and `fault` is why the points are not
-        sound (`summary.RunSummary`), both in words.
+        The floor, if it is known, comes with what it cannot be used for, `fault` is why the points are not sound
+        (`summary.RunSummary`), and `other_camera` why the CameraInfo is not used, all in words.
         """
         stamp_ns = frame.header.stamp_ns
         if frame.people or stamp_ns < self._newest_seen_ns:
@@ -131,11 +132,13 @@ class InputChecks:
             fault and f'people: {fault}',
             next(filter(None, (describe_misspelt_joint(p.joints) for p in frame.people)), ''),
             describe_unusable_distortion(intrinsics),
+            other_camera,
         )
         self.warnings = tuple(filter(None, found))
         ids = EXCHANGED_IDS if tracker.are_ids_ignored else ''
         heights = floor[1], _check_camera_height(intrinsics, config.tracker, has_floor=floor[0] is not None)
-        notes = [*heights, self._check_calibration(stamp_ns, intrinsics, config), ids] if frame.people else []
+        nominal = '' if other_camera else self._check_calibration(stamp_ns, intrinsics, config)
+        notes = [*heights, nominal, ids] if frame.people else []
         self._has_keypoints |= bool(frame.people)
         self._box_images += bool(frame.without_keypoints)
         if self._box_images >= MIN_BOX_IMAGES and not self._has_keypoints:

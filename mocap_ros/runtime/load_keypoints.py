@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 from math import inf
@@ -27,18 +28,25 @@ from mocap_ros.formats.sports2d import load_pixel_files
 from mocap_ros.formats.video import read_video_facts
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.keypoints.validation import check_places, describe_rate
-from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
+from mocap_ros.messages.camera_info import (
+    CameraInfo,
+    check_image_size,
+    decode_camera_info,
+    describe_other_camera,
+    may_be_one_camera,
+)
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.offline.whole_sequence import MAX_GAP_S
 from mocap_ros.runtime.detection import ShowProgress, detect_in_video
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
-from mocap_ros.runtime.input_camera import FROM_VIDEO, GIVEN
+from mocap_ros.runtime.input_camera import FROM_VIDEO, GIVEN, find_turns
 from mocap_ros.runtime.input_checks import WITHOUT_KEYPOINTS, describe_misspelt_joint, describe_unusable_distortion
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 from mocap_ros.units import NS_PER_S
 
 RESTART_S = 1.0  # s; messages are at most so late, and an older one begins a new run of the clock
 MIN_RUN_SHARE = 0.1  # 1; share of the images that the longest run of the clock must have
+MAX_COMPARED = 10  # further messages that are compared with the CameraInfo in use; two cameras send in turn
 MAX_CAMERA_INFOS = 1000  # messages in which a valid CameraInfo is searched
 MIN_SHARE_SEEN = 0.9  # 1; share of a video at whose end mostly somebody is seen
 MIN_FRAMES = 10  # frames; of all people, those who are seen in less are mostly errors of the detector
@@ -226,7 +234,7 @@ def load_bag(
     with Bag(path) as bag:
         topics = find_people_topics(bag, topic)
         node = replace(limits, input_type=find_people_type(bag, topics))
-        camera, camera_note = find_camera(bag, next(iter(topics)), node, camera_info)
+        camera, camera_note = find_camera(bag, [*topics], node, camera_info)
         known = camera.size if camera else None
         size = resolve_image_size(camera=known, configured=(node.image_width, node.image_height))
         frames, reasons, images, clock_note = _assemble_frames(bag, topics, node, camera, size)
@@ -302,24 +310,37 @@ def _leave_out_others(frames: dict[int, KeypointsFrame]) -> list[str]:
 
 
 def find_camera(
-    bag: Bag, keypoints_topic: str, node: NodeConfig, camera_info: str | None = None
+    bag: Bag, keypoints_topics: Sequence[str], node: NodeConfig, camera_info: str | None = None
 ) -> tuple[CameraInfo | None, str]:
-    """Find the first valid CameraInfo that belongs to a topic of keypoints, or that `camera_info` names.
+    """Find the first valid CameraInfo of the camera of the keypoints, on the topic that `camera_info` may name.
 
     Returns the CameraInfo, else the first of which more than the others can be used, or None if there is none; and
     why it is not the first, or what of it is not used, or an empty text.
     """
-    topic = bag.find_camera_info_topic(keypoints_topic, camera_info)
+    topic, frame_id = (
+        bag.find_camera_info_topic(keypoints_topics, camera_info),
+        bag.find_frame_id(keypoints_topics),
+    )
     found: CameraInfo | None = None
-    reason = ''
-    for number, message in enumerate(islice(bag.messages([topic] if topic else []), MAX_CAMERA_INFOS), 1):
+    reason, other = '', ''
+    messages = enumerate(islice(bag.messages([topic] if topic else []), MAX_CAMERA_INFOS), 1)
+    for number, message in messages:
         try:
             camera = decode_camera_info(message.raw, rectified=node.rectified_input)
         except InputError as error:
             reason = reason or f'{topic}: message {number} cannot be used: {error}'
             continue
+        if not may_be_one_camera(frame_id, camera.frame_id):
+            other = other or f'{keypoints_topics[0]}: {describe_other_camera(frame_id, camera, str(topic))}'
+            continue
         if not camera.note:
-            return camera, reason and f'{reason}; instead, message {number} is used'
+            cameras = [camera]
+            for _, following in islice(messages, MAX_COMPARED):
+                with suppress(InputError):
+                    cameras.append(decode_camera_info(following.raw, rectified=node.rectified_input))
+            turns = find_turns(c for c in cameras if may_be_one_camera(frame_id, c.frame_id))
+            reason = reason and f'{reason}; instead, message {number} is used'
+            return camera, '; '.join(filter(None, (reason, turns and f'{topic}: {turns}')))
         if found is None or camera.intrinsics.is_focal_known > found.intrinsics.is_focal_known:
             found, reason = camera, f'{topic}: message {number}: {camera.note}'
-    return found, reason
+    return found, reason if found else reason or other

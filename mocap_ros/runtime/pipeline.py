@@ -21,9 +21,9 @@ from mocap_ros.config import Config
 from mocap_ros.errors import ConfigError, FrameDropped, InputError
 from mocap_ros.formats.detections import Video
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.image_size import resolve_image_size
+from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_image_size
 from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
-from mocap_ros.messages.cdr import Header, OutputMessage
+from mocap_ros.messages.cdr import Header, OutputMessage, read_frame_id
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.messages.skeletons import PredictedFrame, read_prediction_times
 from mocap_ros.messages.transform_tree import TransformTree
@@ -136,13 +136,19 @@ class Pipeline:
 
     @property
     def camera_info(self) -> bytes | None:
-        """The CameraInfo message in use as CDR, or None."""
+        """The newest CameraInfo message that was accepted as CDR, or None."""
         return self._camera.calibration.raw if self._camera.calibration else None
+
+    @property
+    def missing_camera(self) -> str:
+        """The `frame_id` of images for which only the CameraInfo of another camera has come; usually empty."""
+        name = self._camera.name
+        return name if self.focal_source == NOMINAL and self._camera.describe_other(name) else ''
 
     @property
     def focal_source(self) -> FocalSource:
         """Where the focal length of the next image is from."""
-        calibration, node = self._camera.calibration, self.config.node
+        calibration, node = self._camera.find_calibration(''), self.config.node
         if calibration is not None and calibration.intrinsics.is_focal_known:
             return KNOWN
         return GIVEN if node.hfov or node.focal else NOMINAL
@@ -196,9 +202,9 @@ class Pipeline:
         self.counters.dropped['backlog'] += 1
         return ProcessingResult(Verdict.BACKLOG, BACKLOG_REASON)
 
-    def set_camera_info(self, raw: bytes) -> None:
+    def set_camera_info(self, raw: bytes, topic: str = '') -> None:
         """Use a sensor_msgs/CameraInfo for all following images, as `InputCamera.add_calibration` does."""
-        self._camera.add_calibration(decode_camera_info(raw, rectified=self.config.node.rectified_input))
+        self._camera.add_calibration(decode_camera_info(raw, rectified=self.config.node.rectified_input), topic)
 
     def _take_camera_note(self) -> str:
         """Return what the CameraInfo in use is not used for, or replaces, once until it changes."""
@@ -246,15 +252,13 @@ class Pipeline:
 
     def _decode_frames(self, source: Source, raw: bytes, topic: str) -> list[KeypointsFrame]:
         if source is Source.CAMERA_INFO:
-            self.set_camera_info(raw)
+            self.set_camera_info(raw, topic)
             return []
         if source in TRANSFORM_SOURCES:
             self.transforms.add(raw, is_static=source is Source.STATIC_TRANSFORMS)
             return []
-        node, known = self.config.node, self._camera.calibration
-        configured = (node.image_width, node.image_height)
-        size = resolve_image_size(camera=known.size if known else None, configured=configured)
-        return self._assembler.assemble(source, raw, topic, node, size, self.config.tracker.restart_after)
+        size, restart_after = self._find_size(read_frame_id(raw)), self.config.tracker.restart_after
+        return self._assembler.assemble(source, raw, topic, self.config.node, size, restart_after)
 
     def _process_frame(self, frame: KeypointsFrame) -> ProcessingResult:
         """Track the people of an image; the result of an accepted image has one message for each of `OUTPUTS`."""
@@ -264,8 +268,10 @@ class Pipeline:
         try:
             if is_stamp_missing(stamp_ns, self.header.stamp_ns):
                 raise FrameDropped(MISSING_STAMP)
-            restart, calibration = self._camera.check(frame.header)
-            intrinsics, focal_source = self._find_intrinsics(frame, calibration)
+            size = self._find_size(frame.header.frame_id, (frame.image_width, frame.image_height))
+            restart = self._camera.check(frame.header, size)
+            calibration = self._camera.find_calibration(frame.header.frame_id)
+            intrinsics, focal_source = self._find_intrinsics(frame, calibration, size)
             if (
                 calibration is None
                 and focal_source == NOMINAL
@@ -290,7 +296,9 @@ class Pipeline:
             )
             seen = frame.people, people
             self.summary.add(stamp_ns, *seen, intrinsics, focal_source, tracker.vertical, config)
-            faults += self.checks.advance(frame, intrinsics, people, tracker, config, floor, self.summary.reason)
+            other_camera = self._camera.describe_other(frame.header.frame_id) if focal_source == NOMINAL else ''
+            known = tracker, config, floor, self.summary.reason, other_camera
+            faults += self.checks.advance(frame, intrinsics, people, *known)
         except Exception as error:
             if isinstance(error, FrameDropped) and stamp_ns == self.header.stamp_ns == 0:
                 error = FrameDropped(MISSING_STAMP)
@@ -298,7 +306,7 @@ class Pipeline:
             return replace(result, reason='; '.join((result.reason, *faults)))
         before_ns = self.header.stamp_ns
         self.header, self.output_header, self.people = frame.header, header, people
-        self._camera.accept(frame.header, calibration)
+        self._camera.accept(frame.header, size)
         if before_ns and stamp_ns - before_ns > NOTED_GAP_S * NS_PER_S:
             gap_s = (stamp_ns - before_ns) / NS_PER_S
             reason = f'a gap of {gap_s:.1f} s before this stamp: no images for so long, or the clock was set'
@@ -306,14 +314,24 @@ class Pipeline:
             reason = f'the stamp went back by {back_s:.1f} s, so tracking was restarted'
         return ProcessingResult(Verdict.ACCEPTED, '; '.join(filter(None, (restart, reason, *faults))), outputs)
 
-    def _find_intrinsics(self, frame: KeypointsFrame, camera: CameraInfo | None) -> tuple[Intrinsics, FocalSource]:
-        node, stated = self.config.node, (frame.image_width, frame.image_height)
+    def _find_size(self, frame_id: str, stated: ImageSize = UNKNOWN_SIZE) -> ImageSize:
+        """Return the size of an image, by the CameraInfo of another camera only where nothing else says it."""
+        node, known, newest = self.config.node, self._camera.find_calibration(frame_id), self._camera.calibration
+        return resolve_image_size(
+            stated=stated,
+            camera=known.size if known else None,
+            configured=(node.image_width, node.image_height),
+            other_camera=newest.size if newest else None,
+        )
+
+    def _find_intrinsics(
+        self, frame: KeypointsFrame, camera: CameraInfo | None, size: ImageSize
+    ) -> tuple[Intrinsics, FocalSource]:
+        node = self.config.node
         if camera is not None:
             check_image_size(frame, camera)
             if camera.intrinsics.is_focal_known:
                 return camera.intrinsics, KNOWN
-        known, configured = camera.size if camera else None, (node.image_width, node.image_height)
-        size = resolve_image_size(stated=stated, camera=known, configured=configured)
         if not all(size):
             raise InputError(
                 'image_width, image_height: not set, and neither CameraInfo nor the parameters '

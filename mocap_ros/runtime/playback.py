@@ -83,7 +83,7 @@ class Playback:
             else:
                 sources = find_people_topics(bag, topic)
                 published_names = {t: to if source is Source.KEYPOINTS else t for t, source in sources.items()}
-                if found := bag.find_camera_info_topic(next(iter(published_names)), camera_info):
+                if found := bag.find_camera_info_topic([*published_names], camera_info):
                     published_names[found] = CAMERA_INFO_TOPIC
             self.topics = [
                 PlayedTopic(published, bag.topics[recorded], bag.qos[recorded], recorded)

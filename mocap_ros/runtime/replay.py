@@ -113,8 +113,8 @@ class _Replay:
         self._bag = bag
         self._changes = options.changes
         self._inputs = find_people_topics(bag, options.topic)
-        keypoints_type, (keypoints_topic, *_) = find_people_type(bag, self._inputs), self._inputs
-        camera_info = bag.find_camera_info_topic(keypoints_topic, options.camera_info)
+        keypoints_type = find_people_type(bag, self._inputs)
+        camera_info = bag.find_camera_info_topic([*self._inputs], options.camera_info)
         if camera_info is not None:
             self._inputs[camera_info] = Source.CAMERA_INFO
         self._run = read_run(bag)

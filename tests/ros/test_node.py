@@ -17,6 +17,7 @@ import pytest
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.config import Config, to_yaml
+from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE
 from mocap_ros.messages.keypoints import KEYPOINTS
@@ -25,7 +26,7 @@ from mocap_ros.ros.main import detector_main, main
 from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.runtime.replay import replay
 from tests.support.blob_people import draw, save_movenet, walk
-from tests.support.camera_messages import encode_pixels, make_compressed
+from tests.support.camera_messages import camera_info, encode_pixels, make_compressed
 from tests.support.pipeline_inputs import encode_demo_frames, with_stamp
 from tests.support.ros_node import Peer, StartNode, StartProgram, keypoints_at, stop_node, wait_until_discovered
 
@@ -120,6 +121,29 @@ def test_a_node_without_autostart_obeys(peer: Peer, start_node: StartNode, tmp_p
         assert bag.count(['/keypoints']) == bag.count(['/skeletons']) == 1
         replay(bag, tmp_path / 'again')
     assert ['~/record' in line for line in stop_node(node) if 'no message has arrived' not in line] == [True]
+
+
+def test_the_topic_of_the_right_camera_info_is_named(peer: Peer, start_node: StartNode) -> None:
+    node = start_node()
+    peer.wait_for_node()
+    peer.wait_for_keypoints_subscription()
+    infos = {'camera_info': camera_info(focal=385.0, frame_id='depth'), 'color/camera_info': camera_info()}
+    publishers = {t: peer.node.create_publisher(load_interface_class(CAMERA_INFO), t, 10) for t in infos}
+    peer.wait_until(publishers['camera_info'].get_subscription_count)
+    wait_until_discovered(peer.node, peer.executor, 'mocap_node')
+    seconds = count(1)
+
+    def is_named() -> bool:
+        for topic, publisher in publishers.items():
+            publisher.publish(infos[topic])
+        peer.keypoints.publish(keypoints_at(next(seconds)))
+        return any("/color/camera_info has the CameraInfo of 'camera'" in line for line in peer.log)
+
+    peer.wait_until(is_named)
+    peer.wait_until(lambda: publishers['color/camera_info'].get_subscription_count() == 0)
+    mismatch, topic = stop_node(node)
+    assert "'camera', but the CameraInfo on /camera_info is of 'depth'" in mismatch
+    assert 'remap camera_info' in topic
 
 
 @pytest.mark.slow

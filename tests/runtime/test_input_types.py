@@ -399,14 +399,14 @@ PERIOD_S = 1 / 30
 SKEW_S = 3.0  # by which the clocks of two cameras differ
 
 
-def send(camera: InputCamera, name: str, seconds: float) -> str:
+def send(camera: InputCamera, name: str, seconds: float, size: tuple[int, int] = IMAGE_SIZE) -> str:
     """Offer an image; return 'used', 'replaced' (the camera before it) or 'refused'."""
     header = Header(round(seconds * 1e9), name)
     try:
-        restart, calibration = camera.check(header)
+        restart = camera.check(header, size)
     except InputError as error:
         return 'refused' if f'{name!r}, but the people of {camera.name!r}' in str(error) else str(error)
-    camera.accept(header, calibration)
+    camera.accept(header, size)
     return 'replaced' if restart else 'used'
 
 
@@ -448,15 +448,35 @@ def test_each_camera_is_used_with_its_own_camera_info() -> None:
     camera = InputCamera()
     front, back = calibrate('front', 500.0), calibrate('back', 900.0)
     for calibration in (back, front):  # before the first image, any camera may be that of the images
-        camera.add_calibration(calibration)
+        camera.add_calibration(calibration, '/info')
     send(camera, 'front', 1.0)
     with pytest.raises(InputError, match="'back', but the people of 'front' are being tracked"):
-        camera.add_calibration(back)
+        camera.add_calibration(back, '/info')
     assert [send(camera, 'back', 5.0 + later) for later in (0.0, SILENCE_S)] == ['refused', 'replaced']
-    assert camera.calibration is None
+    assert camera.find_calibration('back') is None
+    assert "'back', but the CameraInfo on /info is of 'front'" in camera.describe_other('back')
     for calibration in (calibrate('', 501.0), back):
-        camera.add_calibration(calibration)
-        assert camera.calibration is calibration, 'what has no name, or another one, may be of any camera'
+        camera.add_calibration(calibration, '/info')
+        assert camera.find_calibration('back') is calibration, 'what has no name may be of any camera'
     uncalibrated = Intrinsics(480.0, (320.0, 240.0), is_focal_known=False)
-    camera.add_calibration(CameraInfo((640, 480), uncalibrated, 'back'))
-    assert camera.calibration is back
+    camera.add_calibration(CameraInfo((640, 480), uncalibrated, 'back'), '/info')
+    assert camera.find_calibration('back') is back
+
+
+def test_sizes_and_camera_infos_of_one_name_that_come_in_turn_are_refused() -> None:
+    camera, sizes = InputCamera(), {'large': (1280, 720), 'small': (640, 480)}
+    turns = [send(camera, 'front', 10 + n * PERIOD_S, sizes['small' if n % 2 else 'large']) for n in range(90)]
+    assert turns[:2] == ['used'] * 2
+    assert turns[2].startswith('image_width, image_height: images of 1280 x 720 px and 640 x 480 px come in turn')
+    assert turns[2:] == [turns[2], 'used'] * 44
+    alone = [send(camera, 'front', 20 + n * PERIOD_S, sizes['large']) for n in range(3)]
+    assert alone == ['used'] * 3, 'the camera was set to another size'
+    near, far = calibrate('front', 500.0), calibrate('front', 600.0)
+    for calibration in (near, calibrate('front', 510.0), near, far):  # a lens that is focused, and another camera
+        camera.add_calibration(calibration, '/info')
+    with pytest.raises(InputError, match=r'focal lengths of 500 px .* and 600 px .* come in turn'):
+        camera.add_calibration(near, '/info')
+    assert camera.find_calibration('front') is far
+    send(camera, 'front', 30.0)
+    camera.add_calibration(near, '/info')
+    assert camera.find_calibration('front') is near

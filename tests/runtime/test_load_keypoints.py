@@ -19,6 +19,7 @@ import pytest
 
 import mocap_ros
 from mocap_ros.bags.journal import Verdict
+from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source
 from mocap_ros.cli.main import main
@@ -39,6 +40,7 @@ from mocap_ros.runtime.detection import detect_in_video, name_people
 from mocap_ros.runtime.input_kind import InputKind, find_input_kind
 from mocap_ros.runtime.load_keypoints import InputOptions, load_input
 from mocap_ros.runtime.pipeline import Pipeline
+from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.units import NS_PER_S
 from tests.support.blob_people import draw, save_movenet, walk, write_video
@@ -96,7 +98,8 @@ def add_other_camera(images: list[Shot]) -> list[Shot]:
 def test_messages_that_do_not_belong_are_left_out(
     tmp_path: Path, edit: Callable[[list[Shot]], list[Shot]], has_info: bool, line: str
 ) -> None:
-    bag = write_bag(tmp_path / 'bag', edit(make_images()), {'/camera_info': camera_info()} if has_info else {})
+    infos = {'/camera_info': camera_info(frame_id='cam')} if has_info else {}
+    bag = write_bag(tmp_path / 'bag', edit(make_images()), infos)
     sequence, lines = load_input(bag, InputOptions(Video(), LIMITS))
     first = round((sequence.stamps_ns[0] - START_NS) * 25 / NS_PER_S)
     walk = make_walker().keypoints[first : first + len(sequence)]
@@ -164,7 +167,8 @@ def test_a_camera_info_that_cannot_be_used_is_named(tmp_path: Path, *, usable: b
 
 
 def test_of_several_cameras_of_a_bag_one_is_chosen(tmp_path: Path) -> None:
-    infos = {f'/{side}/camera_info': camera_info(focal=f) for side, f in (('left', 500.0), ('right', 600.0))}
+    focals = {'left': 500.0, 'right': 600.0}
+    infos = {f'/{side}/camera_info': camera_info(focal=f, frame_id='cam') for side, f in focals.items()}
     bag = write_bag(tmp_path / 'bag', make_images(), infos)
     with pytest.raises(InputError, match='choose one with --camera-info: /left/camera_info, /right/camera_info'):
         load_input(bag, InputOptions(Video(), LIMITS))
@@ -175,6 +179,45 @@ def test_of_several_cameras_of_a_bag_one_is_chosen(tmp_path: Path) -> None:
         load_input(bag, InputOptions(Video(), LIMITS, camera_info='/back'))
     with pytest.raises(mocap_ros.InputError, match='choose one with camera_info: '):
         mocap_ros.read(bag)
+
+
+COLOR, DEPTH = 'camera_color_optical_frame', 'camera_depth_optical_frame'
+
+
+@pytest.mark.parametrize(
+    ('images_of', 'infos_of', 'focal'),
+    [
+        (COLOR, {'/info': DEPTH}, None),
+        (COLOR, {'/depth': DEPTH, '/k/color': COLOR}, 401.0),
+        ('cam', {'/depth': DEPTH, '/k/color': COLOR}, None),
+        (COLOR, {'/info': ''}, 400.0),
+        ('', {'/info': DEPTH}, 400.0),
+        ('zed_left_camera_frame', {'/info': 'zed_left_camera_frame_optical'}, 400.0),
+        ('/cam', {'/info': 'cam'}, 400.0),
+    ],
+)
+def test_the_camera_info_of_another_camera_is_named_and_not_used(
+    tmp_path: Path, images_of: str, infos_of: dict[str, str], focal: float | None
+) -> None:
+    infos = {t: camera_info(focal=400.0 + n, frame_id=name) for n, (t, name) in enumerate(infos_of.items())}
+    path = write_bag(tmp_path / 'bag', [(m[0], images_of, *m[2:]) for m in make_images()], infos)
+    sequence, lines = load_input(path, InputOptions(Video(), LIMITS))
+    with Bag(path) as bag:
+        result = replay(bag, tmp_path / 'out', ReplayOptions(FAST_CONFIG))
+    topic, name = next(iter(infos_of.items()))
+    notes = [
+        [n for n in said if f'{images_of!r}, but the CameraInfo on {topic} is of {name!r}' in n]
+        for said in (lines, result.notes)
+    ]
+    if focal is None:
+        assert (sequence.is_camera_known, result.summary.focal_source) == (False, 'nominal')
+        assert [len(said) for said in notes] == [1, 1]
+        assert all('/k: ' in line for line in (*notes[0], *notes[1]))
+    else:
+        assert sequence.intrinsics(1.0).focal == pytest.approx(focal)
+        assert result.summary.focal_source == 'known'
+        assert result.summary.focal_px == pytest.approx(focal)
+        assert notes == [[], []]
 
 
 def test_kinds_by_name_and_content(tmp_path: Path) -> None:

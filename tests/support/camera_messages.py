@@ -27,10 +27,11 @@ def camera_info(
     binning: tuple[int, int] = (0, 0),
     region: tuple[int, int, int, int] = (0, 0, 0, 0),  # x, y, width and height in px
     centre: float = 0.5,  # principal point as a share of width and height
+    frame_id: str = 'camera',
 ) -> bytes:
     x, y, region_width, region_height = region
     message = {
-        'header': Header(0, 'camera'),
+        'header': Header(0, frame_id),
         'height': height,
         'width': width,
         'distortion_model': model,
