@@ -25,7 +25,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.formats.image_names import order_images
 from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, KeypointSequence
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.identities import EXCHANGED_IDS, FollowedPerson, Identities
+from mocap_ros.keypoints.identities import FollowedPerson, Identities
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_image_size
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.matching import Detection
@@ -188,7 +188,7 @@ def associate_people(
     tracks in the order of their first frame, and lines on what was left out.
     """
     who, known, tracks = Identities[FollowedPerson](settings), list[FollowedPerson](), dict[str, PersonTrack]()
-    unusable, are_ids_ignored = 0, False
+    unusable, faults = 0, dict[str, None]()
     size = detections.image_size if all(detections.image_size) else ANY_SIZE
     camera = detections.intrinsics or Intrinsics.from_image_size(*size, settings.nominal_focal_length)
     for frame, (stamp_ns, people) in enumerate(zip(detections.stamps_ns, detections.people, strict=True)):
@@ -198,6 +198,10 @@ def associate_people(
         unusable += len(people) - len(seen)
         for lost in who.find_lost(stamp_ns, known):
             known.remove(lost)
+            if lost.id in who.doubles:
+                whole = tracks[who.doubles[lost.id]]
+                joined = tracks.pop(lost.id).detection_by_frame | whole.detection_by_frame
+                whole.detection_by_frame = dict(sorted(joined.items()))
         if who.is_everybody_gone(stamp_ns):
             who, known = who.restart(), []
         matches = who.match(stamp_ns, known, [d for _, d in seen])
@@ -211,10 +215,9 @@ def associate_people(
             track = tracks.setdefault(person.id, PersonTrack(person.id))
             track.detection_by_frame[frame] = _join_parts([seen[m][0] for m in members], settings.min_score)
         who.end_frame(stamp_ns, has_people=bool(seen))
-        are_ids_ignored = are_ids_ignored or who.are_ids_ignored
+        faults |= dict.fromkeys(who.list_faults())
     few = f'{unusable} detections left out, of which fewer than {settings.min_joints} joints are seen'
-    notes = (EXCHANGED_IDS if are_ids_ignored else '', few if unusable else '')
-    return list(tracks.values()), tuple(filter(None, notes))
+    return list(tracks.values()), (*faults, *([few] if unusable else []))
 
 
 def _join_parts(parts: Sequence[Person2D], min_score: float) -> Person2D:

@@ -11,6 +11,10 @@ the name of before.
 Ids that the detector does not keep for a person but counts anew in each image go from one person to another, far
 away, again and again (`Matches.are_ids_exchanged`). Once they did so in `MAX_EXCHANGES` frames of
 `EXCHANGE_MEMORY_S`, ids are ignored.
+
+Two people whose joints coincide (`matching.find_doubles`) in most frames are one whom the detector sees twice: the
+newer one is forgotten, at once if still tentative. Where the people of an image are those of the image before the
+last, and not of the last, images of two cameras come in turn.
 """
 
 from __future__ import annotations
@@ -26,6 +30,7 @@ import numpy as np
 from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
 from mocap_ros.keypoints.association import (
+    MIN_SHARED_JOINTS,
     VELOCITY_SPAN_S,
     KnownPerson,
     SeenPeople,
@@ -50,7 +55,35 @@ TENTATIVE_FORGET_S = 0.2  # s; a detector misses a person for a few frames, and 
 RETURN_S = 10.0  # s; who comes back later, at the same position, may as well be another person
 MAX_NAMES = 1000  # names that are remembered
 MAX_EXCHANGES, EXCHANGE_MEMORY_S = 3, 10.0  # frames, s; a detector that tracks people confuses them less often
+MIN_COUNT, MAX_COUNT = 10, 100  # frames of a `Tally`: for a decision, and when the older ones count half
+IN_TURN_GATE = 0.3  # person sizes, about 0.15 m; within 1 / 30 s nobody moves so far and back
+IN_TURN_RATIO = 3.0  # 1; of the distances to the people of the last image and of that before
+IN_TURN_SHARE = 0.3  # 1, share of images; of a camera with half the rate of the other, a third
 EXCHANGED_IDS = 'ids of people change places from frame to frame, as numbers of a list do; they are ignored'
+
+DOUBLES = 'people are detected twice in most images, with joints that coincide; each is taken as one'
+IN_TURN = (
+    'people are elsewhere in every other image, as where two cameras send in turn; give the images of one camera, '
+    'or run a node for each'
+)
+
+
+@dataclass
+class Tally:
+    """In how many of the newest frames something was so."""
+
+    frames: int = 0
+    count: int = 0
+
+    def add(self, *, is_so: bool) -> None:
+        """Add a frame."""
+        if self.frames == MAX_COUNT:
+            self.frames, self.count = self.frames // 2, self.count // 2
+        self.frames, self.count = self.frames + 1, self.count + is_so
+
+    def is_beyond(self, share: float) -> bool:
+        """Return whether it was so in at least this share of the frames, and in `MIN_COUNT`."""
+        return self.count >= max(MIN_COUNT, share * self.frames)
 
 
 def is_new(frames_seen: int, age_s: float) -> bool:
@@ -88,6 +121,7 @@ class Identities(Generic[P]):
         newest_ns: ns, stamp of the newest frame; None before the first.
         newest_person_ns: ns, stamp of the newest frame with a detection that can be used; None likewise.
         are_ids_ignored: whether the detector's ids have turned out to say nothing.
+        doubles: by the names of people who have turned out to be others, detected twice, the others' names.
     """
 
     def __init__(self, settings: TrackerConfig) -> None:
@@ -95,6 +129,10 @@ class Identities(Generic[P]):
         self.newest_ns: int | None = None
         self.newest_person_ns: int | None = None
         self.are_ids_ignored = False
+        self.doubles: dict[str, str] = {}
+        self._pairs: dict[tuple[str, str], Tally] = {}  # people who coincided in a frame, by name
+        self._twice, self._in_turn = Tally(), Tally()
+        self._seen: list[SeenPeople] = []  # in the last two frames in which anybody was
         self._exchanges_ns: list[int] = []
         self._lost: list[FormerPerson] = []
         self._names: deque[str] = deque(maxlen=MAX_NAMES)
@@ -106,13 +144,15 @@ class Identities(Generic[P]):
         return newest_ns is not None and stamp_ns - newest_ns > find_absence(self._settings) * NS_PER_S
 
     def find_lost(self, stamp_ns: int, people: Sequence[P]) -> list[P]:
-        """Return the people who were not detected for `tracker.forget_after`, and tentative ones sooner."""
+        """Return those who were not detected for `tracker.forget_after`, tentative ones sooner, and `doubles`."""
         longest_ns, lost = self._settings.forget_after * NS_PER_S, []
         for person in people:
             age_ns = stamp_ns - person.stamps_ns[-1]
             was_missed = person.stamps_ns[-1] != self.newest_ns
             is_misdetection = person.is_tentative and was_missed and age_ns > TENTATIVE_FORGET_S * NS_PER_S
-            if age_ns > longest_ns or is_misdetection:
+            if person.id in self.doubles:
+                lost.append(person)
+            elif age_ns > longest_ns or is_misdetection:
                 lost.append(person)
                 if not (person.is_tentative and was_missed):
                     self._lost.append(_leave(person))
@@ -137,7 +177,46 @@ class Identities(Generic[P]):
             oldest_ns = stamp_ns - EXCHANGE_MEMORY_S * NS_PER_S
             self._exchanges_ns = [s for s in self._exchanges_ns if s >= oldest_ns] + [stamp_ns]
             self.are_ids_ignored = len(self._exchanges_ns) >= MAX_EXCHANGES
+        self._find_doubles(people, matches)
+        self._find_turns(detections)
         return matches
+
+    def list_faults(self) -> list[str]:
+        """Return what seems wrong with the detections so far, in words."""
+        is_so = {
+            EXCHANGED_IDS: self.are_ids_ignored,
+            DOUBLES: self._twice.is_beyond(0.5),
+            IN_TURN: self._in_turn.is_beyond(IN_TURN_SHARE),
+        }
+        return [words for words, holds in is_so.items() if holds]
+
+    def _find_doubles(self, people: Sequence[P], matches: Matches[P]) -> None:
+        if matches.detections:
+            self._twice.add(is_so=bool(matches.doubles))
+        order = {person.id: n for n, person in enumerate(people)}
+        found = {person.id: person for person in matches.tracks if person is not None}
+        pairs = ((matches.tracks[d], matches.tracks[e]) for d, e in matches.doubles if d != e)
+        near = {(a.id, b.id) if order[a.id] < order[b.id] else (b.id, a.id) for a, b in pairs if a and b}
+        self._pairs = {pair: tally for pair, tally in self._pairs.items() if set(pair) <= order.keys()}
+        self.doubles = {}
+        for pair in sorted({*near, *self._pairs}, key=lambda pair: (order[pair[0]], order[pair[1]])):
+            if set(pair) <= found.keys():
+                tally = self._pairs.setdefault(pair, Tally())
+                tally.add(is_so=pair in near)
+                kept, other = sorted(pair, key=lambda name: found[name].is_tentative)
+                if tally.is_beyond(0.5) or (pair in near and found[other].is_tentative):
+                    self.doubles.setdefault(other, self.doubles.get(kept, kept))
+
+    def _find_turns(self, detections: Sequence[Detection]) -> None:
+        if not detections:
+            return
+        seen = SeenPeople(np.array([d.rays for d in detections]), np.array([d.weight for d in detections]))
+        best = seen.weight.sum(axis=1).argmax()
+        person = SeenPeople(*(a[best : best + 1] for a in seen))
+        if len(self._seen) == 2:
+            earlier, last = (float(measure_distances(s, person, MIN_SHARED_JOINTS)[0].min()) for s in self._seen)
+            self._in_turn.add(is_so=last > IN_TURN_GATE and earlier < last / IN_TURN_RATIO)
+        self._seen = [*self._seen[-1:], seen]
 
     def restart(self) -> Identities[P]:
         """Return identities that know of no person, but give no number a second time."""

@@ -13,7 +13,8 @@ The steps, each for the people and detections that are left by those before:
 3. The others are matched by position, size and pose (Hungarian method). A detection without an id, or with an id
    that is new, goes on with the track of a known person; with a new id it must be nearer.
 4. A detection that fits a person who has been found is part of it or the same once more, and one that fits a new
-   detection with more joints is part of that. It is joined to it, and never a person of its own.
+   detection with more joints is part of that, or the same once more where all joints coincide. It is joined to it,
+   and never a person of its own.
 
 Whoever is left is new.
 """
@@ -55,6 +56,9 @@ NEW_ID_GATE_GROWTH_PER_S = 1.0  # person sizes/s; likewise
 SAME_ID_GATE = 5.0  # person sizes; a detection with a known id that is farther away belongs to another person
 SAME_ID_GATE_GROWTH_PER_S = 10.0  # person sizes/s; likewise
 PART_GATE = 0.3  # person sizes, about 0.15 m; the joints of a part are those of the person, but for image noise
+# Person sizes, about 0.1 and 0.2 m; distances of the joints of a person detected twice: their median, and each. Of
+# people one behind the other, seen along that line, they are so small in one of a hundred images.
+DOUBLE_GATE, DOUBLE_JOINT_GATE = 0.2, 0.4
 UNTRACKED_ID = '-1'  # the id by which some detectors say that they know none
 TENTATIVE_COST = 0.5  # person sizes; a known person gets a detection sooner than one who may be none
 
@@ -120,6 +124,8 @@ class Matches(NamedTuple, Generic[P]):
     replaced: list[P]  # people whose id the detector has given to another person
     members: list[list[int]]  # for each of these detections its index, and those of its parts
     are_ids_exchanged: bool  # whether ids have gone from people to others who are where they were
+    # pairs of these detections in which one person is seen twice; twice the same where they have been joined
+    doubles: list[tuple[int, int]]
 
 
 def match_detections(stamp_ns: int, tracks: Sequence[P], detections: Sequence[Detection]) -> Matches[P]:
@@ -131,6 +137,26 @@ def match_detections(stamp_ns: int, tracks: Sequence[P], detections: Sequence[De
     matcher.match_positions()
     matcher.join_parts()
     return matcher.finish()
+
+
+def find_doubles(seen: SeenPeople) -> list[tuple[int, int]]:
+    """Return the pairs of detections, by their indices, whose joints coincide as those of one person seen twice.
+
+    At least half of the joints of one are seen in both, and all of these are near each other. Those of people who
+    hug are not: the left side of one is at the right side of the other.
+    """
+    if len(seen.points) < 2:
+        return []
+    found, sizes, is_seen = [], measure_sizes(*seen), seen.weight > 0
+    centres = seen.points.sum(axis=1) / is_seen.sum(axis=1, keepdims=True)  # points that were not seen are 0
+    is_near = np.linalg.norm(centres[:, None] - centres, axis=-1) < np.maximum(sizes[:, None], sizes)
+    for d, e in np.argwhere(np.triu(is_near, 1)).tolist():
+        shared = is_seen[d] & is_seen[e]
+        offsets = np.linalg.norm((seen.points[d] - seen.points[e])[shared], axis=1) / max(sizes[d], sizes[e])
+        has_most = len(offsets) >= max(MIN_SHARED_JOINTS, min(is_seen[d].sum(), is_seen[e].sum()) / 2)
+        if has_most and np.median(offsets) <= DOUBLE_GATE and offsets.max() <= DOUBLE_JOINT_GATE:
+            found.append((d, e))
+    return found
 
 
 class _Matcher(Generic[P]):
@@ -145,6 +171,7 @@ class _Matcher(Generic[P]):
         track_of: index of the track of each matched detection, by the detection's index.
         exchanged: detections that have the id of a person who is far, where another person is.
         whole_of: detection of which a detection is part, by indices.
+        doubles: pairs of `find_doubles`.
     """
 
     def __init__(self, stamp_ns: int, tracks: Sequence[P], detections: Sequence[Detection]) -> None:
@@ -159,6 +186,7 @@ class _Matcher(Generic[P]):
         self.track_of: dict[int, int] = {}
         self.exchanged: set[int] = set()
         self.whole_of: dict[int, int] = {}
+        self.doubles = find_doubles(self.seen)
         # tracks by the id that the detector gave the person last, and by the person's in the output
         self.called: dict[str, list[int]] = {}
         for p, track in enumerate(tracks):
@@ -245,7 +273,9 @@ class _Matcher(Generic[P]):
         joints = [np.count_nonzero(d.weight) for d in self.detections]
         wholes = list(self.track_of)
         for d in sorted(free, key=lambda d: -joints[d]):
-            whole = self._find_whole(d, [w for w in wholes if w in self.track_of or joints[w] > joints[d]])
+            same = {e for pair in self.doubles if d in pair for e in pair}
+            larger = [w for w in wholes if w in self.track_of or w in same or joints[w] > joints[d]]
+            whole = self._find_whole(d, larger)
             if whole is None:
                 wholes.append(d)
             else:
@@ -283,7 +313,9 @@ class _Matcher(Generic[P]):
         unmatched = {*range(len(self.tracks))}.difference(self.track_of.values()) if new else ()
         replaced = [self.tracks[p] for p in sorted(unmatched) if any(self._is_replaced(p, d) for d in new)]
         members = [*people.values()]
-        return Matches([detections[d] for d in people], tracks, replaced, members, bool(self.exchanged))
+        place = {member: n for n, own in enumerate(members) for member in own}
+        doubles = [(place[d], place[e]) for d, e in self.doubles]
+        return Matches([detections[d] for d in people], tracks, replaced, members, bool(self.exchanged), doubles)
 
     def _is_replaced(self, p: int, d: int) -> bool:
         """Return whether the detector has given a person's id to a new detection that is another person's."""

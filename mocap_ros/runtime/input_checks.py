@@ -21,7 +21,7 @@ import numpy as np
 from mocap_ros.config import Config, TrackerConfig
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import Floor
-from mocap_ros.keypoints.identities import EXCHANGED_IDS, find_absence
+from mocap_ros.keypoints.identities import find_absence
 from mocap_ros.keypoints.validation import MIN_JUDGED_FRAMES, describe_rate
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.people import Person3D
@@ -135,10 +135,9 @@ class InputChecks:
             other_camera,
         )
         self.warnings = tuple(filter(None, found))
-        ids = EXCHANGED_IDS if tracker.are_ids_ignored else ''
         heights = floor[1], _check_camera_height(intrinsics, config.tracker, has_floor=floor[0] is not None)
         nominal = '' if other_camera else self._check_calibration(stamp_ns, intrinsics, config)
-        notes = [*heights, nominal, ids] if frame.people else []
+        notes = [*heights, nominal, *tracker.list_detector_faults()] if frame.people else []
         self._has_keypoints |= bool(frame.people)
         self._box_images += bool(frame.without_keypoints)
         if self._box_images >= MIN_BOX_IMAGES and not self._has_keypoints:

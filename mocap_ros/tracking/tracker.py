@@ -134,10 +134,9 @@ class Tracker:
         """Whether anybody's feet fit a floor of known height, so that it shows their size."""
         return any(t.floor_contact is not None for t in self.tracks)
 
-    @property
-    def are_ids_ignored(self) -> bool:
-        """Whether the detector's ids are ignored, as they go from people to others far away again and again."""
-        return self._who.are_ids_ignored
+    def list_detector_faults(self) -> list[str]:
+        """Return what seems wrong with how people are detected, in words."""
+        return self._who.list_faults()
 
     def reset(self) -> None:
         """Begin without people, names and stamps; the counters and a vertical that was given stay."""

@@ -5,6 +5,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,8 +20,9 @@ from mocap_ros.formats.detections import Detections, associate_people, create_pe
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints import association
 from mocap_ros.keypoints.association import SeenPeople, choose_pairs, measure_distances, measure_sizes
-from mocap_ros.keypoints.identities import EXCHANGED_IDS, FollowedPerson
+from mocap_ros.keypoints.identities import DOUBLES, EXCHANGED_IDS, IN_TURN, FollowedPerson
 from mocap_ros.keypoints.left_right import BodySides, SwapFilter, ViterbiPaths, exchange_sides, find_swapped_parts
+from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.tracker import Tracker
@@ -143,24 +145,26 @@ def count_people(f: int) -> Seen:
 
 
 @pytest.mark.parametrize(
-    ('see', 'frames_by_person', 'has_line'),
+    ('see', 'frames_by_person', 'fault'),
     [
-        (lambda f: [(300.0 + f, '' if f % 3 or 20 <= f < 30 else '7')], [60], False),
-        (lambda f: [(300.0 + f, '149'[f // 20])], [60], False),
-        (lambda f: [(300.0 + f, '-1')], [60], False),
-        (lambda f: [(300.0, '')] if f < 15 or f >= 53 else [], [22], False),  # back after 1.3 s
-        (lambda f: [(300.0, 'a'), (700.0, 'b')][:: 1 - 2 * (f % 2)], [60, 60], False),
-        (lambda f: list(zip((300.0, 700.0)[:: 1 - 2 * (f % 2)], '01', strict=True)), [60, 60], True),
-        (lambda f: list(zip((500.0, 620.0)[:: 1 - 2 * (f // 5 % 2)], '01', strict=True)), [60, 60], True),
-        (count_people, [40, 60, 60], False),
-        (walk_past, [60, 60], False),
-        (lambda f: walk_past(f, range(22, 38)), [60, 60], False),
-        (lambda f: walk_out(f, '12'), [25, 25], False),
-        (lambda f: walk_out(f, ('', '')), [25, 25], False),
+        (lambda f: [(300.0 + f, '' if f % 3 or 20 <= f < 30 else '7')], [60], ''),
+        (lambda f: [(300.0 + f, '149'[f // 20])], [60], ''),
+        (lambda f: [(300.0 + f, '-1')], [60], ''),
+        (lambda f: [(300.0, '')] if f < 15 or f >= 53 else [], [22], ''),  # back after 1.3 s
+        (lambda f: [(300.0, 'a'), (700.0, 'b')][:: 1 - 2 * (f % 2)], [60, 60], ''),
+        (lambda f: list(zip((300.0, 700.0)[:: 1 - 2 * (f % 2)], '01', strict=True)), [60, 60], EXCHANGED_IDS),
+        (lambda f: list(zip((500.0, 620.0)[:: 1 - 2 * (f // 5 % 2)], '01', strict=True)), [60, 60], EXCHANGED_IDS),
+        (count_people, [40, 60, 60], ''),
+        (walk_past, [60, 60], ''),
+        (lambda f: walk_past(f, range(22, 38)), [60, 60], ''),
+        (lambda f: walk_out(f, '12'), [25, 25], ''),
+        (lambda f: walk_out(f, ('', '')), [25, 25], ''),
+        (lambda f: [(300.0 + 500 * (f % 2), '')], [30, 30], IN_TURN),
+        (lambda f: [(300.0 + 500 * (f % 3 == 1), '')], [40, 20], IN_TURN),
     ],
 )  # fmt: skip
 def test_people_are_the_same_whole_and_live(
-    walk_model: BasePoses, see: Callable[[int], Seen], frames_by_person: list[int], has_line: bool
+    walk_model: BasePoses, see: Callable[[int], Seen], frames_by_person: list[int], fault: str
 ) -> None:
     """Each person is where the person was; names come from the first id, and never change."""
     stamps = [f * NS_PER_S // RATE_HZ for f in range(FRAMES)]
@@ -171,7 +175,7 @@ def test_people_are_the_same_whole_and_live(
     ]
     tracks, lines = associate_people(Detections(people, stamps, SIZE))
     assert [len(t.detection_by_frame) for t in tracks] == frames_by_person
-    assert lines == ((EXCHANGED_IDS,) if has_line else ())
+    assert [*lines] == [fault] * bool(fault)
     for track in tracks:
         x = np.array([p.points[0, 0] for p in track.detection_by_frame.values()])
         steps = np.diff(x) / np.diff([*track.detection_by_frame])
@@ -181,7 +185,43 @@ def test_people_are_the_same_whole_and_live(
         live = [p.id for p in tracker.update(stamp_ns, seen, camera) if not p.predicted]
         by_person = {id(t.detection_by_frame.get(frame)): t.id for t in tracks}
         assert live == [by_person[id(p)] for p in seen]
-    assert tracker.are_ids_ignored == has_line
+    assert tracker.list_detector_faults() == [*lines]
+
+
+def see_twice(f: int, ids: Sequence[str], rng: np.random.Generator) -> list[Person2D]:
+    """Return two detections of a person who walks, 3 cm apart, but 20 cm in the first five frames."""
+    away = [0.0, 20.0 if f < 5 else 3.0]  # px; the person is 173 px tall
+    both = [BODY + [300 + 2 * f + x, 500] + rng.normal(0, 1, BODY.shape) for x in away]
+    score = np.full((17, 1), 0.9)
+    shown = [create_person(np.hstack([k, score]), 'coco17', i) for k, i in zip(both, ids, strict=True)]
+    return shown if f % 5 != 3 else shown[f // 5 % 2 :][:1]
+
+
+def see_hug(_: int, ids: Sequence[str], rng: np.random.Generator) -> list[Person2D]:
+    """Return two people before the camera who hug, one seen from the front and the other from behind."""
+    bodies = [BODY + [500, 500], BODY * [-1, 1] + [503, 500]]
+    score = np.full((17, 1), 0.9)
+    return [
+        create_person(np.hstack([k + rng.normal(0, 2, k.shape), score]), 'coco17', i)
+        for k, i in zip(bodies, ids, strict=True)
+    ]
+
+
+@pytest.mark.parametrize('ids', [('', ''), ('7', '8')])
+@pytest.mark.parametrize(('see', 'count', 'faults'), [(see_twice, 1, [DOUBLES]), (see_hug, 2, [])])
+def test_a_person_who_is_detected_twice_is_one_and_people_who_hug_are_two(
+    walk_model: BasePoses, rng: np.random.Generator, see: Any, count: int, faults: list[str], ids: tuple[str, str]
+) -> None:
+    stamps = [f * NS_PER_S // RATE_HZ for f in range(FRAMES)]
+    people = [see(f, ids, rng) for f in range(FRAMES)]
+    tracks, lines = associate_people(Detections(people, stamps, SIZE))
+    assert [len(t.detection_by_frame) for t in tracks] == [FRAMES] * count
+    assert [*lines] == faults
+    tracker, camera = Tracker(walk_model, Config()), Intrinsics.from_image_size(*SIZE, 0.75)
+    live = [tracker.update(stamp_ns, seen, camera) for stamp_ns, seen in zip(stamps, people, strict=True)]
+    assert len(live[4]) == 2
+    assert [len(shown) for shown in live[25:]] == [count] * (FRAMES - 25)
+    assert tracker.list_detector_faults() == faults
 
 
 ENTER_PROBABILITY, LEAVE_PROBABILITY = np.array([0.0005, 0.003, 0.003]), np.array([0.2, 0.55, 0.55])
