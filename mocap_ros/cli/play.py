@@ -19,7 +19,7 @@ CLOCK_HZ = 40.0  # Hz, the default rate of /clock, that of `ros2 bag play --cloc
 
 DESCRIPTION = (
     'Publishes the keypoints of a bag, of any type that the node takes, or the frames of a sequence file, on the '
-    'topic `keypoints`, and the CameraInfo messages of a bag on `camera_info`. The messages keep their stamps and '
+    'topic `keypoints`, and the CameraInfo beside them on `camera_info`. The messages keep their stamps and '
     'the QoS with which they were recorded. Needs ROS 2.'
 )
 OPTIONS: Options = {

@@ -73,9 +73,10 @@ def check_output(path: Path, *sources: Path) -> None:
     # Opening a named pipe would wait for a reader; an open pipe such as /dev/stdout has no path.
     if Path(os.path.realpath(path)).is_fifo():
         raise MocapError(f'{path}: cannot be written: {NEITHER_FILE_NOR_FOLDER}')
-    if not path.parent.is_dir():
-        raise MocapError(f'{path}: cannot be written: there is no folder {path.parent}')
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
+    nearest = next(place for place in (path, *path.absolute().parents) if place.exists())
+    if nearest != path and not nearest.is_dir():
+        raise MocapError(f'{path}: cannot be written: {nearest} is no folder')
+    if not os.access(nearest, os.W_OK):
         raise MocapError(f'{path}: cannot be written: {os.strerror(errno.EACCES)}')
 
 
@@ -83,10 +84,10 @@ def check_output(path: Path, *sources: Path) -> None:
 def replace_output(path: Path, *sources: Path) -> Iterator[Path]:
     """Yield the path to which a file is to be written, and put that file in place when all of it is written.
 
-    The yielded path has the name of the file, in a temporary folder beside it. An error or an interrupt in the
-    block leaves the old file as it was, and nothing of the new one. A link stays, and the file that it points to
-    is replaced; an existing file keeps its permissions. Paths in /dev and /proc and devices are written directly:
-    then `path` itself is yielded.
+    The yielded path has the name of the file, in a temporary folder beside it; missing folders are made. An error
+    or an interrupt in the block leaves the old file as it was, and nothing of the new one. A link stays, and the
+    file that it points to is replaced; an existing file keeps its permissions. Paths in /dev and /proc and devices
+    are written directly: then `path` itself is yielded.
     """
     check_output(path, *sources)
     if path.exists() and (not path.is_file() or path.absolute().parts[1:2] in (('dev',), ('proc',))):
@@ -94,6 +95,8 @@ def replace_output(path: Path, *sources: Path) -> Iterator[Path]:
             yield path
         return
     place = Path(os.path.realpath(path))
+    with _naming_output(path):
+        place.parent.mkdir(parents=True, exist_ok=True)
     with _naming_output(path), TemporaryDirectory(dir=place.parent, prefix='.mocap_ros_') as folder:
         unfinished = Path(folder) / path.name
         try:

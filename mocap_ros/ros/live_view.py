@@ -31,6 +31,7 @@ from mocap_ros.skeleton import BODY26, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.live_page import LiveScene, PageServer, make_nobody
 
+# Only the newest messages count: a page that is late must not fall behind.
 KEYPOINTS_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 WAITING_NS = 6 * NS_PER_S  # for which keypoints wait for their skeletons; `tracker.lag` is at most 5 s
 

@@ -3,9 +3,8 @@
 
 """Entry points of the nodes.
 
-Exit codes: 0 after SIGINT or SIGTERM; 1 if the node could not start, with the reason in one line on stderr; 2 for
-wrong usage. A lifecycle node that has started but cannot be configured or activated logs the reason and waits for
-the next transition.
+Exit codes: 0 after SIGINT or SIGTERM; 1 if the node could not be started, configured or activated, as where the
+value of a parameter is wrong, with the reason in one line on stderr; 2 for wrong usage.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ import re
 import signal
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -32,16 +33,22 @@ from mocap_ros.config import Parameter, Value, suggest_parameter
 from mocap_ros.errors import ConfigError, MocapError
 from mocap_ros.ros.throttled_log import TracebackLog
 
+MAX_STANDSTILL_S = 5.0  # s; players and simulators send /clock from their start on
 SPIN_SECONDS = 0.1  # s; bounds the delay between a signal and the end of the node
 MAX_INTEGER = 2**31 - 1  # the bound of integer parameters without one; rclpy's ranges need both bounds
 QOS_OVERRIDE_PREFIX = 'qos_overrides.'  # rclpy declares these parameters when the node subscribes
 
 
 class ManagedNode(LifecycleNode):
-    """A lifecycle node of which a subclass says what is made when it is configured, and what runs while active."""
+    """A lifecycle node of which a subclass says what is made when it is configured, and what runs while active.
+
+    Where that fails, as by the value of a parameter, `failure` says why, and `run_node` ends the node.
+    """
+
+    failure: MocapError | None = None
 
     def configure(self) -> None:
-        """Make what the node needs; an error leaves the node unconfigured."""
+        """Make what the node needs; an error ends the node."""
         raise NotImplementedError
 
     def clean_up(self) -> None:
@@ -49,7 +56,7 @@ class ManagedNode(LifecycleNode):
         raise NotImplementedError
 
     def start_run(self) -> None:
-        """Begin to work; an error leaves the node inactive."""
+        """Begin to work; an error ends the node."""
         raise NotImplementedError
 
     def stop_run(self) -> None:
@@ -59,7 +66,7 @@ class ManagedNode(LifecycleNode):
     has_autostart = True  # whether `start` does anything
 
     def start(self) -> None:
-        """Configure and activate the node; if that fails, the reason is logged, and the node keeps running."""
+        """Configure and activate the node, unless it waits for somebody else to do so."""
         if self.has_autostart and self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
             self.trigger_activate()
 
@@ -73,7 +80,7 @@ class ManagedNode(LifecycleNode):
         try:
             self.configure()
         except Exception as error:
-            self._log_failure('configured', 'configure', error)
+            self._fail(error)
             self.clean_up()
             return TransitionCallbackReturn.FAILURE
         return super().on_configure(state)
@@ -84,7 +91,7 @@ class ManagedNode(LifecycleNode):
         try:
             self.start_run()
         except Exception as error:
-            self._log_failure('activated', 'activate', error)
+            self._fail(error)
             self.stop_run()
             super().on_deactivate(state)
             return TransitionCallbackReturn.FAILURE
@@ -114,16 +121,34 @@ class ManagedNode(LifecycleNode):
         """Create a timer of the steady clock, whatever the time of a simulation is."""
         return self.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _log_failure(self, state: str, transition: str, error: Exception) -> None:
-        reason = str(error) if isinstance(error, MocapError) else f'{type(error).__name__}: {error}'
-        self.get_logger().error(
-            f'{" ".join(reason.split())}; the node is not {state}: correct the cause, then restart the node, or '
-            f'run `ros2 lifecycle set {self.get_fully_qualified_name()} {transition}` where ROS 2 is sourced'
-        )
+    def _fail(self, error: Exception) -> None:
+        self.failure = error if isinstance(error, MocapError) else MocapError(f'{type(error).__name__}: {error}')
+
+
+class ClockMonitor:
+    """Observer of the time of a node, which stands still where `use_sim_time` is set and nothing sends /clock."""
+
+    def __init__(self, node: Node) -> None:
+        self._node, self._moved_s = node, time.monotonic()
+
+    def check(self) -> None:
+        """Log a warning once the time has been 0 for `MAX_STANDSTILL_S`."""
+        clock, now_s = self._node.get_clock(), time.monotonic()
+        if not clock.ros_time_is_active or clock.now().nanoseconds:
+            self._moved_s = now_s
+        elif now_s - self._moved_s > MAX_STANDSTILL_S:
+            self._moved_s = inf
+            self._node.get_logger().warning(
+                f'use_sim_time is set, but nothing has arrived on /clock for {MAX_STANDSTILL_S:g} s; start what '
+                'sends it (`mocap-ros play --clock`, a simulator), or leave use_sim_time out'
+            )
 
 
 def run_node(arguments: Sequence[str], node_class: Callable[[], Any]) -> None:
-    """Run a node, with methods `start` and `close`, until SIGINT or SIGTERM; rclpy parses the arguments."""
+    """Run a node, with methods `start` and `close`, until SIGINT or SIGTERM; rclpy parses the arguments.
+
+    Its `failure`, if it has one, is raised.
+    """
     stop = threading.Event()
 
     def request_stop(*_: object) -> None:
@@ -139,11 +164,15 @@ def run_node(arguments: Sequence[str], node_class: Callable[[], Any]) -> None:
         executor.add_node(node)
         for end in (node.destroy_node, executor.shutdown, node.close):  # called last to first
             stack.callback(end)
+        clock = ClockMonitor(node)
         node.start()
         while not stop.is_set():
+            if failure := getattr(node, 'failure', None):
+                raise failure
             try:
+                clock.check()
                 executor.spin_once(timeout_sec=SPIN_SECONDS)
-            except ExternalShutdownException:  # noqa: PERF203
+            except ExternalShutdownException:
                 raise
             except Exception:  # rclpy raises some for messages that anyone can send, as of a parameter's type
                 tracebacks.report(traceback.format_exc())

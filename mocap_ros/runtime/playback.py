@@ -54,9 +54,9 @@ class PlayedTopic(NamedTuple):
 class Playback:
     """The messages of a bag or a sequence file that are to be published; it can be iterated repeatedly.
 
-    By default these are the keypoints and the CameraInfo that belongs to them, published on `camera_info`. A
-    sequence file has one if it states its camera. The keypoints are published on the topic `to`; the topics of
-    ROS4HRI keep their recorded names, as do all topics of a bag with `everything`.
+    By default these are the keypoints, published on the topic `to`, and the CameraInfo that belongs to them, on
+    `camera_info` beside it. A sequence file has one if it states its camera. The topics of ROS4HRI keep their
+    recorded names, as do all topics of a bag with `everything`.
     """
 
     def __init__(
@@ -69,11 +69,12 @@ class Playback:
     ) -> None:
         self._path = path
         self._is_sequence = path.suffix == '.npz'
+        beside = to[: to.rfind('/') + 1] + CAMERA_INFO_TOPIC
         if self._is_sequence:
             sequence = load_sequence_file(path)
             self.topics = [PlayedTopic(to, KEYPOINTS)]
             if sequence.is_camera_known:
-                self.topics.append(PlayedTopic(CAMERA_INFO_TOPIC, CAMERA_INFO))
+                self.topics.append(PlayedTopic(beside, CAMERA_INFO))
             self.count = len(sequence) * len(self.topics)
             return
         with Bag(path) as bag:
@@ -84,7 +85,7 @@ class Playback:
                 sources = find_people_topics(bag, topic)
                 published_names = {t: to if source is Source.KEYPOINTS else t for t, source in sources.items()}
                 if found := bag.find_camera_info_topic([*published_names], camera_info):
-                    published_names[found] = CAMERA_INFO_TOPIC
+                    published_names[found] = beside
             self.topics = [
                 PlayedTopic(published, bag.topics[recorded], bag.qos[recorded], recorded)
                 for recorded, published in published_names.items()

@@ -193,6 +193,12 @@ def test_an_error_leaves_the_old_file_and_nothing_else(
     assert [file.read_text() for file in tmp_path.iterdir()] == ['old'] * is_old
 
 
+def test_a_missing_folder_is_made(tmp_path: Path) -> None:
+    with replace_output(tmp_path / 'a' / 'b' / 'out.npz') as unfinished:
+        unfinished.write_text('new')
+    assert (tmp_path / 'a' / 'b' / 'out.npz').read_text() == 'new'
+
+
 def test_an_existing_file_keeps_its_permissions_and_a_new_one_has_the_usual_ones(tmp_path: Path) -> None:
     before = os.umask(0o027)
     try:

@@ -22,13 +22,21 @@ from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS
-from mocap_ros.ros.main import detector_main, main
+from mocap_ros.ros.main import bridge_main, detector_main, main
 from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.runtime.replay import replay
 from tests.support.blob_people import draw, save_movenet, walk
 from tests.support.camera_messages import camera_info, encode_pixels, make_compressed
 from tests.support.pipeline_inputs import encode_demo_frames, with_stamp
-from tests.support.ros_node import Peer, StartNode, StartProgram, keypoints_at, stop_node, wait_until_discovered
+from tests.support.ros_node import (
+    TIMEOUT_S,
+    Peer,
+    StartNode,
+    StartProgram,
+    keypoints_at,
+    stop_node,
+    wait_until_discovered,
+)
 
 pytestmark = pytest.mark.ros
 
@@ -48,24 +56,22 @@ def reset(peer: Peer) -> Any:
 
 
 @pytest.mark.parametrize(
-    ('parameter', 'state', 'reason'),
+    ('parameter', 'place'),
     [
-        ('tracker.model:=broken.npz', 'unconfigured', r'broken\.npz: .*set /mocap_node configure'),
-        (
-            'qos_overrides./camera_info.subscription.reliability:=rubbish',
-            *('inactive', r'reliability.*set /mocap_node activate'),
-        ),
+        ('tracker.model:=broken.npz', 'broken.npz: '),
+        ('qos_overrides./camera_info.subscription.reliability:=rubbish', 'reliability'),
     ],
 )
-def test_a_node_that_cannot_start_logs_why_in_one_line_and_keeps_running(
-    peer: Peer, start_node: StartNode, tmp_path: Path, parameter: str, state: str, reason: str
+def test_a_node_that_cannot_start_says_why_in_one_line_and_ends(
+    start_node: StartNode, tmp_path: Path, parameter: str, place: str
 ) -> None:
     (tmp_path / 'broken.npz').write_bytes(b'PK\3\4 no model')
     process = start_node(parameter)
-    label = read_state(peer)
-    (line,) = stop_node(process)
-    assert label == state
-    assert re.search(reason, line), line
+    _, log = process.communicate(timeout=TIMEOUT_S)
+    (line,) = log.splitlines()
+    assert process.returncode == 1
+    assert line.startswith('mocap_node: ')
+    assert place in line
 
 
 def test_parameters_are_checked_and_unknown_ones_named(peer: Peer, start_node: StartNode, tmp_path: Path) -> None:
@@ -93,7 +99,8 @@ def test_parameters_are_checked_and_unknown_ones_named(peer: Peer, start_node: S
 
 def test_a_node_without_autostart_obeys(peer: Peer, start_node: StartNode, tmp_path: Path) -> None:
     silence = 'node.silence_warning:=0.5'
-    node = start_node('node.autostart:=false', silence, f'recorder.folder:={tmp_path}/bags')
+    given = 'node.autostart:=false', 'use_sim_time:=true', silence, f'recorder.folder:={tmp_path}/bags'
+    node = start_node(*given)
     assert read_state(peer) == 'unconfigured'
     peer.change_state(CONFIGURE)
     assert read_state(peer) == 'inactive'
@@ -101,6 +108,7 @@ def test_a_node_without_autostart_obeys(peer: Peer, start_node: StartNode, tmp_p
         assert (answer.success, answer.message) == (False, 'the node is not active')
     assert peer.set_parameter('tracker.min_score', 1.0).successful  # no person is seen as well as that
 
+    peer.wait_for_log('nothing has arrived on /clock')
     peer.change_state(ACTIVATE, DEACTIVATE, ACTIVATE)
     peer.wait_for_node()
     peer.wait_for_keypoints_subscription()
@@ -120,7 +128,8 @@ def test_a_node_without_autostart_obeys(peer: Peer, start_node: StartNode, tmp_p
     with Bag(bag_folder) as bag:
         assert bag.count(['/keypoints']) == bag.count(['/skeletons']) == 1
         replay(bag, tmp_path / 'again')
-    assert ['~/record' in line for line in stop_node(node) if 'no message has arrived' not in line] == [True]
+    lines = [line for line in stop_node(node) if 'no message has arrived' not in line]
+    assert [('use_sim_time' in line, '~/record' in line) for line in lines] == [(True, False), (False, True)]
 
 
 def test_the_topic_of_the_right_camera_info_is_named(peer: Peer, start_node: StartNode) -> None:
@@ -235,6 +244,8 @@ def test_peers_with_an_incompatible_qos_are_logged_once(peer: Peer, start_node: 
 FRAME_NS = 33_333_333
 # The detector takes the newest image only, if nothing else is said.
 TAKE_ALL_IMAGES = [f'qos_overrides./image.subscription.{p}' for p in ('reliability:=reliable', 'depth:=10')]
+# Found when they are declared, by the reader of a text, and when the node is configured.
+WRONG_VALUES = 'tracker.lag:=9.0', 'tracker.vertical:=up', 'node.camera_pose:=1 2', 'node.input_type:=x/msg/Y'
 DETECTOR = sys.executable, '-c', 'import sys; from mocap_ros.ros import main; sys.exit(main.detector_main())'
 
 
@@ -244,7 +255,9 @@ DETECTOR = sys.executable, '-c', 'import sys; from mocap_ros.ros import main; sy
         (main, ['--ros-args', '--params-file', 'bad.yaml'], 1, 'bad.yaml'),
         (main, ['--ros-args', '--frobnicate'], 1, '--frobnicate'),
         (main, ['--ros-args', '-r', '__ns:=/left', '--params-file', 'p.yaml'], 1, 'tracker.body_height'),
+        *((main, ['--ros-args', '-p', wrong], 1, wrong.partition(':')[0]) for wrong in WRONG_VALUES),
         (main, ['tracker.window:=2.0'], 2, 'tracker.window:=2.0'),
+        (bridge_main, ['--ros-args', '-p', 'publish:=nobody'], 1, 'nobody'),
         (detector_main, ['--ros-args', '-p', 'model:=none.onnx'], 1, 'none.onnx'),
         (detector_main, ['--ros-args', '-p', 'image_type:=std_msgs/msg/String'], 1, 'image_type'),
     ],
@@ -271,7 +284,7 @@ def test_wrong_arguments_are_reported_in_one_line(
         found = int(stopped.code or 0)
     *usage, line = capfd.readouterr().err.splitlines()
     assert (found, len(usage)) == (code, code - 1)
-    assert line.startswith(('mocap_node: ', 'detector_node: '))
+    assert line.startswith(('mocap_node: ', 'mocap_bridge: ', 'detector_node: '))
     assert reason in line
 
 

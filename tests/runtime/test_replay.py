@@ -368,11 +368,12 @@ def test_keypoints_and_their_camera_are_played_on_the_topics_of_the_node(tmp_pat
         recorder.write('/skeleton_definition', SKELETON_DEFINITION, DEFINITION, 2, 2)
         for frame, raw in enumerate(stream):
             recorder.write('/left/keypoints', KEYPOINTS, raw, 10 + frame, 10)
-    playback = Playback(tmp_path / 'bag', to='people')
-    assert {t.recorded: (t.name, t.type) for t in playback.topics} == {
-        '/left/keypoints': ('people', KEYPOINTS),
-        '/left/camera_info': ('camera_info', CAMERA_INFO),
-    }
+    for to, beside in (('/front/people', '/front/camera_info'), ('people', 'camera_info')):
+        playback = Playback(tmp_path / 'bag', to=to)
+        assert {t.recorded: (t.name, t.type) for t in playback.topics} == {
+            '/left/keypoints': (to, KEYPOINTS),
+            '/left/camera_info': (beside, CAMERA_INFO),
+        }
     assert playback.count == FRAMES + 1
     expected = [(1, '/left/camera_info', INFO)]
     expected += [(10 + i, '/left/keypoints', raw) for i, raw in enumerate(stream)]
