@@ -54,7 +54,7 @@ def read(
             (`.json`), or video. A sequence file takes none of the other arguments but `hfov` and `focal`.
         person: id of the person; by default the person who is seen in most frames.
         topic: topic of the keypoints; needed only for a bag with several.
-        camera_info: topic of the CameraInfo; by default the one that shares most of the keypoints' namespace.
+        camera_info: topic of the CameraInfo; by default that of the keypoints' camera (`frame_id`) and namespace.
         fps: Hz, frame rate; needed for JSON, which has no times, without its `video`.
         image_size: (width, height) in px, where JSON does not state it.
         layout: name of the keypoint layout of JSON; by default the one with that number of keypoints.

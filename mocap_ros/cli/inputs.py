@@ -49,8 +49,8 @@ MODEL_OPTIONS: Options = {
 }
 TOPIC_OPTIONS: Options = {
     '--topic NAME': 'topic of the keypoints in a bag (default: the only one in the bag)',
-    '--camera-info NAME': 'topic of the CameraInfo in a bag (default: the one that shares most of the namespace '
-    'of the keypoints)',
+    '--camera-info NAME': 'topic of the CameraInfo in a bag (default: that of the camera and the namespace of '
+    'the keypoints)',
 }
 LENS_OPTIONS: Options = {
     '--hfov DEG': option(

@@ -74,7 +74,7 @@ class InputOptions(NamedTuple):
     node: NodeConfig = NodeConfig()
     person: str | None = None  # id of the person; None for the one who is seen in most frames, or for all
     topic: str | None = None  # topic of the keypoints; needed only for a bag with several
-    # Topic of the CameraInfo; None for the one that shares most of the keypoints' namespace
+    # Topic of the CameraInfo; None for that of the keypoints' camera (`frame_id`) and namespace
     camera_info: str | None = None
     # Function that shows the progress of a detector on a video
     show_detection: ShowProgress = lambda images, _: images
