@@ -190,4 +190,4 @@ class Tracker:
             Person2D(name, self._joint_names, p, s) for name, p, s in zip(names, points, score, strict=True)
         ]
         check_ids('ids', detected)
-        return detected
+        return [person.hide_border(self._image_size) for person in detected]

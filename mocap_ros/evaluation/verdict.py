@@ -40,7 +40,7 @@ from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.keypoints.rays import convert_to_rays, join_body
 from mocap_ros.models.lifter import Lifter
 from mocap_ros.models.lifter_input import sample_histories
-from mocap_ros.skeleton import CMU15, CORE_COUNT, KEYPOINT_LAYOUTS, keypoint_layout
+from mocap_ros.skeleton import CMU15, CORE_COUNT, KEYPOINT_LAYOUTS, canonical_joint_names, keypoint_layout
 from mocap_ros.solvers.vertical import GIVEN_STD_DEG
 from mocap_ros.units import NS_PER_S
 
@@ -60,6 +60,9 @@ LAYOUT_MARGIN = 0.35  # u by which another layout must be more certain
 MIN_LAYOUT_UNCERTAINTY = -1.85  # u above which other layouts are considered
 TURN_MARGIN = 0.12  # u by which a turned image must be more certain
 AXES_MARGIN = 0.04  # u by which a mirrored and turned image must be more certain than a turned one
+# Joints and the share of them, 1, without which nothing shows whether a person is mirrored. Whole bodies show 0.8
+# and more of them; without hips and legs, 6 of 206 sound views are by more than the margin less certain than mirrored
+SIDED_JOINTS, MIN_SIDED_SHARE = {s + n for s in 'lr' for n in ('shoulder', 'hip', 'knee')}, 0.7
 MIRROR_MARGIN = 0.15  # u by which a mirrored image must be more certain
 BACKWARDS_MARGIN = 0.05  # u, likewise where people walk backwards
 # m, s; people walk where they move by at least so far within a time
@@ -127,10 +130,14 @@ class Stretch(NamedTuple):
     vertical: Array | None = None
 
 
-def list_readings(names: tuple[str, ...]) -> list[Reading]:
-    """Return all ways to read keypoints of these names: as given, turned, mirrored, or as another layout."""
+def list_readings(stretch: Stretch) -> list[Reading]:
+    """Return the ways to read keypoints: as given, turned, mirrored if they show enough, or as another layout."""
+    names = stretch.names
     layouts = [s.name for s in KEYPOINT_LAYOUTS.values() if len(s.joints) == len(names) and s.joints != names]
-    return [GIVEN, *TURNED, *MIRRORED, *map(Reading, layouts)]
+    sided = [i for i, name in enumerate(canonical_joint_names(names)) if name in SIDED_JOINTS]
+    is_seen = stretch.keypoints[..., 2] > 0
+    shown = is_seen[is_seen.sum(axis=1) >= MIN_SEEN_JOINTS][:, sided].mean(axis=0).sum() / len(SIDED_JOINTS)
+    return [GIVEN, *TURNED, *(MIRRORED if shown >= MIN_SIDED_SHARE else ()), *map(Reading, layouts)]
 
 
 def make_stretch(
@@ -278,18 +285,19 @@ def judge(
         best = min(layouts, key=uncertainty.__getitem__)
         if uncertainty[best] < min(given - LAYOUT_MARGIN, MAX_UNCERTAINTY):
             return Judgement(Grade.WRONG, Fault.LAYOUT, best.layout)
-    mirrored = min(MIRRORED, key=uncertainty.__getitem__)
+    mirrors = [reading for reading in MIRRORED if reading in uncertainty]
+    mirrored = min(mirrors, key=uncertainty.__getitem__, default=GIVEN)
     mirrored_u = uncertainty[mirrored]
     if fit := _grade_fit(residual_share, is_uncertain=min(given, mirrored_u) > MAX_UNCERTAINTY):
         return Judgement(fit, Fault.MISFIT)
     is_turned = min(given, mirrored_u) < upright - TURN_MARGIN and (given < upright or mirrored.turns > 0)
-    if is_turned and MIRRORED[mirrored] in (Fault.Y_UP, Fault.AXES) and mirrored_u < given - AXES_MARGIN:
+    if is_turned and MIRRORED.get(mirrored) in (Fault.Y_UP, Fault.AXES) and mirrored_u < given - AXES_MARGIN:
         return Judgement(Grade.WRONG, MIRRORED[mirrored])
-    excess = given - uncertainty[MIRROR_IMAGE]
+    excess = given - uncertainty.get(MIRROR_IMAGE, math.inf)
     if excess > (BACKWARDS_MARGIN if is_backwards else MIRROR_MARGIN):
         return Judgement(Grade.WRONG if excess > MIRROR_MARGIN else Grade.DOUBTFUL, Fault.MIRRORED)
     if is_turned:  # people may lie, but are seldom upside down
-        best = min((GIVEN, *TURNED, *MIRRORED), key=uncertainty.__getitem__)
+        best = min((GIVEN, *TURNED, *mirrors), key=uncertainty.__getitem__)
         return Judgement(Grade.WRONG if best.turns == UPSIDE_DOWN else Grade.DOUBTFUL, Fault.TURNED)
     return Judgement(Grade.GOOD) if size is Grade.GOOD else Judgement(size, Fault.SIZE)
 

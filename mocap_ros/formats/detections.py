@@ -45,7 +45,6 @@ MAX_FRAMES = 1_000_000  # guards the memory against frame numbers that are not o
 MAX_KEYPOINTS = 50_000_000  # of a person over time; guards the memory; 9 h of body25 have half of it
 HFOV_RANGE_DEG = 1.0, 170.0  # degrees; fields of view of lenses without a distortion that has to be known
 DEFAULTS = TrackerConfig()
-ANY_SIZE = 640, 480  # px, image size for the association where none is known: only ratios of lengths count there
 MAX_LISTED_PEOPLE = 5  # people named in a line of output
 
 
@@ -189,9 +188,10 @@ def associate_people(
     """
     who, known, tracks = Identities[FollowedPerson](settings), list[FollowedPerson](), dict[str, PersonTrack]()
     unusable, faults = 0, dict[str, None]()
-    size = detections.image_size if all(detections.image_size) else ANY_SIZE
+    size = resolve_image_size(stated=detections.image_size, keypoints=_stack_keypoints(detections))
     camera = detections.intrinsics or Intrinsics.from_image_size(*size, settings.nominal_focal_length)
-    for frame, (stamp_ns, people) in enumerate(zip(detections.stamps_ns, detections.people, strict=True)):
+    for frame, (stamp_ns, found_people) in enumerate(zip(detections.stamps_ns, detections.people, strict=True)):
+        people = [person.hide_border(size) for person in found_people]
         limits = settings.min_score, settings.min_joints
         converted = Detection.from_people(people, camera, *limits)
         seen = [(p, d) for p, d in zip(people, converted, strict=True) if d is not None]

@@ -27,6 +27,7 @@ from mocap_ros.keypoints.validation import (
     describe_other_unit,
     describe_rate,
     describe_step,
+    find_border_points,
     mark_unseen,
 )
 from mocap_ros.messages.camera_info import check_coefficients
@@ -236,8 +237,10 @@ def validate_sequence(array_by_key: Mapping[str, NDArray[np.generic]]) -> Keypoi
         raise InputError(f'keypoints: {other_unit}')
     with naming('image_size'):
         check_places(points, score, image_size)
+    keypoints = np.concatenate([points, score[..., None]], axis=-1)
+    keypoints[find_border_points(points, image_size)] = np.nan, np.nan, 0
     return KeypointSequence(
-        keypoints=np.concatenate([points, score[..., None]], axis=-1),
+        keypoints=keypoints,
         joint_names=joint_names,
         timestamps=timestamps,
         image_size=image_size,

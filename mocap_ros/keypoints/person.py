@@ -5,9 +5,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from mocap_ros.arrays import Array
+from mocap_ros.keypoints.image_size import ImageSize
+from mocap_ros.keypoints.validation import find_border_points
 
 # Classes of COCO and of pose models for animals, hands, faces and vehicles, whose detections may have keypoints.
 OTHER_CLASSES = frozenset((
@@ -25,6 +29,13 @@ class Person2D:
     joints: tuple[str, ...]  # (J,) joint names that `keypoints.joint_map` knows
     points: Array  # (J, 2) px, x to the right and y down; NaN for a joint that was not seen
     score: Array  # (J,) confidence scores in [0, 1]; 0 for a joint that was not seen
+
+    def hide_border(self, image_size: ImageSize) -> Person2D:
+        """Return the person without points on the border of an image (`validation.find_border_points`)."""
+        is_on = find_border_points(self.points, image_size)
+        if not is_on.any():
+            return self
+        return replace(self, points=np.where(is_on[:, None], np.nan, self.points), score=self.score * ~is_on)
 
 
 def is_person_class(name: object) -> bool:

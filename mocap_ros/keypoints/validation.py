@@ -9,15 +9,18 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
 from mocap_ros.engine import rays as engine
 from mocap_ros.errors import InputError
+from mocap_ros.keypoints.image_size import ImageSize
 
 NORMALISED_RANGE = -0.5, 1.5  # shares of the image; a normalised point may lie outside the image by half of it
 MAX_METRES = 10.0  # m; joints of a person in 3D are within it, of whom some coordinates are negative
 TINY_IMAGE_WIDTH = 16  # px; in an image up to this wide, real px look like normalised coordinates
 MAX_COORDINATE_PX = 1e6  # px; far outside any image
+BORDER_PX = 0.5  # px; whole pixels and float32 are off by less
 MAX_SHARE_OUTSIDE = 0.5  # share of the points; with more of them outside the image, its size is probably wrong
 MIN_SHARE_HELD = 0.95  # share of the points that an image must hold to be the right one; a few may be outliers
 TRANSPOSED = 'width and height look transposed'
@@ -68,6 +71,17 @@ def mark_unseen(points: Array, score: Array) -> tuple[Array, Array, Fault | None
     seen_points, seen_score, is_faulty = engine.mark_unseen(*people, MAX_COORDINATE_PX)
     fault = _find_first_fault(points, score) if is_faulty else None
     return seen_points.reshape(points.shape), seen_score.reshape(score.shape), fault
+
+
+def find_border_points(points: Array, image_size: ImageSize) -> NDArray[np.bool_]:
+    """Return which points (..., 2) px lie on the border of an image; a size of (0, 0) px is unknown.
+
+    There detectors put what they expect beyond it: at 0, at width and height, or 1 px before these.
+    """
+    if not all(image_size):
+        return np.zeros(points.shape[:-1], bool)
+    is_first, far = np.abs(points) <= BORDER_PX, points - np.array(image_size) + 0.5
+    return np.asarray((is_first | (np.abs(far) <= 0.5 + BORDER_PX)).any(axis=-1))
 
 
 def describe_other_unit(points: Array, score: Array, image_width: int) -> str:

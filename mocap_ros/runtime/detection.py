@@ -99,11 +99,10 @@ def name_people(detections: Detections) -> tuple[Detections, list[str]]:
     A detector of one person may change from one person to another, and a line that is returned says so.
     """
     tracks, _ = associate_people(detections)
-    id_by_person = {id(person): track.id for track in tracks for person in track.detection_by_frame.values()}
-    people = [
-        [replace(person, id=id_by_person[id(person)]) for person in in_frame if id(person) in id_by_person]
-        for in_frame in detections.people
-    ]
+    people: list[list[Person2D]] = [[] for _ in detections.people]
+    for track in tracks:
+        for frame, person in track.detection_by_frame.items():
+            people[frame].append(replace(person, id=track.id))
     seen = sorted((frame, track.id) for track in tracks for frame in track.detection_by_frame)
     changes = [
         f'at {detections.stamps_ns[frame] / NS_PER_S:.2f} s from {before} to {after}'

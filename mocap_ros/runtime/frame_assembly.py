@@ -12,11 +12,12 @@ the same order always give the same images.
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 
 from mocap_ros.bags.topics import Source, parse_body_id
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import FrameDropped
-from mocap_ros.keypoints.image_size import UNKNOWN_SIZE
+from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, resolve_image_size
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.input_types import decode_body, decode_frame, decode_ids
@@ -62,11 +63,14 @@ class FrameAssembler:
         image has it already.
         """
         if source is Source.KEYPOINTS:
-            return [decode_frame(raw, node.input_type, node, size)]
+            frame = decode_frame(raw, node.input_type, node, size)
+            size = resolve_image_size(stated=(frame.image_width, frame.image_height), configured=size)
+            return [replace(frame, people=tuple(person.hide_border(size) for person in frame.people))]
         self._size, self._restart_ns = size, restart_after * NS_PER_S
         if source is Source.TRACKED_BODIES:
             return self._set_tracked_ids(*decode_ids(raw, node))
-        return self._add_body(*decode_body(raw, parse_body_id(topic), size, node))
+        header, person = decode_body(raw, parse_body_id(topic), size, node)
+        return self._add_body(header, person.hide_border(size))
 
     def flush(self) -> Frames:
         """Return the current image with the bodies that have arrived, if any, and start without one."""

@@ -167,7 +167,7 @@ def summarise(sequences: Sequence[KeypointSequence], results: Sequence[SequenceR
         if len(measured) < MAX_JUDGED_PEOPLE * MAX_STRETCHES:
             points = keypoints, sequence.joint_names, sequence.timestamps
             for stretch in cut_stretches(*points, intrinsics, vertical):
-                readings = list_readings(stretch.names)
+                readings = list_readings(stretch)
                 measured.append({r: measure_uncertainty(stretch, r, lifter, tracker.min_score) for r in readings})
     counts = [len(sequence) for sequence in sequences]
     residual, share, depth, std = np.average(rows, axis=0, weights=counts).tolist()
@@ -347,7 +347,7 @@ class RunSummary:
         self._is_sparse = stretch is None
         if stretch is not None:
             self._measured = {}
-            self._readings = [(stretch, reading) for reading in list_readings(stretch.names)]
+            self._readings = [(stretch, reading) for reading in list_readings(stretch)]
 
     def advance_judgement(self, config: Config) -> None:
         """Measure a reading of the points that were collected, if there are any, and judge after the last."""

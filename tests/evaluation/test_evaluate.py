@@ -211,7 +211,7 @@ def judge_sequence(
     upward = None if vertical is None else np.array(vertical)
     lifter = load_shipped_lifter()
     parts = [
-        {r: verdict.measure_uncertainty(stretch, r, lifter, 0.1) for r in list_readings(stretch.names)}
+        {r: verdict.measure_uncertainty(stretch, r, lifter, 0.1) for r in list_readings(stretch)}
         for stretch in verdict.cut_stretches(*given, upward)
     ]
     return verdict.judge(verdict.average(parts), share)
