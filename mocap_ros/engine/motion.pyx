@@ -438,6 +438,7 @@ def describe_cores(Rows posterior, evidence, Stack joints, Rows sizes, Rows shif
     cdef Vector noise = evidence.noise
     cdef Py_ssize_t p, j, i, a
     cdef bint is_seen
+    cdef int count
     cdef double length, variance, deep
     cdef double[3] root
     cdef const double* lifted
@@ -445,8 +446,10 @@ def describe_cores(Rows posterior, evidence, Stack joints, Rows sizes, Rows shif
     cdef double[:, ::1] std = result
     cdef double[:, :, ::1] covariance = covariances
     for p in range(std.shape[0]):
+        count = 0
         for j in range(std.shape[1]):
             is_seen, lifted = weight[p, j] > 0, &lifted_std[p, j, 0]
+            count += is_seen
             length = sqrt(dot(lifted, lifted))
             if not isfinite(length):
                 length = (POSTERIOR_SEEN if is_seen else POSTERIOR_INFERRED) * posterior[p, j]
@@ -457,7 +460,10 @@ def describe_cores(Rows posterior, evidence, Stack joints, Rows sizes, Rows shif
                 std[p, j] = LIFTER_INFERRED * length
         for i in range(3):
             root[i] = (joints[p, hips[0], i] + joints[p, hips[1], i]) / 2
-        variance = square((std[p, hips[0]] + std[p, hips[1]]) / 2)
+        variance = 0
+        for i in range(2):
+            variance += std[p, hips[i]] / 2 * (1 if weight[p, hips[i]] > 0 else std.shape[1] / <double> max(count, 1))
+        variance = square(variance)
         deep = variance * (ALONG - ACROSS) / dot(root, root) + square(sizes[p, 1])
         for i in range(3):
             for a in range(3):

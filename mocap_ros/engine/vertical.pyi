@@ -20,6 +20,7 @@ def add_frame(
     min_standing: float,
     upward: Array,
     standing: Array,
+    shown: Array,
 ) -> tuple[Array, float, float, float, float, float]: ...
 def turn_poses(
     joints: Array,

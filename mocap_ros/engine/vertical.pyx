@@ -28,12 +28,13 @@ cdef inline double fall(double value, double first, double last) noexcept nogil:
 def add_frame(
     Vector direction, sums, double faded, double step_s, double sign,
     double level_deg, double last_level_deg, double outlier_deg, double min_standing, Rows upward, Vector standing,
+    Vector shown,
 ):
     """Return the new direction (3,) and the new sums of seconds, those of `solvers.vertical.Sums`.
 
     `direction` (3,) and `sums` of the frame before, of which a share `faded` counts; `step_s` s, dt of the new frame;
     `sign` 1, or -1 where the camera is upside down; degrees `LEVEL_DEG` and A, and L; u (P, 3) and p (P,), not yet
-    multiplied.
+    multiplied, and the shares (P,) to which hips and knees are seen.
     """
     cdef Py_ssize_t p, i
     cdef double angle, discounted, share, norm, level, stands, weight, certain, seen, upright, askew
@@ -46,8 +47,9 @@ def add_frame(
         level = fall(acos(min(max(-sign * upward[p, 1], -1.0), 1.0)) / DEGREE, level_deg, last_level_deg)
         stands = standing[p] * level
         seen += step_s
-        upright += step_s * stands
         askew += step_s * (standing[p] - stands)
+        stands *= shown[p]
+        upright += step_s * stands
         angle = acos(min(max(dot(&direction[0], &upward[p, 0]), -1.0), 1.0)) / (outlier_deg * DEGREE)
         discounted = step_s / (1 + angle * angle)
         if level == 0 or not (discounted >= 0 and stands >= 0):  # not known

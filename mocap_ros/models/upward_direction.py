@@ -14,6 +14,7 @@ of its hip or its knee, whichever is more bent:
     share = (PHI_1 - phi) / (PHI_1 - PHI_0), between 0 and 1
 
 Who has both wrists above the head by more than H lengths of the trunk, along it, may hang, and does not stand.
+Where hips and knees are not seen, the pose is one that usual people have, and no evidence.
 
 Over the motion capture of training persons half of the angles between u and the vertical are below 3.2 degrees,
 two thirds below 5, and 3 % above 27 (lying, sitting, tumbling).
@@ -62,6 +63,7 @@ _NECK, _PELVIS, _HEAD = (CMU15.joints.index(name) for name in ('neck', 'pelvis',
 _WRISTS = np.array([CMU15.joints.index(side + 'wrist') for side in 'lr'])
 # (2, 4) indices of the joints of the left and of the right side
 _SIDES = np.array([[CMU15.joints.index(s + n) for n in ('shoulder', 'hip', 'knee', 'ankle')] for s in 'lr'])
+_THIGHS = _SIDES[:, 1:3].ravel()  # hips and knees
 _NO_TURN = np.eye(3)[None]
 _LIMITS = SUPPORT_AHEAD, HANGING_SHARE, STANDING_FLEXION_DEG, SEATED_FLEXION_DEG, MIN_LENGTH
 _BODY = MASSES, _SIDES, _WRISTS, _NECK, _PELVIS, _HEAD, *_LIMITS
@@ -74,11 +76,16 @@ class Stances(NamedTuple):
     # (N,) shares to which the poses stand: 1 with a straight leg, 0 if both are bent as on a chair, and 0 if both
     # hands are high above the head
     standing: Array
+    # (N,) shares to which that was seen, and not inferred: 1 with hips and knees, 0 with half of them or fewer
+    seen: Array
 
     @staticmethod
-    def of(joints: Array, cameras: Array = _NO_TURN) -> Stances:
+    def of(joints: Array, cameras: Array = _NO_TURN, weight: Array | None = None) -> Stances:
         """Return what poses (N, J, 3) of `CMU15` or `BODY26` show.
 
         Rotations (N, 3, 3), or (1, 3, 3) for all, lead to the axes of the poses from those of the directions.
+        Joints with a score (N, J) of 0 were not seen; without scores all were.
         """
-        return Stances(*engine.find_stances(np.ascontiguousarray(joints), cameras, *_BODY))
+        is_seen = np.ones((len(joints), 1)) if weight is None else weight[:, _THIGHS] > 0
+        seen = np.maximum(2 * is_seen.mean(axis=1) - 1, 0.0)
+        return Stances(*engine.find_stances(np.ascontiguousarray(joints), cameras, *_BODY), seen)

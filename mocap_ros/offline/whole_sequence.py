@@ -404,9 +404,8 @@ def choose_vertical(observed: ObservedWindow, joints: Array, config: TrackerConf
     """
     if config.vertical == AUTO:
         roll = _find_camera_roll(observed)
-        direction, std = find_vertical(
-            observed.times, Stances.of(turn_about_axis(joints, roll)), is_turned=roll != 0
-        )
+        stances = Stances.of(turn_about_axis(joints, roll), weight=observed.weight)
+        direction, std = find_vertical(observed.times, stances, is_turned=roll != 0)
         return Verticals(turn_about_axis(direction, -roll), std)
     given, frames = read_given_vertical(config), len(observed.times)
     if given is None:
@@ -441,7 +440,8 @@ def _lift(
     lifted = lift_under_vertical(lifter, points, weight, in_lifter)
     if known is None:
         known = choose_vertical(observed, lifted.joints @ cameras, config)
-    lifted = turn_towards_vertical(lifted, Stances.of(lifted.joints, cameras), cameras, *known)
+    stances = Stances.of(lifted.joints, cameras, weight.max(axis=1))
+    lifted = turn_towards_vertical(lifted, stances, cameras, *known)
     return LiftedPoses(turn_about_axis(lifted.joints, -roll), lifted.std), known
 
 

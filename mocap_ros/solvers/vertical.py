@@ -13,6 +13,7 @@ some time:
 with p_i the share to which the pose stands and dt_i the time to the next frame; live, the sums are over the
 frames before t alone. Who lies or stands on the hands has straight hips as well, and cameras are mostly level:
 p_i is multiplied by a share that falls from 1 to 0 as the angle from u_i to -y grows from `LEVEL_DEG`[0] to [1].
+It is also multiplied by the share to which hips and knees are seen, for inferred legs nearly always stand.
 Part of the error of a direction lasts, for it is that of a body, B; the rest is another one after a second.
 
 Where hardly anybody stands, the likeliest vertical is that of a level camera that looks down a little, v_0: with n
@@ -230,7 +231,8 @@ def turn_towards_vertical(
         vertical: (N, 3), or (1, 3) for all, vertical in the axes of the real camera.
         std: (N,) or (1,) rad, its standard deviation.
     """
-    given = lifted.joints, lifted.std, cameras, *stances, np.ascontiguousarray(vertical), std
+    shown = stances.upward, stances.standing * stances.seen
+    given = lifted.joints, lifted.std, cameras, *shown, np.ascontiguousarray(vertical), std
     return LiftedPoses(engine.turn_poses(*given, CORE_COUNT, *LEVEL_DEG), lifted.std)
 
 
@@ -249,22 +251,23 @@ def find_vertical(times: Array, stances: Stances, *, is_turned: bool = False) ->
     known = np.asarray(np.isfinite(stances.upward).all(axis=1))
     if not known.any():
         return np.full(stances.upward.shape, np.nan), np.full(len(times), np.nan)
-    stances = Stances(np.where(known[:, None], stances.upward, 0.0), np.where(known, stances.standing, 0.0))
+    upward, straight = np.where(known[:, None], stances.upward, 0.0), np.where(known, stances.standing, 0.0)
     steps = np.minimum(np.diff(times, append=times[-1]), MAX_STEP_S)
     steps[-1] = steps[-2] if len(steps) > 1 else MAX_STEP_S
     weight = np.where(known, np.maximum(steps, 1e-9), 0.0)
-    levelness = _measure_levelness(stances.upward)
-    standing, is_level = stances.standing * levelness, weight * (levelness > 0)
+    levelness = _measure_levelness(upward)
+    upright, is_level = straight * levelness, weight * (levelness > 0)
+    standing = upright * stances.seen
     kept = np.exp(np.diff(times, prepend=-np.inf) / -MEMORY_S)  # of the frame before
-    counted, robust = np.maximum(standing, MIN_STANDING)[:, None] * stances.upward, is_level
+    counted, robust = np.maximum(standing, MIN_STANDING)[:, None] * upward, is_level
     for _ in range(ROBUST_ROUNDS):
         total = _sum_over_time(robust[:, None] * np.column_stack([counted, standing]), kept)
         length = np.linalg.norm(total[:, :3], axis=1, keepdims=True)
         directions, seconds = total[:, :3] / np.maximum(length, 1e-300), total[:, 3]
-        angle = np.arccos((directions * stances.upward).sum(axis=1).clip(-1, 1))
+        angle = np.arccos((directions * upward).sum(axis=1).clip(-1, 1))
         robust = is_level / (1 + (angle / math.radians(OUTLIER_DEG)) ** 2)
     std_deg = np.hypot(BODY_STD_DEG, SECOND_STD_DEG / np.sqrt(np.maximum(seconds, 1e-9))).clip(None, MAX_STD_DEG)
-    askew = known if is_turned else np.maximum(stances.standing - standing, 0.0)
+    askew = known if is_turned else np.maximum(straight - upright, 0.0)
     sums = _sum_over_time(weight[:, None] * np.column_stack([known, standing, askew]), kept)
     return _add_prior(directions, std_deg, 1.0, *sums.T)
 

@@ -92,10 +92,14 @@ class FloorContact:
         stamp_ns: int,
         joints: Array,
         velocity: Array,
+        scores: Array,
         floor: Floor,
         body_height: float,
     ) -> FloorContact | None:
-        """Return what is known after another frame, of joints (J, 3) m of a person of the assumed size."""
+        """Return what is known after another frame, of joints (J, 3) m of a person of the assumed size.
+
+        Where the lower ankle was not seen, by the scores (J,), that is what was known before.
+        """
         ankles, height = joints[list(ANKLES)], floor.camera_height
         if height is None:
             return before
@@ -103,7 +107,8 @@ class FloorContact:
         lower = int(np.argmax(drops))
         drop, ankle = float(drops[lower]), ankles[lower]
         rise = float(velocity[ANKLES[lower]] @ floor.upward)
-        if not (drop > MIN_DROP_SHARE * height and abs(rise) < MAX_RISE_M_S):
+        is_seen = bool(scores[ANKLES[lower]] > 0)
+        if not (is_seen and drop > MIN_DROP_SHARE * height and abs(rise) < MAX_RISE_M_S):
             return before
         found = math.log(height / (ANKLE_SHARE * body_height + drop))
         if not LEAST < found < LARGEST:

@@ -358,7 +358,7 @@ class Tracker:
             given = cameras @ known.direction, np.full(len(cameras), known.std)
         lifted = lift_under_vertical(self._lifter, points, weight, given)
         if self.config.tracker.vertical != NO_VERTICAL:
-            stances = Stances.of(lifted.joints, cameras)
+            stances = Stances.of(lifted.joints, cameras, weight.max(axis=1))
             if known is not None:
                 towards = known.direction[None], np.array([known.std])
                 lifted = turn_towards_vertical(lifted, stances, cameras, *towards)
@@ -375,7 +375,7 @@ class Tracker:
         if not known:
             return
         if len(known) < len(shares):
-            stances = Stances(stances.upward[known], stances.standing[known])
+            stances = Stances(*(values[known] for values in stances))
         sign = -1.0 if self._side.is_upside_down else 1.0
         if self._vertical is None:
             self._vertical = Vertical.begin(stamp_ns, stances, sign)
@@ -443,18 +443,18 @@ class Tracker:
         """Return the people who are shown, of the sizes that the floor, if it is known, shows."""
         if not tracks:
             return []
-        self._at_work, shown = tracks, Shown.of(tracks, frames)
-        is_steady = self.config.tracker.steady_output and self._is_newest_shown
+        self._at_work, shown, settings = tracks, Shown.of(tracks, frames), self.config.tracker
+        is_steady = settings.steady_output and self._is_newest_shown
         motion, seen = follow_motion(shown, self._upward, is_steady=is_steady)
-        if floor is None and (height := self.config.tracker.camera_height) and self._vertical is not None:
+        if floor is None and (height := settings.camera_height) and self._vertical is not None:
             std = CALIBRATED_TILT_STD if self._vertical.is_given else self._vertical.std
             floor = Floor(self._vertical.direction, height, std)
         if floor is not None:
             for p, track in enumerate(tracks):
                 if track.intrinsics.is_focal_known and not track.is_tentative:
-                    known = motion.joints[p], motion.velocity[p], floor, self.config.tracker.body_height
-                    before, stamp_ns = track.floor_contact, self.output_stamp_ns
-                    track.floor_contact = FloorContact.advance(before, stamp_ns, *known)
+                    known = motion.joints[p], motion.velocity[p], seen.weight[p]
+                    before, stamp_ns, height = track.floor_contact, self.output_stamp_ns, settings.body_height
+                    track.floor_contact = FloorContact.advance(before, stamp_ns, *known, floor, height)
         sizes = [*map(self._find_size, tracks)]
         spread = describe_cores(shown, motion.joints, seen, sizes)
         return make_people(shown, motion, *spread, seen.weight, sizes, self._skeleton)

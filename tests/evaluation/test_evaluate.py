@@ -240,6 +240,22 @@ def test_points_are_judged_by_the_lifter(sequence: KeypointSequence, share: floa
     assert judge_sequence(sequence, share) == expected
 
 
+@pytest.mark.parametrize(
+    ('hidden', 'is_judged'),
+    [(('ankle',), True), (('knee',), False), (('hip', 'knee', 'ankle'), False), (('lhip', 'lknee'), False)],
+)
+def test_left_and_right_are_judged_by_whole_bodies(hidden: tuple[str, ...], *, is_judged: bool) -> None:
+    keypoints = WALK.keypoints.copy()
+    keypoints[:, [joint.endswith(hidden) for joint in COCO17.joints], 2] = 0
+    readings = list_readings(verdict.Stretch(keypoints, COCO17.joints, WALK.timestamps))
+    assert set(readings) >= {GIVEN, *verdict.TURNED}
+    assert set(verdict.MIRRORED) & set(readings) == (set(verdict.MIRRORED) if is_judged else set())
+    uncertainty = dict.fromkeys(readings, -1.5) | {Reading(turns=2): -1.9, MIRROR_IMAGE: -1.3}
+    if not is_judged:
+        del uncertainty[MIRROR_IMAGE]
+    assert verdict.judge(uncertainty, 0.02) == Judgement(Grade.WRONG, Fault.TURNED)
+
+
 def test_a_turned_camera_whose_vertical_is_given_is_sound() -> None:
     assert judge_sequence(edit(flip=(-1, -1)), vertical=(0, 1, 0)) == GOOD
     assert judge_sequence(edit(swap=True, flip=(1, -1)), vertical=(1, 0, 0)) == GOOD
@@ -266,7 +282,8 @@ def test_a_turned_camera_whose_vertical_is_given_is_sound() -> None:
 def test_only_clear_differences_count(
     mirrored: float, layout: float, share: float, size: Grade, is_backwards: bool, expected: Judgement
 ) -> None:
-    uncertainty = dict.fromkeys(list_readings(COCO17.joints), -1.5)
+    stretch = verdict.Stretch(WALK.keypoints, COCO17.joints, WALK.timestamps)
+    uncertainty = dict.fromkeys(list_readings(stretch), -1.5)
     uncertainty |= {GIVEN: -2.3, MIRROR_IMAGE: mirrored, Reading('h36m17'): layout}
     assert verdict.judge(uncertainty, share, size, is_backwards=is_backwards) == expected
 

@@ -16,7 +16,7 @@ from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_imag
 from mocap_ros.keypoints.joint_map import JointMap, build_joint_map
 from mocap_ros.keypoints.left_right import PARTS, BodySides, exchange_sides
 from mocap_ros.keypoints.rays import Extremities, convert_to_rays, join_body
-from mocap_ros.keypoints.validation import PointPlaces, mark_unseen
+from mocap_ros.keypoints.validation import PointPlaces, find_border_points, mark_unseen
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, LAYOUT_NAMES, keypoint_layout
 
 PINHOLE = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
@@ -109,6 +109,20 @@ def test_scores_of_a_person_are_divided_by_the_largest_of_those_seen_if_it_excee
     np.testing.assert_allclose(mark_unseen(points[0], logits)[1], [0, 0.1192, 0.5, 0.9526], atol=1e-4)
     for shape in ((0, 4), (3, 0), (0,)):
         assert mark_unseen(np.zeros((*shape, 2), np.float32), np.zeros(shape, np.float32))[1].shape == shape
+
+
+@pytest.mark.parametrize(
+    ('point', 'is_on'),
+    [
+        ((0, 50), True), ((0.5, 50), True), ((0.6, 50), False), ((-0.5, 50), True), ((-3, 50), False),
+        ((639, 50), True), ((640, 50), True), ((638, 50), False), ((641, 50), False), ((np.nan, np.nan), False),
+        ((50, 0), True), ((50, 478), False), ((50, 479), True), ((50, 480), True), ((50, 640), False),
+    ],
+)  # fmt: skip
+def test_detectors_put_points_beyond_the_image_on_its_border(point: tuple[float, float], *, is_on: bool) -> None:
+    points = np.array([point, (50, 50)], float)
+    assert find_border_points(points, (640, 480)).tolist() == [is_on, False]
+    assert not find_border_points(points, UNKNOWN_SIZE).any()
 
 
 def test_points_and_scores_of_other_shapes_are_refused() -> None:

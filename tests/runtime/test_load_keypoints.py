@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
@@ -18,6 +19,7 @@ import numpy as np
 import pytest
 
 import mocap_ros
+from mocap_ros.arrays import Array
 from mocap_ros.bags.journal import Verdict
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
@@ -26,8 +28,8 @@ from mocap_ros.cli.main import main
 from mocap_ros.config import NodeConfig, RecorderConfig, with_values
 from mocap_ros.detectors.detector import Image
 from mocap_ros.errors import InputError, ModelError
-from mocap_ros.formats.detections import Detections, Video, create_person
-from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
+from mocap_ros.formats.detections import Detections, Video, create_person, select_person
+from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence, validate_sequence
 from mocap_ros.formats.video import VideoImage
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -37,11 +39,12 @@ from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_key
 from mocap_ros.offline.whole_sequence import find_frames_in_sight
 from mocap_ros.runtime import detection
 from mocap_ros.runtime.detection import detect_in_video, name_people
+from mocap_ros.runtime.frame_assembly import FrameAssembler
 from mocap_ros.runtime.input_kind import InputKind, find_input_kind
 from mocap_ros.runtime.load_keypoints import InputOptions, load_input
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import ReplayOptions, replay
-from mocap_ros.skeleton import CORE_COUNT
+from mocap_ros.skeleton import CORE_COUNT, keypoint_layout
 from mocap_ros.units import NS_PER_S
 from tests.support.blob_people import draw, save_movenet, walk, write_video
 from tests.support.camera_messages import camera_info
@@ -56,6 +59,7 @@ from tests.support.pipeline_inputs import (
     with_stamp,
 )
 
+COCO17, SIZE = keypoint_layout('coco17').joints, (640, 480)
 START_NS = 1_760_000_000_000_000_000
 Shot = tuple[int, str, tuple[int, int], int]  # stamp in ns, camera, size in px, and the frame of the walk
 
@@ -619,3 +623,46 @@ def test_tentative_people_are_flagged_and_have_no_transforms(stream: list[bytes]
         color = outputs['markers'].markers[0].color
         shown.append((person.tentative, color.r == color.g == color.b, len(outputs['/tf'].transforms)))
     assert shown == [(True, True, 0)] * 2 + [(False, False, 26)] * 4
+
+
+def read_file(keypoints: Array) -> Array:
+    times = np.arange(len(keypoints)) / 30
+    arrays = {'keypoints': keypoints, 'joint_names': np.array(COCO17), 'timestamps': times}
+    return validate_sequence({**arrays, 'image_size': np.array(SIZE)}).keypoints[0, :, 2]
+
+
+def read_detections(keypoints: Array, size: tuple[int, int] = SIZE) -> Array:
+    stamps = [STEP_NS * i for i in range(len(keypoints))]
+    return select_person(Detections([[create_person(k)] for k in keypoints], stamps, size))[0].keypoints[0, :, 2]
+
+
+def read_message(keypoints: Array, stated: tuple[int, int] = SIZE, camera: tuple[int, int] = (0, 0)) -> Array:
+    message = encode_keypoints(Header(1, 'camera'), stated, [create_person(keypoints[0])])
+    (frame,) = FrameAssembler().assemble(Source.KEYPOINTS, message, '', NodeConfig(), camera, math.inf)
+    return frame.people[0].score
+
+
+def read_array(keypoints: Array) -> Array:
+    (person,) = mocap_ros.Tracker('coco17', image_size=SIZE).update(0.0, keypoints[:1])
+    seen = dict(zip(person.joint_names, ~person.inferred, strict=True))
+    return np.array([seen[joint] for joint in COCO17], float)
+
+
+@pytest.mark.parametrize(
+    'read',
+    [
+        read_file,
+        read_detections,
+        partial(read_detections, size=(0, 0)),
+        read_message,
+        partial(read_message, stated=(0, 0), camera=SIZE),
+        read_array,
+    ],
+)
+def test_points_on_the_border_of_the_image_are_not_seen(read: Callable[[Array], Array]) -> None:
+    keypoints = make_walker().keypoints[:12].copy()
+    keypoints[..., 2] = 1
+    assert read(keypoints).all()
+    ankles = [COCO17.index(joint) for joint in ('lankle', 'rankle')]
+    keypoints[:, ankles, 1] = SIZE[1]
+    assert np.flatnonzero(read(keypoints) == 0).tolist() == ankles

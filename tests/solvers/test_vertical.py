@@ -39,9 +39,14 @@ def scatter(rng: np.random.Generator, count: int, std_deg: float, up: np.ndarray
     return Rotation.from_rotvec(np.radians(std_deg) * rng.normal(size=(count, 3))).apply(up)
 
 
-def advance(vertical: Vertical | None, upward: np.ndarray, standing: float = 1.0) -> Vertical:
+def show(upward: np.ndarray, standing: np.ndarray | float = 1.0, seen: float = 1.0) -> Stances:
+    count = len(upward)
+    return Stances(upward, np.array(np.broadcast_to(standing, count), float), np.full(count, seen))
+
+
+def advance(vertical: Vertical | None, upward: np.ndarray, standing: float = 1.0, seen: float = 1.0) -> Vertical:
     for directions in upward:
-        stances = Stances(directions, np.full(len(directions), standing))
+        stances = show(directions, standing, seen)
         if vertical is None:
             vertical = Vertical.begin(STEP_NS, stances)
         else:
@@ -53,7 +58,7 @@ def advance(vertical: Vertical | None, upward: np.ndarray, standing: float = 1.0
 def test_several_people_make_the_vertical_more_certain_than_one(rng: np.random.Generator) -> None:
     upward = scatter(rng, 900, 8.0).reshape(300, 3, 3)
     together, alone = advance(None, upward), advance(None, upward[:, :1])
-    later = alone.advance(alone.stamp_ns + 30 * 10**9, Stances(scatter(rng, 1, 4.0), np.ones(1)))
+    later = alone.advance(alone.stamp_ns + 30 * 10**9, show(scatter(rng, 1, 4.0)))
     assert later.std > alone.std
     assert angles_deg(together.direction, UP) < 2
     assert 0 < together.std < alone.std < advance(None, upward[:3, :1]).std == math.radians(module.MAX_STD_DEG)
@@ -65,7 +70,7 @@ def test_who_lies_does_not_change_the_vertical(rng: np.random.Generator) -> None
     misled = advance(learned, lying[:100, None])
     assert angles_deg(misled.direction, UP) < 3
     both = np.concatenate([lying[:100], upright])
-    directions, _ = find_vertical(np.arange(400) / 30, Stances(both, np.ones(400)))
+    directions, _ = find_vertical(np.arange(400) / 30, show(both))
     assert angles_deg(directions, UP).max() < 3
 
 
@@ -78,19 +83,32 @@ def test_who_sits_hardly_counts(rng: np.random.Generator) -> None:
     alone = advance(None, seated[:, None], standing=0.0)
     assert angles_deg(advance(alone, upright[:, None]).direction, UP) < 4
     both, standing = np.concatenate([seated, upright]), np.repeat([0.0, 1.0], [1800, 150])
-    directions, std = find_vertical(np.arange(1950) / 30, Stances(both, standing))
+    directions, std = find_vertical(np.arange(1950) / 30, show(both, standing))
     assert angles_deg(directions[-1], UP) < 4
     assert std[-1] < math.radians(4)
     assert std[0] > MAX_CERTAIN_STD
 
 
+def test_inferred_legs_show_no_balance(rng: np.random.Generator) -> None:
+    """Straight legs that nobody saw are those of usual people: the camera may be any before seated people."""
+    upward = scatter(rng, 300, 4.0)
+    live = advance(None, upward[:, None], seen=0.0)
+    directions, std = find_vertical(np.arange(300) / 30, show(upward, seen=0.0))
+    for direction, std_rad in ((live.direction, live.std), (directions[150], std[150])):
+        assert angles_deg(direction, LEVEL) < 1
+        assert std_rad == pytest.approx(math.radians(module.MAX_STD_DEG))
+
+
+@pytest.mark.parametrize('seen', [1.0, 0.0])
 @pytest.mark.parametrize('sign', [1.0, -1.0])
 @pytest.mark.parametrize('lying', [(1.0, 0.1, 0.0), (0.1, -0.1, 0.99), (0.1, 0.99, -0.1)])
-def test_where_nobody_is_upright(rng: np.random.Generator, lying: tuple[float, float, float], sign: float) -> None:
+def test_where_nobody_is_upright(
+    rng: np.random.Generator, lying: tuple[float, float, float], sign: float, seen: float
+) -> None:
     standing = np.full(90, float(sign > 0))  # where the image was turned, those with bent hips may lie as well
-    stances = Stances(scatter(rng, 90, 4.0, np.array(lying) * [1, sign, 1]), standing)
+    stances = show(scatter(rng, 90, 4.0, np.array(lying) * [1, sign, 1]), standing, seen)
     half_turn = np.array([sign, sign, 1.0])
-    turned = Stances(stances.upward * half_turn, standing)
+    turned = stances._replace(upward=stances.upward * half_turn)
     directions, std = find_vertical(np.arange(90) / 30, turned, is_turned=sign < 0)
     directions = directions * half_turn
     live = Vertical.begin(0, Stances(*(shown[:1] for shown in stances)), sign)
@@ -104,7 +122,7 @@ def test_a_camera_that_was_tilted_is_forgotten(rng: np.random.Generator) -> None
     tilted = np.array([0.0, -math.cos(0.6), -math.sin(0.6)])  # by 17 degrees more
     before, after = scatter(rng, 600, 4.0), scatter(rng, 1800, 4.0, tilted)
     assert angles_deg(advance(advance(None, before[:, None]), after[:, None]).direction, tilted) < 2
-    directions, _ = find_vertical(np.arange(2400) / 30, Stances(np.concatenate([before, after]), np.ones(2400)))
+    directions, _ = find_vertical(np.arange(2400) / 30, show(np.concatenate([before, after])))
     assert angles_deg(directions[0], UP) < 9, 'half of the tilt: later frames count a little'
     assert angles_deg(directions[-1], tilted) < 2
 
@@ -113,16 +131,16 @@ def test_whole_sequences_do_not_depend_on_the_direction_of_time(rng: np.random.G
     times, steady = np.cumsum(rng.uniform(0.02, 0.05, 100)), np.arange(100) / 30
     upward = scatter(rng, 100, 6.0)
     upward[10:20] = np.nan
-    forward, std = find_vertical(steady, Stances(upward, np.ones(100)))
-    backward, _ = find_vertical(steady, Stances(upward[::-1].copy(), np.ones(100)))
+    forward, std = find_vertical(steady, show(upward))
+    backward, _ = find_vertical(steady, show(upward[::-1].copy()))
     assert forward == pytest.approx(backward[::-1], abs=1e-6)
     assert np.isfinite(std).all()
-    known, _ = find_vertical(times, Stances(upward, np.ones(100)))
+    known, _ = find_vertical(times, show(upward))
     assert np.isfinite(known).all(), 'also where the person is not'
-    unknown, unknown_std = find_vertical(times, Stances(np.full((100, 3), np.nan), np.full(100, np.nan)))
+    unknown, unknown_std = find_vertical(times, show(np.full((100, 3), np.nan), np.nan))
     assert np.isnan(unknown).all()
     assert np.isnan(unknown_std).all()
-    assert np.isfinite(find_vertical(times[:1], Stances(upward[:1], np.ones(1)))[0]).all(), 'one frame'
+    assert np.isfinite(find_vertical(times[:1], show(upward[:1]))[0]).all(), 'one frame'
 
 
 def make_pose(knee: tuple[float, float], ankle: tuple[float, float]) -> np.ndarray:
@@ -151,6 +169,15 @@ def test_thighs_and_trunk_show_who_stands() -> None:
     assert np.isnan(shares[5])
 
 
+@pytest.mark.parametrize(
+    ('unseen', 'expected'),
+    [((), 1), (('lankle', 'rankle'), 1), (('lknee',), 0.5), (('lknee', 'rknee'), 0), (('lhip', 'lknee'), 0)],
+)
+def test_a_stance_needs_hips_and_knees(unseen: tuple[str, ...], expected: float) -> None:
+    weight = np.array([[float(joint not in unseen) for joint in CMU15.joints]])
+    assert Stances.of(POSES['standing'][None], weight=weight).seen == expected
+
+
 def test_the_lifter_gets_a_vertical_for_those_who_stand_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     poses = np.stack([*POSES.values()])
 
@@ -174,8 +201,11 @@ def test_poses_are_turned_towards_the_vertical_by_how_uncertain_their_depths_are
         lifted = LiftedPoses(POSES['standing'] + noise, np.tile([0.02, 0.02, depth_std], (2, 15, 1)))
         angles = np.array([0.1, -0.05])
         stances = Stances.of(lifted.joints)
+        unseen = stances._replace(seen=np.zeros(2))
         vertical = Rotation.from_rotvec(angles[:, None] * [1, 0, 0]).apply(stances.upward)
         joints = turn_towards_vertical(lifted, stances, NO_TURN, vertical, np.full(2, 0.03)).joints
+        unturned = turn_towards_vertical(lifted, unseen, NO_TURN, vertical, np.full(2, 0.03)).joints
+        assert unturned == pytest.approx(lifted.joints)
         turn = Rotation.from_matrix(fit_rotation(lifted.joints, joints)).as_rotvec()
         assert turn[:, 1:] == pytest.approx(0, abs=1e-9), 'about the horizontal axis alone'
         turned.append(turn[:, 0] / angles)
@@ -193,7 +223,7 @@ def test_a_given_vertical_is_never_changed_by_what_people_do(rng: np.random.Gene
     assert given_vertical is not None
     assert given_vertical.direction == pytest.approx([0, -0.8, -0.6])
     assert given_vertical.std == pytest.approx(math.radians(module.GIVEN_STD_DEG))
-    assert given_vertical.advance(10**9, Stances(scatter(rng, 3, 5.0), np.ones(3))) is given_vertical
+    assert given_vertical.advance(10**9, show(scatter(rng, 3, 5.0))) is given_vertical
     assert given_vertical.forget() is given_vertical
     assert advance(None, scatter(rng, 3, 5.0)[:, None]).forget() is None
     assert read_given_vertical(TrackerConfig()) is None

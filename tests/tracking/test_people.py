@@ -83,7 +83,8 @@ def test_with_a_lag_velocities_are_those_of_the_smooth_solution_without_deviatio
 def test_the_position_of_a_body_is_least_certain_along_the_line_of_sight() -> None:
     root, share = np.array([1.0, -0.5, 4.0]), 0.06
     sizes = [BodySize(1.0, share, focal) for focal in (0.0, 0.2)]
-    seen = ExtremityEvidence.without_image(np.tile(root, (2, 15, 1)))._replace(noise=np.full(2, 0.02))
+    seen = ExtremityEvidence.without_image(np.tile(root, (2, 15, 1)))
+    seen = seen._replace(noise=np.full(2, 0.02), weight=np.ones((2, 26)))
     known = np.full((2, 15), 0.01), seen, seen.core, np.array(sizes)
     std, (covariance, wider) = describe_cores(*known, np.full((2, 3), np.nan), np.array(HIPS))
     variances, axes = np.linalg.eigh(covariance)
@@ -94,6 +95,10 @@ def test_the_position_of_a_body_is_least_certain_along_the_line_of_sight() -> No
     np.testing.assert_allclose(wider - covariance, np.diag([0, 0, (0.2 * root[2]) ** 2]), atol=1e-12)
     _, (displaced, _) = describe_cores(*known, np.tile([0.0, 0.1, 0.2], (2, 1)), np.array(HIPS))
     np.testing.assert_allclose(displaced - covariance, np.outer([0, 0.1, 0.2], [0, 0.1, 0.2]), atol=1e-12)
+    seen.weight[:, [*HIPS, 2, 3]] = 0
+    std, (inferred, _) = describe_cores(*known, np.full((2, 3), np.nan), np.array(HIPS))
+    own = (std[0, HIPS[0]] * 15 / 11) ** 2  # the body's origin is where 11 of 15 joints are
+    assert np.linalg.eigvalsh(inferred)[:2] == pytest.approx(own / 6 + both)
 
 
 FACE = [BODY26.index(n) for n in ('nose', 'leye', 'reye', 'lear', 'rear')]

@@ -58,7 +58,8 @@ def make_standing(ratio: float, distance: float = 4.0, lift: float = 0.0) -> Per
 def advance(
     before: FloorContact | None, stamp_ns: int, person: Person3D, floor: Floor = LEVEL
 ) -> FloorContact | None:
-    return FloorContact.advance(before, stamp_ns, person.joints, person.velocity, floor, HEIGHT_M)
+    seen = np.where(person.inferred, 0.0, 1.0)
+    return FloorContact.advance(before, stamp_ns, person.joints, person.velocity, seen, floor, HEIGHT_M)
 
 
 def contact_after(frames: int, person: Person3D, floor: Floor = LEVEL) -> FloorContact | None:
@@ -102,6 +103,7 @@ def test_the_longer_and_the_nearer_the_more_certain() -> None:
         replace(make_standing(1.1), velocity=np.tile([0.0, -1.0, 0.0], (15, 1))),  # jumps
         replace(make_standing(1.1), velocity=np.full((15, 3), np.nan)),  # not known whether the foot is still
         replace(make_standing(1.1), joints=make_standing(1.1).joints - [0, 3, 0]),  # above the camera
+        replace(make_standing(1.1), inferred=np.ones(15, bool)),
     ],
 )
 def test_what_is_no_foot_on_the_floor_shows_nothing(person: Person3D) -> None:
