@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from mocap_ros.arrays import Array
 from mocap_ros.engine import rays as engine
 from mocap_ros.errors import InputError
-from mocap_ros.keypoints.image_size import ImageSize
 
 NORMALISED_RANGE = -0.5, 1.5  # shares of the image; a normalised point may lie outside the image by half of it
 MAX_METRES = 10.0  # m; joints of a person in 3D are within it, of whom some coordinates are negative
@@ -73,7 +72,7 @@ def mark_unseen(points: Array, score: Array) -> tuple[Array, Array, Fault | None
     return seen_points.reshape(points.shape), seen_score.reshape(score.shape), fault
 
 
-def find_border_points(points: Array, image_size: ImageSize) -> NDArray[np.bool_]:
+def find_border_points(points: Array, image_size: tuple[int, int]) -> NDArray[np.bool_]:
     """Return which points (..., 2) px lie on the border of an image; a size of (0, 0) px is unknown.
 
     There detectors put what they expect beyond it: at 0, at width and height, or 1 px before these.

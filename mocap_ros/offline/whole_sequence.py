@@ -244,7 +244,7 @@ def _reconstruct(
     lengths, depth = skeleton.bone_lengths(solution.joints), camera.measure_depth(root)
     joints *= body_height / expect_stature(lengths, skeleton, observed.lifted, depth)
     if vertical is None:
-        vertical = choose_vertical(observed, joints, config.tracker)
+        vertical = choose_vertical(observed, joints, observed.weight, config.tracker)
     result = SequenceResult(joints, observed.weight > 0, skeleton, category, solution, camera, *vertical)
     return result, observed
 
@@ -397,14 +397,14 @@ class Verticals(NamedTuple):
     std: Array
 
 
-def choose_vertical(observed: ObservedWindow, joints: Array, config: TrackerConfig) -> Verticals:
+def choose_vertical(observed: ObservedWindow, joints: Array, weight: Array, config: TrackerConfig) -> Verticals:
     """Return the vertical in each frame as `tracker.vertical` says: given, found, or NaN.
 
-    The poses (F, J, 3) are in any unit, in the axes of the real camera.
+    The poses (F, J, 3), of joints with scores (F, J), are in any unit, in the axes of the real camera.
     """
     if config.vertical == AUTO:
         roll = _find_camera_roll(observed)
-        stances = Stances.of(turn_about_axis(joints, roll), weight=observed.weight)
+        stances = Stances.of(turn_about_axis(joints, roll), weight=weight)
         direction, std = find_vertical(observed.times, stances, is_turned=roll != 0)
         return Verticals(turn_about_axis(direction, -roll), std)
     given, frames = read_given_vertical(config), len(observed.times)
@@ -437,11 +437,10 @@ def _lift(
     in_lifter = None
     if given is not None:
         in_lifter = cameras @ given.direction, np.full(len(cameras), given.std)
-    lifted = lift_under_vertical(lifter, points, weight, in_lifter)
+    lifted, seen = lift_under_vertical(lifter, points, weight, in_lifter), weight.max(axis=1)
     if known is None:
-        known = choose_vertical(observed, lifted.joints @ cameras, config)
-    stances = Stances.of(lifted.joints, cameras, weight.max(axis=1))
-    lifted = turn_towards_vertical(lifted, stances, cameras, *known)
+        known = choose_vertical(observed, lifted.joints @ cameras, seen, config)
+    lifted = turn_towards_vertical(lifted, Stances.of(lifted.joints, cameras, seen), cameras, *known)
     return LiftedPoses(turn_about_axis(lifted.joints, -roll), lifted.std), known
 
 

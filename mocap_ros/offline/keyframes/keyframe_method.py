@@ -284,6 +284,6 @@ def _build_result(
     camera = observed.virtual_camera
     in_camera = camera.to_real_camera(joints) + camera.root_positions(cameras, translation)[:, None]
     in_camera[~in_sight] = np.nan
-    vertical = choose_vertical(observed, in_camera, config)
+    vertical = choose_vertical(observed, in_camera, observed.weight, config)
     fault = 'is not used: the method keyframes has no feet on a floor' if config.camera_height else ''
     return SequenceResult(in_camera, seen, CMU15, category, solution, camera, *vertical, height_note=fault)
