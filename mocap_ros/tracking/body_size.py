@@ -28,8 +28,8 @@ root is the sum of five parts:
         + (t z)^2 e e^T            of the focal length (relative deviation t), along the optical axis e, at depth z
         + c c^T                    of inertia and standing feet, which displace the body by c (`solvers.footing`)
 
-The std of an inferred hip is multiplied by J / J_seen: of the J joints of the core, whose mean is the body's origin,
-only those that are seen say where it is.
+The std of an inferred hip is multiplied by J / J_seen: of the J joints of the core, whose mean is the body's
+origin, only those that are seen say where it is.
 """
 
 from __future__ import annotations

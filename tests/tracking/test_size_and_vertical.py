@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from mocap_ros.config import Config, with_settings, with_values
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import ConfigError
+from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import Floor, is_level
 from mocap_ros.geometry.rigid_transform import parse_camera_pose
@@ -23,6 +24,7 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequence
 from mocap_ros.people import CameraVertical, Person3D
+from mocap_ros.solvers.vertical import MAX_STD_DEG
 from mocap_ros.tracking.body_size import ANKLE_SHARE, ANKLES, BodySize, FloorContact, assume_size
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.tracking.vertical_check import LEAST_S, VerticalCheck
@@ -185,14 +187,20 @@ def make_tracker(**values: object) -> Tracker:
     return Tracker(MODELS, with_values(Config(), {f'tracker.{k}': v for k, v in values.items()}))
 
 
-def feed_demo(tracker: Tracker, first: int, last: int, camera: Intrinsics = DEMO_CAMERA) -> list[np.ndarray]:
+def feed_demo(
+    tracker: Tracker,
+    first: int,
+    last: int,
+    camera: Intrinsics = DEMO_CAMERA,
+    sequence: KeypointSequence = SEQUENCE,
+) -> list[np.ndarray]:
     """Return the joints of one person in some frames of the demo."""
-    given = [(SEQUENCE.stamps_ns[frame], [SEQUENCE.person(frame, 'ann')], camera) for frame in range(first, last)]
+    given = [(sequence.stamps_ns[frame], [sequence.person(frame, 'ann')], camera) for frame in range(first, last)]
     return [tracker.update(*frame)[-1].joints for frame in given]
 
 
-def reconstruct(vertical: str, frames: int = FRAMES) -> SequenceResult:
-    keypoints = SEQUENCE.keypoints[:frames].astype(float)
+def reconstruct(vertical: str, frames: int = FRAMES, sequence: KeypointSequence = SEQUENCE) -> SequenceResult:
+    keypoints = sequence.keypoints[:frames].astype(float)
     config = with_values(Config(), {'tracker.vertical': vertical})
     times = SEQUENCE.timestamps[:frames]
     return reconstruct_sequence(keypoints, SEQUENCE.joint_names, times, DEMO_CAMERA, MODELS, config)
@@ -216,6 +224,15 @@ def test_it_is_found_from_certain_people_and_is_that_of_the_whole_sequence() -> 
     assert late.direction[1] < -0.9, 'y is down in the camera, which is nearly level'
     assert angles_deg(late.direction, whole.vertical[-1]) < 3
     assert late.std == pytest.approx(whole.vertical_std[-1], rel=0.2)
+
+
+def test_half_bodies_leave_it_uncertain() -> None:
+    keypoints = SEQUENCE.keypoints.copy()
+    keypoints[:, [name[1:] in ('hip', 'knee', 'ankle') for name in SEQUENCE.joint_names], 2] = 0
+    half, tracker = replace(SEQUENCE, keypoints=keypoints), make_tracker()
+    feed_demo(tracker, 0, FRAMES, sequence=half)
+    for std in (find(tracker).std, reconstruct('auto', sequence=half).vertical_std[-1]):
+        assert std == pytest.approx(math.radians(MAX_STD_DEG))
 
 
 def test_another_camera_or_a_restart_forgets_what_was_found_and_a_little_drift_does_not() -> None:
