@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
 
+STATE: np.dtype[np.void]
+
 def collect_evidence(
     core: Array, windows: Sequence[Any], frames: Sequence[int]
 ) -> tuple[Array, Array, Array, Array]: ...

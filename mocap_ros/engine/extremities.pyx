@@ -56,20 +56,23 @@ cdef enum:
     STEPS = 2  # of Gauss and Newton; a third changes directions by less than 0.1 degrees
 
 
-cdef struct State:  # of a person in a frame, the fields of `solvers.extremities.STATE`
-    double segments[CORE][9]
-    double twist[LIMBS][3]
-    double turns[PARTS][9]
-    double covariances[PARTS][9]
-    double sizes[SIZES][2]
-    double offsets[POINTS][3]
-    double offset_std[POINTS]
-    double velocity[POINTS][3]
-    double quaternions[CORE][4]
-    double is_turn_seen[CORE]
-    double spin[CORE][3]
-    double squared_spin[CORE]
-    double time_s
+cdef struct State:  # what is known of the extremities of a person in a frame
+    double segments[CORE][9]  # as the core has them: rotations, in the order of the joints at which they begin
+    double twist[LIMBS][3]  # v of the limbs
+    double turns[PARTS][9]  # R
+    double covariances[PARTS][9]  # rad^2; P
+    double sizes[SIZES][2]  # b and I of face, feet and hands
+    double offsets[POINTS][3]  # m, points less the core joints on which they hang
+    double offset_std[POINTS]  # m
+    double velocity[POINTS][3]  # m/s, of the offsets
+    double quaternions[CORE][4]  # x, y, z, w, orientations of the segments
+    double is_turn_seen[CORE]  # 1 where the image says how a segment is turned about itself
+    double spin[CORE][3]  # rad/s; w
+    double squared_spin[CORE]  # rad^2/s^2; s^2
+    double time_s  # s, of this frame
+
+cdef State _state
+STATE = np.asarray(<State[:1]> &_state).dtype
 
 
 cdef struct Evidence:  # of a frame, the attributes of `ExtremityEvidence`, and the stature

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
 
+FOOTING: np.dtype[np.void]
+
 def find_contacts(
     times: Array,
     rays: Array,

@@ -52,20 +52,23 @@ cdef double ROUNDING_S = 1e-6  # differences of times that are equal but for rou
 cdef double FORGOTTEN = 2 * atanh(0.05)  # |log f| of p within 0.025 of 1/2, which is no knowledge, after about 3 s
 
 
-cdef struct Memory:  # what is kept of the frames before, the fields of `solvers.footing.FOOTING`
-    double time_s
-    double log_odds[POINTS]
-    double standing[FEET]
-    double core[CORE * 3]
-    double found[TWO]  # before, shift and leg_shifts
-    double matrix[TWO * TWO]
+cdef struct Memory:  # what is kept of a person in a frame
+    double time_s  # s, of the newest frame
+    double log_odds[POINTS]  # logarithms of the odds that heels and toes stand; NaN where unknown
+    double standing[FEET]  # probabilities that heel or toe of the left and of the right foot stand, likewise
+    double core[CORE * 3]  # m, in the axes of the camera
+    double found[TWO]  # m, unknowns u of the frame before, and of this one
+    double matrix[TWO * TWO]  # 1/m^2, lower triangle, and the right side, of the unknowns of both
     double right[TWO]
-    double root[3]
+    double root[3]  # m; X_t, and V_t in m/s
     double velocity[3]
-    double points[POINTS * 3]
+    double points[POINTS * 3]  # m; x_ti, and p_ti
     double contact[POINTS]
-    double step_s
-    double frames
+    double step_s  # s, since the frame before
+    double frames  # number so far, at most 2
+
+cdef Memory _memory
+FOOTING = np.asarray(<Memory[:1]> &_memory).dtype
 
 
 cdef struct Model:
@@ -447,7 +450,7 @@ def advance(
     Where the root is too far away for a person to have moved there, or what was found is not finite, all begins anew.
     A frame that is not newer than the last changes nothing, and if it is the last, it has its core.
 
-    `footings` (P, N), each as `solvers.footing.FOOTING`, are overwritten, all but the odds; `times` (P,) s; noise
+    `footings` (P, N), each a `Memory`, are overwritten, all but the odds; `times` (P,) s; noise
     (P,) m, of the image at the body; feet (P, 4, 3) m about their ankles.
     """
     cdef Memory* own

@@ -11,6 +11,8 @@ Array: TypeAlias = NDArray[np.float64]
 Array32: TypeAlias = NDArray[np.float32]
 Indices: TypeAlias = NDArray[np.int64]
 
+MOTION: np.dtype[np.void]
+
 VARIANCE_ACROSS: float
 VARIANCE_ALONG: float
 

@@ -68,6 +68,19 @@ cdef enum:  # rows of the filter's state: x, v, mean squares of the second diffe
     LEFT = 1  # index of the axis of the body whose sign a mirror changes
     LIMIT_FIRST = 1  # of the spans, 0.1 to 0.4 s; less has jitter, more remembers what has ended
     LIMIT_LAST = 4
+    JOINTS = 15
+    POINTS = 16  # the joints about their centre, and the centre
+
+
+cdef struct Filter:  # of a person; NaN before the first frame
+    double times[3]  # s, of the three newest frames; NaN before the first, or before a gap
+    double recent[3][POINTS][3]  # m, unfiltered points of these frames
+    # x in m, v in m/s, the mean squares of the second differences in m^2 and of v in m^2/s^2, and the variance of v
+    # in m^2/s^2
+    double state[5][POINTS][3]
+
+cdef Filter _filter
+MOTION = np.asarray(<Filter[:1]> &_filter).dtype
 
 
 cdef inline double square(double x) noexcept nogil:
@@ -211,35 +224,34 @@ cdef void advance_filter(
             )
 
 
-cdef void filter_person(
-    double* row, double time, const double* joints, Py_ssize_t count, double image_noise
-) noexcept nogil:
+cdef void filter_person(Filter* own, double time, const double* joints, double image_noise) noexcept nogil:
     """Advance the filter of a person, unless the frame is not newer than the last."""
-    cdef Py_ssize_t j, i, size = 3 * (count + 1)
+    cdef Py_ssize_t j, i
     cdef double squared = 0, moved
-    cdef double* points = row + 3 + 2 * size
-    cdef double* state = row + 3 + 3 * size
-    cdef double* centre = points + 3 * count
-    if time <= row[2]:
+    cdef double* points = &own.recent[2][0][0]
+    cdef double* state = &own.state[0][0][0]
+    cdef double* centre = own.recent[2][JOINTS]
+    cdef const double* last = own.state[X][JOINTS]
+    if time <= own.times[2]:
         return
-    memmove(row, row + 1, 2 * sizeof(double))
-    memmove(row + 3, row + 3 + size, 2 * size * sizeof(double))
-    row[2] = time
+    memmove(own.times, &own.times[1], 2 * sizeof(own.times[0]))
+    memmove(own.recent, &own.recent[1], 2 * sizeof(own.recent[0]))
+    own.times[2] = time
     for i in range(3):
         centre[i] = 0
-        for j in range(count):
-            centre[i] += joints[3 * j + i] / count
-        for j in range(count):
+        for j in range(JOINTS):
+            centre[i] += joints[3 * j + i] / JOINTS
+        for j in range(JOINTS):
             points[3 * j + i] = joints[3 * j + i] - centre[i]
-        squared += square(state[size - 3 + i] - centre[i])
-    moved = MAX_DEPTH_CHANGE * fabs(state[size - 1]) + MAX_SPEED_M_S * (row[2] - row[1])
+        squared += square(last[i] - centre[i])
+    moved = MAX_DEPTH_CHANGE * fabs(last[2]) + MAX_SPEED_M_S * (own.times[2] - own.times[1])
     if not sqrt(squared) <= moved:  # NaN before the first frame
-        row[0] = row[1] = NAN
-        begin_filter(state, points, count + 1)
+        own.times[0] = own.times[1] = NAN
+        begin_filter(state, points, POINTS)
         return
-    if row[2] - row[1] > MAX_STEP_S:
-        row[0] = NAN
-    advance_filter(state, row + 3, row, count + 1, MAX_NOISE_SHARE * image_noise)
+    if own.times[2] - own.times[1] > MAX_STEP_S:
+        own.times[0] = NAN
+    advance_filter(state, &own.recent[0][0][0], own.times, POINTS, MAX_NOISE_SHARE * image_noise)
 
 
 def filter_motion(
@@ -250,36 +262,33 @@ def filter_motion(
     The errors of both hips are mostly the same, so the variance of the point between them is their mean. If
     `is_steady`, the filters are advanced in place before.
 
-    `filters` (P, R), each as `tracking.motion_filter.MOTION`, with N = J + 1, NaN before the first frame; `times`
-    (P,) s, a frame that is not newer than the last changes nothing; where a filter is not at this time, the joints
+    `filters` (P, R), each a `Filter`, NaN before the first frame; `times` (P,) s, a frame that is not newer than the last changes nothing; where a filter is not at this time, the joints
     are those located, and all else is NaN; `located` (P, J, 3) m; `image_noise` (P,) m, at the body.
     """
-    cdef Py_ssize_t p, j, i, people = located.shape[0], count = located.shape[1], size = 3 * (count + 1)
+    cdef Py_ssize_t p, j, i, people = located.shape[0], count = located.shape[1]
     cdef double variance
     arrays = (np.array(located), np.empty((people, count, 3)), np.empty((people, count)), np.empty((people, 3, 3)))
     cdef double[:, :, ::1] joints = arrays[0], velocity = arrays[1], covariance = arrays[3]
     cdef double[:, ::1] std = arrays[2]
-    cdef const double* state
-    cdef const double* variances
+    cdef Filter* own
     for p in range(people):
+        own = <Filter*> &filters[p, 0]
         if is_steady:
-            filter_person(&filters[p, 0], times[p], &located[p, 0, 0], count, image_noise[p])
-        if filters[p, 2] != times[p]:
+            filter_person(own, times[p], &located[p, 0, 0], image_noise[p])
+        if own.times[2] != times[p]:
             velocity[p], std[p], covariance[p] = NAN, NAN, NAN
             continue
-        state = &filters[p, 3 + 3 * size]
-        variances = state + size * VARIANCE
-        for j in range(count):
+        for j in range(JOINTS):
             variance = 0
             for i in range(3):
-                joints[p, j, i] = state[3 * j + i] + state[3 * count + i]
-                velocity[p, j, i] = state[size * V + 3 * j + i] + state[size * V + 3 * count + i]
-                variance += variances[3 * j + i] + variances[3 * count + i]
+                joints[p, j, i] = own.state[X][j][i] + own.state[X][JOINTS][i]
+                velocity[p, j, i] = own.state[V][j][i] + own.state[V][JOINTS][i]
+                variance += own.state[VARIANCE][j][i] + own.state[VARIANCE][JOINTS][i]
             std[p, j] = sqrt(variance)
         covariance[p, :, :] = 0.0
         for i in range(3):
-            covariance[p, i, i] = (variances[3 * hips[0] + i] + variances[3 * hips[1] + i]) / 2
-            covariance[p, i, i] += variances[3 * count + i]
+            covariance[p, i, i] = (own.state[VARIANCE][hips[0]][i] + own.state[VARIANCE][hips[1]][i]) / 2
+            covariance[p, i, i] += own.state[VARIANCE][JOINTS][i]
     return arrays
 
 

@@ -73,12 +73,11 @@ from numpy.typing import NDArray
 from mocap_ros.arrays import Array
 from mocap_ros.engine import extremities as engine
 from mocap_ros.geometry.rotations import rotation_from_vector, vector_from_rotation
-from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, EXTREMITY_COUNT
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 from mocap_ros.solvers.observed_window import ObservedWindow
 
 Bools = NDArray[np.bool_]
 
-SEGMENT_COUNT = len(CMU15.joints)  # segments, in the order of the core joints at which they begin
 PART_SEGMENTS = np.array(
     [CMU15.index(n) for n in ('head', 'lankle', 'rankle', 'lwrist', 'rwrist')]
 )  # head, feet, hands
@@ -142,7 +141,6 @@ ANCHORS = PART_SEGMENTS[PART_OF]  # (11,) index of the core joint on which each 
 # (26,) index of the segment that turns about each joint or holds it
 SEGMENT_OF = np.concatenate([np.arange(CORE_COUNT), ANCHORS])
 SIZE_OF = np.array([0, 1, 1, 2, 2])  # parts of one size: face, feet, hands
-SIZE_COUNT = 3
 # rad; S_k, standard deviations of head, feet and hands about x, y, z from where the core has them, in the training
 # data; those of feet are a quarter wider, as solved shanks are worse than true ones. The turn of a hand about its
 # own axis, which nothing measures, is chosen by judgement.
@@ -167,28 +165,9 @@ BODY = engine.Body(
     REST_MEMORY_S,
     SIZE_STD,
 )
-# What is known of the extremities of a person in a frame, as the engine has it.
-STATE = np.dtype(
-    [
-        ('segments', float, (SEGMENT_COUNT, 3, 3)),  # rotations of the segments as the core has them
-        ('twist', float, (len(LIMBS), 3)),  # v of the limbs
-        ('turns', float, (len(PARTS), 3, 3)),  # R
-        ('covariances', float, (len(PARTS), 3, 3)),  # rad^2; P
-        ('sizes', float, (SIZE_COUNT, 2)),  # b and I of face, feet and hands
-        ('offsets', float, (EXTREMITY_COUNT, 3)),  # m, points less the core joints on which they hang
-        ('offset_std', float, EXTREMITY_COUNT),  # m
-        ('velocity', float, (EXTREMITY_COUNT, 3)),  # m/s, of the offsets
-        ('quaternions', float, (SEGMENT_COUNT, 4)),  # x, y, z, w, orientations of the segments
-        # 1 where the image says how a segment is turned about itself
-        ('is_turn_seen', float, SEGMENT_COUNT),
-        ('spin', float, (SEGMENT_COUNT, 3)),  # rad/s; w
-        ('squared_spin', float, SEGMENT_COUNT),  # rad^2/s^2; s^2
-        ('time_s', float),  # s, of this frame
-    ]
-)
-_start = np.zeros(1, STATE)
+_start = np.zeros(1, engine.STATE)
 for _name in ('segments', 'turns', 'covariances'):
-    _start[_name] = np.eye(3)
+    _start[_name] = np.eye(3).ravel()
 _start['time_s'] = -np.inf
 START = _start.view(float)  # (N,) state of a person before the first frame
 
@@ -226,8 +205,8 @@ def collect_evidence(
 
 
 def read_states(states: Array) -> NDArray[Any]:
-    """Return the fields of `STATE` of P people, each (P, ...), from the states (P, N)."""
-    return states.view(STATE)[:, 0]
+    """Return the fields of P people, each (P, ...), from the states (P, N); matrices (3, 3) are 9 numbers."""
+    return states.view(engine.STATE)[:, 0]
 
 
 class ExtremitySequence(NamedTuple):
@@ -249,13 +228,15 @@ def smooth_extremities(times: Array, evidence: ExtremityEvidence, stature: float
     _, predicted = BODY.run(start[0], reversed_, stature, np.append(np.inf, steps[:0:-1]), False)
     states = read_states(forwards)
     back, back_covariance = predicted[:, ::-1].reshape(2, len(times), len(PARTS), 3, 3)
-    turns, rest = states['turns'].copy(), states['segments'][:, PART_SEGMENTS]
+    fields = (states[name].reshape(len(times), -1, 3, 3) for name in ('turns', 'segments', 'covariances'))
+    turns, segments, covariances = fields  # views
+    rest = segments[:, PART_SEGMENTS]
     of_rest = rest @ (REST_STD[..., None] ** -2 * np.swapaxes(rest, -1, -2))  # S^-1
     of_back = np.linalg.inv(back_covariance)
-    covariance = np.linalg.inv(np.linalg.inv(states['covariances']) + of_back - of_rest)
+    covariance = np.linalg.inv(np.linalg.inv(covariances) + of_back - of_rest)
     pull = of_back @ _find_turn(turns, back) - of_rest @ _find_turn(turns, rest)
-    states['turns'] = rotation_from_vector((covariance @ pull)[..., 0]) @ turns
-    states['covariances'] = covariance
+    turns[:] = rotation_from_vector((covariance @ pull)[..., 0]) @ turns
+    covariances[:] = covariance
     BODY.finish(forwards, evidence.weight, stature)
     offsets, std, quaternions = (np.ascontiguousarray(states[n]) for n in ('offsets', 'offset_std', 'quaternions'))
     return ExtremitySequence(offsets, std, quaternions, states['is_turn_seen'] > 0)

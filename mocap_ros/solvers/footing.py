@@ -102,28 +102,6 @@ def plant_sequence(observed: ObservedWindow, core: Array, offsets: Array, upward
     return engine.smooth(noise, observed.times, np.ascontiguousarray(core), feet, contact, LEGS, ROUNDS)
 
 
-# What is kept of a person in a frame, as the engine has it; NaN before the first one
-FOOTING = np.dtype(
-    [
-        ('time_s', float),  # s, of the newest frame
-        ('log_odds', float, len(FEET)),  # logarithms of the odds that heels and toes stand; NaN where unknown
-        ('standing', float, 2),  # probabilities that heel or toe of the left and of the right foot stand, likewise
-        ('core', float, (CORE_COUNT, 3)),  # m, in the axes of the camera
-        ('before', float, (3, 3)),  # m, unknowns u of the frame before, and c and a of this one
-        ('shift', float, 3),
-        ('leg_shifts', float, (2, 3)),
-        ('matrix', float, (18, 18)),  # 1/m^2, lower triangle, and the right side, of the unknowns of both
-        ('right', float, 18),
-        ('root', float, 3),  # m; X_t, and V_t in m/s
-        ('velocity', float, 3),
-        ('points', float, (len(FEET), 3)),  # m; x_ti, and p_ti
-        ('contact', float, len(FEET)),
-        ('step_s', float),  # s, since the frame before
-        ('frames', float),  # number so far, at most 2
-    ]
-)
-
-
 def plant_newest(
     footings: Array,
     times: Array,
@@ -137,9 +115,10 @@ def plant_newest(
     """Overwrite the core joints (P, 15, 3) m of people by those of a root with inertia and feet that stand.
 
     They are of a frame of each of P windows, given by its index; later ones take no part. One that is not newer
-    than the last changes nothing, and if it is the last, it has its core. `footings` (P, N) are `FOOTING`; times
-    (P,) in s grow from frame to frame; offsets (P, 11, 3) m of the extremities are those of the frame before;
-    `upward` (3,) is None where it is not known; noise (P,) in m is that of the image at the body.
+    than the last changes nothing, and if it is the last, it has its core. `footings` (P, N) are `engine.FOOTING`,
+    NaN before the first frame; times (P,) in s grow from frame to frame; offsets (P, 11, 3) m of the extremities
+    are those of the frame before; `upward` (3,) is None where it is not known; noise (P,) in m is that of the
+    image at the body.
     """
     feet, up = offsets.take(FEET, axis=1), UNKNOWN if upward is None else upward
     engine.follow_contacts(footings, times, windows, frames, core, feet, up, LEGS, FEET)

@@ -36,22 +36,11 @@ from types import MappingProxyType
 import numpy as np
 
 from mocap_ros.arrays import Array
-from mocap_ros.skeleton import CORE_COUNT
-from mocap_ros.solvers.extremities import START, STATE
-from mocap_ros.solvers.footing import FOOTING
+from mocap_ros.engine import extremities, footing, motion
+from mocap_ros.solvers.extremities import START
 
-# State of the filter of a person, of the joints about their centre and of the centre; NaN before the first frame.
-MOTION = np.dtype(
-    [
-        ('times', float, 3),  # s, of the three newest frames; NaN before the first, or before a gap
-        ('recent', float, (3, CORE_COUNT + 1, 3)),  # m, unfiltered points of these frames
-        # x in m, v in m/s, the mean squares of the second differences in m^2 and of v in m^2/s^2, and the variance
-        # of v in m^2/s^2
-        ('state', float, (5, CORE_COUNT + 1, 3)),
-    ]
-)
 # All that is filtered of a person, up to the frame that was shown last.
-FILTERS = np.dtype([('motion', MOTION), ('footing', FOOTING), ('extremities', STATE)])
+FILTERS = np.dtype([('motion', motion.MOTION), ('footing', footing.FOOTING), ('extremities', extremities.STATE)])
 
 
 def _select(*names: str) -> slice:
@@ -65,9 +54,10 @@ def _select(*names: str) -> slice:
 
 # Columns of the filters (P, R) of people.
 OF_MOTION, OF_FOOTING, OF_EXTREMITIES = map(_select, ('motion', 'footing', 'extremities'))
-STANDING_TIME, STANDING_CORE, STANDING, SHIFT = (
-    _select('footing', name) for name in ('time_s', 'core', 'standing', 'shift')
+STANDING_TIME, STANDING_CORE, STANDING, _FOUND = (
+    _select('footing', name) for name in ('time_s', 'core', 'standing', 'found')
 )
+SHIFT = slice(_FOUND.start + 9, _FOUND.start + 12)  # c, the first of the 9 unknowns of the newest frame
 OFFSETS = _select('extremities', 'offsets')
 UNFILTERED = np.concatenate([np.full(OF_EXTREMITIES.start, np.nan), START])  # (R,) before the first frame
 

@@ -155,7 +155,7 @@ def test_any_evidence_gives_finite_results(numbers: Array, weight: Array, step_s
     for state in follow(evidence, step_s):
         assert all(np.isfinite(state[name]).all() for name in state.dtype.names)
         assert np.linalg.norm(state['quaternions'], axis=1) == pytest.approx(np.ones(CORE_COUNT))
-        segments = state['segments']
+        segments = state['segments'].reshape(-1, CORE_COUNT, 3, 3)
         square = segments @ np.swapaxes(segments, -1, -2)
         assert square == pytest.approx(np.broadcast_to(np.eye(3), square.shape), abs=1e-6)
         assert (np.linalg.det(segments) > 0).all()
@@ -188,14 +188,14 @@ def test_the_gradients_are_those_of_the_sums(kind: str) -> None:
 
 def find_segments(poses: Array) -> Array:
     """Return the segments (F, 15, 3, 3) as the core (F, 15, 3) alone has them."""
-    return np.asarray(follow(ExtremityEvidence.without_image(poses))['segments'])
+    return np.asarray(follow(ExtremityEvidence.without_image(poses))['segments']).reshape(-1, CORE_COUNT, 3, 3)
 
 
 @pytest.mark.parametrize('seed', range(5))
 def test_all_segments_of_an_upright_body_have_its_axes(seed: int) -> None:
     turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
     (segments,) = find_segments((UPRIGHT @ turn.T)[None])
-    hanging = [i for i in range(extremities.SEGMENT_COUNT) if i not in extremities.PART_SEGMENTS]
+    hanging = [i for i in range(CORE_COUNT) if i not in extremities.PART_SEGMENTS]
     assert segments[hanging] == pytest.approx(np.tile(turn, (len(hanging), 1, 1)), abs=1e-9)
     assert segments[at('head')] == pytest.approx(turn @ extremities.HEAD_REST, abs=1e-9)
     assert segments[at('lankle')] == pytest.approx(turn @ extremities.FOOT_REST, abs=1e-9)

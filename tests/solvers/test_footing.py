@@ -13,7 +13,7 @@ from mocap_ros.engine import footing as engine
 from mocap_ros.keypoints.rays import Extremities
 from mocap_ros.skeleton import BODY26, CMU15
 from mocap_ros.solvers.extremities import ANCHORS
-from mocap_ros.solvers.footing import FOOTING, HEELS_AND_TOES, LEGS, find_contacts, plant_newest, plant_sequence
+from mocap_ros.solvers.footing import HEELS_AND_TOES, LEGS, find_contacts, plant_newest, plant_sequence
 
 Array = np.ndarray
 Motion = tuple[Array, Array, Array, Array]
@@ -25,8 +25,8 @@ class Live:
     """A person whose frames come one after the other."""
 
     def __init__(self) -> None:
-        self.states = np.full((1, FOOTING.itemsize // 8), np.nan)
-        self.state = self.states.view(FOOTING)[0]
+        self.states = np.full((1, engine.FOOTING.itemsize // 8), np.nan)
+        self.state = self.states.view(engine.FOOTING)[0]
 
     def advance(self, time_s: float, core: Array, feet: Array, log_odds: float | Array) -> Array:
         """Return the core (15, 3) m by the odds (4,) that are known of heels and toes."""

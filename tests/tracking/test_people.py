@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from mocap_ros.config import Config, with_settings, with_values
 from mocap_ros.demo.scene import make_recording
-from mocap_ros.engine.motion import describe_cores, filter_motion
+from mocap_ros.engine.motion import MOTION, describe_cores, filter_motion
 from mocap_ros.geometry.interpolation import central_velocity
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
@@ -22,7 +22,7 @@ from mocap_ros.people import HIPS, Person3D
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 from mocap_ros.solvers.extremities import ExtremityEvidence
 from mocap_ros.tracking.body_size import BodySize
-from mocap_ros.tracking.motion_filter import MOTION, UNFILTERED
+from mocap_ros.tracking.motion_filter import UNFILTERED
 from mocap_ros.tracking.output import Shown, locate_past
 from mocap_ros.tracking.prediction import MIN_CLEARANCE_M, predict_people
 from mocap_ros.tracking.track import Track
