@@ -41,6 +41,7 @@ from mocap_ros.evaluation.verdict import (
 from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import MAX_CERTAIN_STD
+from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import MAX_SHARE_OUTSIDE, PointPlaces
 from mocap_ros.messages.skeletons import RecordedPerson
@@ -202,6 +203,26 @@ def describe_vertical(std: float, *, is_given: bool) -> str:
     return 'found' if std <= MAX_CERTAIN_STD else 'uncertain'
 
 
+def name_alike(person: Person2D, last: Person2D | None) -> Person2D:
+    """Return a person with canonical names, in the order of those of the last where they mean the same joints.
+
+    Where wrong names were put right, the points in the given order still have the shape of the last.
+    """
+    joints = build_joint_map(person.joints).source
+    own = Person2D(person.id, joints, person.points, person.score)
+    if last is None or joints == last.joints or set(joints) != set(last.joints):
+        return own
+    order = [joints.index(name) for name in last.joints]
+    ordered = Person2D(person.id, last.joints, person.points[order], person.score[order])
+    return min(ordered, own, key=lambda p: _measure_change(last, p))
+
+
+def _measure_change(last: Person2D, person: Person2D) -> float:
+    """Return the median distance in px of the points of two people, column by column, about their middles."""
+    moved = (person.points - last.points)[(last.score > 0) & (person.score > 0)]
+    return float(np.median(np.linalg.norm(moved - moved.mean(axis=0), axis=1))) if len(moved) else math.inf
+
+
 def find_same_person(last: Person2D, detections: Sequence[Person2D]) -> Person2D | None:
     """Return the detection whose points are nearest to those of a person in the image before; None if far."""
     size = float(np.ptp(last.points[last.score > 0], axis=0).max())
@@ -230,7 +251,7 @@ class RunSummary:
         self._last_ns = 0
         self._focal, self._focal_source = math.nan, ''
         self._vertical: CameraVertical | None = None
-        self._names: tuple[str, ...] = ()
+        self._last: Person2D | None = None  # who was followed last
         self._messages = self._refused = self._refused_in_turn = 0
         self.rate_fault = ''  # why the stamps of some images can be those of no camera
         self.restart()
@@ -318,7 +339,7 @@ class RunSummary:
         """Collect the points of one person, and begin to measure them when there are enough."""
         if self._readings or stamp_ns < self._rest_ns:
             return
-        detections = [d for d in detections if (d.score > 0).sum() >= MIN_SEEN_JOINTS]
+        detections = [name_alike(d, self._last) for d in detections if (d.score > 0).sum() >= MIN_SEEN_JOINTS]
         if self._followed:
             last_ns, last = self._followed[-1]
             if not 0 < stamp_ns - last_ns < STRETCH_S * NS_PER_S:
@@ -330,9 +351,10 @@ class RunSummary:
         if person is None:
             return
         self._followed.append((stamp_ns, person))
-        if person.joints != self._names:
+        if self._last is None or person.joints != self._last.joints:
             self.restart()
-            self._names, self._followed = person.joints, [(stamp_ns, person)]
+            self._followed = [(stamp_ns, person)]
+        self._last = person
         start_ns = self._followed[0][0]
         if stamp_ns - start_ns < STRETCH_S * NS_PER_S:
             return
@@ -367,11 +389,15 @@ class RunSummary:
     def reason(self) -> str:
         """Why the input is not sound, in words; empty if it is, or was not judged yet."""
         is_sound = self.judgement.grade is Grade.GOOD
-        return '' if is_sound else describe_fault(self.judgement, self._names, self._size_fault)
+        return '' if is_sound else self._describe_fault()
+
+    def _describe_fault(self) -> str:
+        names = self._last.joints if self._last else ()
+        return describe_fault(self.judgement, names, self._size_fault)
 
     def _find_worst(self) -> tuple[Judgement, str]:
         """Return the worst judgement of all parts, and why it is not good, in words."""
-        newest = self.judgement, describe_fault(self.judgement, self._names, self._size_fault)
+        newest = self.judgement, self._describe_fault()
         return max(newest, self._worst, key=lambda found: (found[0].grade, found[0].fault is not Fault.UNKNOWN))
 
     def summarise(self) -> Summary:

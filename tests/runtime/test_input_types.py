@@ -308,6 +308,16 @@ def test_a_mistake_is_kept_until_mended(stream: list[bytes], edit: Callable[[Any
     assert pipeline.checks.warnings == ()
 
 
+def test_other_names_or_another_order_of_the_same_joints_do_not_restart_the_judgement(stream: list[bytes]) -> None:
+    def reverse_order(person: Any) -> None:
+        reverse_joints(person)
+        vars(person).update({name: getattr(person, name)[::-1].copy() for name in ('x', 'y', 'score')})
+
+    edits, pipeline = (name_joints('coco17'), name_joints('', *SPELT_OUT), reverse_order), Pipeline(FAST_CONFIG)
+    list_reasons(pipeline, [edit_people(raw, edits[i % 3]) for i, raw in enumerate(stream)])
+    assert pipeline.summary.summarise().grade == 'good'
+
+
 def test_unusable_detections_are_described_when_they_last(stream: list[bytes]) -> None:
     faint = [edit_people(raw, lambda p: vars(p).update(score=np.full_like(p.score, 0.05))) for raw in 2 * stream]
     frames = [with_stamp(raw, round((1 + i * STEP_S) * 1e9)) for i, raw in enumerate([*stream, *faint])]
