@@ -10,25 +10,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import suppress
-from functools import lru_cache
+from contextlib import contextmanager, suppress
 from itertools import islice, takewhile
 from pathlib import Path, PurePosixPath
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import apsw
-from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat, Qos, QosDurability
-from rosbags.rosbag1 import Reader as Ros1Reader
-from rosbags.rosbag2 import Reader as Ros2Reader
-from rosbags.rosbag2 import storage_mcap, storage_sqlite3
-from rosbags.rosbag2.metadata import parse_qos
-from rosbags.rosbag2.reader import DirectoryReader
-from rosbags.rosbag2.storage_mcap import get_msgdef
+from rosbags.interfaces import Connection, MessageDefinitionFormat, Qos, QosDurability
 
-from mocap_ros.bags.mcap_scan import MAGIC, PARSE_ERRORS, read_summary
+from mocap_ros.bags.mcap_scan import MAGIC, PARSE_ERRORS, begins_with, read_summary
 from mocap_ros.bags.rosbag2 import METADATA
-from mocap_ros.errors import MALFORMED, InputError, describe_parse_error, name_errors
+from mocap_ros.bags.storages import READ_ERRORS, FolderReader, Messages, Ros1Reader, choose_storage, describe_error
+from mocap_ros.errors import InputError, describe_parse_error, name_errors
 from mocap_ros.messages.camera_info import CAMERA_INFO, may_be_one_camera
 from mocap_ros.messages.cdr import read_frame_id, typestore
 from mocap_ros.messages.foreign_types import INPUT_DEFINITIONS, find_current_type
@@ -47,7 +39,6 @@ if TYPE_CHECKING:
 ROS2_SUFFIXES = ('.mcap', '.db3')  # of the files of ROS 2 bags
 ROS1_SUFFIX = '.bag'  # of ROS 1 bags
 MAX_HEADERS = 100  # messages of a topic in which a `frame_id` is searched; few detectors leave only some empty
-MAX_QOS_TEXTS = 256  # different QoS profiles that are remembered
 
 
 class BagMessage(NamedTuple):
@@ -78,19 +69,17 @@ class Bag:
         if self.path.exists() and not (self.path.is_dir() or self.path.is_file()):
             raise InputError(f'{self.path}: neither a file nor a folder')
         try:
-            if fault := _find_fault(self.path):
-                raise InputError(self._advise(fault))
-            self._reader = Ros1Reader(self.path) if self._is_ros1 else Ros2Reader(self.path)
-            self._reader.open()
-            self._connections: list[Connection] = [*self._reader.connections]
-            self._types = {c.id: _find_known_type(c) for c in self._connections}
-            self.duration_s = float(self._reader.duration / NS_PER_S)
-            self.count(self.topics)  # what a damaged metadata.yaml states may be no number
+            with self._reading():
+                if fault := _find_fault(self.path):
+                    raise InputError(self._advise(fault))
+                self._reader = self._choose_reader()
+                self._reader.open()
+                self._connections: list[Connection] = [*self._reader.connections]
+                self.duration_s = float(self._reader.duration / NS_PER_S)
         except InputError:
-            raise
-        except Exception as error:  # the reader of a damaged file may raise anything
             self.close()
-            raise self._make_read_error(error) from None
+            raise
+        self._types = {c.id: _find_known_type(c) for c in self._connections}
 
     def __enter__(self) -> Self:
         return self
@@ -166,19 +155,39 @@ class Bag:
             return
         converters = {c.id: self._make_converter(c) for c in connections}
         message_count = 0
-        try:
-            for connection, time_ns, raw in self._reader.messages(connections, start_ns, stop_ns):
-                message_count += 1
-                data = converters[connection.id](raw)
-                yield BagMessage(connection.topic, self._types[connection.id], time_ns, data)
-        except InputError:
-            raise
-        except Exception as error:  # the reader of a damaged file may raise anything
-            raise self._make_read_error(error) from None
+        for connection, time_ns, raw in self._read(connections, start_ns, stop_ns):
+            message_count += 1
+            data = converters[connection.id](raw)
+            yield BagMessage(connection.topic, self._types[connection.id], time_ns, data)
         expected = self.count(topics)
         if start_ns is None and stop_ns is None and message_count < expected:
             names = ', '.join(topics)
             raise InputError(self._advise(f'only {message_count} of {expected} messages on {names} could be read'))
+
+    def _read(self, connections: Collection[Connection], start_ns: int | None, stop_ns: int | None) -> Messages:
+        with self._reading():
+            yield from self._reader.messages(connections, start_ns, stop_ns)
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Raise InputError for what the reader raises in the block where the bag is damaged."""
+        errors = (Exception,) if self._is_ros1 else READ_ERRORS
+        try:
+            yield
+        except InputError:
+            raise
+        except errors as error:
+            raise self._make_read_error(error) from None
+
+    def _choose_reader(self) -> Any:
+        if self._is_ros1:
+            return Ros1Reader(self.path)
+        if self.path.is_dir():
+            return FolderReader(self.path)
+        if not self.path.exists() or self.path.suffix not in ROS2_SUFFIXES:
+            fault = 'it is no file of a bag' if self.path.exists() else 'it does not exist'
+            raise InputError(f'{self.path}: {fault}')
+        return choose_storage(self.path)
 
     def _make_converter(self, connection: Connection) -> Convert:
         """Return the converter of a topic's messages; types unknown to this package stay as they are."""
@@ -215,12 +224,9 @@ class Bag:
     def _make_read_error(self, error: Exception) -> InputError:
         if isinstance(error, OSError) and error.strerror:
             return InputError(f'{self.path}: {error.strerror}')
-        reason = describe_error(error)
-        if self.path.is_dir() and isinstance(error.__cause__ or error, MALFORMED):
-            reason = f'{METADATA} does not have the form of rosbag2'
-        fault = f'the bag cannot be read: {reason}'
+        fault = f'the bag cannot be read: {describe_error(error)}'
         files = [f for f in list_bag_files(self.path) or [self.path] if f.is_file()]
-        is_repairable = self._is_ros1 or any(f.suffix == '.db3' or _is_mcap(f) for f in files)
+        is_repairable = self._is_ros1 or any(f.suffix == '.db3' or begins_with(f, MAGIC) for f in files)
         return InputError(self._advise(fault) if files and is_repairable else f'{self.path}: {fault}')
 
     def _advise(self, fault: str) -> str:
@@ -279,17 +285,11 @@ def _count_shared_namespaces(topic: str, reference: str) -> int:
     return len(list(takewhile(lambda pair: pair[0] == pair[1], parts)))
 
 
-def _is_mcap(file: Path) -> bool:
-    with suppress(OSError), file.open('rb') as stream:
-        return stream.read(len(MAGIC)) == MAGIC
-    return False
-
-
 def _find_fault(path: Path) -> str:
     """Describe the fault of a bag whose recorder was killed; return an empty string where none is found."""
     files = list_bag_files(path)
     for file in files or [path]:
-        if file.suffix == '.mcap' and file.is_file() and _is_mcap(file):
+        if file.suffix == '.mcap' and file.is_file() and begins_with(file, MAGIC):
             with file.open('rb') as stream:
                 try:
                     read_summary(stream)
@@ -303,57 +303,3 @@ def _find_fault(path: Path) -> str:
     if files and not (path / METADATA).exists():
         return f'the recording was not finished: {METADATA} is missing'
     return ''
-
-
-def describe_error(error: Exception) -> str:
-    """Return in one line why a file cannot be read.
-
-    A reader that believes a damaged length may ask for more memory than there is; its MemoryError has no text.
-    """
-    if isinstance(error, MemoryError):
-        return 'a length in it is damaged, or there is too little memory'
-    if isinstance(error, UnicodeDecodeError):
-        return f'not UTF-8 at byte {error.start} of a text in it'
-    return describe_parse_error(error).rstrip('.') or type(error).__name__
-
-
-def _get_definition(schema: Any) -> MessageDefinition:
-    """Return the definition of a schema; none where rosbag2 has found none and states the language `unknown`."""
-    try:
-        return get_msgdef(schema)
-    except KeyError:
-        return MessageDefinition(MessageDefinitionFormat.NONE, '')
-
-
-class _Database(apsw.Connection):
-    """A database of a bag, without the definitions of message types in languages that rosbags does not know."""
-
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, **options)
-        # SQLite looks for a name among what is temporary first, also in a database that is read only.
-        self.execute(
-            'CREATE TEMP VIEW message_definitions AS SELECT * FROM main.message_definitions '
-            "WHERE encoding IN ('ros2msg', 'ros2idl')"
-        )
-
-
-def _open_storage(path: Any) -> Any:
-    """Return the reader of a file of a bag, by the file: the metadata may name no storage."""
-    is_database = path.suffix == '.db3' and not _is_mcap(path)
-    return storage_sqlite3.Sqlite3Reader(path) if is_database else storage_mcap.McapReader(path)
-
-
-def _adapt_rosbags() -> None:
-    """Replace what rosbags does otherwise, as it is no parameter of its readers.
-
-    They refuse an empty name of the storage and unknown definitions, and parse the QoS profiles of every topic
-    anew, which takes 4 ms; most topics have the same.
-    """
-    mcap, sqlite3 = cast(Any, storage_mcap), cast(Any, storage_sqlite3)
-    DirectoryReader.STORAGE_PLUGINS = cast(Any, dict.fromkeys(('mcap', 'sqlite3', '', None), _open_storage))
-    mcap.get_msgdef = _get_definition
-    sqlite3.apsw = SimpleNamespace(**{**vars(apsw), 'Connection': _Database})
-    mcap.parse_qos = sqlite3.parse_qos = lru_cache(MAX_QOS_TEXTS)(parse_qos)
-
-
-_adapt_rosbags()

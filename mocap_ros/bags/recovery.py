@@ -5,22 +5,19 @@
 
 from __future__ import annotations
 
-import shutil
 import sqlite3
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypeVar
 
-import zstandard
 from mcap.records import Attachment as AttachmentRecord
 from mcap.records import Metadata as MetadataRecord
 from rosbags.interfaces import Connection, MessageDefinitionFormat
-from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
@@ -28,24 +25,25 @@ from mocap_ros.bags.mcap_file import Attachment
 from mocap_ros.bags.mcap_scan import Item, McapScan
 from mocap_ros.bags.reader import (
     ROS2_SUFFIXES,
-    describe_error,
     find_database_log,
     find_number_and_name,
     list_bag_files,
 )
 from mocap_ros.bags.recorder import RecordedMessage, Recorder, choose_partial_path, remove_partial
 from mocap_ros.bags.rosbag2 import ROSBAG2, Topic, make_topic
+from mocap_ros.bags.storages import READ_ERRORS, SqliteStorage, describe_error
+from mocap_ros.bags.unpacking import PIECE_BYTES, ZSTD_MAGIC, read_unpacked, unpack
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import MALFORMED, InputError, RecordingError
 from mocap_ros.messages.cdr import typestore
 
 ENCODINGS = {MessageDefinitionFormat.MSG: 'ros2msg', MessageDefinitionFormat.IDL: 'ros2idl'}
 PACKED_SUFFIX = '.zstd'  # that rosbag2 adds to the name of a file that it has compressed as a whole
-ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # first bytes of a compressed message; a message as CDR begins with 0
 NO_LIMITS = RecorderConfig(min_free_mb=0, split_seconds=0.0, split_mb=0)  # the new bag has the files of the other
 
 # A function that receives the number of processed bytes and of all bytes.
 ReportProgress = Callable[[int, int], None]
+T = TypeVar('T')
 
 
 @dataclass
@@ -113,15 +111,25 @@ class _FileCopy:
 
     def run(self, folder: Path, size: int) -> Iterator[int]:
         """Copy what can be read; yield the number of bytes read so far, of a size."""
-        try:
-            if self._name.exists() and not self._name.is_file():
-                raise OSError('not a file')
-            with self._provide_readable(folder) as file:
-                yield from self._copy_mcap(file) if file.suffix == '.mcap' else self._copy_sqlite(file, size)
-        except OSError as error:  # what is before the fault is copied
-            self._report_loss(error.strerror or str(error))
+        if self._name.exists() and not self._name.is_file():
+            self._report_loss('not a file')
+            return
+        with self._provide_readable(folder) as file:
+            yield from self._copy_mcap(file) if file.suffix == '.mcap' else self._copy_sqlite(file, size)
         for (topic, reason), number in self._rejected.items():
-            self._report_loss(f'{number} messages of {topic} are lost, because {reason}')
+            self._report_loss(f'{number} messages of {topic} are lost: {reason}')
+
+    @contextmanager
+    def _reading(self, place: str = '', advice: str = '') -> Iterator[None]:
+        """Make a loss of an error of reading; what was read before is copied."""
+        try:
+            yield
+        except READ_ERRORS as error:
+            self._report_loss(f'{place}{describe_error(error)}{advice}')
+
+    def _read(self, items: Iterable[T]) -> Iterator[T]:
+        with self._reading():
+            yield from items
 
     @contextmanager
     def _provide_readable(self, folder: Path) -> Iterator[Path]:
@@ -137,28 +145,27 @@ class _FileCopy:
             return
         with TemporaryDirectory(dir=folder, prefix='.mocap_ros_') as place:
             readable = Path(place) / file.name.removesuffix(PACKED_SUFFIX)
-            try:
-                if has_log:
-                    shutil.copyfile(file, readable)
-                    shutil.copyfile(log, find_database_log(readable))
-                    with closing(sqlite3.connect(readable)) as database:
-                        database.execute('PRAGMA wal_checkpoint(TRUNCATE)')
-                else:
-                    with file.open('rb') as packed, readable.open('wb') as unpacked:
-                        zstandard.ZstdDecompressor().copy_stream(packed, unpacked)
-            except (zstandard.ZstdError, sqlite3.Error) as error:
-                self._report_loss(f'it, or its log, is damaged: {error}')
+            if has_log:
+                self._copy(_read_pieces(file), readable)
+                self._copy(_read_pieces(log), find_database_log(readable))
+                with self._reading(), closing(sqlite3.connect(readable)) as database:
+                    database.execute('PRAGMA wal_checkpoint(TRUNCATE)')
+            else:
+                self._copy(read_unpacked(file), readable)
             yield readable
+
+    def _copy(self, pieces: Iterator[bytes], copy: Path) -> None:
+        with copy.open('wb') as stream:
+            for piece in self._read(pieces):
+                stream.write(piece)
 
     def _copy_mcap(self, file: Path) -> Iterator[int]:
         scan = McapScan(file)
-        try:
-            for item in scan:
-                self._copy_item(item)
-                yield scan.position
-        finally:
-            for loss in scan.losses:
-                self._report_loss(loss)
+        for item in self._read(scan):
+            self._copy_item(item)
+            yield scan.position
+        for loss in scan.losses:
+            self._report_loss(loss)
 
     def _copy_item(self, item: Item) -> None:
         """Copy a message of ROS 2, an attachment, or metadata other than those of rosbag2."""
@@ -173,7 +180,7 @@ class _FileCopy:
                 with self._recorder.writing() as file:
                     file.add_metadata(item.name, item.metadata)
         elif item.schema is None or item.channel.message_encoding != 'cdr':
-            self._rejected[item.channel.topic, 'they are no messages of ROS 2'] += 1
+            self._rejected[item.channel.topic, 'no messages of ROS 2'] += 1
         else:
             schema, channel, message = item.schema, item.channel, item.message
 
@@ -186,20 +193,22 @@ class _FileCopy:
             self._write(RecordedMessage(channel.topic, schema.name, message.data, *times_ns, None), describe)
 
     def _copy_sqlite(self, file: Path, size: int) -> Iterator[int]:
-        try:
-            with Reader(file) as reader:
-                count, number = reader.message_count, 0
-                for number, (c, time_ns, data) in enumerate(reader.messages(), 1):
-                    message = RecordedMessage(c.topic, c.msgtype, data, time_ns, time_ns, None)
-                    self._write(message, partial(_describe_connection, c))
-                    yield size * number // count
-                if number < count:
-                    self._report_loss(f'{count - number} of {count} messages belong to no topic')
-        except (RecordingError, OSError):
-            raise
-        except Exception as error:  # SQLite and rosbags may raise anything for a damaged file
-            reason = describe_error(error)
-            self._report_loss(f'SQLite cannot read it: {reason}; `sqlite3 {self._name} .recover` may save more')
+        with closing(SqliteStorage(file)) as storage:
+            for number, (connection, time_ns, data) in self._read_database(storage):
+                message = RecordedMessage(connection.topic, connection.msgtype, data, time_ns, time_ns, None)
+                self._write(message, partial(_describe_connection, connection))
+                yield size * number // max(storage.message_count, number)
+
+    def _read_database(self, storage: SqliteStorage) -> Iterator[tuple[int, tuple[Connection, int, bytes]]]:
+        """Yield the messages with their numbers, from 1 on."""
+        with self._reading('SQLite cannot read it: ', f'; `sqlite3 {self._name} .recover` may save more'):
+            storage.open()
+            number = 0
+            for number, message in enumerate(storage.messages(storage.connections), 1):
+                yield number, message
+            if number < storage.message_count:
+                missing = f'{storage.message_count - number} of {storage.message_count} messages'
+                self._report_loss(f'{missing} have no topic, no time or no data')
 
     def _write(self, message: RecordedMessage, describe: Callable[[], Topic]) -> None:
         """Write a message; add its topic, which `describe` returns, before the first one."""
@@ -208,15 +217,13 @@ class _FileCopy:
         if declared is None:
             self._recorder.add_topic(_repair_definition(describe()))
         elif declared.type != msgtype:
-            reason = f'their type is {msgtype}, but the topic has the type {declared.type}'
-            self._rejected[topic, reason] += 1
+            self._rejected[topic, f'of the type {msgtype}, but the topic has the type {declared.type}'] += 1
             return
         if data.startswith(ZSTD_MAGIC):
-            unpacking = zstandard.ZstdDecompressor().decompressobj()
-            with suppress(zstandard.ZstdError):
-                data = unpacking.decompress(data)
-            if not unpacking.eof:
-                self._rejected[topic, 'they cannot be decompressed'] += 1
+            try:
+                data = unpack(data, 'zstd')
+            except ValueError as error:
+                self._rejected[topic, str(error)] += 1
                 return
         self._begin_file()
         self._recorder.write(*message._replace(data=data))
@@ -230,6 +237,12 @@ class _FileCopy:
 
     def _report_loss(self, loss: str) -> None:
         self._report.losses.append(f'{self._name}: {loss}')
+
+
+def _read_pieces(file: Path) -> Iterator[bytes]:
+    with file.open('rb') as stream:
+        while piece := stream.read(PIECE_BYTES):
+            yield piece
 
 
 def _describe_connection(connection: Connection) -> Topic:

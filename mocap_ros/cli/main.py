@@ -5,7 +5,7 @@
 
 Exit codes: 0 for success; 1 for a failure, which one line on stderr describes, also of a parameter that is
 unknown or an output of unknown type; 2 for options that a command does not have or cannot parse, after its usage;
-130 for an interrupt by Ctrl-C, as shells expect it.
+3 for a bag that `recover` could recover in part; 130 for an interrupt by Ctrl-C, as shells expect it.
 """
 
 from __future__ import annotations

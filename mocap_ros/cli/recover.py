@@ -15,10 +15,13 @@ from mocap_ros.cli.options import Options, derive_output_stem
 from mocap_ros.cli.terminal import ShareBar, print_note, print_result
 from mocap_ros.runtime.input_kind import InputKind, require_kind
 
+PARTLY_RECOVERED = 3  # exit code: there is a new bag, which lacks something
+
 DESCRIPTION = (
     'Writes a new bag with every message that can still be read from a damaged bag, and lists what could not be '
     'read. A bag is damaged if, for example, its recorder was killed or its disk was full. The command reads '
-    'rosbag2 bags of any recorder, in MCAP or SQLite3, and does not change the damaged bag.'
+    'rosbag2 bags of any recorder, in MCAP or SQLite3, and does not change the damaged bag. It ends with 0 if all '
+    f'could be read, {PARTLY_RECOVERED} if something was lost, and 1 if nothing could be recovered.'
 )
 OPTIONS: Options = {
     'bag BAG': 'damaged bag: folder, .mcap or .db3',
@@ -36,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     for loss in found.losses:
         print_note(loss)
     print_result(f'{out}: {found.messages.total()} messages on {len(found.messages)} topics')
-    return 0
+    return PARTLY_RECOVERED if found.losses else 0
 
 
 def _choose_output(bag: Path) -> Path:

@@ -7,11 +7,15 @@ import os
 import random
 import re
 import sqlite3
+import subprocess
+import sys
+from itertools import product
 from pathlib import Path
 
 import pytest
 import yaml
 from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -42,6 +46,7 @@ from tests.support.foreign_messages import (
     make_hri_inputs,
     make_inputs,
 )
+from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import BAG_STEP_NS, START_NS, make_keypoints, write_bag
 
 
@@ -106,7 +111,12 @@ def test_paths_that_are_no_bags_are_refused(tmp_path: Path) -> None:
     for name in ('x.mcap', 'x.txt'):
         (tmp_path / name).write_bytes(b'no bag')
     os.mkfifo(tmp_path / 'pipe.mcap')
-    reasons = {'none': 'does not exist', 'pipe.mcap': 'neither a file', 'x.mcap': 'magic', 'x.txt': 'storage'}
+    reasons = {
+        'none': 'does not exist',
+        'pipe.mcap': 'neither a file',
+        'x.mcap': 'first 8 bytes',
+        'x.txt': 'no file of a bag',
+    }
     for name, reason in {**reasons, '.': 'metadata'}.items():
         with pytest.raises(InputError, match=f'{name if name != "." else ""}.*{reason}'):
             Bag(tmp_path / name)
@@ -448,3 +458,66 @@ def test_compressed_bags(tmp_path: Path, storage: StoragePlugin, mode: Compressi
     assert recover(tmp_path / 'bag', tmp_path / 'out').losses == []
     assert read_frames(tmp_path / 'out') == list(range(FRAMES))
     assert {f.name for f in tmp_path.iterdir()} == {'bag', 'out'}
+
+
+UNCHANGED = """
+import importlib
+modules = [importlib.import_module(f'rosbags.{m}') for m in (
+    'rosbag1.reader', 'rosbag2.reader', 'rosbag2.metadata', 'rosbag2.storage_mcap', 'rosbag2.storage_sqlite3')]
+classes = [c for m in modules for c in vars(m).values() if isinstance(c, type)]
+before = [dict(vars(place)) for place in (*modules, *classes)]
+import mocap_ros.bags.recovery
+assert [dict(vars(place)) for place in (*modules, *classes)] == before
+"""
+
+
+def test_rosbags_stays_as_it_is() -> None:
+    subprocess.run([sys.executable, '-c', UNCHANGED], cwd=ROOT, check=True)
+
+
+def test_large_chunks_are_recovered_in_little_memory_and_what_is_larger_is_lost(tmp_path: Path) -> None:
+    """Four images of 4K in a chunk of 100 MB, and a few bytes that unpack to more than any message has."""
+    images = [random.Random(i).randbytes(25_000_000) for i in range(4)]
+    with (tmp_path / 'x.mcap').open('wb') as file:
+        writer = McapWriter(file, chunk_size=1 << 40)
+        writer.start('ros2', 'test')
+        channel = writer.register_channel('/a', 'cdr', writer.register_schema(KEYPOINTS, 'ros2msg', b''))
+        for messages in ([bytes(150_000_000)], images, [bytes(600_000_000)]):
+            for data in messages:
+                writer.add_message(channel, 1, data, 1)
+            writer.flush()  # type: ignore[no-untyped-call]
+        writer.finish()  # type: ignore[no-untyped-call]
+    done = subprocess.run(
+        ['bash', '-c', f'ulimit -v 2000000; exec {sys.executable} -m mocap_ros.cli.main recover x.mcap'],
+        cwd=tmp_path, env=os.environ | {'PYTHONPATH': str(ROOT), 'OPENBLAS_NUM_THREADS': '1'},
+        check=False, capture_output=True, text=True,
+    )  # fmt: skip
+    lost = [line for line in done.stderr.splitlines() if 'x.mcap: the chunk record' in line]
+    assert (done.returncode, len(lost)) == (3, 2), done.stderr
+    with Bag(tmp_path / 'x_recovered') as bag:
+        assert [m.raw for m in bag.messages(['/a'])] == images
+
+
+STORAGES = StoragePlugin.MCAP, StoragePlugin.SQLITE3
+PLACES = 'recovery.RecordedMessage', 'reader.BagMessage', 'storages.Connection'
+
+
+@pytest.mark.parametrize(
+    ('storage', 'place'), [*product(STORAGES, PLACES), (StoragePlugin.MCAP, 'mcap_scan.ScannedMessage')]
+)
+def test_a_fault_of_the_program_is_not_taken_for_damage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, storage: StoragePlugin, place: str
+) -> None:
+    def fail(*_: object) -> None:
+        raise KeyError('fault')
+
+    def read_and_recover() -> None:
+        with Bag(tmp_path / 'bag') as bag:
+            list(bag.messages(bag.topics))
+        recover(tmp_path / 'bag', tmp_path / 'out')
+
+    write_foreign(tmp_path / 'bag', 'yolo_msgs', storage)
+    monkeypatch.setattr(f'mocap_ros.bags.{place}', fail)
+    with pytest.raises(KeyError):
+        read_and_recover()
+    assert not list(tmp_path.glob('out*'))

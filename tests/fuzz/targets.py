@@ -11,7 +11,7 @@ the tests with structured inputs and the replay of the inputs that once failed (
 import io
 import json
 import sqlite3
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
@@ -33,6 +33,7 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.recovery import recover
 from mocap_ros.bags.rosbag2 import METADATA, encode_yaml, make_topic
+from mocap_ros.bags.unpacking import ZSTD_MAGIC
 from mocap_ros.config import Config, NodeConfig, RecorderConfig, from_yaml, to_yaml
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import MAX_MESSAGE_CHARACTERS, MocapError
@@ -172,8 +173,9 @@ def _read_bag(path: Path) -> None:
 
 
 def recover_bag(data: bytes, folder: Path) -> None:
-    """Recover what can be recovered of a bag; the first bytes of an SQLite3 bag say what it is."""
-    path = folder / ('a.db3' if data.startswith(b'SQLite') else 'a.mcap')
+    """Recover what can be recovered of a bag, whose first bytes say what it is."""
+    names = {b'SQLite': 'a.db3', ZSTD_MAGIC: 'a.mcap.zstd'}
+    path = folder / next((name for start, name in names.items() if data.startswith(start)), 'a.mcap')
     path.write_bytes(data)
     _recover(path, folder / 'recovered')
 
@@ -227,6 +229,7 @@ Examples = Callable[[], list[bytes]]
 
 CHUNK_BYTES = 2000  # of the example of MCAP: several chunks, so that there is an index to mutate
 FRAMES = 3  # of the examples: short inputs are mutated faster
+KEYPOINTS_MESSAGES = [make_keypoints(i) for i in range(FRAMES)]
 # Another version of the keypoints, which are therefore converted.
 OTHER_VERSION = """std_msgs/Header header
 mocap_ros_msgs/Keypoints2D[] people
@@ -386,7 +389,12 @@ def make_mcaps() -> list[bytes]:
     return [make_mcap(plain), make_mcap(plain, OTHER_VERSION), *compressed]
 
 
-def make_mcap(compression: CompressionType, definition: str = '', metadata: dict[str, str] | None = None) -> bytes:
+def make_mcap(
+    compression: CompressionType,
+    definition: str = '',
+    metadata: dict[str, str] | None = None,
+    messages: Sequence[bytes] = KEYPOINTS_MESSAGES,
+) -> bytes:
     has_checksums = compression != CompressionType.NONE
     stream = io.BytesIO()
     writer = McapWriter(
@@ -396,21 +404,21 @@ def make_mcap(compression: CompressionType, definition: str = '', metadata: dict
     writer.start('ros2', 'fuzz')
     schema = writer.register_schema(KEYPOINTS, 'ros2msg', definition.encode())
     channel = writer.register_channel('/keypoints', 'cdr', schema, metadata or {})
-    for i in range(FRAMES):
-        writer.add_message(channel, START_NS + i * BAG_STEP_NS, make_keypoints(i), START_NS)
+    for i, raw in enumerate(messages):
+        writer.add_message(channel, START_NS + i * BAG_STEP_NS, raw, START_NS)
     writer.add_attachment(START_NS, START_NS, 'mocap_ros.yaml', 'text/yaml', b'a: 1')
     writer.add_metadata('rosbag2', {'serialized_metadata': 'ros_distro: kilted'})
     writer.finish()  # type: ignore[no-untyped-call]
     return stream.getvalue()
 
 
-def make_databases() -> list[bytes]:
+def make_databases(messages: Sequence[bytes] = KEYPOINTS_MESSAGES) -> list[bytes]:
     """Return a bag in SQLite3, in pages so small that mutations of a short file reach all of it."""
     with TemporaryDirectory() as folder:
         with Writer(Path(folder) / 'a', version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
             connection = writer.add_connection('/keypoints', KEYPOINTS, typestore=typestore())
-            for i in range(FRAMES):
-                writer.write(connection, START_NS + i * BAG_STEP_NS, make_keypoints(i))
+            for i, raw in enumerate(messages):
+                writer.write(connection, START_NS + i * BAG_STEP_NS, raw)
         file = Path(folder) / 'a' / 'a.db3'
         with closing(sqlite3.connect(file)) as database:
             database.execute('PRAGMA page_size=512')
@@ -418,10 +426,10 @@ def make_databases() -> list[bytes]:
         return [file.read_bytes()]
 
 
-def make_ros1_bags() -> list[bytes]:
-    """Return bags of ROS 1 with a CameraInfo, of each compression."""
+def make_ros1_bags(raw: bytes = b'') -> list[bytes]:
+    """Return bags of ROS 1 with a message, by default a CameraInfo, of each compression."""
     store, bags = get_typestore(Stores.ROS1_NOETIC), []
-    raw = encode_ros1_camera_info(store)
+    raw = raw or encode_ros1_camera_info(store)
     with TemporaryDirectory() as folder:
         for compression in (None, *Ros1Writer.CompressionFormat):
             writer = Ros1Writer(Path(folder) / f'{compression}.bag')

@@ -13,20 +13,38 @@ import signal
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays_of
+from mcap.reader import make_reader
 from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 
+from mocap_ros.bags.rosbag2 import encode_yaml, make_topic
+from mocap_ros.errors import InputError
 from mocap_ros.formats.mocap import c3d
 from mocap_ros.messages.foreign_types import OPENPOSE_POSES
 from mocap_ros.messages.input_types import KEYPOINT_TYPES
-from tests.fuzz.targets import EXAMPLES, MESSAGE_READERS, TARGETS, check, make_arrays, make_mcap
+from mocap_ros.messages.keypoints import KEYPOINTS
+from tests.fuzz.targets import (
+    EXAMPLES,
+    FILE_SEPARATOR,
+    MESSAGE_READERS,
+    TARGETS,
+    check,
+    make_arrays,
+    make_databases,
+    make_mcap,
+    make_ros1_bags,
+)
 from tests.support.camera_messages import encode
 from tests.support.foreign_messages import create_blank_message
 
@@ -67,6 +85,29 @@ def _make_crowd(number: int) -> bytes:
     return raw[:1] + empty[: empty.rindex(bytes(4))] + count.to_bytes(4, 'little') + bytes(count * 4)
 
 
+def _make_chunk(compression: CompressionType, stated_bytes: int = 0) -> bytes:
+    """Return an MCAP file whose chunk states its size, or another one if that is given."""
+    data = bytearray(make_mcap(compression, messages=[bytes(BOMB_BYTES)]))
+    (chunk,) = make_reader(io.BytesIO(data)).get_summary().chunk_indexes  # type: ignore[union-attr]
+    at = data.index(chunk.uncompressed_size.to_bytes(8, 'little'), chunk.chunk_start_offset)
+    data[at : at + 8] = (stated_bytes or chunk.uncompressed_size).to_bytes(8, 'little')
+    return bytes(data)
+
+
+def _make_overlapping_chunks() -> bytes:
+    """Return an MCAP file of chunks that all last until the end, each smaller than what a chunk may have."""
+    stream = io.BytesIO()
+    writer = McapWriter(stream, chunk_size=1 << 40)
+    writer.start('ros2', 'fuzz')
+    channel = writer.register_channel('/keypoints', 'cdr', writer.register_schema(KEYPOINTS, 'ros2msg', b''))
+    for number in range(12):
+        for time_ns in (number, 10**9):
+            writer.add_message(channel, time_ns, bytes(20_000_000), time_ns)
+        writer.flush()  # type: ignore[no-untyped-call]
+    writer.finish()  # type: ignore[no-untyped-call]
+    return stream.getvalue()
+
+
 BOMBS: dict[str, tuple[str, Callable[[], bytes]]] = {
     'archive that unpacks to 400 times its size': (
         'npz',
@@ -78,6 +119,33 @@ BOMBS: dict[str, tuple[str, Callable[[], bytes]]] = {
     'people without keypoints': ('messages', lambda: _make_crowd(KEYPOINT_TYPES.index(OPENPOSE_POSES))),
     'type within itself': ('mcap', lambda: make_mcap(CompressionType.NONE, TYPE_WITHIN_ITSELF)),
 }  # fmt: skip
+
+
+PACKED = zstandard.ZstdCompressor().compress(bytes(BOMB_BYTES))
+QOS = {'offered_qos_profiles': encode_yaml([dict(q) for q in make_topic('/keypoints', KEYPOINTS).qos])}
+
+
+def _make_packed_folder(mode: str, content: bytes) -> bytes:
+    metadata, _, _ = EXAMPLES['folder']()[1].partition(FILE_SEPARATOR)
+    return metadata.replace(b'mode: FILE', f'mode: {mode}'.encode()) + FILE_SEPARATOR + content
+
+
+UNPACKED: dict[str, tuple[str, Callable[[], bytes]]] = {
+    'chunks that overlap': ('mcap', _make_overlapping_chunks),
+    'chunk of ROS 1, BZ2': ('ros1', lambda: make_ros1_bags(bytes(BOMB_BYTES))[1]),
+    'chunk of ROS 1, LZ4': ('ros1', lambda: make_ros1_bags(bytes(BOMB_BYTES))[2]),
+    'message of SQLite, recovered': ('recovery', lambda: make_databases([PACKED])[0]),
+    'message of MCAP, recovered': ('recovery', lambda: make_mcap(CompressionType.NONE, messages=[PACKED])),
+    'message': (
+        'folder',
+        lambda: _make_packed_folder('MESSAGE', make_mcap(CompressionType.NONE, '', QOS, [PACKED])),
+    ),
+    'file': ('folder', lambda: _make_packed_folder('FILE', PACKED)),
+    'file, recovered': ('recovery', lambda: PACKED),
+}
+for _packing, _stated, _source in product(('ZSTD', 'LZ4'), (0, 100), ('mcap', 'recovery')):
+    _name = f'chunk, {_packing}, {_source}{", with another size" * bool(_stated)}'
+    UNPACKED[_name] = _source, partial(_make_chunk, CompressionType[_packing], _stated)
 
 
 FAILED = Path(__file__).parent / 'failed'
@@ -148,6 +216,14 @@ def test_bomb_is_refused(name: str) -> None:
     data = make()
     with bound():
         assert not check(source, data)
+
+
+@pytest.mark.parametrize('name', UNPACKED)
+def test_bags_unpack_to_no_more_than_a_limit(name: str, tmp_path: Path) -> None:
+    source, make = UNPACKED[name]
+    data = make()
+    with bound(), pytest.raises(InputError, match=r'more than \d+ MiB unpacked'):
+        TARGETS[source](data, tmp_path)
 
 
 QUICK = settings(max_examples=25)
