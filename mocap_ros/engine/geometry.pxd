@@ -44,6 +44,18 @@ cdef inline void multiply(const double* a, const double* b, double* out) noexcep
             out[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j]
 
 
+cdef inline void cross(const double* a, const double* b, double* out) noexcept nogil:
+    out[0], out[1], out[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+cdef inline void multiply_first_transposed(const double* a, const double* b, double* out) noexcept nogil:
+    """A^T B."""
+    cdef int i, j
+    for i in range(3):
+        for j in range(3):
+            out[3 * i + j] = a[i] * b[j] + a[3 + i] * b[3 + j] + a[6 + i] * b[6 + j]
+
+
 cdef inline void multiply_transposed(const double* a, const double* b, double* out) noexcept nogil:
     """A B^T."""
     cdef int i, j

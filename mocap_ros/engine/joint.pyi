@@ -1,27 +1,39 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
+from enum import IntEnum
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array: TypeAlias = NDArray[np.float64]
-Ints: TypeAlias = NDArray[np.int64]
+from mocap_ros.engine.batch import Batch
+from mocap_ros.engine.terms import Term
 
-DAMPINGS: tuple[float, float, float, float]
+Array: TypeAlias = NDArray[np.float64]
+
+class Ending(IntEnum):
+    SINGULAR = -1
+    MAX_ITERATIONS = 0
+    CONVERGED = 1
+    NO_LOWER_STEP = 2
 
 class JointProblem:
+    batch: Batch
+    terms: tuple[Term, ...]
+    components: int
+    frames: NDArray[np.void]
+    searches: NDArray[np.void]
     diagonal: Array
     gradient: Array
     bone_vectors: Array
     coupling: Array
-    cost: Array
-    iterations: Ints
-    status: Ints
 
-    def __init__(self, objective: Any, arrays: Any) -> None: ...
-    def weigh(self, noise_ratio: Array, factors: Array) -> None: ...
+    def __init__(
+        self, batch: Batch, model: Any, arrays: Any, terms: tuple[Term, ...], components: int
+    ) -> None: ...
+    @property
+    def cost(self) -> Array: ...
     def start(
         self,
         theta: Array,
@@ -34,12 +46,6 @@ class JointProblem:
     def begin(self, damping: float) -> None: ...
     def update_equations(self) -> None: ...
     def try_steps(self, tolerance: float) -> tuple[int, int]: ...
+    def measure_squared_errors(self) -> Array: ...
     def measure_misfit(self) -> Array: ...
-    def measure_least_noise(self, growth: Array | None = None) -> Array: ...
     def measure_joint_std(self) -> Array: ...
-    def describe(self, units: Array) -> tuple[Array, Array, Array, Array]: ...
-    def read(self, name: str) -> Array: ...
-
-def fit_lifted_poses(
-    joints: Array, std: Array, basis: Array, mean: Array, sigma: Array, alternations: int
-) -> tuple[Array, Array, Array]: ...

@@ -179,7 +179,7 @@ cdef class PeriodicProblem:
     def set_noise(self, double ratio):
         """Continue from the point under another ratio, which is that of all problems with the same body."""
         self.noise_ratio = ratio
-        self.body.weigh(np.array([self.noise_ratio]), np.empty((0, self.N, 3)))
+        self.body.batch.sequences['noise_ratio'] = ratio
         self.restart()
 
     def restart(self):
@@ -204,7 +204,7 @@ cdef class PeriodicProblem:
                 self.rotations[t, i, 1] = c * at.cameras[t, i, 1] - s * at.cameras[t, i, 0]
                 self.rotations[t, i, 2] = at.cameras[t, i, 2]
         self.body.start(self.theta, self.turned, at.log_scale, at.translation, settle_steps)
-        at.translation = self.body.read('translation')
+        at.translation = self.body.frames['translation'].copy()
         cost = self.body.cost[0]
         for h in range(self.P):
             for i in range(self.m):
@@ -241,7 +241,7 @@ cdef class PeriodicProblem:
         cdef double parameters = self.count_effective_parameters(), loss = 0, c, free
         cdef int t, j, coordinates = 0
         self.restart()
-        cdef double[:, ::1] squared = self.body.read('squared')
+        cdef double[:, ::1] squared = self.body.measure_squared_errors()
         c = self.robust_scale * max(self.noise_ratio, 1.0)
         for t in range(self.N):
             for j in range(self.score.shape[1]):

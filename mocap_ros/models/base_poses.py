@@ -83,7 +83,6 @@ class ModelArrays(NamedTuple):
     bones: Array
     parents: NDArray[np.int64]  # (B,) index of each bone's inner joint
     children: NDArray[np.int64]  # (B,) index of each bone's outer joint
-    mean_bone_lengths: Array  # (B,) m, bone lengths of the mean pose
 
 
 @lru_cache(maxsize=MAX_MODELS)
@@ -96,5 +95,4 @@ def arrange_model(model: BasePoses) -> ModelArrays:
         np.ascontiguousarray(bones.reshape(len(bones), -1).T),
         parents,
         children,
-        model.skeleton.bone_lengths(model.mean),
     )

@@ -44,9 +44,8 @@ from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint
 from mocap_ros.solvers.joint.batch import Batch
-from mocap_ros.solvers.joint.differences import invert_time_steps, weigh_velocity_change
-from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, JointObjective
-from mocap_ros.solvers.joint.solver import WARM_DAMPING
+from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, list_terms, pose_problem, read_state
+from mocap_ros.solvers.joint.solver import WARM_DAMPING, describe_frames
 from mocap_ros.solvers.levenberg_marquardt import Stepwise, minimise_stepwise, run_to_end
 from mocap_ros.solvers.window import InitialValues, Reconstruction, SolverStatus, Window, interpolate_unseen
 
@@ -133,11 +132,12 @@ def _solve(
     unit = window.unit or float(np.median(start.cameras.scale))
     noise, units = float(np.fmax(window.noise or noise, config.noise_floor)), np.array([unit])
     ratio = measure_noise_ratio(noise) if config.adapt_noise else 1.0
-    batch = Batch.build([window], units, model)
+    batch = Batch.build([window], units, [start])
+    batch.sequences['noise_ratio'] = ratio
     begin = build_objective(batch, ratio, model, config)
     acceleration = config.camera_acceleration_weight
     movement = weigh_movement(batch, config.camera_velocity_weight, acceleration)
-    _, *cameras = batch.initial_state([start], units)
+    _, *cameras = batch.start
     yield
     searches, hypotheses = [], fit_initial_series(start.theta, window.times, config)
     for series in hypotheses[: 1 if noise < MIN_NOISE_FOR_HYPOTHESES else 2]:
@@ -161,11 +161,11 @@ def _solve(
     yield
     search.problem.restart()
     body = search.problem.body
-    joints, scale, translation, residual = body.describe(units)
+    joints, found, translation, residual = describe_frames(body, batch)
     return PeriodicReconstruction(
         joints=joints,
-        theta=body.read('theta'),
-        cameras=WeakPerspectiveCameras(scale, body.read('rotation')),
+        theta=read_state(body).theta,
+        cameras=found,
         translation=interpolate_unseen(translation, window),
         residual=residual,
         status=search.status,
@@ -237,15 +237,21 @@ def build_objective(
     batch: Batch, noise_ratio: float, model: BasePoses, config: SolverConfig
 ) -> Callable[..., engine.PeriodicProblem]:
     """Return what makes problems of the only window of a batch; their arguments are those from `movement` on."""
-    noise = np.array([noise_ratio * NOISE_REFERENCE])
-    objective = JointObjective.build(batch, model, config, noise)
-    body = replace(objective, prior=np.zeros(len(model.std)), differences=()).compile()
+    terms = list_terms(batch, model, config, has_limits=False)[:2]
+    body = pose_problem(batch, model, terms)
     variance = variance_shares(config.harmonics)[:, None] * np.append(model.std, HEADING_STD) ** 2
     variance[0] = 1 / (1 / variance[0] + 1 / CONSTANT_STD**2)
     variance[0, -1] = CONSTANT_HEADING_STD**2
     prior = config.prior_weight * config.periodic_prior_factor / variance
     level_weight = config.prior_weight / LEVEL_STD**2 / len(batch.times) if model.aligned_by_heading else 0.0
-    given = body, batch.score, objective.robust_scale, batch.times - batch.times.mean(), prior, level_weight
+    given = (
+        body,
+        batch.frames['score'].copy(),
+        terms[0].robust_scale,
+        batch.times - batch.times.mean(),
+        prior,
+        level_weight,
+    )
     return partial(engine.PeriodicProblem, *given)
 
 
@@ -254,6 +260,23 @@ def weigh_movement(batch: Batch, velocity_weight: float, acceleration_weight: fl
     root = np.sqrt(velocity_weight * invert_time_steps(batch))
     velocity = np.stack([-root, root, np.zeros_like(root)], axis=1)
     return np.stack([velocity, np.sqrt(acceleration_weight) * weigh_velocity_change(batch)])
+
+
+def invert_time_steps(batch: Batch) -> Array:
+    """Return the reciprocal of the time from each frame to the next (N,) 1/s; 0 after the last of a sequence."""
+    inverse = np.zeros(len(batch.times))
+    inverse[:-1] = 1 / np.maximum(batch.times[1:] - batch.times[:-1], 1e-4)
+    return inverse
+
+
+def weigh_velocity_change(batch: Batch) -> Array:
+    """Return the factors (N, 3) of three neighbours that give (v_(t+1) - v_t) / sqrt(h_t)."""
+    inverse = invert_time_steps(batch)
+    a, b = inverse[:-1], inverse[1:]
+    root = np.sqrt(2 * a * b / np.maximum(a + b, 1e-300))  # 0 where one of them is
+    factors = np.zeros((len(inverse), 3))
+    factors[:-1] = np.stack([a * root, -(a + b) * root, b * root], axis=-1)
+    return factors
 
 
 class Search:

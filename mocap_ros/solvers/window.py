@@ -25,6 +25,7 @@ from enum import IntEnum
 import numpy as np
 
 from mocap_ros.arrays import Array
+from mocap_ros.engine import joint as engine
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.interpolation import find_nearest, interpolate_linearly
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras, fit_cameras_closed_form
@@ -95,10 +96,10 @@ def require_camera_frame(weight: Array) -> None:
 class SolverStatus(IntEnum):
     """Why a solver stopped. As in `scipy.optimize`, positive values are successes."""
 
-    SINGULAR = -1
-    MAX_ITERATIONS = 0
-    CONVERGED = 1
-    NO_LOWER_STEP = 2
+    SINGULAR = engine.Ending.SINGULAR
+    MAX_ITERATIONS = engine.Ending.MAX_ITERATIONS
+    CONVERGED = engine.Ending.CONVERGED
+    NO_LOWER_STEP = engine.Ending.NO_LOWER_STEP
 
     @property
     def message(self) -> str:

@@ -31,9 +31,9 @@ from mocap_ros.engine import joint
 from mocap_ros.engine import refinement as engine
 from mocap_ros.models.base_poses import BasePoses, arrange_model
 from mocap_ros.models.joint_std import HIDDEN_SHARE
-from mocap_ros.solvers.joint.batch import Batch, State
-from mocap_ros.solvers.joint.lifted_start import ALTERNATIONS
-from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
+from mocap_ros.solvers.joint.batch import Batch
+from mocap_ros.solvers.joint.lifted_start import prepare_fit
+from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, set_noise
 from mocap_ros.solvers.joint.solver import WARM_DAMPING, continue_from
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
@@ -46,12 +46,12 @@ MAX_EXTRAPOLATION_STEPS = 2.0  # steps; limits the extrapolation after missing f
 class Refinement:
     """How people under one model are refined.
 
-    The arrays of a batch and its problem stay for the next one of as many frames of as many people.
+    The batch and its problem stay for the next one of as many frames of as many people.
     """
 
     model: BasePoses
     config: SolverConfig
-    newest: engine.NewestFrames | None = None
+    batch: Batch | None = None
     problem: joint.JointProblem | None = None
 
 
@@ -62,31 +62,38 @@ def refine(kept: Refinement, tracks: Sequence[Track], parts: Sequence[tuple[int,
     solved, and how many frames from there keep their state.
     """
     model, config = kept.model, kept.config
-    newest = collect_newest_frames(tracks, parts, model, kept.newest)
-    if newest is not kept.newest:
-        kept.newest, kept.problem = newest, None
-    state = State(newest.theta, newest.rotation, newest.log_scale, newest.translation)
+    batch = collect_newest_frames(tracks, parts, model, kept.batch)
+    if batch is not kept.batch:
+        kept.batch, kept.problem = batch, None
     noise = None
     if config.adapt_noise:
         noise = np.array([max(track.solved.noise, config.noise_floor) for track in tracks])
     problem = kept.problem
     if problem is None or config.pose_acceleration_weight > 0:
-        measured = newest.times, newest.starts, newest.counts, newest.image, newest.score, newest.focal
-        known = newest.is_free, newest.lifted, newest.precision, newest.earlier_lengths, newest.earlier_frames
-        kept.problem = problem = continue_from(Batch(*measured, *known), state, noise, model, config)
+        kept.problem = problem = continue_from(batch, noise, model, config)
     else:
-        problem.weigh(np.ones(len(tracks)) if noise is None else noise / NOISE_REFERENCE, newest.factors)
-        problem.start(*state, settle_steps=1, at_reference=True)
+        if noise is not None:
+            set_noise(batch, noise)
+        problem.start(*batch.start, settle_steps=1, at_reference=True)
     problem.begin(WARM_DAMPING)
     for _ in range(config.max_iterations):
         if not problem.try_steps(config.tolerance)[1]:
             break
-    before = [track.solved for track in tracks]
-    people = [fixed for _, fixed in parts], [track.observed for track in tracks], before
-    newest_states = problem.read('theta'), problem.read('rotation'), *problem.describe(newest.units)
-    finished = newest.finish(*people, *newest_states, model.skeleton.stature_per_bone, HIDDEN_SHARE)
-    noises = np.maximum(problem.measure_misfit(), problem.measure_least_noise(newest.growth)).tolist()
-    joint_std, solutions = problem.measure_joint_std(), []
+    before, arrays = [track.solved for track in tracks], arrange_model(model)
+    finished = engine.finish_newest(
+        batch,
+        problem.frames,
+        problem.measure_squared_errors(),
+        [fixed for _, fixed in parts],
+        [track.observed for track in tracks],
+        before,
+        model.skeleton.stature_per_bone,
+        arrays.parents,
+        arrays.children,
+        HIDDEN_SHARE,
+    )
+    noises = np.maximum(problem.measure_misfit(), batch.sequences['least_noise']).tolist()
+    joint_std, solutions = NOISE_REFERENCE * problem.measure_joint_std(), []
     for old, found, (first, fixed), noise_m, std in zip(before, finished, parts, noises, joint_std, strict=True):
         theta, rotation, roots, bone_lengths, residuals, stature, fit = found
         old_share = math.exp((first - len(theta)) / len(theta)) if fixed else 0.0
@@ -100,17 +107,18 @@ def collect_newest_frames(
     tracks: Sequence[Track],
     parts: Sequence[tuple[int, int]],
     model: BasePoses,
-    newest: engine.NewestFrames | None = None,
-) -> engine.NewestFrames:
-    """Return what `refine` gives to the solver, in the arrays of `newest` if these have its size."""
+    batch: Batch | None = None,
+) -> Batch:
+    """Return what `refine` gives to the solver, in the arrays of `batch` if these have its size."""
     counts = [len(track.stamps_ns) - first for track, (first, _) in zip(tracks, parts, strict=True)]
     has_lifted = tracks[0].observed.lifted is not None
-    if newest is None or newest.counts.tolist() != counts or (len(newest.lifted) > 0) != has_lifted:
-        newest = engine.NewestFrames(counts, model.mean, arrange_model(model), model.std, has_lifted)
+    if batch is None or batch.sequences['count'].tolist() != counts or batch.has_lifted != has_lifted:
+        batch = Batch(counts, len(model.std), has_lifted)
+    pose_fit = prepare_fit(model)
     for p, (track, (_, fixed_frames)) in enumerate(zip(tracks, parts, strict=True)):
         solution, stamps_ns, share = track.solved, track.stamps_ns, 0.0
         if len(solution.theta) > 1:
             steps = (stamps_ns[-1] - stamps_ns[-2]) / max(stamps_ns[-2] - stamps_ns[-3], 1)
             share = EXTRAPOLATION_SHARE * min(steps, MAX_EXTRAPOLATION_STEPS)
-        newest.add(p, fixed_frames, share, ALTERNATIONS, track.observed, solution)
-    return newest
+        engine.add_newest(batch, p, fixed_frames, share, track.observed, solution, pose_fit)
+    return batch

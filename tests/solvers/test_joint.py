@@ -5,7 +5,7 @@
 
 import math
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -14,17 +14,17 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.arrays import Array
 from mocap_ros.config import SolverConfig
-from mocap_ros.engine import joint as engine
+from mocap_ros.engine.joint import JointProblem
+from mocap_ros.engine.terms import MAX_NOISE_RATIO, Acceleration, Level, Term
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers import alternation, joint
-from mocap_ros.solvers.joint import differences
+from mocap_ros.solvers.joint.activity import ACTIVITY_SPAN_S, measure_activity
 from mocap_ros.solvers.joint.batch import Batch, State
-from mocap_ros.solvers.joint.differences import ACTIVITY_SPAN_S, MAX_NOISE_RATIO, FiniteDifference
 from mocap_ros.solvers.joint.lifted_start import fit_lifted_poses
-from mocap_ros.solvers.joint.objective import JointObjective, read_state
+from mocap_ros.solvers.joint.objective import list_terms, pose_problem, read_state, set_noise
 from mocap_ros.solvers.window import Reconstruction, Window, initialise_from_mean_pose, reverse_depth
-from tests.support.plain_objective import advance, compute_cost, compute_costs, compute_residuals, take_differences
+from tests.support.plain_objective import TWINS, advance, compute_cost, compute_residuals
 from tests.support.synthetic_walk import make_walk
 
 COMPONENTS, FRAMES = 6, (7, 5)
@@ -43,14 +43,29 @@ CONFIG = SolverConfig(
 )
 
 
-def make_objective(
+class Case(NamedTuple):
+    """An objective, and a state with optimal translations."""
+
+    batch: Batch
+    model: BasePoses
+    terms: tuple[Term, ...]
+    state: State
+
+    def linearise(self, terms: tuple[Term, ...] | None = None) -> JointProblem:
+        problem = pose_problem(self.batch, self.model, terms or self.terms)
+        problem.start(*self.state)
+        problem.begin(0.1)
+        return problem
+
+
+def make_case(
     walk_model: BasePoses,
     rng: np.random.Generator,
     config: SolverConfig = CONFIG,
     focal: float = 300.0,
     lifted: bool = True,
-) -> tuple[JointObjective, State]:
-    """Two sequences with missing points and frames before the first, and a state with optimal translations."""
+) -> Case:
+    """Two sequences with missing points and frames before the first."""
     model, windows = walk_model.truncate(COMPONENTS), []
     for frames in FRAMES:
         theta, _, points, times = make_walk(walk_model, frames=frames, seed=frames)
@@ -63,42 +78,53 @@ def make_objective(
         windows.append(window)
     starts = [initialise_from_mean_pose(w, model, 1.0) for w in windows]
     units = np.array([np.median(s.cameras.scale) for s in starts])
-    batch = Batch.build(windows, units, model)
-    batch.earlier_lengths[0] *= 1.1
-    batch.earlier_frames[0] = 4
-    objective = JointObjective.build(batch, model, config, NOISE)
-    step = 0.05 * rng.normal(size=(sum(FRAMES), UNKNOWNS))
-    state = advance(batch.initial_state(starts, units), step)
-    return objective, read_state(objective.compile(state, 100))
+    batch = Batch.build(windows, units, starts)
+    batch.sequences['earlier_lengths'][0] = 1.1 * model.skeleton.bone_lengths(model.mean)
+    batch.sequences['earlier_frames'][0] = 4
+    set_noise(batch, NOISE)
+    activity = rng.uniform(0, 300, sum(FRAMES)), rng.uniform(0, 30, sum(FRAMES))
+    terms = list_terms(batch, model, config, activity=activity)
+    problem = pose_problem(batch, model, terms)
+    problem.start(*advance(batch.start, 0.05 * rng.normal(size=(sum(FRAMES), UNKNOWNS))), settle_steps=100)
+    return Case(batch, model, terms, read_state(problem))
 
 
-def linearise(objective: JointObjective, state: State) -> engine.JointProblem:
-    problem = objective.compile(state)
-    problem.begin(0.1)
-    return problem
+def test_every_term_has_a_twin_and_a_case(walk_model: BasePoses, rng: np.random.Generator) -> None:
+    assert {*map(type, make_case(walk_model, rng).terms)} == {*TWINS} - {Level}, 'Level is of the periodic solver'
 
 
 @pytest.mark.parametrize('robust', [0.0, 0.03])
 @pytest.mark.parametrize('focal', [math.inf, 300.0])
-@pytest.mark.parametrize('lifted', [False, True])
-def test_cost_and_gradient_are_those_of_the_reference(
-    walk_model: BasePoses, rng: np.random.Generator, robust: float, focal: float, lifted: bool
+@pytest.mark.parametrize('kind', TWINS)
+def test_cost_and_gradient_of_each_term_are_those_of_its_twin(
+    walk_model: BasePoses, rng: np.random.Generator, kind: type[Term], robust: float, focal: float
 ) -> None:
-    config = replace(CONFIG, robust_scale=robust)
-    objective, state = make_objective(walk_model, rng, config, focal, lifted)
-    assert min(cost.sum() for cost in compute_costs(objective, state).values()) > 0
-    problem = linearise(objective, state)
-    np.testing.assert_allclose(problem.cost, compute_cost(objective, state), rtol=1e-9)
-    numeric, h = np.empty_like(problem.gradient), 1e-5
-    for index in np.ndindex(*numeric.shape):
-        step = np.zeros_like(numeric)
-        step[index] = h
-        up, down = (compute_cost(objective, advance(state, s)).sum() for s in (step, -step))
-        numeric[index] = (up - down) / (2 * h) / 2
-    assert np.abs(problem.gradient - numeric).max() < 1e-6 * np.abs(numeric).max()
+    case = make_case(walk_model, rng, replace(CONFIG, robust_scale=robust), focal)
+    for term in (*case.terms, Level(0.3)):
+        if type(term) is not kind:
+            continue
+        problem, cost = case.linearise((term,)), compute_cost(case.batch, case.model, term, case.state)
+        assert cost > 0
+        assert problem.cost.sum() == pytest.approx(cost, rel=1e-9)
+        numeric, h = np.empty_like(problem.gradient), 1e-5
+        for index in np.ndindex(*numeric.shape):
+            step = np.zeros_like(numeric)
+            step[index] = h
+            states = advance(case.state, step), advance(case.state, -step)
+            up, down = (compute_cost(case.batch, case.model, term, state) for state in states)
+            numeric[index] = (up - down) / (2 * h) / 2
+        assert np.abs(problem.gradient - numeric).max() < 1e-6 * np.abs(numeric).max()
 
 
-def make_dense(problem: engine.JointProblem, batch: Batch) -> np.ndarray:
+def test_the_objective_is_the_sum_of_its_terms(walk_model: BasePoses, rng: np.random.Generator) -> None:
+    case = make_case(walk_model, rng)
+    alone = [case.linearise((term,)) for term in case.terms]
+    together = case.linearise()
+    assert together.cost == pytest.approx(sum(problem.cost for problem in alone))
+    np.testing.assert_allclose(together.gradient, sum(problem.gradient for problem in alone), atol=1e-12)
+
+
+def make_dense(problem: JointProblem, batch: Batch) -> np.ndarray:
     frames, n = problem.gradient.shape
     matrix = np.zeros((frames, n, frames, n))
     for t in range(frames):
@@ -108,72 +134,84 @@ def make_dense(problem: engine.JointProblem, batch: Batch) -> np.ndarray:
             of_weights, of_cameras = np.split(problem.coupling[t, distance - 1], [n - 4])
             block = linalg.block_diag(np.diag(of_weights), of_cameras.reshape(4, 4))
             matrix[t + distance, :, t], matrix[t, :, t + distance] = block, block.T
-    for own, count in zip(batch.slices, batch.counts + batch.earlier_frames, strict=True):
+    counts = batch.sequences['count'] + batch.sequences['earlier_frames']
+    for own, count in zip(batch.slices, counts, strict=True):
         g = problem.bone_vectors[own]
         matrix[own, :, own] -= np.einsum('tib,ujb->tiuj', g, g) / count
     return matrix.reshape(frames * n, frames * n)
 
 
 @pytest.mark.parametrize('focal', [math.inf, 300.0])
-def test_normal_matrix_is_that_of_residuals(walk_model: BasePoses, rng: np.random.Generator, focal: float) -> None:
+@pytest.mark.parametrize('bone_weight', [60.0, 0.0])
+def test_normal_matrix_is_that_of_residuals(
+    walk_model: BasePoses, rng: np.random.Generator, focal: float, bone_weight: float
+) -> None:
     """J^T J with J by finite differences of every residual, translations eliminated.
 
     What the matrix holds beyond it, the curvature of bones, is positive semidefinite.
     """
-    config = replace(CONFIG, robust_scale=0.0)
-    objective, state = make_objective(walk_model, rng, config, focal, lifted=False)
-    frames, n, excess = sum(FRAMES), UNKNOWNS, {}
-    for weight in (60.0, 0.0):
-        own = replace(objective, bone_weight=np.full_like(objective.bone_weight, weight))
-        jac = []
-        for step in 1e-6 * np.eye(frames * (n + 2)).reshape(-1, frames, n + 2):
-            ends = []
-            for s in (step, -step):
-                moved = advance(state, s[:, :n])
-                moved = moved._replace(translation=moved.translation + s[:, n:])
-                ends.append(compute_residuals(own, moved))
-            jac.append((ends[0] - ends[1]) / 2e-6)
-        of_translation = np.arange(frames * (n + 2)) % (n + 2) >= n
-        rest, translation = np.array(jac)[~of_translation], np.array(jac)[of_translation]
-        rest -= rest @ np.linalg.pinv(translation) @ translation
-        expected = rest @ rest.T
-        excess[weight] = make_dense(linearise(own, state), own.batch) - expected
-        assert np.linalg.eigvalsh(excess[weight]).min() > -1e-6 * np.abs(expected).max()
-    assert np.abs(excess[0.0]).max() < 1e-6 * np.abs(expected).max()
+    config = replace(CONFIG, robust_scale=0.0, bone_weight=bone_weight)
+    case = make_case(walk_model, rng, config, focal, lifted=False)
+    frames, n, jac = sum(FRAMES), UNKNOWNS, []
+    for step in 1e-6 * np.eye(frames * (n + 2)).reshape(-1, frames, n + 2):
+        ends = []
+        for s in (step, -step):
+            moved = advance(case.state, s[:, :n])
+            moved = moved._replace(translation=moved.translation + s[:, n:])
+            ends.append(compute_residuals(case.batch, case.model, case.terms, moved))
+        jac.append((ends[0] - ends[1]) / 2e-6)
+    of_translation = np.arange(frames * (n + 2)) % (n + 2) >= n
+    rest, translation = np.array(jac)[~of_translation], np.array(jac)[of_translation]
+    rest -= rest @ np.linalg.pinv(translation) @ translation
+    expected = rest @ rest.T
+    excess = make_dense(case.linearise(), case.batch) - expected
+    assert np.linalg.eigvalsh(excess).min() > -1e-6 * np.abs(expected).max()
+    if not bone_weight:
+        assert np.abs(excess).max() < 1e-6 * np.abs(expected).max()
 
 
 def test_a_step_solves_the_damped_equations(walk_model: BasePoses, rng: np.random.Generator) -> None:
     """Frames that are held do not move."""
-    objective, state = make_objective(walk_model, rng)
-    is_free = np.ones(sum(FRAMES), bool)
-    is_free[[0, 1, FRAMES[0]]] = False
-    objective = replace(objective, batch=replace(objective.batch, is_free=is_free))
-    problem = linearise(objective, state)
-    matrix = make_dense(problem, objective.batch)
+    case = make_case(walk_model, rng)
+    case.batch.frames['is_free'][[0, 1, FRAMES[0]]] = 0
+    problem = case.linearise()
+    matrix = make_dense(problem, case.batch)
     matrix += 0.1 * np.diag(np.concatenate([np.diag(d) for d in problem.diagonal]))
-    free = np.repeat(is_free, UNKNOWNS)
+    free = np.repeat(case.batch.frames['is_free'] > 0, UNKNOWNS)
     step = np.zeros(len(matrix))
     step[free] = -np.linalg.solve(matrix[np.ix_(free, free)], problem.gradient.ravel()[free])
-    moved = advance(state, step.reshape(-1, UNKNOWNS))
+    moved = advance(case.state, step.reshape(-1, UNKNOWNS))
     assert problem.try_steps(0.0) == (2, 2)
     found = read_state(problem)
     for name in ('theta', 'rotation', 'log_scale'):
         np.testing.assert_allclose(getattr(found, name), getattr(moved, name), atol=1e-9)
 
 
-def test_the_limit_of_accelerations_gives_way_to_fast_motion_and_holds_under_noise() -> None:
-    change = np.array([[1.0, -2.0, 1.0]])
+def test_the_limit_of_accelerations_gives_way_to_fast_motion_and_holds_under_noise(
+    walk_model: BasePoses, rng: np.random.Generator
+) -> None:
+    case, weight = make_case(walk_model, rng), np.full(COMPONENTS + 13, 2.0)
     for noise_ratio, limit in ((1.0, 3.0), (0.5, 3.0), (1.5, 4.5), (20.0, 3 * MAX_NOISE_RATIO)):
+        case.batch.sequences['noise_ratio'] = noise_ratio
         for acceleration in (0.0, 3.0, 9.0):
-            given = np.array([acceleration**2]), np.array([noise_ratio])
-            share = (differences.limit_acceleration(2.0, 3.0, change, *given) / change) ** 2
-            np.testing.assert_allclose(share, 2 / (1 + (acceleration / limit) ** 4), rtol=1e-12)
+            squares = np.full(sum(FRAMES), acceleration**2)
+            costs = [case.linearise((Acceleration(weight, 3.0, a),)).cost for a in (squares, None)]
+            assert costs[0] / costs[1] == pytest.approx(1 / (1 + (acceleration / limit) ** 4), rel=1e-12)
 
 
-def make_batch(walk_model: BasePoses, times: list[np.ndarray]) -> Batch:
-    points = [np.random.default_rng(0).normal(size=(len(t), 15, 2)) for t in times]
-    windows = [Window(p, np.ones(p.shape[:2]), t) for p, t in zip(points, times, strict=True)]
-    return Batch.build(windows, np.ones(len(times)), walk_model)
+def make_batch(
+    walk_model: BasePoses, times: list[Array], image: Array | None = None, lifted: bool = False
+) -> Batch:
+    windows, first = [], 0
+    for t in times:
+        points = (
+            np.random.default_rng(0).normal(size=(len(t), 15, 2)) if image is None else image[first:][: len(t)]
+        )
+        poses = LiftedPoses(np.zeros((len(t), 15, 3)), np.ones((len(t), 15, 3))) if lifted else None
+        windows.append(Window(points, np.ones((len(t), 15)), t, lifted=poses))
+        first += len(t)
+    starts = [initialise_from_mean_pose(w, walk_model, 1.0) for w in windows]
+    return Batch.build(windows, np.ones(len(times)), starts)
 
 
 @pytest.mark.parametrize(('rate_hz', 'is_known'), [(30.0, True), (60.0, True), (15.0, False)])
@@ -181,17 +219,16 @@ def test_the_least_noise_is_that_of_white_and_of_wandering_errors(
     walk_model: BasePoses, rng: np.random.Generator, rate_hz: float, is_known: bool
 ) -> None:
     """Points at rest, some of which jump, with white noise of 5 mm and errors of 13 mm that decay in 0.3 s."""
-    batch = replace(make_batch(walk_model, [np.arange(300) / rate_hz]), lifted=np.zeros((300, 15, 3)))
-    batch = replace(batch, precision=np.ones_like(batch.lifted))
-    white, kept = rng.standard_normal(batch.image.shape), math.exp(-1 / rate_hz / 0.3)
-    jumps = np.where(rng.random(batch.score.shape) < 0.002, 0.3, 0.0)[..., None]
+    times, white, kept = np.arange(300) / rate_hz, rng.standard_normal((300, 15, 2)), math.exp(-1 / rate_hz / 0.3)
+
+    def measure(image: Array) -> Array:
+        return make_batch(walk_model, [times], image, lifted=True).sequences['least_noise']
+
+    jumps = np.where(rng.random((300, 15)) < 0.002, 0.3, 0.0)[..., None]
     wandering = signal.lfilter([math.sqrt(1 - kept**2)], [1, -kept], white, axis=0)
     for errors, noise in ((0.005 * white, 0.005), (0.013 * wandering, 0.013)):
-        batch.image[:] = errors + jumps
-        problem = JointObjective.build(batch, walk_model, CONFIG).compile()
-        assert problem.measure_least_noise() == pytest.approx([noise * is_known], rel=0.3)
-    batch.image[:] = 0.1 * np.sin(4 * batch.times)[:, None, None]
-    assert JointObjective.build(batch, walk_model, CONFIG).compile().measure_least_noise() == pytest.approx([0.0])
+        assert measure(errors + jumps) == pytest.approx([noise * is_known], rel=0.3)
+    assert measure(np.tile(0.1 * np.sin(4 * times)[:, None, None], (1, 15, 2))) == pytest.approx([0.0])
 
 
 def test_activity_is_the_mean_square_acceleration_nearby(walk_model: BasePoses, rng: np.random.Generator) -> None:
@@ -201,7 +238,7 @@ def test_activity_is_the_mean_square_acceleration_nearby(walk_model: BasePoses, 
     values = np.concatenate([np.ones((40, 2)), np.stack([moved, np.zeros(41)], axis=1)])
     coarse = make_batch(walk_model, times)
     fine = make_batch(walk_model, [np.arange(120) / 30, np.arange(120) / 30])
-    found = differences.measure_activity(values, coarse, fine)
+    found = measure_activity(values, coarse, fine)
     np.testing.assert_allclose(found[:120], 0.0, atol=1e-12)
     later = fine.times[120:] > 2 + ACTIVITY_SPAN_S + 0.11
     earlier = fine.times[120:] < 2 - ACTIVITY_SPAN_S - 0.11
@@ -209,17 +246,20 @@ def test_activity_is_the_mean_square_acceleration_nearby(walk_model: BasePoses, 
     np.testing.assert_allclose(found[120:][inner], 4.0)
     np.testing.assert_allclose(found[120:][earlier], 0.0, atol=1e-12)
     few = make_batch(walk_model, [np.array([0.0, 0.1])])
-    np.testing.assert_array_equal(differences.measure_activity(np.ones((2, 3)), few, few), 0.0)
+    np.testing.assert_array_equal(measure_activity(np.ones((2, 3)), few, few), 0.0)
 
 
-def test_acceleration_is_second_derivative_at_any_times(walk_model: BasePoses, rng: np.random.Generator) -> None:
-    for times in (np.arange(12) / 10, np.arange(12) / 30, np.cumsum(rng.uniform(0.01, 0.2, 12))):
-        factors = differences.weigh_velocity_change(make_batch(walk_model, [times]))
-        term = FiniteDifference(np.sqrt(3.0) * factors, np.ones(1))
-        assert np.abs(take_differences(term, 2.0 + times[:, None])).max() < 1e-9 / np.diff(times).min() ** 1.5
-        squares = take_differences(term, 0.5 * times[:, None] ** 2) ** 2  # acceleration 1 m/s^2
-        middle = (times[2:] - times[:-2]) / 2
-        np.testing.assert_allclose(squares[:, 0], 3.0 * middle, rtol=1e-6)
+def test_acceleration_is_the_second_derivative_at_any_times(
+    walk_model: BasePoses, rng: np.random.Generator
+) -> None:
+    """Log s is a parabola of time, with an acceleration of 1/s^2."""
+    weight = np.append(np.zeros(COMPONENTS + 12), 3.0)
+    for times in (np.arange(12) / 10, np.arange(12) / 30, np.cumsum(rng.uniform(0.04, 0.2, 12))):
+        batch = make_batch(walk_model.truncate(COMPONENTS), [times])
+        problem = pose_problem(batch, walk_model.truncate(COMPONENTS), (Acceleration(weight),))
+        problem.start(*batch.start._replace(log_scale=0.5 * times**2 + 2 * times))
+        share, middle = batch.sequences['motion_share'][0], (times[2:] - times[:-2]) / 2
+        assert problem.cost == pytest.approx([3.0 * share * middle.sum()], rel=1e-6)
 
 
 WEIGHTS = [
@@ -231,13 +271,13 @@ WEIGHTS = [
 
 @pytest.mark.parametrize('name', WEIGHTS)
 def test_the_cost_is_linear_in_its_weights(walk_model: BasePoses, rng: np.random.Generator, name: str) -> None:
-    objective, state = make_objective(walk_model, rng)
-    model = replace(objective.model, provenance={'alignment': 'heading'})
+    case = make_case(walk_model, rng)
+    model = replace(case.model, provenance={'alignment': 'heading'})
 
     def compute(value: float) -> float:
         changed: Any = {name: value}
-        varied = JointObjective.build(objective.batch, model, replace(SolverConfig(), **changed))
-        return float(compute_cost(varied, state).sum())
+        varied = list_terms(case.batch, model, replace(SolverConfig(), **changed))
+        return sum(compute_cost(case.batch, model, term, case.state) for term in varied)
 
     one, two, three = (compute(value) for value in (0.01, 0.02, 0.03))
     assert three - two == pytest.approx(two - one)
@@ -302,15 +342,6 @@ def test_lifted_poses_without_a_best_rotation_still_give_one(walk_model: BasePos
     rotation = found.cameras.rotation
     assert rotation @ np.swapaxes(rotation, 1, 2) == pytest.approx(np.tile(np.eye(3), (5, 1, 1)), abs=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(np.ones(5))
-
-
-def test_noise_and_factors_of_other_sizes_are_refused(walk_model: BasePoses, rng: np.random.Generator) -> None:
-    objective, state = make_objective(walk_model, rng, CONFIG)
-    problem, noise, factors = objective.compile(state), objective.noise_ratio, objective.factors
-    problem.weigh(noise, factors.copy())
-    for bad in ((noise[:1], factors), (noise, factors[:-1]), (noise, factors[:, :-1].copy())):
-        with pytest.raises(ValueError, match='not those'):
-            problem.weigh(*bad)
 
 
 def test_a_batch_gives_what_each_sequence_gives_alone(walk_model: BasePoses) -> None:

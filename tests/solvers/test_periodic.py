@@ -38,7 +38,7 @@ from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.leading_prior import MAX_NOISE, MAX_NOISE_RATIO, NEGLIGIBLE_NOISE, explains_as_well
 from mocap_ros.solvers.levenberg_marquardt import run_to_end
 from mocap_ros.solvers.periodic import EstimatedPoses, build_objective, weigh_movement
-from mocap_ros.solvers.window import Window
+from mocap_ros.solvers.window import InitialValues, Window
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.training.fit_base_poses import fit_base_poses
 from tests.support.synthetic_walk import BODY_TO_OPTICAL, STEP_NS, Walk, feed, make_walk, mpjpe_mm, with_scores
@@ -93,7 +93,9 @@ def make_case(walk_model: BasePoses, rng: np.random.Generator, term: str) -> Cas
     if term not in {'all', 'image'}:
         weight *= 1e-300 * (np.arange(FRAMES) == 0)[:, None]
         config, rotation = replace(config, bone_weight=0.0), rotation_from_vector(rng.normal(size=(FRAMES, 3)))
-    batch = Batch.build([Window(points, weight, times)], np.array([200.0]), model)
+    batch = Batch.build(
+        [Window(points, weight, times)], np.array([200.0]), [InitialValues(np.zeros((FRAMES, 1)), cameras)]
+    )
     movement = weigh_movement(batch, config.camera_velocity_weight, config.camera_acceleration_weight)
     coefficients = 0.05 * rng.normal(size=(2 * HARMONICS + 1, COMPONENTS + 1))
     log_scale = np.log(cameras.scale / 200) + 0.05 * rng.normal(size=FRAMES)

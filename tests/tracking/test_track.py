@@ -15,17 +15,20 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.arrays import Array
 from mocap_ros.engine.motion import sample_joints
-from mocap_ros.engine.refinement import NewestFrames
+from mocap_ros.engine.refinement import finish_newest
+from mocap_ros.engine.terms import Prior
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.keypoints.matching import NEW_ID_GATE, NEW_ID_GATE_GROWTH_PER_S, Detection, match_detections
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import BasePoses, arrange_model
 from mocap_ros.models.joint_std import HIDDEN_SHARE, expect_stature
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.joint import JointReconstruction
+from mocap_ros.solvers.joint.batch import Batch
+from mocap_ros.solvers.joint.objective import pose_problem
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.solvers.window import SolverStatus
 from mocap_ros.tracking.refinement import EXTRAPOLATION_SHARE, MAX_EXTRAPOLATION_STEPS, collect_newest_frames
@@ -395,7 +398,7 @@ def test_newer_frames_move_as_the_person_has_moved(truth: TrackSolution, walk_mo
     assert np.linalg.norm(error, axis=-1).mean() < 0.25 * np.linalg.norm(way, axis=-1).mean() + 0.01
 
 
-def collect(track: Track, fixed_frames: int = FIXED) -> NewestFrames:
+def collect(track: Track, fixed_frames: int = FIXED) -> Batch:
     return collect_newest_frames([track], [(FIRST, fixed_frames)], track.solved.model)
 
 
@@ -404,7 +407,7 @@ def test_a_new_frame_continues_movement(step: float, truth: TrackSolution, model
     track.stamps_ns = *track.stamps_ns[:-1], track.stamps_ns[-2] + round(step * STEP_NS)
     found = collect_newest_frames([track], [(len(track.solved.theta), 0)], track.solved.model)
     to_virtual = track.observed.virtual_camera.rotation
-    depth = float(CAMERA.focal / (found.units[0] * np.exp(found.log_scale[-1])))
+    depth = float(CAMERA.focal / (found.sequences['unit'][0] * np.exp(found.log_scale[-1])))
     share = EXTRAPOLATION_SHARE * min(step, MAX_EXTRAPOLATION_STEPS)
     root = truth.roots[-2] + share * np.array([0.02, 0.01, 0.05])
     assert found.theta[-1] == pytest.approx(truth.theta[-2] + share * 0.1 * model.std, abs=1e-8)
@@ -422,32 +425,40 @@ def test_with_a_lifter_a_new_frame_starts_from_its_lifted_pose(model: BasePoses,
     track.observed = replace(track.observed, lifted=LiftedPoses(lifted, np.full_like(lifted, 0.001)))
     started = collect(track)
     joints = model.poses(started.theta[-1]) @ started.rotation[-1].T
-    size = np.linalg.norm(started.lifted[-1]) / np.linalg.norm(joints)
-    assert np.abs(size * joints - started.lifted[-1]).max() < 0.05 * np.abs(started.lifted[-1]).max()
+    given = started.frames['lifted'][-1]
+    size = np.linalg.norm(given) / np.linalg.norm(joints)
+    assert np.abs(size * joints - given).max() < 0.05 * np.abs(given).max()
     np.testing.assert_array_equal(started.log_scale, plain.log_scale)
     np.testing.assert_array_equal(started.theta[:-1], plain.theta[:-1])
-    assert started.precision == pytest.approx(np.full_like(started.precision, 0.01**-2))
+    assert started.frames['precision'] == pytest.approx(np.full((4, 15, 3), 0.01**-2))
     lifted[-1, 3, 1] = np.nan  # too few joints were seen for the lifter
     without = collect(track)
     np.testing.assert_array_equal(without.theta, plain.theta)
     np.testing.assert_array_equal(without.rotation, plain.rotation)
-    assert (without.precision[-1, 3, 1], without.lifted[-1, 3, 1]) == (0, 0)
+    assert (without.frames['precision'][-1, 3, 1], without.frames['lifted'][-1, 3, 1]) == (0, 0)
 
 
 def test_a_solver_gets_the_solution_in_its_camera(truth: TrackSolution, model: BasePoses, track: Track) -> None:
     found, to_virtual, solved = collect(track), track.observed.virtual_camera.rotation, slice(FIRST, FRAMES - 1)
     roots = truth.roots @ to_virtual.T
     np.testing.assert_array_equal(found.theta[:-1], truth.theta[solved])
-    assert found.units[0] * np.exp(found.log_scale[:-1]) == pytest.approx(CAMERA.focal / roots[solved, 2])
+    assert found.sequences['unit'][0] * np.exp(found.log_scale[:-1]) == pytest.approx(
+        CAMERA.focal / roots[solved, 2]
+    )
     assert found.rotation[:-1] == pytest.approx(to_virtual @ truth.rotation[solved])
-    assert found.image == pytest.approx(track.observed.points[FIRST:] / found.units[0])
-    assert found.focal == pytest.approx(np.full(FRAMES - FIRST, CAMERA.focal / found.units[0]))
+    assert found.frames['image'] == pytest.approx(track.observed.points[FIRST:] / found.sequences['unit'][0])
+    assert found.frames['focal'] == pytest.approx(
+        np.full(FRAMES - FIRST, CAMERA.focal / found.sequences['unit'][0])
+    )
     assert found.times == pytest.approx(np.arange(FIRST, FRAMES) / 30)
-    assert (found.is_free.tolist(), found.earlier_frames.tolist()) == ([False, True, True, True], [FIRST])
+    assert (found.frames['is_free'].tolist(), found.sequences['earlier_frames'].tolist()) == (
+        [0, 1, 1, 1],
+        [FIRST],
+    )
     lengths = model.skeleton.bone_lengths(model.poses(truth.theta[:FIRST])).mean(axis=0)
-    assert found.earlier_lengths[0] == pytest.approx(lengths)
+    assert found.sequences['earlier_lengths'][0] == pytest.approx(lengths)
     free = collect(track, fixed_frames=0)
-    assert (free.is_free.tolist(), free.earlier_frames.tolist()) == ([True] * 4, [0])
+    assert (free.frames['is_free'].tolist(), free.sequences['earlier_frames'].tolist()) == ([1] * 4, [0])
 
 
 def test_a_refinement_replaces_the_newest_states_and_no_others(
@@ -462,18 +473,23 @@ def test_a_refinement_replaces_the_newest_states_and_no_others(
     joints, scale = model.poses(truth.theta[FIRST:]) @ np.swapaxes(rotation, 1, 2), CAMERA.focal / roots[:, 2]
     wrong = old.theta + 1, old.rotation[::-1].copy(), old.roots + 2, old.bone_lengths + 3, old.frame_residuals
     translation = CAMERA.focal * roots[:, :2] / roots[:, 2:]
+    unit, arrays = newest.sequences['unit'][0], arrange_model(model)
+    problem = pose_problem(newest, model, (Prior(np.zeros(COMPONENTS)),))
+    problem.start(truth.theta[FIRST:], rotation, np.log(scale / unit), translation / unit)
     body_px = np.sqrt((joints[-1, :, :2] ** 2).sum(axis=1).mean()) * scale[-1]
     lifted = LiftedPoses(np.zeros((FRAMES, 15, 3)), rng.uniform(0, 0.1, (FRAMES, 15, 3)))
     lifted.std[1] = np.nan
     for residual, rms, seen in (([np.nan, 3.0, np.nan, 4.0], 12.5**0.5, lifted), ([np.nan] * 4, np.nan, None)):
-        found = truth.theta[FIRST:], rotation, joints, scale, translation, np.array(residual)
         per_bone, start = model.skeleton.stature_per_bone, replace(old, **dict(zip(STATES, wrong, strict=True)))
+        newest.frames['score'] = np.isfinite(residual)[:, None]
+        errors = np.tile((np.array(residual) / unit)[:, None] ** 2, (1, 15))
         people = [FIXED], [replace(track.observed, lifted=seen)], [start]
-        ((*states, stature, fit),) = newest.finish(*people, *found, per_bone, HIDDEN_SHARE)
+        bones = per_bone, arrays.parents, arrays.children
+        ((*states, stature, fit),) = finish_newest(newest, problem.frames, errors, *people, *bones, HIDDEN_SHARE)
         for name, value, before in zip(STATES[:4], states, wrong, strict=False):
             assert value[FIRST + 1 :] == pytest.approx(getattr(truth, name)[FIRST + 1 :], abs=1e-9), name
             np.testing.assert_array_equal(value[: FIRST + 1], before[: FIRST + 1])
-        np.testing.assert_array_equal(states[4], [2.0] * FIRST + residual)
+        assert states[4] == pytest.approx([2.0] * FIRST + residual, nan_ok=True)
         mean = (states[3] @ per_bone).mean()
         expected = expect_stature(states[3], CMU15, seen, states[2] @ to_virtual[2])
         assert stature == pytest.approx(expected, rel=1e-12)

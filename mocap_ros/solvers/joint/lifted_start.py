@@ -12,13 +12,15 @@ weights are found in turn, `ALTERNATIONS` times.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from mocap_ros.arrays import Array
-from mocap_ros.engine import joint as engine
+from mocap_ros.engine import lifted_start as engine
 from mocap_ros.geometry.interpolation import find_nearest
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
-from mocap_ros.models.base_poses import BasePoses, arrange_model
+from mocap_ros.models.base_poses import MAX_MODELS, BasePoses, arrange_model
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.window import InitialValues
 
@@ -33,8 +35,13 @@ def fit_lifted_poses(lifted: LiftedPoses, times: Array, model: BasePoses) -> Ini
     known = np.flatnonzero(np.isfinite(lifted.joints).all(axis=(1, 2)))
     if not len(known):
         return None
-    poses = np.ascontiguousarray(lifted.joints[known]), np.ascontiguousarray(lifted.std[known])
-    basis = arrange_model(model).components
-    theta, *cameras = engine.fit_lifted_poses(*poses, basis, model.mean, model.std, ALTERNATIONS)
+    joints, variances = np.ascontiguousarray(lifted.joints[known]), (lifted.std[known] ** 2).mean(axis=(1, 2))
+    theta, *cameras = prepare_fit(model).fit_all(joints, variances)
     nearest = find_nearest(times, times[known])
     return InitialValues(theta[nearest], WeakPerspectiveCameras(*(values[nearest] for values in cameras)))
+
+
+@lru_cache(maxsize=MAX_MODELS)
+def prepare_fit(model: BasePoses) -> engine.PoseFit:
+    """Return what fits lifted poses by base poses."""
+    return engine.PoseFit(model, arrange_model(model), ALTERNATIONS)

@@ -39,8 +39,9 @@ from mocap_ros.arrays import Array
 from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint as engine
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.solvers.joint.activity import measure_activities
 from mocap_ros.solvers.joint.batch import Batch, State
-from mocap_ros.solvers.joint.objective import JointObjective, measure_activities, read_state, weigh_motion
+from mocap_ros.solvers.joint.objective import list_terms, pose_problem, read_state, set_noise
 from mocap_ros.solvers.levenberg_marquardt import Stepwise, minimise_stepwise
 from mocap_ros.solvers.window import Window
 
@@ -70,7 +71,7 @@ def anneal_stepwise(
     noise, is_unknown = get_given_noise(windows, config), np.array([w.noise is None for w in windows])
 
     def update_noise(problem: engine.JointProblem, least: float) -> Array:
-        estimate = np.maximum(problem.measure_misfit(), problem.measure_least_noise())
+        estimate = np.maximum(problem.measure_misfit(), problem.batch.sequences['least_noise'])
         estimate = np.maximum(estimate, max(least, config.noise_floor))
         return np.where(is_unknown, estimate, noise)
 
@@ -78,29 +79,28 @@ def anneal_stepwise(
     iterations = np.zeros(len(windows), np.int64)
     frames = batch.find_best_seen(COARSE_FRAME_STEP_S)
     some, coarse = batch.select(frames), state.select(frames)
-    share = weigh_motion(batch) * some.counts / batch.counts
-    objective = JointObjective.build(some, model, config, None, share)
     for level, least in zip(COARSE_NOISE_M, (*COARSE_NOISE_M[1:], FINE_NOISE_M[0]), strict=True):
         k = max(int((model.std >= MIN_STD_OVER_NOISE * level).sum()), MIN_COMPONENTS)
-        problem = objective.with_noise(noise).truncate(k).compile(coarse._replace(theta=coarse.theta[:, :k]))
+        k = min(k, len(model.std))
+        terms = list_terms(some, model, config, components=k, has_limits=False)
+        problem = pose_problem(some, model, terms, k)
+        set_noise(some, noise)
+        problem.start(*coarse._replace(theta=coarse.theta[:, :k]))
         yield from minimise_stepwise(problem, config.max_iterations, tolerance, damping)
-        iterations += problem.iterations
+        iterations += problem.searches['iterations']
         found = read_state(problem)
         coarse = found._replace(theta=np.concatenate([found.theta, coarse.theta[:, k:]], axis=1))
         noise, damping = update_noise(problem, least), CONTINUED_DAMPING
         yield
-    has_limits = config.pose_acceleration_weight > 0
-    activity = measure_activities(coarse, some, batch) if has_limits else None
-    objective = JointObjective.build(batch, model, config, noise, None, activity)
-    problem = objective.compile(batch.interpolate(coarse, frames), 1, at_reference=True)
+    activity = measure_activities(coarse, some, batch) if config.pose_acceleration_weight > 0 else None
+    problem = pose_problem(batch, model, list_terms(batch, model, config, activity=activity))
+    set_noise(batch, noise)
+    problem.start(*batch.interpolate(coarse, frames), settle_steps=1, at_reference=True)
     for least in (*FINE_NOISE_M[1:], 0.0):
         yield from minimise_stepwise(problem, config.max_iterations, tolerance, damping)
-        iterations += problem.iterations
+        iterations += problem.searches['iterations']
         before, noise = noise, update_noise(problem, least)
-        objective = objective.with_noise(noise)
-        if has_limits:  # which depend on the noise
-            objective = JointObjective.build(batch, model, config, noise, None, activity)
-        problem.weigh(objective.noise_ratio, objective.factors)
+        set_noise(batch, noise)
         problem.start(*read_state(problem))
         yield
         if np.array_equal(noise, before):

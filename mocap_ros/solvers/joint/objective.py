@@ -4,15 +4,22 @@
 """The objective of the joint solver: its terms and their weights.
 
     E = reprojection (TPAMI 2016, eq. 9) + bone lengths (eq. 20) + prior of the base poses
-      + differences (`differences`) + lifted poses, where there are any
+      + velocities + accelerations + lifted poses, where there are any
 
-The formulas are in `engine.joint`, which minimises it. Weights are given for an image noise of
-10 mm (`NOISE_REFERENCE`); under another the reprojection is divided by the ratio of the variances.
+The formulas are in `engine.terms`, and `engine.joint` minimises their sum. With the features x of a frame, the K
+weights of the base poses, s R[:2], R[:2] and log s, the velocities are
+
+    mu    sum_tl ((theta_(t+1)l - theta_tl) / sigma_l)^2 / dt_t    smoothness of the weights
+  + gamma sum_t |M_(t+1) - M_t|^2 / dt_t                           flip regulariser, M = s R[:2] (TPAMI, eq. 12)
+  + tau   sum_t |R_(t+1)[:2] z - R_t[:2] z|^2 / dt_t               tilt: the image of the vertical changes slowly
+  + sigma sum_t (log s_(t+1) - log s_t)^2 / dt_t                   scale: people come nearer slowly
+
+and the accelerations those of the weights and of R[:2]. Weights are given for an image noise of 10 mm
+(`NOISE_REFERENCE`); under another the reprojection is divided by the ratio of the variances.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -20,35 +27,25 @@ import numpy as np
 
 from mocap_ros.arrays import Array
 from mocap_ros.config import SolverConfig
-from mocap_ros.engine import joint as engine
+from mocap_ros.engine import joint, terms
 from mocap_ros.models.base_poses import MAX_MODELS, BasePoses, arrange_model
 from mocap_ros.solvers.joint.batch import Batch, State
-from mocap_ros.solvers.joint.differences import (
-    CAMERA_FEATURES,
-    MIN_TIME_STEP_S,
-    TYPICAL_OF_CAMERA,
-    TYPICAL_OF_POSE,
-    VERTICAL_FEATURES,
-    FiniteDifference,
-    invert_time_steps,
-    limit_acceleration,
-    measure_activity,
-    weigh_velocity_change,
-)
 
 NOISE_REFERENCE = 0.01  # m; image noise at the body for which the weights in the configuration are given
-LASTING_S = 1 / 30  # s; frames that are nearer have the same errors, for which weights were tuned at this rate
 MIN_ROBUST_SCALE = 1e-6  # m; a smaller `robust_scale` selects least squares
+VERTICAL_FEATURES = (8, 11)  # of the camera: the image of the body's z axis
+TYPICAL_OF_POSE = 14.0  # m/s^2; A, over the root of the 15 joints 3.6 m/s^2, that of the joints of a walker
+TYPICAL_OF_CAMERA = 4.2  # 1/s^2; A of a body that sways by 4 degrees once a second, and a half more
 
 
 class Weights(NamedTuple):
     """Weights of the terms under one configuration."""
 
     prior: Array  # (K,) lambda / sigma_l^2
-    of_bones: Array  # (B,) beta
-    of_velocity: Array  # (K + 13,) of the features in differences of order 1: mu / sigma_l^2, gamma, tau and sigma
-    of_pose: Array  # (K + 13,) 1 for the weights of the base poses
-    of_direction: Array  # (K + 13,) 1 for the elements of R[:2]
+    # of the features, for the weights (K,) and the camera (13,)
+    velocity: tuple[Array, Array]  # mu / sigma_l^2; gamma, tau and sigma
+    pose_acceleration: tuple[Array, Array]
+    camera_acceleration: tuple[Array, Array]
 
 
 @lru_cache(maxsize=MAX_MODELS)
@@ -63,117 +60,66 @@ def choose_weights(model: BasePoses, config: SolverConfig, has_lifted: bool) -> 
         flip = config.lifter_flip_factor * flip
     of_camera = np.repeat([flip, 0.0, config.scale_weight], [6, 6, 1])
     of_camera[list(VERTICAL_FEATURES)] = tilt
-    k, directions = len(model.std), np.repeat([0.0, 1.0, 0.0], [6, 6, 1])
+    none, directions = np.zeros(len(model.std)), np.repeat([0.0, 1.0, 0.0], [6, 6, 1])
     return Weights(
         prior=prior / model.std**2,
-        of_bones=np.full(len(model.skeleton.bones), config.bone_weight),
-        of_velocity=np.concatenate([smooth / model.std**2, of_camera]),
-        of_pose=np.repeat([1.0, 0.0], [k, CAMERA_FEATURES]),
-        of_direction=np.concatenate([np.zeros(k), directions]),
+        velocity=(smooth / model.std**2, of_camera),
+        pose_acceleration=(np.full(len(model.std), config.pose_acceleration_weight), np.zeros(13)),
+        camera_acceleration=(none, config.camera_acceleration_weight * directions),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class JointObjective:
-    """The objective of a batch of sequences."""
+def list_terms(
+    batch: Batch,
+    model: BasePoses,
+    config: SolverConfig,
+    *,
+    components: int | None = None,
+    activity: tuple[Array, Array] | None = None,
+    has_limits: bool = True,
+) -> tuple[terms.Term, ...]:
+    """Return the terms of the objective, of the first `components` base poses.
 
-    batch: Batch
-    model: BasePoses
-    noise_ratio: Array  # (P,) image noise over that of the reference
-    # m, c of the reprojection under the reference noise; infinite for least squares. It grows with noise above the
-    # reference
-    robust_scale: float
-    bone_weight: Array  # (B,) beta of each bone
-    prior: Array  # (K,) lambda / sigma_l^2, of the first K base poses of the model
-    lifter_weight: float  # m^2, omega
-    lifter_robust_scale: float
-    differences: tuple[FiniteDifference, ...]
+    `activity` are mean square accelerations (N,) m^2/s^4 of poses and (N,) 1/s^4 of cameras; None for rest.
+    Without limits no acceleration counts.
+    """
+    weights, k = choose_weights(model, config, batch.has_lifted), components or len(model.std)
 
-    @staticmethod
-    def build(
-        batch: Batch,
-        model: BasePoses,
-        config: SolverConfig,
-        noise: Array | None = None,
-        share: Array | None = None,
-        activity: tuple[Array, Array] | None = None,
-    ) -> JointObjective:
-        """Return the objective with the weights of the configuration, at a noise (P,) m, None for the reference.
+    def join(weight: tuple[Array, Array]) -> Array:
+        return np.concatenate([weight[0][:k], weight[1]])
 
-        Differences of a selection count by a `share` (P,), and there are none of order 2; else by `weigh_motion`.
-        `activity` are mean square accelerations (N,) m^2/s^4 of poses and (N,) 1/s^4 of cameras; None for rest.
-        """
-        weights = choose_weights(model, config, len(batch.lifted) > 0)
-        noise_ratio = np.ones(len(batch.starts)) if noise is None else noise / NOISE_REFERENCE
-        inverse = invert_time_steps(batch)
-        share_of_frame = batch.repeat_per_frame(weigh_motion(batch) if share is None else share)
-        root = np.sqrt(share_of_frame * inverse)
-        differences = [FiniteDifference(np.stack([-root, root], axis=1), weights.of_velocity)]
-        if share is None and config.pose_acceleration_weight > 0:
-            change = np.sqrt(share_of_frame)[:, None] * weigh_velocity_change(batch)
-            ratio = batch.repeat_per_frame(noise_ratio)
-            of_pose, of_camera = activity or (np.zeros(len(ratio)), np.zeros(len(ratio)))
-            alpha, kappa = config.pose_acceleration_weight, config.camera_acceleration_weight
-            pose = limit_acceleration(alpha, TYPICAL_OF_POSE, change, of_pose, ratio)
-            camera = limit_acceleration(kappa, TYPICAL_OF_CAMERA, change, of_camera, ratio)
-            differences.append(FiniteDifference(pose, weights.of_pose))
-            differences.append(FiniteDifference(camera, weights.of_direction))
-        return JointObjective(
-            batch=batch,
-            model=model,
-            noise_ratio=noise_ratio,
-            robust_scale=config.robust_scale if config.robust_scale > MIN_ROBUST_SCALE else np.inf,
-            bone_weight=weights.of_bones,
-            prior=weights.prior,
-            lifter_weight=config.lifter_weight,
-            lifter_robust_scale=config.lifter_robust_scale,
-            differences=tuple(differences),
-        )
-
-    @property
-    def factors(self) -> Array:
-        """The factors (T, N, 3) of all differences, 0 behind those of order 1."""
-        factors = np.zeros((len(self.differences), len(self.batch.times), 3))
-        for own, difference in zip(factors, self.differences, strict=True):
-            own[:, : difference.order + 1] = difference.factors
-        return factors
-
-    def truncate(self, k: int) -> JointObjective:
-        """Return the objective of the first `k` base poses."""
-        weights = [np.concatenate([d.weight[:k], d.weight[-CAMERA_FEATURES:]]) for d in self.differences]
-        differences = tuple(replace(d, weight=w) for d, w in zip(self.differences, weights, strict=True))
-        return replace(self, prior=self.prior[:k], differences=differences)
-
-    def with_noise(self, noise: Array) -> JointObjective:
-        """Return the objective under image noise (P,) m, with the same limits to accelerations."""
-        return replace(self, noise_ratio=noise / NOISE_REFERENCE)
-
-    def compile(
-        self, state: State | None = None, settle_steps: int = 0, *, at_reference: bool = False
-    ) -> engine.JointProblem:
-        """Return the objective as a problem of the compiled solver.
-
-        Translations first settle by some steps of the robust fit, `at_reference` under the scale of the reference
-        noise.
-        """
-        problem = engine.JointProblem(self, arrange_model(self.model))
-        if state is not None:
-            problem.start(*state, settle_steps, at_reference)
-        return problem
+    robust_scale = config.robust_scale if config.robust_scale > MIN_ROBUST_SCALE else np.inf
+    out: list[terms.Term] = [
+        terms.Reprojection(robust_scale),
+        terms.BoneLengths(config.bone_weight, arrange_model(model), k),
+        terms.Prior(weights.prior[:k]),
+        terms.Velocity(join(weights.velocity)),
+    ]
+    if has_limits and config.pose_acceleration_weight > 0:
+        of_pose, of_camera = activity or (None, None)
+        out.append(terms.Acceleration(join(weights.pose_acceleration), TYPICAL_OF_POSE, of_pose))
+        out.append(terms.Acceleration(join(weights.camera_acceleration), TYPICAL_OF_CAMERA, of_camera))
+    if batch.has_lifted:
+        out.append(terms.LiftedPoses(config.lifter_weight, config.lifter_robust_scale))
+    return tuple(out)
 
 
-def read_state(problem: engine.JointProblem) -> State:
+def pose_problem(
+    batch: Batch, model: BasePoses, parts: tuple[terms.Term, ...], components: int | None = None
+) -> joint.JointProblem:
+    """Return the problem of minimising the sum of terms, of the first `components` base poses."""
+    return joint.JointProblem(
+        batch, model, arrange_model(model), parts, len(model.std) if components is None else components
+    )
+
+
+def read_state(problem: joint.JointProblem) -> State:
     """Return the unknowns at the current point of a problem."""
-    return State(*(problem.read(name) for name in State._fields))
+    frames = problem.frames
+    features = frames['features'][:, : problem.components]
+    return State(*(a.copy() for a in (features, frames['rotation'], frames['log_scale'], frames['translation'])))
 
 
-def weigh_motion(batch: Batch) -> Array:
-    """Return the weights (P,) of differences: as errors of a detector last, more frames a second say no more."""
-    spans = batch.times[batch.starts + batch.counts - 1] - batch.times[batch.starts]
-    return np.asarray(np.maximum(LASTING_S * (batch.counts - 1) / np.maximum(spans, MIN_TIME_STEP_S), 1.0))
-
-
-def measure_activities(state: State, coarse: Batch, batch: Batch) -> tuple[Array, Array]:
-    """Return the mean square accelerations (N,) of poses and cameras about each frame, from a state of some."""
-    directions = state.rotation[:, :2].reshape(len(state.theta), 6)
-    return measure_activity(state.theta, coarse, batch), measure_activity(directions, coarse, batch)
+def set_noise(batch: Batch, noise: Array) -> None:
+    """Set the image noise (P,) m under which the objectives of a batch are measured."""
+    batch.sequences['noise_ratio'] = noise / NOISE_REFERENCE

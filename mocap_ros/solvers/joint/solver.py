@@ -22,7 +22,8 @@ from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint as engine
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.joint.batch import Batch, State
+from mocap_ros.solvers.joint.activity import measure_activities
+from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.joint.lifted_start import fit_lifted_poses
 from mocap_ros.solvers.joint.noise_annealing import (
     COARSE_FRAME_STEP_S,
@@ -31,7 +32,13 @@ from mocap_ros.solvers.joint.noise_annealing import (
     anneal_stepwise,
     get_given_noise,
 )
-from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, JointObjective, measure_activities, read_state
+from mocap_ros.solvers.joint.objective import (
+    NOISE_REFERENCE,
+    list_terms,
+    pose_problem,
+    read_state,
+    set_noise,
+)
 from mocap_ros.solvers.levenberg_marquardt import Stepwise, minimise_stepwise, run_to_end
 from mocap_ros.solvers.window import (
     Reconstruction,
@@ -77,40 +84,37 @@ def solve_stepwise(
     windows = [start_from_lifted_poses(w, model) for w in windows]
     chosen = [choose_initial_values(w, model, config.start_window) for w in windows]
     yield
-    starts, units = [start for start, _ in chosen], np.array([unit for _, unit in chosen])
-    batch = Batch.build(windows, units, model)
-    state, settle_steps = batch.initial_state(starts, units), 1 if is_warm else 2
+    batch = Batch.build(windows, np.array([unit for _, unit in chosen]), [start for start, _ in chosen])
+    settle_steps = 1 if is_warm else 2
     earlier_iterations = np.zeros(len(windows), np.int64)
     damping = WARM_DAMPING if is_warm else CONTINUED_DAMPING if config.adapt_noise else COLD_DAMPING
     if config.adapt_noise and any(w.noise is None for w in windows):
-        settled = JointObjective.build(batch, model, config).compile(state, settle_steps)
+        settled = continue_from(batch, None, model, config, settle_steps)
         yield
         annealed = anneal_stepwise(batch, read_state(settled), model, windows, config)
         problem, earlier_iterations = yield from annealed
     else:
         noise = get_given_noise(windows, config) if config.adapt_noise else None
-        problem = continue_from(batch, state, noise, model, config, settle_steps)
+        problem = continue_from(batch, noise, model, config, settle_steps)
         yield
     history = yield from minimise_stepwise(problem, config.max_iterations, config.tolerance, damping)
     yield
-    return make_reconstructions(problem, batch, windows, units, history, earlier_iterations)
+    return make_reconstructions(problem, batch, windows, history, earlier_iterations)
 
 
 def continue_from(
-    batch: Batch,
-    state: State,
-    noise: Array | None,
-    model: BasePoses,
-    config: SolverConfig,
-    settle_steps: int = 1,
+    batch: Batch, noise: Array | None, model: BasePoses, config: SolverConfig, settle_steps: int = 1
 ) -> engine.JointProblem:
-    """Return the problem of a batch that starts from a state under image noise (P,) m; None for the reference."""
+    """Return the problem of a batch at its start under image noise (P,) m; None for the reference."""
     activity = None
-    if noise is not None and config.pose_acceleration_weight > 0:
-        frames = batch.find_best_seen(COARSE_FRAME_STEP_S)
-        activity = measure_activities(state.select(frames), batch.select(frames), batch)
-    objective = JointObjective.build(batch, model, config, noise, None, activity)
-    return objective.compile(state, settle_steps, at_reference=True)
+    if noise is not None:
+        set_noise(batch, noise)
+        if config.pose_acceleration_weight > 0:
+            frames = batch.find_best_seen(COARSE_FRAME_STEP_S)
+            activity = measure_activities(batch.start.select(frames), batch.select(frames), batch)
+    problem = pose_problem(batch, model, list_terms(batch, model, config, activity=activity))
+    problem.start(*batch.start, settle_steps=settle_steps, at_reference=True)
+    return problem
 
 
 def solve_hypotheses(
@@ -166,26 +170,25 @@ def make_reconstructions(
     problem: engine.JointProblem,
     batch: Batch,
     windows: Sequence[Window],
-    units: Array,
     history: Array,
     earlier_iterations: NDArray[np.int64],
 ) -> tuple[JointReconstruction, ...]:
-    """Return the reconstruction of each sequence of a batch; units (P,) px/m."""
-    joints, scale, translation, residual = problem.describe(units)
-    theta, rotation = problem.read('theta'), problem.read('rotation')
-    misfit, joint_std = problem.measure_misfit(), problem.measure_joint_std()
-    noise = np.maximum(misfit, problem.measure_least_noise())
+    """Return the reconstruction of each sequence of a batch."""
+    joints, cameras, translation, residual = describe_frames(problem, batch)
+    theta, misfit = read_state(problem).theta, problem.measure_misfit()
+    joint_std = NOISE_REFERENCE * problem.measure_joint_std()
+    noise = np.maximum(misfit, batch.sequences['least_noise'])
     costs, out = history.T.tolist(), []
     for i, own in enumerate(batch.slices):
-        iterations = int(problem.iterations[i])
+        iterations = int(problem.searches['iterations'][i])
         out.append(
             JointReconstruction(
                 joints=joints[own],
                 theta=theta[own],
-                cameras=WeakPerspectiveCameras(scale[own], rotation[own]),
+                cameras=WeakPerspectiveCameras(cameras.scale[own], cameras.rotation[own]),
                 translation=interpolate_unseen(translation[own], windows[i]),
                 residual=residual[own],
-                status=SolverStatus(problem.status[i]),
+                status=SolverStatus(problem.searches['status'][i]),
                 history=tuple(costs[i][: iterations + 1]),
                 iterations=int(earlier_iterations[i]) + iterations,
                 noise=float(noise[i]),
@@ -194,3 +197,19 @@ def make_reconstructions(
             )
         )
     return tuple(out)
+
+
+def describe_frames(
+    problem: engine.JointProblem, batch: Batch
+) -> tuple[Array, WeakPerspectiveCameras, Array, Array]:
+    """Return joints (N, J, 3) m, cameras, translations (N, 2) px and residuals (N,) px of all frames.
+
+    They are those of `solvers.window.Reconstruction`.
+    """
+    frames, is_seen = problem.frames, batch.frames['score'] > 0
+    scale, units = np.exp(frames['log_scale']), batch.repeat_per_frame(batch.sequences['unit'])
+    seen = is_seen.sum(axis=1)
+    squares = np.where(is_seen, problem.measure_squared_errors(), 0.0).sum(axis=1)
+    residual = np.where(seen > 0, units * np.sqrt(squares / np.maximum(seen, 1)), np.nan)
+    cameras = WeakPerspectiveCameras(scale * units, frames['rotation'].copy())
+    return frames['joints'] / scale[:, None, None], cameras, frames['translation'] * units[:, None], residual

@@ -1,0 +1,440 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: auto_pickle=False
+
+"""The terms of the objective of the joint solver: each has its formula, its cost and the linearisation of it.
+
+A frame t has K weights theta of the base poses, a rotation R (body to camera), a scale s and a translation as
+unknowns. Of the pose P_j = Q_0j + sum_l theta_l Q_lj there follow the scaled joints q_j = s R P_j, the lengths l_b
+of the bones, and the features x: the K weights and, of the camera, the 6 elements of s R[:2], the 6 of R[:2], and
+log s. Cauchy's loss is rho(a) = c^2 log(1 + a / c^2), c infinite for least squares. `joint.pyx` has the normal
+equations; where terms of the joints' positions add their Gauss-Newton matrices by q_j, the others write to the
+unknowns themselves.
+
+To add a term, write a class with `measure` and the parts of the linearisation that it needs, its twin in
+`tests/support/plain_objective.py`, and name it in `solvers.joint.objective.list_terms`.
+"""
+
+from libc.math cimport sqrt
+
+from mocap_ros.engine.batch import MIN_TIME_STEP_S
+
+from mocap_ros.engine.batch cimport compute_loss
+from mocap_ros.engine.block_banded cimport pad_rows  # and with it WIDE
+
+cdef extern from *:
+    """
+    /* Write u^T Q, with the direction u of a bone and the changes Q (3, K) of its vector with the weights. Add its
+       matrix (a u u^T + c (I - u u^T)) times Q to the rows of its outer joint, and subtract it from the inner's. */
+    WIDE static void add_bone(Py_ssize_t K, Py_ssize_t size, const double *u, const double *q, double a, double c,
+                              double *__restrict along, double *__restrict outer, double *__restrict inner) {
+        for (Py_ssize_t i = 0; i < K; i++)
+            along[i] = u[0] * q[i] + u[1] * q[K + i] + u[2] * q[2 * K + i];
+        for (int row = 0; row < 3; row++)
+            for (Py_ssize_t i = 0; i < K; i++) {
+                double force = c * q[row * K + i] + (a - c) * u[row] * along[i];
+                outer[row * size + i] += force;
+                inner[row * size + i] -= force;
+            }
+    }
+    """
+    void add_bone(
+        Py_ssize_t, Py_ssize_t, const double*, const double*, double, double, double*, double*, double*
+    ) noexcept nogil
+
+cdef double MIN_DEPTH = 0.1  # of that of the body's origin; a joint nearer to the camera is a failed solution
+cdef double MIN_TOTAL_WEIGHT = 1e-12  # guards the division by the weights of a frame in which no joint is seen
+cdef double MIN_STEP_S = MIN_TIME_STEP_S
+MAX_NOISE_RATIO = 1.9  # R; with it the weight of a run is 0.1 to 0.4 of that of rest, whatever the detector
+cdef double MAX_RATIO = MAX_NOISE_RATIO
+
+
+cdef class Term:
+    """A term of the objective.
+
+    Functions get the records of a sequence from its first frame on, or those of one frame.
+    """
+
+    cdef double measure(self, const Sequence* s, const Measured* known, Frame* frames) noexcept nogil:
+        """Return the cost of a sequence in m^2."""
+        return 0
+
+    cdef void begin(self, const Sequence* s, const Frame* frames) noexcept nogil:
+        """Prepare the linearisation of the frames of a sequence."""
+
+    cdef void pull_joints(
+        self, const Sequence* s, const Measured* known, const Frame* frame, Pull* out
+    ) noexcept nogil:
+        """Add what depends on the positions of the joints of a frame."""
+
+    cdef void add_to_frame(self, int t, const Frame* frame, Equations* out) noexcept nogil:
+        """Add what depends on the unknowns of frame t themselves."""
+
+    cdef void add_to_motion(
+        self, const Sequence* s, const Measured* known, const Frame* frames, Equations* out
+    ) noexcept nogil:
+        """Add what depends on several frames."""
+
+
+cdef double find_error(const Measured* known, const Frame* frame, int j, double* error) noexcept nogil:
+    """Write the error e_j (2,) m of a joint's image, and return the joint's depth d_j over that of the origin."""
+    cdef double depth = max(1 + frame.joints[j][2] / known.focal, MIN_DEPTH)
+    cdef int i
+    for i in range(2):
+        error[i] = (frame.joints[j][i] + frame.translation[i]) / depth - known.image[j][i]
+    return depth
+
+
+cdef class Reprojection(Term):
+    """sum_tj w_tj rho(|e_tj|^2) / v,    e_j = (q_j[:2] + translation) / d_j - x_j,    d_j = 1 + q_jz / f.
+
+    v is the square of the ratio r of the image noise to that of the reference of 10 mm. Under more noise the scale of
+    the loss is c max(r, 1).
+    """
+
+    def __init__(self, double robust_scale):
+        self.robust_scale = robust_scale
+
+    cdef double find_robust_scale(self, const Sequence* s) noexcept nogil:
+        return self.robust_scale * max(s.noise_ratio, 1)
+
+    cdef void settle(
+        self, const Sequence* s, const Measured* known, Frame* frames, double robust_scale
+    ) noexcept nogil:
+        """Move the translations of a sequence by a step of the robust fit with this c."""
+        cdef int t, j, i
+        cdef double depth, weight, total
+        cdef double[2] error
+        cdef double[2] shift
+        for t in range(s.count):
+            total = shift[0] = shift[1] = 0
+            for j in range(JOINTS):
+                depth = find_error(&known[t], &frames[t], j, error)
+                weight = known[t].score[j] / depth
+                weight /= 1 + (error[0] * error[0] + error[1] * error[1]) / (robust_scale * robust_scale)
+                total += weight / depth
+                for i in range(2):
+                    shift[i] += weight * error[i]
+            for i in range(2):
+                frames[t].translation[i] -= shift[i] / max(total, MIN_TOTAL_WEIGHT)
+
+    cdef double measure(self, const Sequence* s, const Measured* known, Frame* frames) noexcept nogil:
+        cdef int t, j
+        cdef double c = self.find_robust_scale(s), cost = 0
+        cdef double[2] error
+        for t in range(s.count):
+            for j in range(JOINTS):
+                if known[t].score[j] > 0:
+                    find_error(&known[t], &frames[t], j, error)
+                    cost += known[t].score[j] * compute_loss(error[0] * error[0] + error[1] * error[1], c)
+        return cost / (s.noise_ratio * s.noise_ratio)
+
+    cdef void pull_joints(
+        self, const Sequence* s, const Measured* known, const Frame* frame, Pull* out
+    ) noexcept nogil:
+        """With E = de / dq d = (1 0 a; 0 1 b): M = v E^T E, U = v E^T and m = v d E^T e."""
+        cdef int j, i, k
+        cdef double c = self.find_robust_scale(s), depth, weight
+        cdef double[2] error
+        cdef double[2][3] slope = [[1, 0, 0], [0, 1, 0]]
+        for j in range(JOINTS):
+            depth = find_error(known, frame, j, error)
+            weight = known.score[j] / (s.noise_ratio * s.noise_ratio) / (depth * depth)
+            weight /= 1 + (error[0] * error[0] + error[1] * error[1]) / (c * c)
+            out.weight += weight
+            for i in range(2):
+                slope[i][2] = -(error[i] + known.image[j][i]) / known.focal
+                out.by_translation[i] += weight * depth * error[i]
+            for i in range(3):
+                for k in range(2):
+                    out.mixed[j][2 * i + k] += weight * slope[k][i]
+                    out.force[j][i] += weight * depth * slope[k][i] * error[k]
+                for k in range(3):
+                    out.matrix[j][3 * i + k] += weight * (slope[0][i] * slope[0][k] + slope[1][i] * slope[1][k])
+
+
+cdef class LiftedPoses(Term):
+    """omega sum_tj rho(sum_i (q_tji - y_tji)^2 pi_tji), lifted poses y with the precisions pi."""
+
+    cdef readonly double weight, robust_scale
+
+    def __init__(self, double weight, double robust_scale):
+        self.weight, self.robust_scale = weight, robust_scale
+
+    cdef inline double find_square(self, const Measured* known, const Frame* frame, int j) noexcept nogil:
+        cdef int i
+        cdef double distance, total = 0
+        for i in range(3):
+            distance = frame.joints[j][i] - known.lifted[j][i]
+            total += known.precision[j][i] * distance * distance
+        return total
+
+    cdef double measure(self, const Sequence* s, const Measured* known, Frame* frames) noexcept nogil:
+        cdef int t, j
+        cdef double cost = 0
+        for t in range(s.count):
+            for j in range(JOINTS):
+                cost += compute_loss(self.find_square(&known[t], &frames[t], j), self.robust_scale)
+        return self.weight * cost
+
+    cdef void pull_joints(
+        self, const Sequence* s, const Measured* known, const Frame* frame, Pull* out
+    ) noexcept nogil:
+        cdef int j, i
+        cdef double share, stiffness
+        for j in range(JOINTS):
+            share = 1 + self.find_square(known, frame, j) / (self.robust_scale * self.robust_scale)
+            for i in range(3):
+                stiffness = self.weight * known.precision[j][i] / share
+                out.matrix[j][4 * i] += stiffness
+                out.force[j][i] += stiffness * (frame.joints[j][i] - known.lifted[j][i])
+
+
+cdef class BoneLengths(Term):
+    """beta sum_tb (l_tb - m_b)^2, bone lengths and their means over the sequence (TPAMI 2016, eq. 20).
+
+    The means are over the F frames of the sequence and the E before it, E (m_b - m_0b)^2 of which are the cost. They
+    are eliminated exactly: with G the gradients of sum_t sqrt(beta) l_tb, a column a bone, this subtracts
+    G G^T / (F + E) from the matrix. The Gauss-Newton matrix lacks the second derivatives of the lengths, and then
+    needs several times as many steps; those of bones that are too long are positive semidefinite and are put in.
+
+    Args:
+        weight: m^2 / m^2, beta.
+        arrays: `models.base_poses.ModelArrays`, whose first K base poses count.
+    """
+
+    cdef readonly double weight
+    cdef const long long[::1] parents, children
+    cdef const double[:, ::1] changes  # (3 B, K)
+    cdef double[BONES] mean
+
+    def __init__(self, double weight, arrays, int components):
+        self.weight, self.parents, self.children = weight, arrays.parents, arrays.children
+        self.changes = arrays.bones[:, :components].copy()
+
+    cdef void begin(self, const Sequence* s, const Frame* frames) noexcept nogil:
+        cdef int b, t
+        for b in range(BONES):
+            self.mean[b] = s.earlier_frames * s.earlier_lengths[b]
+            for t in range(s.count):
+                self.mean[b] += frames[t].length[b]
+            self.mean[b] /= s.count + s.earlier_frames
+
+    cdef double measure(self, const Sequence* s, const Measured* known, Frame* frames) noexcept nogil:
+        cdef int b, t
+        cdef double change, cost = 0
+        self.begin(s, frames)
+        for b in range(BONES):
+            change = self.mean[b] - s.earlier_lengths[b]
+            cost += s.earlier_frames * change * change
+            for t in range(s.count):
+                change = frames[t].length[b] - self.mean[b]
+                cost += change * change
+        return self.weight * cost
+
+    cdef void add_to_frame(self, int t, const Frame* frame, Equations* out) noexcept nogil:
+        cdef int b, i, K = out.components
+        cdef double excess, across, root = sqrt(self.weight)
+        cdef double[3] direction
+        cdef double[MAX_COMPONENTS] along
+        cdef double* block = out.blocks + t * out.frame_size
+        cdef double* vectors = out.vectors + t * (K + CAMERA) * BONES
+        for b in range(BONES):
+            for i in range(3):
+                direction[i] = frame.pose[3 * self.children[b] + i] - frame.pose[3 * self.parents[b] + i]
+                direction[i] /= frame.length[b]
+            excess = frame.length[b] - self.mean[b]
+            across = self.weight * max(excess / frame.length[b], 0)
+            add_bone(
+                K, out.width, direction, &self.changes[3 * b, 0], self.weight, across, along,
+                out.weighted + 3 * self.children[b] * out.width, out.weighted + 3 * self.parents[b] * out.width,
+            )
+            for i in range(K):
+                vectors[i * BONES + b] = root * along[i]
+                block[i * out.width + K + CAMERA] += self.weight * excess * along[i]
+
+
+cdef class Prior(Term):
+    """sum_tl lambda_l theta_tl^2, prior of the base poses.
+
+    Args:
+        weight: (K,) lambda.
+    """
+
+    cdef readonly object weight
+    cdef const double[::1] weights
+
+    def __init__(self, weight):
+        self.weight = self.weights = weight
+
+    cdef double measure(self, const Sequence* s, const Measured* known, Frame* frames) noexcept nogil:
+        cdef int t, i
+        cdef double cost = 0
+        for t in range(s.count):
+            for i in range(self.weights.shape[0]):
+                cost += self.weights[i] * frames[t].features[i] * frames[t].features[i]
+        return cost
+
+    cdef void add_to_frame(self, int t, const Frame* frame, Equations* out) noexcept nogil:
+        cdef int i
+        cdef double* row = out.blocks + t * out.frame_size
+        for i in range(out.components):
+            row[i] += self.weights[i]
+            row[out.components + CAMERA] += self.weights[i] * frame.features[i]
+            row += out.width
+
+
+cdef class Level(Term):
+    """nu sum_t (z_tx^2 + z_tz^2), z the direction of the body's z axis in the camera: it is level.
+
+    Args:
+        weight: m^2, nu.
+    """
+
+    cdef readonly double weight
+
+    def __init__(self, double weight):
+        self.weight = weight
+
+    cdef double measure(self, const Sequence* s, const Measured* known, Frame* frames) noexcept nogil:
+        cdef int t
+        cdef double cost = 0
+        for t in range(s.count):
+            cost += frames[t].rotation[0][2] * frames[t].rotation[0][2]
+            cost += frames[t].rotation[2][2] * frames[t].rotation[2][2]
+        return self.weight * cost
+
+    cdef void add_to_frame(self, int t, const Frame* frame, Equations* out) noexcept nogil:
+        cdef int i, j
+        cdef double x = frame.rotation[0][2], y = frame.rotation[1][2], z = frame.rotation[2][2]
+        cdef double[3] by_x = [0, z, -y]
+        cdef double[3] by_z = [y, -x, 0]
+        cdef double* row = out.blocks + t * out.frame_size + out.components * (out.width + 1)
+        for i in range(3):
+            for j in range(3):
+                row[j] += self.weight * (by_x[i] * by_x[j] + by_z[i] * by_z[j])
+            row[CAMERA] += self.weight * (x * by_x[i] + z * by_z[i])
+            row += out.width
+
+
+cdef class FiniteDifference(Term):
+    """sum_t sum_f w_f (sum_e c_te x_(t+e)f)^2, changes of the features over D + 1 neighbouring frames.
+
+    Args:
+        weight: (K + 13,) w.
+    """
+
+    cdef readonly object weight
+    cdef const double[::1] weights
+
+    def __init__(self, weight):
+        self.weight = self.weights = weight
+
+    cdef void write_factors(self, const Sequence* s, const Measured* known, int t, double* c) noexcept nogil:
+        """Write the factors c_t."""
+
+    cdef inline double find_change(self, const double* c, const Frame* frames, int f) noexcept nogil:
+        cdef int e
+        cdef double change = 0
+        for e in range(self.order + 1):
+            change += c[e] * frames[e].features[f]
+        return change
+
+    cdef double measure(self, const Sequence* s, const Measured* known, Frame* frames) noexcept nogil:
+        cdef int t, f
+        cdef double change, cost = 0
+        cdef double[3] c
+        for t in range(s.count - self.order):
+            self.write_factors(s, known, t, c)
+            for f in range(self.weights.shape[0]):
+                if self.weights[f] > 0:
+                    change = self.find_change(c, &frames[t], f)
+                    cost += self.weights[f] * change * change
+        return cost
+
+    cdef void add_to_motion(
+        self, const Sequence* s, const Measured* known, const Frame* frames, Equations* out
+    ) noexcept nogil:
+        cdef int t, e, f
+        cdef double[3] c
+        cdef double[MAX_COMPONENTS + FEATURES] pull
+        for t in range(s.count - self.order):
+            self.write_factors(s, known, t, c)
+            for f in range(self.weights.shape[0]):
+                pull[f] = self.weights[f] * self.find_change(c, &frames[t], f) if self.weights[f] > 0 else 0
+            for e in range(self.order + 1):
+                self.add_to_earlier(t + e, self.order - e, c + e, pull, out)
+
+    cdef void add_to_earlier(
+        self, int t, int later, const double* c, const double* pull, Equations* out
+    ) noexcept nogil:
+        """Add to the equations of frame t, and of it and some later ones, what changes w_f sum_e c_e x_f pull."""
+        cdef int K = out.components, d, f, i, j, size = K + CAMERA * CAMERA
+        cdef double* block = out.blocks + t * out.frame_size
+        cdef double* coupling = out.couplings + (t * out.distances - 1) * size
+        cdef const double* slope = out.slopes + t * FEATURES * CAMERA
+        cdef double value
+        for f in range(K):
+            block[f * (out.width + 1)] += self.weights[f] * c[0] * c[0]
+            block[f * out.width + K + CAMERA] += c[0] * pull[f]
+            for d in range(1, later + 1):
+                coupling[d * size + f] += self.weights[f] * c[0] * c[d]
+        block += K * (out.width + 1)
+        for f in range(FEATURES):
+            for i in range(CAMERA if self.weights[K + f] > 0 else 0):
+                block[i * out.width + CAMERA] += c[0] * pull[K + f] * slope[i]
+                for d in range(later + 1):
+                    value = self.weights[K + f] * c[0] * c[d] * slope[d * FEATURES * CAMERA + i]
+                    for j in range(CAMERA):
+                        if d == 0:
+                            block[i * out.width + j] += value * slope[j]
+                        else:
+                            coupling[d * size + K + CAMERA * i + j] += value * slope[j]
+            slope += CAMERA
+
+
+cdef class Velocity(FiniteDifference):
+    """sum_tf w_f share (x_(t+1)f - x_tf)^2 / dt_t, with the sequence's `motion_share`."""
+
+    def __init__(self, weight):
+        super().__init__(weight)
+        self.order = 1
+
+    cdef void write_factors(self, const Sequence* s, const Measured* known, int t, double* c) noexcept nogil:
+        c[1] = sqrt(s.motion_share / max(known[t + 1].time - known[t].time, MIN_STEP_S))
+        c[0] = -c[1]
+
+
+cdef class Acceleration(FiniteDifference):
+    """The integral of the squared acceleration, whatever the frame rate, which gives way to fast motion.
+
+        sum_t share alpha_t |v_(t+1) - v_t|^2 / h_t,    v_t = (x_(t+1) - x_t) / dt_t,    h_t = (dt_t + dt_(t+1)) / 2
+        alpha_t = alpha / (1 + a_t^4 / (A r)^4)
+
+    a_t is the RMS acceleration about frame t (`solvers.joint.activity`), A that at which the weight is halved under
+    the reference noise, and r the image noise over it, between 1 and R.
+
+    Args:
+        weight: (K + 13,) alpha of each feature.
+        typical: A.
+        activity: (N,) a_t^2 of all frames; None for rest.
+    """
+
+    cdef readonly double typical
+    cdef readonly object activity
+    cdef const double[::1] squares
+
+    def __init__(self, weight, double typical=1, activity=None):
+        super().__init__(weight)
+        self.order, self.typical, self.activity, self.squares = 2, typical, activity, activity
+
+    cdef void write_factors(self, const Sequence* s, const Measured* known, int t, double* c) noexcept nogil:
+        cdef double a = 1 / max(known[t + 1].time - known[t].time, MIN_STEP_S)
+        cdef double b = 1 / max(known[t + 2].time - known[t + 1].time, MIN_STEP_S)
+        cdef double share = s.motion_share * 2 * a * b / (a + b), limit
+        if self.squares is not None:
+            limit = self.typical * min(max(s.noise_ratio, 1), MAX_RATIO)
+            share /= 1 + (self.squares[s.start + t] / (limit * limit)) ** 2
+        share = sqrt(share)
+        c[0], c[1], c[2] = a * share, -(a + b) * share, b * share
