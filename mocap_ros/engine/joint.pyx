@@ -71,7 +71,6 @@ cdef double MIN_DAMPING = 1e-5  # relative; a smaller damping changes no digit o
 cdef double MAX_DAMPING = 1e8  # relative; a sequence whose steps are still refused under more is at its minimum
 cdef double DAMPING_AFTER_SUCCESS = 0.2  # factor; tuned on CMU views for few steps, as the next
 cdef double DAMPING_AFTER_FAILURE = 10
-DAMPINGS = MIN_DAMPING, MAX_DAMPING, DAMPING_AFTER_SUCCESS, DAMPING_AFTER_FAILURE  # for `periodic`
 cdef double MIN_FREE_SHARE = 0.05  # of the coordinates; so many still measure the noise if all are fitted
 cdef int COUNTED_FRAMES = 3  # frames of a sequence, at least, in which absorbed coordinates are counted
 cdef int COUNTED_FRAME_STEP = 15  # frames; of a longer sequence one further frame in so many is counted
@@ -104,9 +103,8 @@ cdef bint end_trial(Search* search, bint is_definite, double cost, double tolera
         search.is_done = True
     else:
         search.status = MAX_ITERATIONS if is_definite else SINGULAR
-        search.damping = max(
-            search.damping * (DAMPING_AFTER_SUCCESS if is_better else DAMPING_AFTER_FAILURE), MIN_DAMPING
-        )
+    search.damping *= DAMPING_AFTER_SUCCESS if is_better else DAMPING_AFTER_FAILURE
+    search.damping = max(search.damping, MIN_DAMPING)
     return is_better
 
 
@@ -202,9 +200,13 @@ cdef class JointProblem:
         cdef double[3] bone
         cdef double* camera = f.features + K
         f.scale = exp(f.log_scale)
+        for i in range(6):
+            camera[i], camera[6 + i] = f.scale * (&f.rotation[0][0])[i], (&f.rotation[0][0])[i]
+        camera[12] = f.log_scale
+        if K == 0:  # a camera alone
+            return
         memcpy(f.pose, &self.mean[0, 0], sizeof(f.pose))
-        if K > 0:
-            multiply_vector(3 * JOINTS, K, 1, &self.basis[0, 0], f.features, 1, f.pose)
+        multiply_vector(3 * JOINTS, K, 1, &self.basis[0, 0], f.features, 1, f.pose)
         for j in range(JOINTS):
             for i in range(3):
                 f.joints[j][i] = f.scale * dot(f.rotation[i], f.pose + 3 * j)
@@ -212,9 +214,6 @@ cdef class JointProblem:
             for i in range(3):
                 bone[i] = f.pose[3 * self.children[b] + i] - f.pose[3 * self.parents[b] + i]
             f.length[b] = max(sqrt(dot(bone, bone)), MIN_LENGTH)
-        for i in range(6):
-            camera[i], camera[6 + i] = f.scale * (&f.rotation[0][0])[i], (&f.rotation[0][0])[i]
-        camera[12] = f.log_scale
 
     cdef double measure(self, int p, Frame* frames, double settle_scale) noexcept nogil:
         """Write what follows from the unknowns of a sequence, and return its objective in m^2.
@@ -271,20 +270,6 @@ cdef class JointProblem:
             out += CAMERA
         out[3] = 1
 
-    cdef void turn_to_body(self, const Frame* f, const Pull* pull, int j, double* matrix, double* vectors) noexcept nogil:
-        """Write S_j (3, 3) and s R^T (m_j, U_j) (3, 3) of a joint."""
-        cdef int i, k
-        cdef double[9] camera
-        cdef double[9] product
-        for i in range(9):
-            camera[i] = f.scale * (&f.rotation[0][0])[i]
-        multiply(pull.matrix[j], camera, product)
-        multiply_first_transposed(camera, product, matrix)
-        for i in range(3):
-            product[3 * i] = pull.force[j][i]
-            product[3 * i + 1], product[3 * i + 2] = pull.mixed[j][2 * i], pull.mixed[j][2 * i + 1]
-        multiply_first_transposed(camera, product, vectors)
-
     cdef void linearise(self, int p) noexcept nogil:
         """Write the normal equations of a sequence at the current point."""
         cdef const Sequence* s = &self.batch.of_sequence[p]
@@ -309,23 +294,16 @@ cdef class JointProblem:
         self, const Sequence* s, const Measured* known, const Frame* f, int t, Equations* out
     ) noexcept nogil:
         """Write the block of a frame, of terms that do not depend on others."""
-        cdef int i, j, a, n = self.unknowns, width = out.width
+        cdef int i, a, n = self.unknowns, width = out.width
         cdef Pull pull
-        cdef double[9] matrix
-        cdef double[9] vectors
         cdef double* u = &self.by_translation[0, 0]
         cdef double* block = out.blocks + t * out.frame_size
-        memset(&pull, 0, sizeof(pull))
-        self.write_jacobian(f)
-        for i in range(self.term_count):
-            (<Term> self.term_pointers[i]).pull_joints(s, known, f, &pull)
-        for j in range(JOINTS):
-            self.turn_to_body(f, &pull, j, matrix, vectors)
-            weigh_rows(width, matrix, &self.jacobian[3 * j, 0], &self.weighted[3 * j, 0])
-            for i in range(3):
-                memcpy(&self.weighted[3 * j + i, n], vectors + 3 * i, 3 * sizeof(double))
+        if self.components > 0:  # else a camera alone
+            self.write_weighted_jacobian(s, known, f, &pull)
         for i in range(self.term_count):
             (<Term> self.term_pointers[i]).add_to_frame(t, f, out)
+        if self.components == 0:
+            return
         add_product(3 * JOINTS, n, width, 1, &self.jacobian[0, 0], out.weighted, block)
         if pull.weight > 0:
             for a in range(2):
@@ -333,6 +311,25 @@ cdef class JointProblem:
                     u[a * width + i] = block[i * width + n + 1 + a]
                 u[a * width + n] = pull.by_translation[a]
             add_product(2, n, width, -1 / pull.weight, u, u, block)
+
+    cdef void write_weighted_jacobian(
+        self, const Sequence* s, const Measured* known, const Frame* f, Pull* pull
+    ) noexcept nogil:
+        """Write J and (S J, m, U) of a frame by the terms of its joints' positions, of which the bones are not."""
+        cdef int i, j
+        cdef double[9] camera
+        cdef double[9] matrix
+        cdef double[9] vectors
+        memset(pull, 0, sizeof(Pull))
+        scale_rotation(f, camera)
+        self.write_jacobian(f)
+        for i in range(self.term_count):
+            (<Term> self.term_pointers[i]).pull_joints(s, known, f, pull)
+        for j in range(JOINTS):
+            turn_to_body(camera, pull, j, matrix, vectors)
+            weigh_rows(self.jacobian.shape[1], matrix, &self.jacobian[3 * j, 0], &self.weighted[3 * j, 0])
+            for i in range(3):
+                memcpy(&self.weighted[3 * j + i, self.unknowns], vectors + 3 * i, 3 * sizeof(double))
 
     # Levenberg-Marquardt
 
@@ -445,6 +442,7 @@ cdef class JointProblem:
         cdef int i, j, k, a, n = self.unknowns, size = pad_columns(n), stride = self.alone.shape[1]
         cdef double total = 0
         cdef Pull pull
+        cdef double[9] camera
         cdef double[9] matrix
         cdef double[9] vectors
         cdef const double* y
@@ -457,9 +455,10 @@ cdef class JointProblem:
         if not factorise_blocks(&system):
             return 2
         memset(&pull, 0, sizeof(pull))
+        scale_rotation(f, camera)
         self.reprojection.pull_joints(s, &self.batch.measured[t], f, &pull)
         for j in range(JOINTS):
-            self.turn_to_body(f, &pull, j, matrix, vectors)
+            turn_to_body(camera, &pull, j, matrix, vectors)
             for i in range(n):
                 y = &self.alone[i, size + 3 * j]
                 for k in range(3):
@@ -477,16 +476,13 @@ cdef class JointProblem:
         It follows from the residual and the coordinates that are not absorbed.
         """
         cdef int p, t, j, end, first, stride, coordinates, counted
-        cdef double squares, absorbed
+        cdef double absorbed
         cdef const Sequence* s
-        misfit = np.empty(self.sequences)
-        cdef double[::1] out = misfit
+        cdef double[::1] out = self.measure_residual()
         for p in range(self.sequences):
             s = &self.batch.of_sequence[p]
             first, coordinates, counted, absorbed = s.start, 0, 0, 0
             end = first + s.count
-            squares = self.reprojection.measure(s, &self.batch.measured[first], &self.current[first])
-            squares *= s.noise_ratio * s.noise_ratio
             for t in range(first, end):
                 for j in range(JOINTS):
                     coordinates += 2 * (self.batch.measured[t].score[j] > 0)
@@ -499,9 +495,9 @@ cdef class JointProblem:
                 counted += 1
             absorbed *= s.count
             out[p] = sqrt(
-                squares / max(coordinates - absorbed / max(counted, 1), MIN_FREE_SHARE * coordinates + 1)
+                out[p] / max(coordinates - absorbed / max(counted, 1), MIN_FREE_SHARE * coordinates + 1)
             )
-        return misfit
+        return np.asarray(out)
 
     def measure_joint_std(self):
         """Return the posterior standard deviations (P, J) of the last joints about the body's origin.
@@ -581,6 +577,28 @@ cdef class JointProblem:
                     remaining += not self.search[p].is_done
         return taken, remaining
 
+    def read_camera_blocks(self):
+        """Return the blocks (N, 4, 4) of the cameras in the normal equations, symmetric."""
+        cdef int t, i, j, K = self.components
+        cdef double[:, :, ::1] out = np.empty((len(self.frames), CAMERA, CAMERA))
+        for t in range(out.shape[0]):
+            for i in range(CAMERA):
+                for j in range(i, CAMERA):
+                    out[t, i, j] = out[t, j, i] = self.equations[t, K + i, K + j]
+        return np.asarray(out)
+
+    def measure_residual(self):
+        """Return the reprojection's cost (P,) m^2 without the weight that the image noise gives it."""
+        cdef int p
+        cdef const Sequence* s
+        costs = np.empty(self.sequences)
+        cdef double[::1] out = costs
+        for p in range(self.sequences):
+            s = &self.batch.of_sequence[p]
+            out[p] = self.reprojection.measure(s, &self.batch.measured[s.start], &self.current[s.start])
+            out[p] *= s.noise_ratio * s.noise_ratio
+        return costs
+
     def measure_squared_errors(self):
         """Return the squares (N, J) m^2 of the errors of the points at the current point."""
         cdef int t, j
@@ -592,6 +610,27 @@ cdef class JointProblem:
                 find_error(&self.batch.measured[t], &self.current[t], j, error)
                 out[t, j] = error[0] * error[0] + error[1] * error[1]
         return squares
+
+
+cdef inline void scale_rotation(const Frame* f, double* out) noexcept nogil:
+    """Write s R."""
+    cdef int i
+    for i in range(9):
+        out[i] = f.scale * (&f.rotation[0][0])[i]
+
+
+cdef inline void turn_to_body(
+    const double* camera, const Pull* pull, int j, double* matrix, double* vectors
+) noexcept nogil:
+    """Write S_j (3, 3) and s R^T (m_j, U_j) (3, 3) of a joint, by s R."""
+    cdef int i
+    cdef double[9] product
+    multiply(pull.matrix[j], camera, product)
+    multiply_first_transposed(camera, product, matrix)
+    for i in range(3):
+        product[3 * i] = pull.force[j][i]
+        product[3 * i + 1], product[3 * i + 2] = pull.mixed[j][2 * i], pull.mixed[j][2 * i + 1]
+    multiply_first_transposed(camera, product, vectors)
 
 
 cdef void add_product(

@@ -17,6 +17,7 @@ To add a term, write a class with `measure` and the parts of the linearisation t
 """
 
 from libc.math cimport sqrt
+from libc.string cimport memset
 
 from mocap_ros.engine.batch import MIN_TIME_STEP_S
 
@@ -356,36 +357,43 @@ cdef class FiniteDifference(Term):
     cdef void add_to_motion(
         self, const Sequence* s, const Measured* known, const Frame* frames, Equations* out
     ) noexcept nogil:
-        cdef int t, e, f
+        cdef int t, first, e, d, f
         cdef double[3] c
+        cdef double[3] products
         cdef double[MAX_COMPONENTS + FEATURES] pull
-        for t in range(s.count - self.order):
-            self.write_factors(s, known, t, c)
-            for f in range(self.weights.shape[0]):
-                pull[f] = self.weights[f] * self.find_change(c, &frames[t], f) if self.weights[f] > 0 else 0
-            for e in range(self.order + 1):
-                self.add_to_earlier(t + e, self.order - e, c + e, pull, out)
+        for t in range(s.count):
+            memset(products, 0, sizeof(products))
+            memset(pull, 0, sizeof(pull))
+            for first in range(max(t - self.order, 0), min(t + 1, s.count - self.order)):  # changes with frame t
+                self.write_factors(s, known, first, c)
+                e = t - first
+                for d in range(self.order + 1 - e):
+                    products[d] += c[e] * c[e + d]
+                for f in range(self.weights.shape[0]):
+                    if self.weights[f] > 0:
+                        pull[f] += self.weights[f] * c[e] * self.find_change(c, &frames[first], f)
+            self.add_pairs(t, min(self.order, s.count - 1 - t), products, pull, out)
 
-    cdef void add_to_earlier(
-        self, int t, int later, const double* c, const double* pull, Equations* out
+    cdef void add_pairs(
+        self, int t, int later, const double* products, const double* pull, Equations* out
     ) noexcept nogil:
-        """Add to the equations of frame t, and of it and some later ones, what changes w_f sum_e c_e x_f pull."""
+        """Add the half gradient by the features of frame t, and products of factors times w by it and later ones."""
         cdef int K = out.components, d, f, i, j, size = K + CAMERA * CAMERA
         cdef double* block = out.blocks + t * out.frame_size
         cdef double* coupling = out.couplings + (t * out.distances - 1) * size
         cdef const double* slope = out.slopes + t * FEATURES * CAMERA
         cdef double value
         for f in range(K):
-            block[f * (out.width + 1)] += self.weights[f] * c[0] * c[0]
-            block[f * out.width + K + CAMERA] += c[0] * pull[f]
+            block[f * (out.width + 1)] += self.weights[f] * products[0]
+            block[f * out.width + K + CAMERA] += pull[f]
             for d in range(1, later + 1):
-                coupling[d * size + f] += self.weights[f] * c[0] * c[d]
+                coupling[d * size + f] += self.weights[f] * products[d]
         block += K * (out.width + 1)
         for f in range(FEATURES):
             for i in range(CAMERA if self.weights[K + f] > 0 else 0):
-                block[i * out.width + CAMERA] += c[0] * pull[K + f] * slope[i]
+                block[i * out.width + CAMERA] += pull[K + f] * slope[i]
                 for d in range(later + 1):
-                    value = self.weights[K + f] * c[0] * c[d] * slope[d * FEATURES * CAMERA + i]
+                    value = self.weights[K + f] * products[d] * slope[d * FEATURES * CAMERA + i]
                     for j in range(CAMERA):
                         if d == 0:
                             block[i * out.width + j] += value * slope[j]

@@ -3,7 +3,7 @@
 
 """The periodic model (TPAMI 2016, section 3.3): Levenberg-Marquardt over Fourier series and cameras.
 
-It minimises the objective E of `engine.periodic` over the coefficients of the series, their frequency omega and
+It minimises the objective E of `periodic_equations` over the coefficients of the series, their frequency omega and
 the cameras. The base-pose weights and the heading are Fourier series of time,
 
     u_l(t) = c_0l + sum_h [a_hl cos(h omega (t - t0)) + b_hl sin(h omega (t - t0))],    h = 1 ... H
@@ -28,16 +28,16 @@ variance of a weight is shared among the terms of its series, with less for cons
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.linalg import LinAlgError
 
 from mocap_ros.arrays import Array, copy_with
 from mocap_ros.config import SolverConfig
-from mocap_ros.engine import periodic as engine
+from mocap_ros.engine import joint as engine
+from mocap_ros.engine import terms
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
@@ -47,6 +47,7 @@ from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, list_terms, pose_problem, read_state
 from mocap_ros.solvers.joint.solver import WARM_DAMPING, describe_frames
 from mocap_ros.solvers.levenberg_marquardt import Stepwise, minimise_stepwise, run_to_end
+from mocap_ros.solvers.periodic_equations import PeriodicProblem, Point, fit_series
 from mocap_ros.solvers.window import InitialValues, Reconstruction, SolverStatus, Window, interpolate_unseen
 
 MAX_INITIAL_ITERATIONS = 12  # steps of the joint solver for initial values; a coarse result is sufficient
@@ -130,25 +131,23 @@ def _solve(
 ) -> Stepwise[PeriodicReconstruction]:
     start, noise = yield from _choose_initial_values(window, initial, model, config)
     unit = window.unit or float(np.median(start.cameras.scale))
-    noise, units = float(np.fmax(window.noise or noise, config.noise_floor)), np.array([unit])
-    ratio = measure_noise_ratio(noise) if config.adapt_noise else 1.0
-    batch = Batch.build([window], units, [start])
-    batch.sequences['noise_ratio'] = ratio
-    begin = build_objective(batch, ratio, model, config)
-    acceleration = config.camera_acceleration_weight
-    movement = weigh_movement(batch, config.camera_velocity_weight, acceleration)
-    _, *cameras = batch.start
+    noise = float(np.fmax(window.noise or noise, config.noise_floor))
+    batch = Batch.build([window], np.array([unit]), [start])
+    batch.sequences['noise_ratio'] = measure_noise_ratio(noise) if config.adapt_noise else 1.0
+    body, cameras = build_body(batch, model, config), build_cameras(batch, model, config)
     yield
     searches, hypotheses = [], fit_initial_series(start.theta, window.times, config)
     for series in hypotheses[: 1 if noise < MIN_NOISE_FOR_HYPOTHESES else 2]:
         yield
-        problem = begin(movement, (*series, *cameras), ratio, INITIAL_TRANSLATION_STEPS)
+        point = Point(*series, *batch.start[1:])
+        problem = build_problem(body, cameras, point, model, config, INITIAL_TRANSLATION_STEPS)
         searches.append(Search(problem, config.max_iterations))
         yield
     search = yield from select_most_likely(searches)
     if noise >= MIN_NOISE_FOR_HYPOTHESES:
-        movement = weigh_movement(batch, STILL_CAMERA_FACTOR * config.camera_velocity_weight, acceleration)
-        still = Search(begin(movement, search.problem.point.values, ratio), search.remaining_trials)
+        cameras = build_cameras(batch, model, config, STILL_CAMERA_FACTOR)
+        problem = build_problem(body, cameras, search.problem.point, model, config)
+        still = Search(problem, search.remaining_trials)
         search = yield from select_most_likely([search, still])
     if config.adapt_noise and window.noise is None:
         for _ in range(NOISE_ROUNDS):
@@ -160,7 +159,6 @@ def _solve(
     yield from search.run(config.tolerance)
     yield
     search.problem.restart()
-    body = search.problem.body
     joints, found, translation, residual = describe_frames(body, batch)
     return PeriodicReconstruction(
         joints=joints,
@@ -207,12 +205,12 @@ def fit_initial_series(theta: Array, times: Array, config: SolverConfig) -> list
     """
     scanned, count = list_scanned_frequencies(times), len(times)
     ridge = RIDGE * count / variance_shares(config.harmonics)
-    fits, explained = engine.fit_series(times - times.mean(), np.ascontiguousarray(theta.T), scanned, ridge)
+    fits, explained = fit_series(times - times.mean(), theta, scanned, ridge)
     first = explained.argmax()
     is_other = np.abs(np.log(scanned / scanned[first])) > MIN_LOG_CADENCE_RATIO
     second = np.where(is_other, explained, -np.inf).argmax() if is_other.any() else first
     heading = np.zeros((len(ridge), 1))
-    return [(np.concatenate([fits[i].T, heading], axis=1), float(scanned[i])) for i in (first, second)]
+    return [(np.concatenate([fits[i], heading], axis=1), float(scanned[i])) for i in (first, second)]
 
 
 def list_scanned_frequencies(times: Array) -> Array:
@@ -233,50 +231,41 @@ def measure_noise_ratio(noise: float) -> float:
     return float(np.hypot(noise, MODEL_ERROR)) / NOISE_REFERENCE
 
 
-def build_objective(
-    batch: Batch, noise_ratio: float, model: BasePoses, config: SolverConfig
-) -> Callable[..., engine.PeriodicProblem]:
-    """Return what makes problems of the only window of a batch; their arguments are those from `movement` on."""
-    terms = list_terms(batch, model, config, has_limits=False)[:2]
-    body = pose_problem(batch, model, terms)
+def build_body(batch: Batch, model: BasePoses, config: SolverConfig) -> engine.JointProblem:
+    """Return the reprojection and the bone lengths of the only window of a batch."""
+    batch.sequences['motion_share'] = 1.0
+    return pose_problem(batch, model, list_terms(batch, model, config)[:2])
+
+
+def build_cameras(
+    batch: Batch, model: BasePoses, config: SolverConfig, velocity_factor: float = 1.0
+) -> engine.JointProblem:
+    """Return the movement and the tilt of the cameras of the only window of a batch."""
+    of_image = np.repeat([1.0, 0.0], [6, 7])  # of the features: M
+    movement: list[terms.Term] = [
+        terms.Velocity(velocity_factor * config.camera_velocity_weight * of_image),
+        terms.Acceleration(config.camera_acceleration_weight * of_image),
+    ]
+    if model.aligned_by_heading:
+        movement.append(terms.Level(config.prior_weight / LEVEL_STD**2 / len(batch.times)))
+    return pose_problem(batch, model, tuple(movement), 0)
+
+
+def build_problem(
+    body: engine.JointProblem,
+    cameras: engine.JointProblem,
+    start: Point,
+    model: BasePoses,
+    config: SolverConfig,
+    settle_steps: int = 0,
+) -> PeriodicProblem:
+    """Return the objective of the window of a body and its cameras, at a point."""
+    times = body.batch.frames['time']
     variance = variance_shares(config.harmonics)[:, None] * np.append(model.std, HEADING_STD) ** 2
     variance[0] = 1 / (1 / variance[0] + 1 / CONSTANT_STD**2)
     variance[0, -1] = CONSTANT_HEADING_STD**2
     prior = config.prior_weight * config.periodic_prior_factor / variance
-    level_weight = config.prior_weight / LEVEL_STD**2 / len(batch.times) if model.aligned_by_heading else 0.0
-    given = (
-        body,
-        batch.frames['score'].copy(),
-        terms[0].robust_scale,
-        batch.times - batch.times.mean(),
-        prior,
-        level_weight,
-    )
-    return partial(engine.PeriodicProblem, *given)
-
-
-def weigh_movement(batch: Batch, velocity_weight: float, acceleration_weight: float) -> Array:
-    """Return the factors (2, N, 3) of velocity and acceleration, with gamma (m^2 s) and kappa (m^2 s^3)."""
-    root = np.sqrt(velocity_weight * invert_time_steps(batch))
-    velocity = np.stack([-root, root, np.zeros_like(root)], axis=1)
-    return np.stack([velocity, np.sqrt(acceleration_weight) * weigh_velocity_change(batch)])
-
-
-def invert_time_steps(batch: Batch) -> Array:
-    """Return the reciprocal of the time from each frame to the next (N,) 1/s; 0 after the last of a sequence."""
-    inverse = np.zeros(len(batch.times))
-    inverse[:-1] = 1 / np.maximum(batch.times[1:] - batch.times[:-1], 1e-4)
-    return inverse
-
-
-def weigh_velocity_change(batch: Batch) -> Array:
-    """Return the factors (N, 3) of three neighbours that give (v_(t+1) - v_t) / sqrt(h_t)."""
-    inverse = invert_time_steps(batch)
-    a, b = inverse[:-1], inverse[1:]
-    root = np.sqrt(2 * a * b / np.maximum(a + b, 1e-300))  # 0 where one of them is
-    factors = np.zeros((len(inverse), 3))
-    factors[:-1] = np.stack([a * root, -(a + b) * root, b * root], axis=-1)
-    return factors
+    return PeriodicProblem(body, cameras, times - times.mean(), prior, start, settle_steps)
 
 
 class Search:
@@ -289,13 +278,14 @@ class Search:
         status: why the latest run stopped.
     """
 
-    def __init__(self, problem: engine.PeriodicProblem, max_trials: int) -> None:
+    def __init__(self, problem: PeriodicProblem, max_trials: int) -> None:
         self.problem, self.remaining_trials, self.damping = problem, max_trials, WARM_DAMPING
         self.history, self.status = [float(problem.cost[0])], SolverStatus.MAX_ITERATIONS
 
     def set_noise(self, noise: float) -> None:
         """Continue from the current point under another image noise (m); only after the selection."""
-        self.problem.set_noise(measure_noise_ratio(noise))
+        self.problem.body.batch.sequences['noise_ratio'] = measure_noise_ratio(noise)
+        self.problem.restart()
         self.history = [float(self.problem.cost[0])]
 
     def run(self, tolerance: float) -> Stepwise[None]:
@@ -306,7 +296,8 @@ class Search:
         history = yield from minimise_stepwise(self.problem, self.remaining_trials, tolerance, self.damping)
         self.history += history[1:, 0].tolist()
         self.remaining_trials -= len(history) - 1
-        self.damping, self.status = self.problem.damping, SolverStatus(self.problem.status)
+        search = self.problem.search[0]
+        self.damping, self.status = float(search['damping']), SolverStatus(search['status'])
 
     def minus_twice_log_evidence(self) -> float:
         """Return the value at the head of this module; C may be that of the point before the last step."""

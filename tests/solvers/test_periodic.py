@@ -15,7 +15,7 @@ import pytest
 from mocap_ros.arrays import Array
 from mocap_ros.config import ClassifierConfig, Config, SolverConfig
 from mocap_ros.demo.motions import load_motions
-from mocap_ros.engine.periodic import PeriodicProblem, fit_series, measure_repetition
+from mocap_ros.engine.periodic import measure_repetition
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import rotation_from_vector
@@ -34,13 +34,15 @@ from mocap_ros.solvers.classification import (
     measure_best_repetition,
     measure_jitter,
 )
-from mocap_ros.solvers.joint.batch import Batch
+from mocap_ros.solvers.joint.batch import Batch, State
 from mocap_ros.solvers.leading_prior import MAX_NOISE, MAX_NOISE_RATIO, NEGLIGIBLE_NOISE, explains_as_well
 from mocap_ros.solvers.levenberg_marquardt import run_to_end
-from mocap_ros.solvers.periodic import EstimatedPoses, build_objective, weigh_movement
+from mocap_ros.solvers.periodic import EstimatedPoses, build_body, build_cameras, build_problem
+from mocap_ros.solvers.periodic_equations import PeriodicProblem, Point, fit_series
 from mocap_ros.solvers.window import InitialValues, Window
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.training.fit_base_poses import fit_base_poses
+from tests.support.plain_objective import compute_residuals
 from tests.support.synthetic_walk import BODY_TO_OPTICAL, STEP_NS, Walk, feed, make_walk, mpjpe_mm, with_scores
 
 COMPONENTS, HARMONICS, FRAMES = 4, 2, 8
@@ -55,19 +57,20 @@ SERIES_UNKNOWNS = (2 * HARMONICS + 1) * (COMPONENTS + 1) + 1
 STEP = 1e-5  # of the finite differences: errors of rounding and of the third order are about equal
 MIN_INFORMATION, MIN_CAMERA_INFORMATION = 1e-12, 1e-6  # what is added to diagonals, of determinants the latter
 
-Values = tuple[np.ndarray, float, np.ndarray, np.ndarray, np.ndarray]
-
 
 class Case(NamedTuple):
     """The objective of a window, and some values of the unknowns."""
 
-    begin: Callable[..., PeriodicProblem]
-    movement: np.ndarray
-    values: Values
+    batch: Batch
+    model: BasePoses
+    config: SolverConfig
+    values: Point
     times: np.ndarray  # s from the origin of the series
 
-    def measure(self, values: Values | None = None, settle_steps: int = 1) -> PeriodicProblem:
-        return self.begin(self.movement, values or self.values, 1.0, settle_steps)
+    def measure(self, values: Point | None = None, settle_steps: int = 1) -> PeriodicProblem:
+        body = build_body(self.batch, self.model, self.config)
+        cameras = build_cameras(self.batch, self.model, self.config)
+        return build_problem(body, cameras, values or self.values, self.model, self.config, settle_steps)
 
 
 def make_case(walk_model: BasePoses, rng: np.random.Generator, term: str) -> Case:
@@ -96,12 +99,11 @@ def make_case(walk_model: BasePoses, rng: np.random.Generator, term: str) -> Cas
     batch = Batch.build(
         [Window(points, weight, times)], np.array([200.0]), [InitialValues(np.zeros((FRAMES, 1)), cameras)]
     )
-    movement = weigh_movement(batch, config.camera_velocity_weight, config.camera_acceleration_weight)
     coefficients = 0.05 * rng.normal(size=(2 * HARMONICS + 1, COMPONENTS + 1))
     log_scale = np.log(cameras.scale / 200) + 0.05 * rng.normal(size=FRAMES)
     translation = np.zeros((FRAMES, 2)) if term in {'all', 'image'} else rng.normal(size=(FRAMES, 2))
-    values = coefficients, 2 * np.pi * 0.95, rotation, log_scale, translation
-    return Case(build_objective(batch, 1.0, model, config), movement, values, times - times.mean())
+    values = Point(coefficients, 2 * np.pi * 0.95, rotation, log_scale, translation)
+    return Case(batch, model, config, values, times - times.mean())
 
 
 @pytest.fixture
@@ -109,15 +111,15 @@ def case(walk_model: BasePoses, rng: np.random.Generator) -> Case:
     return make_case(walk_model, rng, 'all')
 
 
-def move(values: Values, step: np.ndarray) -> Values:
+def move(values: Point, step: np.ndarray) -> Point:
     coefficients, omega, rotation, log_scale, translation = values
     series, cameras = step[: SERIES_UNKNOWNS - 1], step[SERIES_UNKNOWNS:].reshape(FRAMES, CAMERA_UNKNOWNS)
     turned = rotation_from_vector(cameras[:, :3]) @ rotation
     moved = coefficients + series.reshape(coefficients.shape), omega + step[SERIES_UNKNOWNS - 1]
-    return *moved, turned, log_scale + cameras[:, 3], translation
+    return Point(*moved, turned, log_scale + cameras[:, 3], translation)
 
 
-def differentiate(values: Values, function: Callable[[Values], np.ndarray | float]) -> np.ndarray:
+def differentiate(values: Point, function: Callable[[Point], np.ndarray | float]) -> np.ndarray:
     """Return central differences of a function of the values by all unknowns, one in each row."""
     rows = []
     for step in STEP * np.eye(SERIES_UNKNOWNS + FRAMES * CAMERA_UNKNOWNS):
@@ -159,12 +161,12 @@ def make_terms(omega: float, times: np.ndarray) -> np.ndarray:
 def test_series_are_those_of_the_least_squares_with_a_ridge(rng: np.random.Generator) -> None:
     times, theta, frequencies = np.sort(rng.uniform(-1, 1, 30)), rng.normal(size=(30, 3)), np.array([3.0, 5.0])
     ridge = rng.uniform(1, 2, 2 * HARMONICS + 1)
-    fits, explained = fit_series(times, np.ascontiguousarray(theta.T), frequencies, ridge)
+    fits, explained = fit_series(times, theta, frequencies, ridge)
     for fit, value, omega in zip(fits, explained, frequencies, strict=True):
         stacked = np.concatenate([make_terms(omega, times), np.diag(np.sqrt(ridge))])
         right = np.concatenate([theta, np.zeros((len(ridge), 3))])
         expected, misfit, *_ = np.linalg.lstsq(stacked, right)
-        assert fit == pytest.approx(expected.T, rel=1e-9)
+        assert fit == pytest.approx(expected, rel=1e-9)
         assert value == pytest.approx((theta**2).sum() - misfit.sum())
 
 
@@ -178,19 +180,15 @@ def test_gradient_is_half_that_of_the_cost(walk_model: BasePoses, rng: np.random
 
 def test_matrix_of_the_cameras_is_that_of_the_squares(walk_model: BasePoses, rng: np.random.Generator) -> None:
     case = make_case(walk_model, rng, 'cameras')
-    level_weight = CONFIG.prior_weight / 0.17**2 / FRAMES
-
-    def compute_residuals(values: Values) -> np.ndarray:
-        _, _, rotation, log_scale, _ = values
-        matrices = np.exp(log_scale)[:, None] * rotation[:, :2].reshape(FRAMES, 6)
-        padded = np.concatenate([matrices, np.zeros((2, 6))])
-        moved = sum(case.movement[:, :, e, None] * padded[e : e + FRAMES] for e in range(3))
-        return np.concatenate([np.ravel(moved), np.sqrt(level_weight) * rotation[:, ::2, 2].ravel()])
-
     problem = begin(case)
+
+    def residuals(values: Point) -> np.ndarray:
+        state = State(np.zeros((FRAMES, 0)), values.rotation, values.log_scale, values.translation)
+        return compute_residuals(case.batch, case.model, problem.cameras.terms, state)
+
     bones = case.measure().body.cost  # lengths that differ do not count here
-    assert problem.cost - bones == pytest.approx((compute_residuals(case.values) ** 2).sum())
-    jacobian = differentiate(case.values, compute_residuals)[SERIES_UNKNOWNS:]
+    assert problem.cost - bones == pytest.approx((residuals(case.values) ** 2).sum())
+    jacobian = differentiate(case.values, residuals)[SERIES_UNKNOWNS:]
     expected = jacobian @ jacobian.T
     assert dense_matrices(problem)[3] == pytest.approx(expected, abs=1e-8 * np.abs(expected).max())
 
@@ -210,13 +208,13 @@ def test_step_solves_the_equations_of_all_unknowns(case: Case, damping: float) -
 def test_a_step_that_is_taken_moves_all_unknowns(case: Case) -> None:
     problem = case.measure()
     problem.begin(10.0)
-    values, before = case.measure().point.values, problem.cost.copy()
+    values, before = case.measure().point, problem.cost.copy()
     assert problem.try_steps(0.0) == (1, 1)
     step = np.concatenate([problem.series_step, problem.camera_step.ravel()])
     expected = case.measure(move(values, step))
     assert problem.cost < before
     assert problem.cost == pytest.approx(expected.cost, rel=1e-12)
-    found, wanted = (np.concatenate([np.ravel(v) for v in p.point.values]) for p in (problem, expected))
+    found, wanted = (np.concatenate([np.ravel(v) for v in p.point]) for p in (problem, expected))
     np.testing.assert_allclose(found, wanted, atol=1e-12)
 
 
@@ -245,7 +243,7 @@ def test_equations_of_the_body_follow_by_the_chain_rule(walk_model: BasePoses, r
     equations = begin(case)
     body = equations.body
 
-    def evaluate(values: Values) -> np.ndarray:
+    def evaluate(values: Point) -> np.ndarray:
         return make_terms(values[1], case.times) @ values[0]
 
     # d (theta, psi) / d x, and d (theta, v, log s) / d (x, w, log s) of every frame

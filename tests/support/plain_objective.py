@@ -17,7 +17,7 @@ import numpy as np
 from mocap_ros.arrays import Array
 from mocap_ros.engine import terms as engine
 from mocap_ros.geometry.rotations import rotation_from_vector
-from mocap_ros.models.base_poses import BasePoses, arrange_model
+from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.joint.batch import Batch, State
 
 MIN_DEPTH = 0.1  # of that of the body's origin
@@ -35,9 +35,10 @@ class Measured(NamedTuple):
 
 def measure(batch: Batch, model: BasePoses, state: State) -> Measured:
     """Return what the terms of an objective measure in a state."""
-    arrays, poses = arrange_model(model), model.poses(state.theta)
+    poses = model.mean + np.tensordot(state.theta, model.components[: state.theta.shape[1]], axes=1)
+    parents, children = np.transpose(model.skeleton.bones)
     joints = np.exp(state.log_scale)[:, None, None] * (poses @ np.swapaxes(state.rotation, 1, 2))
-    length = np.linalg.norm(poses[:, arrays.children] - poses[:, arrays.parents], axis=-1)
+    length = np.linalg.norm(poses[:, children] - poses[:, parents], axis=-1)
     return Measured(batch, state, joints, length, batch.repeat_per_frame(batch.sequences['noise_ratio']))
 
 

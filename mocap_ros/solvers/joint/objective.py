@@ -27,6 +27,7 @@ import numpy as np
 
 from mocap_ros.arrays import Array
 from mocap_ros.config import SolverConfig
+from mocap_ros.engine import batch as batches
 from mocap_ros.engine import joint, terms
 from mocap_ros.models.base_poses import MAX_MODELS, BasePoses, arrange_model
 from mocap_ros.solvers.joint.batch import Batch, State
@@ -105,7 +106,7 @@ def list_terms(
 
 
 def pose_problem(
-    batch: Batch, model: BasePoses, parts: tuple[terms.Term, ...], components: int | None = None
+    batch: batches.Batch, model: BasePoses, parts: tuple[terms.Term, ...], components: int | None = None
 ) -> joint.JointProblem:
     """Return the problem of minimising the sum of terms, of the first `components` base poses."""
     return joint.JointProblem(
