@@ -30,7 +30,7 @@ from libc.string cimport memcpy, memset
 
 import numpy as np
 
-from mocap_ros.engine.batch cimport BONES, JOINTS, Batch, Measured, Sequence
+from mocap_ros.engine.batch cimport BONES, JOINTS, Batch, Sequence
 from mocap_ros.engine.blas cimport multiply_vector
 from mocap_ros.engine.block_banded cimport (
     TILE_COLUMNS, TILE_ROWS, System, add_products, add_up, factorise_blocks, pad_columns, pad_rows, solve_backward,
@@ -38,7 +38,7 @@ from mocap_ros.engine.block_banded cimport (
 )
 from mocap_ros.engine.geometry cimport cross, dot, multiply, multiply_first_transposed, rotation_from_vector
 from mocap_ros.engine.terms cimport (
-    CAMERA, FEATURES, Equations, Frame, Pull, Reprojection, Term, find_error,
+    CAMERA, FEATURES, Equations, Frame, Motion, Pull, Reprojection, Term, find_error,
 )
 
 cdef extern from *:
@@ -129,7 +129,7 @@ cdef class JointProblem:
         diagonal: (N, n, n) blocks of the normal equations; only their upper triangles are written.
         gradient: (N, n) half the gradient.
         bone_vectors: (N, n, B) G.
-        coupling: (N, D, K + 16) blocks in the rows of frame t + d + 1 and the columns of frame t: the diagonal of the
+        coupling: (N, D, K + 16) blocks in the rows of frame t and the columns of frame t + d + 1: the diagonal of the
             weights, and the block of the cameras (4, 4).
     """
 
@@ -215,36 +215,30 @@ cdef class JointProblem:
                 bone[i] = f.pose[3 * self.children[b] + i] - f.pose[3 * self.parents[b] + i]
             f.length[b] = max(sqrt(dot(bone, bone)), MIN_LENGTH)
 
+    cdef Motion select(self, int p, Frame* frames) noexcept nogil:
+        """Return the frames of a sequence at a point."""
+        cdef Sequence* s = &self.batch.of_sequence[p]
+        return Motion(s, &self.batch.measured[s.start], frames + s.start)
+
     cdef double measure(self, int p, Frame* frames, double settle_scale) noexcept nogil:
         """Write what follows from the unknowns of a sequence, and return its objective in m^2.
 
         `settle_scale` m is the c under which the translations settle by one step; 0 keeps them.
         """
-        cdef const Sequence* s = &self.batch.of_sequence[p]
-        cdef const Measured* known = &self.batch.measured[s.start]
+        cdef Motion of = self.select(p, frames)
         cdef double cost = 0
         cdef int t, i
-        frames += s.start
-        for t in range(s.count):
-            self.place(&frames[t])
+        for t in range(of.sequence.count):
+            self.place(&of.frames[t])
         if settle_scale > 0:
-            self.reprojection.settle(s, known, frames, settle_scale)
+            self.reprojection.settle(&of, settle_scale)
         for i in range(self.term_count):
-            cost += (<Term> self.term_pointers[i]).measure(s, known, frames)
+            cost += (<Term> self.term_pointers[i]).measure(&of)
         return cost
 
     # Normal equations
 
-    cdef Equations select(self, const Sequence* s) noexcept nogil:
-        """Return the normal equations of a sequence."""
-        cdef int t = s.start
-        return Equations(
-            self.components, self.equations.shape[2], self.equations.shape[1] * self.equations.shape[2],
-            self.distances, &self.equations[t, 0, 0], &self.vectors[t, 0, 0], &self.couplings[t, 0, 0],
-            &self.slopes[0, 0, 0], &self.weighted[0, 0],
-        )
-
-    cdef void write_jacobian(self, const Frame* f) noexcept nogil:
+    cdef void write_jacobian(self, Frame* f) noexcept nogil:
         """Write the columns of the camera of J: r_a x P_j for the rotations, with r_a the rows of R, and P_j."""
         cdef int j, a, i
         cdef double[3] turned
@@ -255,7 +249,7 @@ cdef class JointProblem:
                     self.jacobian[3 * j + i, self.components + a] = turned[i]
                 self.jacobian[3 * j + a, self.components + 3] = f.pose[3 * j + a]
 
-    cdef void write_slopes(self, const Frame* f, double* out) noexcept nogil:
+    cdef void write_slopes(self, Frame* f, double* out) noexcept nogil:
         """Write the derivatives (13, 4) of the camera's features by the rotation vector and log s."""
         cdef int i, c
         cdef double factor
@@ -272,36 +266,36 @@ cdef class JointProblem:
 
     cdef void linearise(self, int p) noexcept nogil:
         """Write the normal equations of a sequence at the current point."""
-        cdef const Sequence* s = &self.batch.of_sequence[p]
-        cdef const Measured* known = &self.batch.measured[s.start]
-        cdef const Frame* frames = &self.linearised[s.start]
-        cdef Equations out = self.select(s)
-        cdef int t, i
-        memcpy(&self.linearised[s.start], &self.current[s.start], s.count * sizeof(Frame))
+        cdef Sequence* s = &self.batch.of_sequence[p]
+        cdef Motion of = self.select(p, &self.linearised[0])
+        cdef int t, i, width = self.equations.shape[2]
+        cdef Equations out = Equations(
+            self.components, width, self.equations.shape[1] * width, self.distances, &self.equations[s.start, 0, 0],
+            &self.vectors[s.start, 0, 0], &self.couplings[s.start, 0, 0], &self.slopes[0, 0, 0], &self.weighted[0, 0],
+        )
+        memcpy(of.frames, &self.current[s.start], s.count * sizeof(Frame))
         memset(out.couplings, 0, s.count * self.distances * self.couplings.shape[2] * sizeof(double))
         memset(out.blocks, 0, s.count * out.frame_size * sizeof(double))
         self.search[p].is_outdated = False
         for i in range(self.term_count):
-            (<Term> self.term_pointers[i]).begin(s, frames)
+            (<Term> self.term_pointers[i]).begin(&of)
         for t in range(s.count):
-            if known[t].is_free:
-                self.linearise_frame(s, &known[t], &frames[t], t, &out)
-            self.write_slopes(&frames[t], out.slopes + t * FEATURES * CAMERA)
+            if of.known[t].is_free:
+                self.linearise_frame(&of, t, &out)
+            self.write_slopes(&of.frames[t], out.slopes + t * FEATURES * CAMERA)
         for i in range(self.term_count):
-            (<Term> self.term_pointers[i]).add_to_motion(s, known, frames, &out)
+            (<Term> self.term_pointers[i]).add_to_motion(&of, &out)
 
-    cdef void linearise_frame(
-        self, const Sequence* s, const Measured* known, const Frame* f, int t, Equations* out
-    ) noexcept nogil:
+    cdef void linearise_frame(self, Motion* of, int t, Equations* out) noexcept nogil:
         """Write the block of a frame, of terms that do not depend on others."""
         cdef int i, a, n = self.unknowns, width = out.width
         cdef Pull pull
         cdef double* u = &self.by_translation[0, 0]
         cdef double* block = out.blocks + t * out.frame_size
         if self.components > 0:  # else a camera alone
-            self.write_weighted_jacobian(s, known, f, &pull)
+            self.write_weighted_jacobian(of, t, &pull)
         for i in range(self.term_count):
-            (<Term> self.term_pointers[i]).add_to_frame(t, f, out)
+            (<Term> self.term_pointers[i]).add_to_frame(of, t, out)
         if self.components == 0:
             return
         add_product(3 * JOINTS, n, width, 1, &self.jacobian[0, 0], out.weighted, block)
@@ -312,19 +306,17 @@ cdef class JointProblem:
                 u[a * width + n] = pull.by_translation[a]
             add_product(2, n, width, -1 / pull.weight, u, u, block)
 
-    cdef void write_weighted_jacobian(
-        self, const Sequence* s, const Measured* known, const Frame* f, Pull* pull
-    ) noexcept nogil:
+    cdef void write_weighted_jacobian(self, Motion* of, int t, Pull* pull) noexcept nogil:
         """Write J and (S J, m, U) of a frame by the terms of its joints' positions, of which the bones are not."""
         cdef int i, j
         cdef double[9] camera
         cdef double[9] matrix
         cdef double[9] vectors
         memset(pull, 0, sizeof(Pull))
-        scale_rotation(f, camera)
-        self.write_jacobian(f)
+        scale_rotation(&of.frames[t], camera)
+        self.write_jacobian(&of.frames[t])
         for i in range(self.term_count):
-            (<Term> self.term_pointers[i]).pull_joints(s, known, f, pull)
+            (<Term> self.term_pointers[i]).pull_joints(of, t, pull)
         for j in range(JOINTS):
             turn_to_body(camera, pull, j, matrix, vectors)
             weigh_rows(self.jacobian.shape[1], matrix, &self.jacobian[3 * j, 0], &self.weighted[3 * j, 0])
@@ -335,7 +327,7 @@ cdef class JointProblem:
 
     cdef bint solve(self, int p) noexcept nogil:
         """Write the negative of the damped step of a sequence; False if its matrix is not positive definite."""
-        cdef const Sequence* s = &self.batch.of_sequence[p]
+        cdef Sequence* s = &self.batch.of_sequence[p]
         cdef int start = s.start, end = start + s.count, n = self.unknowns, K = self.components
         cdef int D = self.distances, size = pad_columns(n), right = self.products.shape[0]
         cdef int stride = self.system.shape[2], t, d, i, j, b
@@ -355,8 +347,7 @@ cdef class JointProblem:
                     if i < K:
                         row[(1 + d) * size + i] = self.couplings[t, d, i]
                         continue
-                    for j in range(CAMERA):
-                        row[(1 + d) * size + K + j] = self.couplings[t, d, K + CAMERA * j + i - K]
+                    memcpy(row + (1 + d) * size + K, &self.couplings[t, d, K + CAMERA * (i - K)], CAMERA * sizeof(double))
                 memcpy(row + (1 + D) * size, &self.vectors[t, i, 0], BONES * sizeof(double))
                 row[(1 + D) * size + BONES] = self.equations[t, i, n]
         if not factorise_blocks(&system):
@@ -387,7 +378,7 @@ cdef class JointProblem:
         self.search[p].has_step = True
         return True
 
-    cdef void advance(self, const Sequence* s) noexcept nogil:
+    cdef void advance(self, Sequence* s) noexcept nogil:
         """Write the unknowns of a sequence after the step into the trial point."""
         cdef int t, i, row = 0, K = self.components
         cdef double[3] vector
@@ -410,7 +401,7 @@ cdef class JointProblem:
 
     cdef bint take_step(self, int p, double tolerance) noexcept nogil:
         """Try a step of a sequence, set its next damping or its end, and return whether the step is taken."""
-        cdef const Sequence* s = &self.batch.of_sequence[p]
+        cdef Sequence* s = &self.batch.of_sequence[p]
         cdef double cost = 0
         cdef bint is_definite = self.solve(p)
         if is_definite:
@@ -423,7 +414,7 @@ cdef class JointProblem:
 
     # Noise and covariance
 
-    cdef void write_alone(self, const Frame* f, const double* block, int stride) noexcept nogil:
+    cdef void write_alone(self, Frame* f, double* block, int stride) noexcept nogil:
         """Write the rows (A, J^T) of one frame, with the block A of rows of this length."""
         cdef int i, j
         self.write_jacobian(f)
@@ -432,7 +423,7 @@ cdef class JointProblem:
             for j in range(3 * JOINTS):
                 self.alone[i, pad_columns(self.unknowns) + j] = self.jacobian[j, i]
 
-    cdef double count_absorbed_coordinates(self, const Sequence* s, int t) noexcept nogil:
+    cdef double count_absorbed_coordinates(self, Motion* of, int t) noexcept nogil:
         """Return how many image coordinates of a frame its unknowns fit away while its neighbours are held.
 
         It is tr(A_t^-1 D_t) + 2, with D_t = sum_j J_j^T S_j J_j - u u^T / w the part of the block A_t that the
@@ -445,10 +436,10 @@ cdef class JointProblem:
         cdef double[9] camera
         cdef double[9] matrix
         cdef double[9] vectors
-        cdef const double* y
-        cdef const Frame* f = &self.linearised[t]
+        cdef double* y
+        cdef Frame* f = &of.frames[t]
         cdef System system = System(1, n, 0, n, stride - size, stride, &self.alone[0, 0])
-        self.write_alone(f, &self.equations[t, 0, 0], self.equations.shape[2])
+        self.write_alone(f, &self.equations[of.sequence.start + t, 0, 0], self.equations.shape[2])
         for i in range(n):
             self.alone[i, i] += MIN_INFORMATION
             self.by_translation[0, i] = self.by_translation[1, i] = 0
@@ -456,7 +447,7 @@ cdef class JointProblem:
             return 2
         memset(&pull, 0, sizeof(pull))
         scale_rotation(f, camera)
-        self.reprojection.pull_joints(s, &self.batch.measured[t], f, &pull)
+        self.reprojection.pull_joints(of, t, &pull)
         for j in range(JOINTS):
             turn_to_body(camera, &pull, j, matrix, vectors)
             for i in range(n):
@@ -475,25 +466,24 @@ cdef class JointProblem:
 
         It follows from the residual and the coordinates that are not absorbed.
         """
-        cdef int p, t, j, end, first, stride, coordinates, counted
+        cdef int p, t, j, count, first, stride, coordinates, counted
         cdef double absorbed
-        cdef const Sequence* s
+        cdef Motion of
         cdef double[::1] out = self.measure_residual()
         for p in range(self.sequences):
-            s = &self.batch.of_sequence[p]
-            first, coordinates, counted, absorbed = s.start, 0, 0, 0
-            end = first + s.count
-            for t in range(first, end):
+            of = self.select(p, &self.linearised[0])
+            count, first, coordinates, counted, absorbed = of.sequence.count, 0, 0, 0, 0
+            for t in range(count):
                 for j in range(JOINTS):
-                    coordinates += 2 * (self.batch.measured[t].score[j] > 0)
-            while first < end and not self.batch.measured[first].is_free:
+                    coordinates += 2 * (of.known[t].score[j] > 0)
+            while first < count and not of.known[first].is_free:
                 first += 1
-            stride = COUNTED_FRAMES + (end - first) // COUNTED_FRAME_STEP
-            stride = max((end - first + stride - 1) // stride, 1)
-            for t from first <= t < end by stride:
-                absorbed += self.count_absorbed_coordinates(s, t)
+            stride = COUNTED_FRAMES + (count - first) // COUNTED_FRAME_STEP
+            stride = max((count - first + stride - 1) // stride, 1)
+            for t from first <= t < count by stride:
+                absorbed += self.count_absorbed_coordinates(&of, t)
                 counted += 1
-            absorbed *= s.count
+            absorbed *= count
             out[p] = sqrt(
                 out[p] / max(coordinates - absorbed / max(counted, 1), MIN_FREE_SHARE * coordinates + 1)
             )
@@ -507,8 +497,8 @@ cdef class JointProblem:
         """
         cdef int p, j, i, k, n = self.unknowns, size = pad_columns(n), stride = self.alone.shape[1]
         cdef double total
-        cdef const double* y
-        cdef const Sequence* s
+        cdef double* y
+        cdef Sequence* s
         std = np.full((self.sequences, JOINTS), NAN)
         cdef double[:, ::1] out = std
         for p in range(self.sequences):
@@ -590,29 +580,27 @@ cdef class JointProblem:
     def measure_residual(self):
         """Return the reprojection's cost (P,) m^2 without the weight that the image noise gives it."""
         cdef int p
-        cdef const Sequence* s
-        costs = np.empty(self.sequences)
-        cdef double[::1] out = costs
+        cdef Motion of
+        cdef double[::1] out = np.empty(self.sequences)
         for p in range(self.sequences):
-            s = &self.batch.of_sequence[p]
-            out[p] = self.reprojection.measure(s, &self.batch.measured[s.start], &self.current[s.start])
-            out[p] *= s.noise_ratio * s.noise_ratio
-        return costs
+            of = self.select(p, &self.current[0])
+            out[p] = of.sequence.noise_ratio * of.sequence.noise_ratio * self.reprojection.measure(&of)
+        return np.asarray(out)
 
     def measure_squared_errors(self):
         """Return the squares (N, J) m^2 of the errors of the points at the current point."""
         cdef int t, j
         cdef double[2] error
-        squares = np.empty((len(self.frames), JOINTS))
-        cdef double[:, ::1] out = squares
+        cdef double[:, ::1] out = np.empty((len(self.frames), JOINTS))
+        cdef Motion of = Motion(NULL, &self.batch.measured[0], &self.current[0])
         for t in range(out.shape[0]):
             for j in range(JOINTS):
-                find_error(&self.batch.measured[t], &self.current[t], j, error)
+                find_error(&of, t, j, error)
                 out[t, j] = error[0] * error[0] + error[1] * error[1]
-        return squares
+        return np.asarray(out)
 
 
-cdef inline void scale_rotation(const Frame* f, double* out) noexcept nogil:
+cdef inline void scale_rotation(Frame* f, double* out) noexcept nogil:
     """Write s R."""
     cdef int i
     for i in range(9):
@@ -620,7 +608,7 @@ cdef inline void scale_rotation(const Frame* f, double* out) noexcept nogil:
 
 
 cdef inline void turn_to_body(
-    const double* camera, const Pull* pull, int j, double* matrix, double* vectors
+    double* camera, Pull* pull, int j, double* matrix, double* vectors
 ) noexcept nogil:
     """Write S_j (3, 3) and s R^T (m_j, U_j) (3, 3) of a joint, by s R."""
     cdef int i
@@ -634,7 +622,7 @@ cdef inline void turn_to_body(
 
 
 cdef void add_product(
-    int k, int n, int width, double factor, const double* a, const double* b, double* out
+    int k, int n, int width, double factor, double* a, double* b, double* out
 ) noexcept nogil:
     """C += factor A^T B: A and B (k, width), of C (n, width) the tiles from those of the diagonal on."""
     cdef int i, j

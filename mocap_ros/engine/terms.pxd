@@ -20,6 +20,12 @@ cdef struct Frame:  # the unknowns of a frame, and what follows from them
     double[BONES] length  # m, of the bones
 
 
+cdef struct Motion:  # the frames of a sequence at a point
+    Sequence* sequence
+    Measured* known
+    Frame* frames
+
+
 cdef struct Pull:  # what terms of the joints' positions q_j add to the normal equations of a frame
     double[JOINTS][9] matrix  # M_j (3, 3)
     double[JOINTS][3] force  # m_j, half the gradient
@@ -39,23 +45,17 @@ cdef struct Equations:  # those of a sequence, as described at the head of `join
 
 cdef class Term:
     cdef readonly int order  # number of the next frames that it couples with each
-    cdef double measure(self, const Sequence* s, const Measured* known, Frame* frames) noexcept nogil
-    cdef void begin(self, const Sequence* s, const Frame* frames) noexcept nogil
-    cdef void pull_joints(
-        self, const Sequence* s, const Measured* known, const Frame* frame, Pull* out
-    ) noexcept nogil
-    cdef void add_to_frame(self, int t, const Frame* frame, Equations* out) noexcept nogil
-    cdef void add_to_motion(
-        self, const Sequence* s, const Measured* known, const Frame* frames, Equations* out
-    ) noexcept nogil
+    cdef double measure(self, Motion* of) noexcept nogil
+    cdef void begin(self, Motion* of) noexcept nogil
+    cdef void pull_joints(self, Motion* of, int t, Pull* out) noexcept nogil
+    cdef void add_to_frame(self, Motion* of, int t, Equations* out) noexcept nogil
+    cdef void add_to_motion(self, Motion* of, Equations* out) noexcept nogil
 
 
 cdef class Reprojection(Term):
     cdef readonly double robust_scale
-    cdef double find_robust_scale(self, const Sequence* s) noexcept nogil
-    cdef void settle(
-        self, const Sequence* s, const Measured* known, Frame* frames, double robust_scale
-    ) noexcept nogil
+    cdef double find_robust_scale(self, Sequence* s) noexcept nogil
+    cdef void settle(self, Motion* of, double robust_scale) noexcept nogil
 
 
-cdef double find_error(const Measured* known, const Frame* frame, int j, double* error) noexcept nogil
+cdef double find_error(Motion* of, int t, int j, double* error) noexcept nogil

@@ -40,9 +40,7 @@ cdef extern from *:
             }
     }
     """
-    void add_bone(
-        Py_ssize_t, Py_ssize_t, const double*, const double*, double, double, double*, double*, double*
-    ) noexcept nogil
+    void add_bone(int, int, double*, double*, double, double, double*, double*, double*) noexcept nogil
 
 cdef double MIN_DEPTH = 0.1  # of that of the body's origin; a joint nearer to the camera is a failed solution
 cdef double MIN_TOTAL_WEIGHT = 1e-12  # guards the division by the weights of a frame in which no joint is seen
@@ -54,36 +52,33 @@ cdef double MAX_RATIO = MAX_NOISE_RATIO
 cdef class Term:
     """A term of the objective.
 
-    Functions get the records of a sequence from its first frame on, or those of one frame.
+    Frames t are counted from the first of a sequence.
     """
 
-    cdef double measure(self, const Sequence* s, const Measured* known, Frame* frames) noexcept nogil:
+    cdef double measure(self, Motion* of) noexcept nogil:
         """Return the cost of a sequence in m^2."""
         return 0
 
-    cdef void begin(self, const Sequence* s, const Frame* frames) noexcept nogil:
+    cdef void begin(self, Motion* of) noexcept nogil:
         """Prepare the linearisation of the frames of a sequence."""
 
-    cdef void pull_joints(
-        self, const Sequence* s, const Measured* known, const Frame* frame, Pull* out
-    ) noexcept nogil:
-        """Add what depends on the positions of the joints of a frame."""
+    cdef void pull_joints(self, Motion* of, int t, Pull* out) noexcept nogil:
+        """Add what depends on the positions of the joints of frame t."""
 
-    cdef void add_to_frame(self, int t, const Frame* frame, Equations* out) noexcept nogil:
+    cdef void add_to_frame(self, Motion* of, int t, Equations* out) noexcept nogil:
         """Add what depends on the unknowns of frame t themselves."""
 
-    cdef void add_to_motion(
-        self, const Sequence* s, const Measured* known, const Frame* frames, Equations* out
-    ) noexcept nogil:
+    cdef void add_to_motion(self, Motion* of, Equations* out) noexcept nogil:
         """Add what depends on several frames."""
 
 
-cdef double find_error(const Measured* known, const Frame* frame, int j, double* error) noexcept nogil:
-    """Write the error e_j (2,) m of a joint's image, and return the joint's depth d_j over that of the origin."""
-    cdef double depth = max(1 + frame.joints[j][2] / known.focal, MIN_DEPTH)
+cdef double find_error(Motion* of, int t, int j, double* error) noexcept nogil:
+    """Write the error e_tj (2,) m of a joint's image, and return the joint's depth d_tj over that of the origin."""
+    cdef Frame* f = &of.frames[t]
+    cdef double depth = max(1 + f.joints[j][2] / of.known[t].focal, MIN_DEPTH)
     cdef int i
     for i in range(2):
-        error[i] = (frame.joints[j][i] + frame.translation[i]) / depth - known.image[j][i]
+        error[i] = (f.joints[j][i] + f.translation[i]) / depth - of.known[t].image[j][i]
     return depth
 
 
@@ -97,55 +92,51 @@ cdef class Reprojection(Term):
     def __init__(self, double robust_scale):
         self.robust_scale = robust_scale
 
-    cdef double find_robust_scale(self, const Sequence* s) noexcept nogil:
+    cdef double find_robust_scale(self, Sequence* s) noexcept nogil:
         return self.robust_scale * max(s.noise_ratio, 1)
 
-    cdef void settle(
-        self, const Sequence* s, const Measured* known, Frame* frames, double robust_scale
-    ) noexcept nogil:
+    cdef void settle(self, Motion* of, double robust_scale) noexcept nogil:
         """Move the translations of a sequence by a step of the robust fit with this c."""
         cdef int t, j, i
         cdef double depth, weight, total
         cdef double[2] error
         cdef double[2] shift
-        for t in range(s.count):
+        for t in range(of.sequence.count):
             total = shift[0] = shift[1] = 0
             for j in range(JOINTS):
-                depth = find_error(&known[t], &frames[t], j, error)
-                weight = known[t].score[j] / depth
+                depth = find_error(of, t, j, error)
+                weight = of.known[t].score[j] / depth
                 weight /= 1 + (error[0] * error[0] + error[1] * error[1]) / (robust_scale * robust_scale)
                 total += weight / depth
                 for i in range(2):
                     shift[i] += weight * error[i]
             for i in range(2):
-                frames[t].translation[i] -= shift[i] / max(total, MIN_TOTAL_WEIGHT)
+                of.frames[t].translation[i] -= shift[i] / max(total, MIN_TOTAL_WEIGHT)
 
-    cdef double measure(self, const Sequence* s, const Measured* known, Frame* frames) noexcept nogil:
+    cdef double measure(self, Motion* of) noexcept nogil:
         cdef int t, j
-        cdef double c = self.find_robust_scale(s), cost = 0
+        cdef double c = self.find_robust_scale(of.sequence), cost = 0
         cdef double[2] error
-        for t in range(s.count):
+        for t in range(of.sequence.count):
             for j in range(JOINTS):
-                if known[t].score[j] > 0:
-                    find_error(&known[t], &frames[t], j, error)
-                    cost += known[t].score[j] * compute_loss(error[0] * error[0] + error[1] * error[1], c)
-        return cost / (s.noise_ratio * s.noise_ratio)
+                if of.known[t].score[j] > 0:
+                    find_error(of, t, j, error)
+                    cost += of.known[t].score[j] * compute_loss(error[0] * error[0] + error[1] * error[1], c)
+        return cost / (of.sequence.noise_ratio * of.sequence.noise_ratio)
 
-    cdef void pull_joints(
-        self, const Sequence* s, const Measured* known, const Frame* frame, Pull* out
-    ) noexcept nogil:
+    cdef void pull_joints(self, Motion* of, int t, Pull* out) noexcept nogil:
         """With E = de / dq d = (1 0 a; 0 1 b): M = v E^T E, U = v E^T and m = v d E^T e."""
         cdef int j, i, k
-        cdef double c = self.find_robust_scale(s), depth, weight
+        cdef double c = self.find_robust_scale(of.sequence), depth, weight
         cdef double[2] error
         cdef double[2][3] slope = [[1, 0, 0], [0, 1, 0]]
         for j in range(JOINTS):
-            depth = find_error(known, frame, j, error)
-            weight = known.score[j] / (s.noise_ratio * s.noise_ratio) / (depth * depth)
+            depth = find_error(of, t, j, error)
+            weight = of.known[t].score[j] / (of.sequence.noise_ratio * of.sequence.noise_ratio) / (depth * depth)
             weight /= 1 + (error[0] * error[0] + error[1] * error[1]) / (c * c)
             out.weight += weight
             for i in range(2):
-                slope[i][2] = -(error[i] + known.image[j][i]) / known.focal
+                slope[i][2] = -(error[i] + of.known[t].image[j][i]) / of.known[t].focal
                 out.by_translation[i] += weight * depth * error[i]
             for i in range(3):
                 for k in range(2):
@@ -163,33 +154,31 @@ cdef class LiftedPoses(Term):
     def __init__(self, double weight, double robust_scale):
         self.weight, self.robust_scale = weight, robust_scale
 
-    cdef inline double find_square(self, const Measured* known, const Frame* frame, int j) noexcept nogil:
+    cdef inline double find_square(self, Motion* of, int t, int j) noexcept nogil:
         cdef int i
         cdef double distance, total = 0
         for i in range(3):
-            distance = frame.joints[j][i] - known.lifted[j][i]
-            total += known.precision[j][i] * distance * distance
+            distance = of.frames[t].joints[j][i] - of.known[t].lifted[j][i]
+            total += of.known[t].precision[j][i] * distance * distance
         return total
 
-    cdef double measure(self, const Sequence* s, const Measured* known, Frame* frames) noexcept nogil:
+    cdef double measure(self, Motion* of) noexcept nogil:
         cdef int t, j
         cdef double cost = 0
-        for t in range(s.count):
+        for t in range(of.sequence.count):
             for j in range(JOINTS):
-                cost += compute_loss(self.find_square(&known[t], &frames[t], j), self.robust_scale)
+                cost += compute_loss(self.find_square(of, t, j), self.robust_scale)
         return self.weight * cost
 
-    cdef void pull_joints(
-        self, const Sequence* s, const Measured* known, const Frame* frame, Pull* out
-    ) noexcept nogil:
+    cdef void pull_joints(self, Motion* of, int t, Pull* out) noexcept nogil:
         cdef int j, i
         cdef double share, stiffness
         for j in range(JOINTS):
-            share = 1 + self.find_square(known, frame, j) / (self.robust_scale * self.robust_scale)
+            share = 1 + self.find_square(of, t, j) / (self.robust_scale * self.robust_scale)
             for i in range(3):
-                stiffness = self.weight * known.precision[j][i] / share
+                stiffness = self.weight * of.known[t].precision[j][i] / share
                 out.matrix[j][4 * i] += stiffness
-                out.force[j][i] += stiffness * (frame.joints[j][i] - known.lifted[j][i])
+                out.force[j][i] += stiffness * (of.frames[t].joints[j][i] - of.known[t].lifted[j][i])
 
 
 cdef class BoneLengths(Term):
@@ -214,27 +203,27 @@ cdef class BoneLengths(Term):
         self.weight, self.parents, self.children = weight, arrays.parents, arrays.children
         self.changes = arrays.bones[:, :components].copy()
 
-    cdef void begin(self, const Sequence* s, const Frame* frames) noexcept nogil:
+    cdef void begin(self, Motion* of) noexcept nogil:
         cdef int b, t
         for b in range(BONES):
-            self.mean[b] = s.earlier_frames * s.earlier_lengths[b]
-            for t in range(s.count):
-                self.mean[b] += frames[t].length[b]
-            self.mean[b] /= s.count + s.earlier_frames
+            self.mean[b] = of.sequence.earlier_frames * of.sequence.earlier_lengths[b]
+            for t in range(of.sequence.count):
+                self.mean[b] += of.frames[t].length[b]
+            self.mean[b] /= of.sequence.count + of.sequence.earlier_frames
 
-    cdef double measure(self, const Sequence* s, const Measured* known, Frame* frames) noexcept nogil:
+    cdef double measure(self, Motion* of) noexcept nogil:
         cdef int b, t
         cdef double change, cost = 0
-        self.begin(s, frames)
+        self.begin(of)
         for b in range(BONES):
-            change = self.mean[b] - s.earlier_lengths[b]
-            cost += s.earlier_frames * change * change
-            for t in range(s.count):
-                change = frames[t].length[b] - self.mean[b]
+            change = self.mean[b] - of.sequence.earlier_lengths[b]
+            cost += of.sequence.earlier_frames * change * change
+            for t in range(of.sequence.count):
+                change = of.frames[t].length[b] - self.mean[b]
                 cost += change * change
         return self.weight * cost
 
-    cdef void add_to_frame(self, int t, const Frame* frame, Equations* out) noexcept nogil:
+    cdef void add_to_frame(self, Motion* of, int t, Equations* out) noexcept nogil:
         cdef int b, i, K = out.components
         cdef double excess, across, root = sqrt(self.weight)
         cdef double[3] direction
@@ -243,10 +232,10 @@ cdef class BoneLengths(Term):
         cdef double* vectors = out.vectors + t * (K + CAMERA) * BONES
         for b in range(BONES):
             for i in range(3):
-                direction[i] = frame.pose[3 * self.children[b] + i] - frame.pose[3 * self.parents[b] + i]
-                direction[i] /= frame.length[b]
-            excess = frame.length[b] - self.mean[b]
-            across = self.weight * max(excess / frame.length[b], 0)
+                direction[i] = of.frames[t].pose[3 * self.children[b] + i] - of.frames[t].pose[3 * self.parents[b] + i]
+                direction[i] /= of.frames[t].length[b]
+            excess = of.frames[t].length[b] - self.mean[b]
+            across = self.weight * max(excess / of.frames[t].length[b], 0)
             add_bone(
                 K, out.width, direction, &self.changes[3 * b, 0], self.weight, across, along,
                 out.weighted + 3 * self.children[b] * out.width, out.weighted + 3 * self.parents[b] * out.width,
@@ -269,20 +258,20 @@ cdef class Prior(Term):
     def __init__(self, weight):
         self.weight = self.weights = weight
 
-    cdef double measure(self, const Sequence* s, const Measured* known, Frame* frames) noexcept nogil:
+    cdef double measure(self, Motion* of) noexcept nogil:
         cdef int t, i
         cdef double cost = 0
-        for t in range(s.count):
+        for t in range(of.sequence.count):
             for i in range(self.weights.shape[0]):
-                cost += self.weights[i] * frames[t].features[i] * frames[t].features[i]
+                cost += self.weights[i] * of.frames[t].features[i] * of.frames[t].features[i]
         return cost
 
-    cdef void add_to_frame(self, int t, const Frame* frame, Equations* out) noexcept nogil:
+    cdef void add_to_frame(self, Motion* of, int t, Equations* out) noexcept nogil:
         cdef int i
         cdef double* row = out.blocks + t * out.frame_size
         for i in range(out.components):
             row[i] += self.weights[i]
-            row[out.components + CAMERA] += self.weights[i] * frame.features[i]
+            row[out.components + CAMERA] += self.weights[i] * of.frames[t].features[i]
             row += out.width
 
 
@@ -298,17 +287,17 @@ cdef class Level(Term):
     def __init__(self, double weight):
         self.weight = weight
 
-    cdef double measure(self, const Sequence* s, const Measured* known, Frame* frames) noexcept nogil:
+    cdef double measure(self, Motion* of) noexcept nogil:
         cdef int t
         cdef double cost = 0
-        for t in range(s.count):
-            cost += frames[t].rotation[0][2] * frames[t].rotation[0][2]
-            cost += frames[t].rotation[2][2] * frames[t].rotation[2][2]
+        for t in range(of.sequence.count):
+            cost += of.frames[t].rotation[0][2] * of.frames[t].rotation[0][2]
+            cost += of.frames[t].rotation[2][2] * of.frames[t].rotation[2][2]
         return self.weight * cost
 
-    cdef void add_to_frame(self, int t, const Frame* frame, Equations* out) noexcept nogil:
+    cdef void add_to_frame(self, Motion* of, int t, Equations* out) noexcept nogil:
         cdef int i, j
-        cdef double x = frame.rotation[0][2], y = frame.rotation[1][2], z = frame.rotation[2][2]
+        cdef double x = of.frames[t].rotation[0][2], y = of.frames[t].rotation[1][2], z = of.frames[t].rotation[2][2]
         cdef double[3] by_x = [0, z, -y]
         cdef double[3] by_z = [y, -x, 0]
         cdef double* row = out.blocks + t * out.frame_size + out.components * (out.width + 1)
@@ -332,57 +321,55 @@ cdef class FiniteDifference(Term):
     def __init__(self, weight):
         self.weight = self.weights = weight
 
-    cdef void write_factors(self, const Sequence* s, const Measured* known, int t, double* c) noexcept nogil:
+    cdef void write_factors(self, Motion* of, int t, double* c) noexcept nogil:
         """Write the factors c_t."""
 
-    cdef inline double find_change(self, const double* c, const Frame* frames, int f) noexcept nogil:
+    cdef inline double find_change(self, double* c, Frame* frames, int f) noexcept nogil:
         cdef int e
         cdef double change = 0
         for e in range(self.order + 1):
             change += c[e] * frames[e].features[f]
         return change
 
-    cdef double measure(self, const Sequence* s, const Measured* known, Frame* frames) noexcept nogil:
+    cdef double measure(self, Motion* of) noexcept nogil:
         cdef int t, f
         cdef double change, cost = 0
         cdef double[3] c
-        for t in range(s.count - self.order):
-            self.write_factors(s, known, t, c)
+        for t in range(of.sequence.count - self.order):
+            self.write_factors(of, t, c)
             for f in range(self.weights.shape[0]):
                 if self.weights[f] > 0:
-                    change = self.find_change(c, &frames[t], f)
+                    change = self.find_change(c, &of.frames[t], f)
                     cost += self.weights[f] * change * change
         return cost
 
-    cdef void add_to_motion(
-        self, const Sequence* s, const Measured* known, const Frame* frames, Equations* out
-    ) noexcept nogil:
+    cdef void add_to_motion(self, Motion* of, Equations* out) noexcept nogil:
         cdef int t, first, e, d, f
         cdef double[3] c
         cdef double[3] products
         cdef double[MAX_COMPONENTS + FEATURES] pull
-        for t in range(s.count):
+        for t in range(of.sequence.count):
             memset(products, 0, sizeof(products))
             memset(pull, 0, sizeof(pull))
-            for first in range(max(t - self.order, 0), min(t + 1, s.count - self.order)):  # changes with frame t
-                self.write_factors(s, known, first, c)
+            for first in range(max(t - self.order, 0), min(t + 1, of.sequence.count - self.order)):  # changes with frame t
+                self.write_factors(of, first, c)
                 e = t - first
                 for d in range(self.order + 1 - e):
                     products[d] += c[e] * c[e + d]
                 for f in range(self.weights.shape[0]):
                     if self.weights[f] > 0:
-                        pull[f] += self.weights[f] * c[e] * self.find_change(c, &frames[first], f)
-            self.add_pairs(t, min(self.order, s.count - 1 - t), products, pull, out)
+                        pull[f] += self.weights[f] * c[e] * self.find_change(c, &of.frames[first], f)
+            self.add_pairs(t, min(self.order, of.sequence.count - 1 - t), products, pull, out)
 
     cdef void add_pairs(
-        self, int t, int later, const double* products, const double* pull, Equations* out
+        self, int t, int later, double* products, double* pull, Equations* out
     ) noexcept nogil:
         """Add the half gradient by the features of frame t, and products of factors times w by it and later ones."""
         cdef int K = out.components, d, f, i, j, size = K + CAMERA * CAMERA
         cdef double* block = out.blocks + t * out.frame_size
         cdef double* coupling = out.couplings + (t * out.distances - 1) * size
-        cdef const double* slope = out.slopes + t * FEATURES * CAMERA
-        cdef double value
+        cdef double* slope = out.slopes + t * FEATURES * CAMERA
+        cdef double* row
         for f in range(K):
             block[f * (out.width + 1)] += self.weights[f] * products[0]
             block[f * out.width + K + CAMERA] += pull[f]
@@ -393,12 +380,9 @@ cdef class FiniteDifference(Term):
             for i in range(CAMERA if self.weights[K + f] > 0 else 0):
                 block[i * out.width + CAMERA] += pull[K + f] * slope[i]
                 for d in range(later + 1):
-                    value = self.weights[K + f] * products[d] * slope[d * FEATURES * CAMERA + i]
+                    row = coupling + d * size + K + CAMERA * i if d > 0 else block + i * out.width
                     for j in range(CAMERA):
-                        if d == 0:
-                            block[i * out.width + j] += value * slope[j]
-                        else:
-                            coupling[d * size + K + CAMERA * i + j] += value * slope[j]
+                        row[j] += self.weights[K + f] * products[d] * slope[i] * slope[d * FEATURES * CAMERA + j]
             slope += CAMERA
 
 
@@ -409,8 +393,8 @@ cdef class Velocity(FiniteDifference):
         super().__init__(weight)
         self.order = 1
 
-    cdef void write_factors(self, const Sequence* s, const Measured* known, int t, double* c) noexcept nogil:
-        c[1] = sqrt(s.motion_share / max(known[t + 1].time - known[t].time, MIN_STEP_S))
+    cdef void write_factors(self, Motion* of, int t, double* c) noexcept nogil:
+        c[1] = sqrt(of.sequence.motion_share / max(of.known[t + 1].time - of.known[t].time, MIN_STEP_S))
         c[0] = -c[1]
 
 
@@ -437,12 +421,12 @@ cdef class Acceleration(FiniteDifference):
         super().__init__(weight)
         self.order, self.typical, self.activity, self.squares = 2, typical, activity, activity
 
-    cdef void write_factors(self, const Sequence* s, const Measured* known, int t, double* c) noexcept nogil:
-        cdef double a = 1 / max(known[t + 1].time - known[t].time, MIN_STEP_S)
-        cdef double b = 1 / max(known[t + 2].time - known[t + 1].time, MIN_STEP_S)
-        cdef double share = s.motion_share * 2 * a * b / (a + b), limit
+    cdef void write_factors(self, Motion* of, int t, double* c) noexcept nogil:
+        cdef double a = 1 / max(of.known[t + 1].time - of.known[t].time, MIN_STEP_S)
+        cdef double b = 1 / max(of.known[t + 2].time - of.known[t + 1].time, MIN_STEP_S)
+        cdef double share = of.sequence.motion_share * 2 * a * b / (a + b), limit
         if self.squares is not None:
-            limit = self.typical * min(max(s.noise_ratio, 1), MAX_RATIO)
-            share /= 1 + (self.squares[s.start + t] / (limit * limit)) ** 2
+            limit = self.typical * min(max(of.sequence.noise_ratio, 1), MAX_RATIO)
+            share /= 1 + (self.squares[of.sequence.start + t] / (limit * limit)) ** 2
         share = sqrt(share)
         c[0], c[1], c[2] = a * share, -(a + b) * share, b * share

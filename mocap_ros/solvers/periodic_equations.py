@@ -201,7 +201,8 @@ class PeriodicProblem:
         )
         self.series_gradient[:-1] += (self.prior * coefficients).ravel()
         self.camera_prior = self.cameras.read_camera_blocks()
-        self.camera_coupling = self.cameras.coupling.reshape(len(self.times), -1, 4, 4).copy()
+        coupling = self.cameras.coupling.reshape(len(self.times), -1, 4, 4)
+        self.camera_coupling = np.swapaxes(coupling, 2, 3).copy()
         self.camera_gradient = self.body.gradient[:, -4:] + self.cameras.gradient
         self.has_equations = True
 

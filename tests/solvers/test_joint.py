@@ -133,7 +133,7 @@ def make_dense(problem: JointProblem, batch: Batch) -> np.ndarray:
         for t in range(frames - distance):
             of_weights, of_cameras = np.split(problem.coupling[t, distance - 1], [n - 4])
             block = linalg.block_diag(np.diag(of_weights), of_cameras.reshape(4, 4))
-            matrix[t + distance, :, t], matrix[t, :, t + distance] = block, block.T
+            matrix[t, :, t + distance], matrix[t + distance, :, t] = block, block.T
     counts = batch.sequences['count'] + batch.sequences['earlier_frames']
     for own, count in zip(batch.slices, counts, strict=True):
         g = problem.bone_vectors[own]
