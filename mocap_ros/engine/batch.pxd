@@ -59,5 +59,5 @@ cdef class Batch:
     cdef Path follow(self, Py_ssize_t p) noexcept nogil
     cdef void measure(
         self, Py_ssize_t p, const double[:] times, const double[:, :, :] points, const double[:, :] score,
-        const double* camera, double factor, double focal, const double[:, :, :] lifted, const double[:, :, :] std,
+        const double* camera, double factor, double focal, const double[:, :, ::1] lifted, const double[:, :, :] std,
     ) noexcept nogil

@@ -13,7 +13,7 @@ from libc.math cimport isfinite, sqrt
 
 import numpy as np
 
-from mocap_ros.engine.geometry cimport rotate_ray
+from mocap_ros.engine.geometry cimport dot, rotate_ray, square
 
 MIN_TIME_STEP_S = 1e-4  # s; guards divisions by time steps, far below that of any camera
 cdef double MIN_STEP_S = MIN_TIME_STEP_S
@@ -62,7 +62,7 @@ cdef class Batch:
 
     cdef void measure(
         self, Py_ssize_t p, const double[:] times, const double[:, :, :] points, const double[:, :] score,
-        const double* camera, double factor, double focal, const double[:, :, :] lifted, const double[:, :, :] std,
+        const double* camera, double factor, double focal, const double[:, :, ::1] lifted, const double[:, :, :] std,
     ) noexcept nogil:
         """Write the measurements of a sequence of free frames.
 
@@ -84,10 +84,7 @@ cdef class Batch:
                     for i in range(2):
                         m.centroid[i] += m.score[j] * m.image[j][i]
                 for i in range(3 if self.has_lifted else 0):
-                    value = factor * (
-                        camera[3 * i] * lifted[t, j, 0] + camera[3 * i + 1] * lifted[t, j, 1]
-                        + camera[3 * i + 2] * lifted[t, j, 2]
-                    )
+                    value = factor * dot(camera + 3 * i, &lifted[t, j, 0])
                     deviation = max(factor * std[t, j, i], MIN_STD_M)
                     m.lifted[j][i] = value if isfinite(value) else 0
                     m.precision[j][i] = 1 / (deviation * deviation) if isfinite(value) else 0
@@ -107,9 +104,10 @@ cdef class Batch:
     def measure_window(self, Py_ssize_t p, window, double unit):
         """Write the measurements of a `solvers.window.Window`, of which `unit` px are 1 m."""
         cdef double[9] identity = [1, 0, 0, 0, 1, 0, 0, 0, 1]
-        cdef const double[:, :, :] lifted = None, std = None
+        cdef const double[:, :, ::1] lifted = None
+        cdef const double[:, :, :] std = None
         if self.has_lifted:
-            lifted, std = window.lifted.joints, window.lifted.std
+            lifted, std = np.ascontiguousarray(window.lifted.joints), window.lifted.std
         self.of_sequence[p].unit = unit
         self.measure(
             p, window.times, window.points, window.weight, identity, 1 / unit, window.focal / unit, lifted, std
@@ -162,9 +160,9 @@ cdef double measure_roughness(const Path* path) noexcept nogil:
             if weight > 0:
                 points += 1
                 squares += weight * compute_loss(
-                    (change[0] * change[0] + change[1] * change[1]) / 20, ROUGHNESS_LOSS_M
+                    (square(change[0]) + square(change[1])) / 20, ROUGHNESS_LOSS_M
                 )
-    return sqrt(max(squares / (2 * points) - MOTION_ROUGHNESS_M * MOTION_ROUGHNESS_M, 0)) if points > 0 else 0
+    return sqrt(max(squares / (2 * points) - square(MOTION_ROUGHNESS_M), 0)) if points > 0 else 0
 
 
 cdef double compute_noise_growth(const Path* path) noexcept nogil:
@@ -184,8 +182,8 @@ cdef double compute_noise_growth(const Path* path) noexcept nogil:
             weight = min(weight, take_third_difference(path, t - 2 * s, j, s, old))
             if not weight > 0:
                 continue
-            newer, older = new[0] * new[0] + new[1] * new[1], old[0] * old[0] + old[1] * old[1]
-            weight /= 1 + max(newer, older) / (20 * ROUGHNESS_LOSS_M * ROUGHNESS_LOSS_M)
+            newer, older = square(new[0]) + square(new[1]), square(old[0]) + square(old[1])
+            weight /= 1 + max(newer, older) / (20 * square(ROUGHNESS_LOSS_M))
             products += weight * (new[0] * old[0] + new[1] * old[1])
             powers += weight * (newer + older) / 2
     correlation = products / powers if powers > 0 else 0

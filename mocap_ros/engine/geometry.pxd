@@ -32,6 +32,10 @@ cdef extern from *:
     const int UNDISTORT_ITERATIONS
 
 
+cdef inline double square(double x) noexcept nogil:
+    return x * x
+
+
 cdef inline double dot(const double* a, const double* b) noexcept nogil:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
@@ -42,6 +46,15 @@ cdef inline void multiply(const double* a, const double* b, double* out) noexcep
     for i in range(3):
         for j in range(3):
             out[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j]
+
+
+cdef inline void subtract(const double* a, const double* b, double* out) noexcept nogil:
+    out[0], out[1], out[2] = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+cdef inline void transform(const double* matrix, const double* vector, double* out) noexcept nogil:
+    """A v."""
+    out[0], out[1], out[2] = dot(matrix, vector), dot(matrix + 3, vector), dot(matrix + 6, vector)
 
 
 cdef inline void cross(const double* a, const double* b, double* out) noexcept nogil:

@@ -36,7 +36,9 @@ from mocap_ros.engine.block_banded cimport (
     TILE_COLUMNS, TILE_ROWS, System, add_products, add_up, factorise_blocks, pad_columns, pad_rows, solve_backward,
     solve_forward,
 )
-from mocap_ros.engine.geometry cimport cross, dot, multiply, multiply_first_transposed, rotation_from_vector
+from mocap_ros.engine.geometry cimport (
+    cross, dot, multiply, multiply_first_transposed, rotation_from_vector, square, subtract, transform,
+)
 from mocap_ros.engine.terms cimport (
     CAMERA, FEATURES, Equations, Frame, Motion, Pull, Reprojection, Term, find_error,
 )
@@ -208,11 +210,11 @@ cdef class JointProblem:
         memcpy(f.pose, &self.mean[0, 0], sizeof(f.pose))
         multiply_vector(3 * JOINTS, K, 1, &self.basis[0, 0], f.features, 1, f.pose)
         for j in range(JOINTS):
+            transform(&f.rotation[0][0], f.pose + 3 * j, f.joints[j])
             for i in range(3):
-                f.joints[j][i] = f.scale * dot(f.rotation[i], f.pose + 3 * j)
+                f.joints[j][i] *= f.scale
         for b in range(BONES):
-            for i in range(3):
-                bone[i] = f.pose[3 * self.children[b] + i] - f.pose[3 * self.parents[b] + i]
+            subtract(f.pose + 3 * self.children[b], f.pose + 3 * self.parents[b], bone)
             f.length[b] = max(sqrt(dot(bone, bone)), MIN_LENGTH)
 
     cdef Motion select(self, int p, Frame* frames) noexcept nogil:
@@ -458,7 +460,7 @@ cdef class JointProblem:
                         self.by_translation[a, i] += y[k] * vectors[3 * k + 1 + a]
         for i in range(n if pull.weight > 0 else 0):
             for a in range(2):
-                total -= self.by_translation[a, i] * self.by_translation[a, i] / pull.weight
+                total -= square(self.by_translation[a, i]) / pull.weight
         return 2 + total
 
     def measure_misfit(self):
@@ -584,19 +586,19 @@ cdef class JointProblem:
         cdef double[::1] out = np.empty(self.sequences)
         for p in range(self.sequences):
             of = self.select(p, &self.current[0])
-            out[p] = of.sequence.noise_ratio * of.sequence.noise_ratio * self.reprojection.measure(&of)
+            out[p] = square(of.sequence.noise_ratio) * self.reprojection.measure(&of)
         return np.asarray(out)
 
     def measure_squared_errors(self):
         """Return the squares (N, J) m^2 of the errors of the points at the current point."""
         cdef int t, j
-        cdef double[2] error
+        cdef double[3] error
         cdef double[:, ::1] out = np.empty((len(self.frames), JOINTS))
         cdef Motion of = Motion(NULL, &self.batch.measured[0], &self.current[0])
         for t in range(out.shape[0]):
             for j in range(JOINTS):
                 find_error(&of, t, j, error)
-                out[t, j] = error[0] * error[0] + error[1] * error[1]
+                out[t, j] = error[2]
         return np.asarray(out)
 
 

@@ -10,7 +10,7 @@ from libc.string cimport memcpy
 
 import numpy as np
 
-from mocap_ros.engine.blas cimport add_outer, multiply, multiply_vector
+from mocap_ros.engine.blas cimport add_outer, factorise, multiply, multiply_vector, solve_rows
 from mocap_ros.engine.block_banded cimport (
     System, add_up, factorise_blocks, pad_columns, solve_backward, write_small_blocks,
 )
@@ -23,8 +23,8 @@ cdef enum:
     COUPLED = 2  # next frames with which each camera is coupled: acceleration compares three
 
 cdef double LARGE = 1e300  # m^2; keeps a matrix positive definite whatever is subtracted
-MIN_DIAGONAL = 1e-12  # m^2; keeps the equations solvable where the image determines no unknown, far below a seen joint
-cdef double MIN_INFORMATION = MIN_DIAGONAL
+# m^2; keeps the equations solvable where the image determines no unknown, far below the information of a seen joint
+cdef double MIN_INFORMATION = 1e-12
 cdef double NEWEST_S = 0.4  # s; most of a step of a walk: half of it shows that something else has begun
 cdef double SAMPLE_STEP_S = 1.0 / 15  # s; at which a motion is compared, often enough for a run
 cdef double MAX_STRETCH = 0.1  # of the cycle; by so much two cycles of a person differ, and a cadence is wrong
@@ -196,22 +196,45 @@ def assemble(
     add_outer(last + 1, B, -1.0 / N, &bones[0, 0], &out[0, 0])
 
 
-def trace_inverse(const double[:, :] matrix, const double[::1] weights):
-    """Return tr(A^-1 W) of a positive definite matrix A (G, G) and the diagonal W (G,).
+def count_effective_parameters(
+    const double[:, ::1] matrix, const double[::1] prior, const double[:, :, ::1] image, const double[:, :, ::1] blocks
+):
+    """Return tr(A^-1 (A - D)) + sum_t tr(C_tt^-1 H'_zz,t).
+
+    Args:
+        matrix: A (G, G) without D.
+        prior: the diagonal of D (G,).
+        image: H'_zz (N, 4, 4).
+        blocks: C_tt (N, 4, 4).
 
     Raises:
-        LinAlgError: A is not positive definite.
+        LinAlgError: A or a C_tt is not positive definite.
     """
-    cdef int G = matrix.shape[0], info = 0, i, j
-    cdef double[:, ::1] factor = np.array(matrix, order='C')
-    cdef double total = 0
+    cdef int G = matrix.shape[0], info = 0, i, j, t
+    cdef double[:, ::1] factor = np.array(matrix)
+    cdef double total = G
+    cdef double[CAMERA * CAMERA] block
+    cdef double[CAMERA * CAMERA] rows
+    for i in range(G):
+        factor[i, i] += prior[i] + MIN_INFORMATION
     dpotrf(b'L', &G, &factor[0, 0], &G, &info)
     if info != 0:
-        raise np.linalg.LinAlgError('the matrix is not positive definite')
+        raise np.linalg.LinAlgError('the matrix of the series is not positive definite')
     dtrtri(b'L', b'N', &G, &factor[0, 0], &G, &info)
     for j in range(G):
         for i in range(j, G):
-            total += factor[j, i] * factor[j, i] * weights[j]
+            total -= factor[j, i] * factor[j, i] * prior[j]
+    for t in range(image.shape[0]):
+        memcpy(rows, &image[t, 0, 0], sizeof(rows))
+        memcpy(block, &blocks[t, 0, 0], sizeof(block))
+        for i in range(CAMERA):
+            block[(CAMERA + 1) * i] += MIN_INFORMATION
+        if not factorise(CAMERA, block):
+            raise np.linalg.LinAlgError('the matrix of a camera is not positive definite')
+        solve_rows(CAMERA, CAMERA, block, rows, False)
+        solve_rows(CAMERA, CAMERA, block, rows, True)
+        for i in range(CAMERA):
+            total += rows[(CAMERA + 1) * i]
     return total
 
 

@@ -23,6 +23,7 @@ from mocap_ros.engine.batch import MIN_TIME_STEP_S
 
 from mocap_ros.engine.batch cimport compute_loss
 from mocap_ros.engine.block_banded cimport pad_rows  # and with it WIDE
+from mocap_ros.engine.geometry cimport square, subtract
 
 cdef extern from *:
     """
@@ -73,12 +74,13 @@ cdef class Term:
 
 
 cdef double find_error(Motion* of, int t, int j, double* error) noexcept nogil:
-    """Write the error e_tj (2,) m of a joint's image, and return the joint's depth d_tj over that of the origin."""
+    """Write the error e_tj (2,) m of a joint's image and its square; return the depth d_tj over that of the origin."""
     cdef Frame* f = &of.frames[t]
     cdef double depth = max(1 + f.joints[j][2] / of.known[t].focal, MIN_DEPTH)
     cdef int i
     for i in range(2):
         error[i] = (f.joints[j][i] + f.translation[i]) / depth - of.known[t].image[j][i]
+    error[2] = error[0] * error[0] + error[1] * error[1]
     return depth
 
 
@@ -99,14 +101,14 @@ cdef class Reprojection(Term):
         """Move the translations of a sequence by a step of the robust fit with this c."""
         cdef int t, j, i
         cdef double depth, weight, total
-        cdef double[2] error
+        cdef double[3] error
         cdef double[2] shift
         for t in range(of.sequence.count):
             total = shift[0] = shift[1] = 0
             for j in range(JOINTS):
                 depth = find_error(of, t, j, error)
                 weight = of.known[t].score[j] / depth
-                weight /= 1 + (error[0] * error[0] + error[1] * error[1]) / (robust_scale * robust_scale)
+                weight /= 1 + error[2] / square(robust_scale)
                 total += weight / depth
                 for i in range(2):
                     shift[i] += weight * error[i]
@@ -116,24 +118,24 @@ cdef class Reprojection(Term):
     cdef double measure(self, Motion* of) noexcept nogil:
         cdef int t, j
         cdef double c = self.find_robust_scale(of.sequence), cost = 0
-        cdef double[2] error
+        cdef double[3] error
         for t in range(of.sequence.count):
             for j in range(JOINTS):
                 if of.known[t].score[j] > 0:
                     find_error(of, t, j, error)
-                    cost += of.known[t].score[j] * compute_loss(error[0] * error[0] + error[1] * error[1], c)
-        return cost / (of.sequence.noise_ratio * of.sequence.noise_ratio)
+                    cost += of.known[t].score[j] * compute_loss(error[2], c)
+        return cost / square(of.sequence.noise_ratio)
 
     cdef void pull_joints(self, Motion* of, int t, Pull* out) noexcept nogil:
         """With E = de / dq d = (1 0 a; 0 1 b): M = v E^T E, U = v E^T and m = v d E^T e."""
         cdef int j, i, k
         cdef double c = self.find_robust_scale(of.sequence), depth, weight
-        cdef double[2] error
+        cdef double[3] error
         cdef double[2][3] slope = [[1, 0, 0], [0, 1, 0]]
         for j in range(JOINTS):
             depth = find_error(of, t, j, error)
-            weight = of.known[t].score[j] / (of.sequence.noise_ratio * of.sequence.noise_ratio) / (depth * depth)
-            weight /= 1 + (error[0] * error[0] + error[1] * error[1]) / (c * c)
+            weight = of.known[t].score[j] / square(of.sequence.noise_ratio) / (depth * depth)
+            weight /= 1 + error[2] / square(c)
             out.weight += weight
             for i in range(2):
                 slope[i][2] = -(error[i] + of.known[t].image[j][i]) / of.known[t].focal
@@ -174,7 +176,7 @@ cdef class LiftedPoses(Term):
         cdef int j, i
         cdef double share, stiffness
         for j in range(JOINTS):
-            share = 1 + self.find_square(of, t, j) / (self.robust_scale * self.robust_scale)
+            share = 1 + self.find_square(of, t, j) / square(self.robust_scale)
             for i in range(3):
                 stiffness = self.weight * of.known[t].precision[j][i] / share
                 out.matrix[j][4 * i] += stiffness
@@ -230,12 +232,13 @@ cdef class BoneLengths(Term):
         cdef double[MAX_COMPONENTS] along
         cdef double* block = out.blocks + t * out.frame_size
         cdef double* vectors = out.vectors + t * (K + CAMERA) * BONES
+        cdef Frame* f = &of.frames[t]
         for b in range(BONES):
+            subtract(f.pose + 3 * self.children[b], f.pose + 3 * self.parents[b], direction)
             for i in range(3):
-                direction[i] = of.frames[t].pose[3 * self.children[b] + i] - of.frames[t].pose[3 * self.parents[b] + i]
-                direction[i] /= of.frames[t].length[b]
-            excess = of.frames[t].length[b] - self.mean[b]
-            across = self.weight * max(excess / of.frames[t].length[b], 0)
+                direction[i] /= f.length[b]
+            excess = f.length[b] - self.mean[b]
+            across = self.weight * max(excess / f.length[b], 0)
             add_bone(
                 K, out.width, direction, &self.changes[3 * b, 0], self.weight, across, along,
                 out.weighted + 3 * self.children[b] * out.width, out.weighted + 3 * self.parents[b] * out.width,
@@ -370,6 +373,7 @@ cdef class FiniteDifference(Term):
         cdef double* coupling = out.couplings + (t * out.distances - 1) * size
         cdef double* slope = out.slopes + t * FEATURES * CAMERA
         cdef double* row
+        cdef double value
         for f in range(K):
             block[f * (out.width + 1)] += self.weights[f] * products[0]
             block[f * out.width + K + CAMERA] += pull[f]
@@ -381,8 +385,9 @@ cdef class FiniteDifference(Term):
                 block[i * out.width + CAMERA] += pull[K + f] * slope[i]
                 for d in range(later + 1):
                     row = coupling + d * size + K + CAMERA * i if d > 0 else block + i * out.width
+                    value = self.weights[K + f] * products[d] * slope[i]
                     for j in range(CAMERA):
-                        row[j] += self.weights[K + f] * products[d] * slope[i] * slope[d * FEATURES * CAMERA + j]
+                        row[j] += value * slope[d * FEATURES * CAMERA + j]
             slope += CAMERA
 
 
@@ -427,6 +432,6 @@ cdef class Acceleration(FiniteDifference):
         cdef double share = of.sequence.motion_share * 2 * a * b / (a + b), limit
         if self.squares is not None:
             limit = self.typical * min(max(of.sequence.noise_ratio, 1), MAX_RATIO)
-            share /= 1 + (self.squares[of.sequence.start + t] / (limit * limit)) ** 2
+            share /= 1 + square(self.squares[of.sequence.start + t] / square(limit))
         share = sqrt(share)
         c[0], c[1], c[2] = a * share, -(a + b) * share, b * share

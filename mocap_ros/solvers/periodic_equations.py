@@ -151,12 +151,11 @@ class PeriodicProblem:
             LinAlgError: A or a C_tt is not positive definite.
         """
         self.require_equations()
-        matrix = self.series_matrix + np.diag(self.series_prior + periodic.MIN_DIAGONAL)
-        blocks = self.camera_image + self.camera_prior + periodic.MIN_DIAGONAL * np.eye(4)
-        np.linalg.cholesky(blocks)  # which raises
-        of_series = len(matrix) - periodic.trace_inverse(matrix, self.series_prior)
-        of_cameras = np.linalg.solve(blocks, self.camera_image).trace(axis1=1, axis2=2).sum()
-        return float(of_series + of_cameras + 2 * len(blocks))
+        blocks = self.camera_image + self.camera_prior
+        counted = periodic.count_effective_parameters(
+            self.series_matrix, self.series_prior, self.camera_image, blocks
+        )
+        return counted + 2 * len(blocks)
 
     def camera_log_determinant_ratio(self) -> float:
         """Return log det C - log det E, minus twice the log of the cameras' posterior over prior volume."""
