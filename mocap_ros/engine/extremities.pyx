@@ -15,7 +15,8 @@ from libc.string cimport memcpy, memset
 import numpy as np
 
 from mocap_ros.engine.geometry cimport (
-    Rows, Stack, Vector, dot, multiply, multiply_transposed, rotation_from_vector, vector_from_rotation,
+    Rows, Stack, Vector, cross, dot, multiply, multiply_transposed, rotation_from_vector, square, subtract, transform,
+    vector_from_rotation,
 )
 
 cdef double MIN_LENGTH_M = 1e-6  # far under any bone, guards divisions
@@ -104,18 +105,6 @@ cdef void write_axes(const double* left, const double* up, double* out) noexcept
         out[3 * i + 1] = (
             out[3 * ((i + 1) % 3) + 2] * out[3 * ((i + 2) % 3)] - out[3 * ((i + 2) % 3) + 2] * out[3 * ((i + 1) % 3)]
         )
-
-
-cdef inline void cross(const double* a, const double* b, double* out) noexcept nogil:
-    out[0], out[1], out[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-cdef inline void subtract(const double* a, const double* b, double* out) noexcept nogil:
-    out[0], out[1], out[2] = a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-cdef inline void transform(const double* matrix, const double* vector, double* out) noexcept nogil:
-    out[0], out[1], out[2] = dot(matrix, vector), dot(matrix + 3, vector), dot(matrix + 6, vector)
 
 
 cdef inline void find_unit(const double* a, const double* b, double* out) noexcept nogil:
@@ -780,7 +769,3 @@ def sum_derivatives(
     add_ray(&sums, slopes, arm, &ray[0], variance, share)
     lower = np.array(<double[:7, :7]> &sums.hessian[0][0])
     return lower + np.tril(lower, -1).T, np.array(<double[:7]> sums.gradient)
-
-
-cdef inline double square(double x) noexcept nogil:
-    return x * x

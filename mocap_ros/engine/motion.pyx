@@ -16,7 +16,7 @@ import numpy as np
 
 from scipy.linalg.cython_blas cimport sgemm
 
-from mocap_ros.engine.geometry cimport MAX_DEPTH_CHANGE, MAX_SPEED_M_S, Indices, Rows, Stack, Vector, dot
+from mocap_ros.engine.geometry cimport MAX_DEPTH_CHANGE, MAX_SPEED_M_S, Indices, Rows, Stack, Vector, dot, square
 
 # The constants of joints and the powers were chosen together on 53 trials of persons of the training data, with clean
 # points and as three detectors give them: least errors of acceleration for 0.1 to 0.6 mm of the positions. The
@@ -81,10 +81,6 @@ cdef struct Filter:  # of a person; NaN before the first frame
 
 cdef Filter _filter
 MOTION = np.asarray(<Filter[:1]> &_filter).dtype
-
-
-cdef inline double square(double x) noexcept nogil:
-    return x * x
 
 
 cdef void pose(
