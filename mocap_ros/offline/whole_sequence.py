@@ -229,7 +229,7 @@ def _reconstruct(
     skeleton = next(iter(models.values())).skeleton
     lifter = load_prior_lifter(config.solver.prior, skeleton) if config.solver.method == 'joint' else None
     if lifter is None:
-        category, solution = _solve(observed.build_solver_window(), models, config.solver)
+        category, solution = _solve(observed.build_solver_window(), models, config.solver, report)
         vertical = None
     else:
         if ALL_MOTIONS in models:
@@ -433,11 +433,17 @@ def _lift(
         known, roll = _repeat_vertical(given, len(observed.times)), find_roll(given.direction)
     else:
         roll = _find_camera_roll(observed)
-    points, weight, cameras = sample_unlifted_histories([observed], roll)
-    in_lifter = None
-    if given is not None:
-        in_lifter = cameras @ given.direction, np.full(len(cameras), given.std)
-    lifted, seen = lift_under_vertical(lifter, points, weight, in_lifter), weight.max(axis=1)
+    parts = []
+    for first in range(0, len(observed.times), LIFTED_FRAMES):
+        frames = slice(first, first + LIFTED_FRAMES)
+        points, weight, cameras = sample_unlifted_histories([observed], roll, frames)
+        in_lifter = None
+        if given is not None:
+            in_lifter = cameras @ given.direction, np.full(len(cameras), given.std)
+        poses = lift_under_vertical(lifter, points, weight, in_lifter)
+        parts.append((poses.joints, poses.std, weight.max(axis=1), cameras))
+    joints, std, seen, cameras = map(np.concatenate, zip(*parts, strict=True))
+    lifted = LiftedPoses(joints, std)
     if known is None:
         known = choose_vertical(observed, lifted.joints @ cameras, seen, config)
     lifted = turn_towards_vertical(lifted, Stances.of(lifted.joints, cameras, seen), cameras, *known)
@@ -463,20 +469,26 @@ def _solve_with_lifter(
     The last one has poses of points that are drawn to the solution before.
     """
     window = observed.build_solver_window()
-    _, solution = _solve(window, models, config.solver)
-    report(SOLVED_SHARE)
+    _, solution = _solve(window, models, config.solver, _share(report, LIFTED_SHARE, SOLVED_SHARE))
     believed = hide_unexplained_points(observed, window, solution)
     if believed is not observed:
         lifted, _ = _lift(replace(believed, lifted=None), lifter, config.tracker, vertical)
         observed = _add_lifted(observed, lifted)
-        _, solution = _solve(observed.build_solver_window(), models, config.solver)
+        rest = _share(report, SOLVED_SHARE, SOLVED_AGAIN_SHARE)
+        _, solution = _solve(observed.build_solver_window(), models, config.solver, rest)
     report(SOLVED_AGAIN_SHARE)
     again, _ = _lift(draw_points(believed, solution), lifter, config.tracker, vertical)
     observed = _add_lifted(observed, turn_like(again, solution.joints))
-    return _solve(observed.build_solver_window(), models, config.solver)
+    return _solve(observed.build_solver_window(), models, config.solver, _share(report, SOLVED_AGAIN_SHARE, 1.0))
 
 
-def _solve(window: Window, models: Mapping[str, BasePoses], config: SolverConfig) -> tuple[str, Reconstruction]:
+def _share(report: Report, first: float, last: float) -> Report:
+    return lambda share: report(first + share * (last - first))
+
+
+def _solve(
+    window: Window, models: Mapping[str, BasePoses], config: SolverConfig, report: Report
+) -> tuple[str, Reconstruction]:
     if len(models) > 1:
         name, reconstruction = choose_category(window, models, config)
         if config.method == 'alternation':  # the choice compares joint solutions
@@ -485,16 +497,17 @@ def _solve(window: Window, models: Mapping[str, BasePoses], config: SolverConfig
     ((name, model),) = models.items()
     if config.method == 'alternation':
         return name, alternation.reconstruct(window, model, config)
-    (solution,) = joint.solve_hypotheses([window], model, config)
     if window.lifted is None or not can_base_poses_lead(name):
-        return name, solution
-    (led,) = joint.solve_hypotheses([window], model, let_base_poses_lead(config))
+        return name, joint.solve_in_sections(window, model, config, report)
+    solution = joint.solve_in_sections(window, model, config, _share(report, 0.0, 0.5))
+    led = joint.solve_in_sections(window, model, let_base_poses_lead(config), _share(report, 0.5, 1.0))
     return name, led if explains_as_well(led.misfit, solution.misfit) else solution
 
 
 # 1; shares of the time after which the stages of a reconstruction end, measured with 3,120 frames; almost all
 # sequences are solved three times
 LIFTED_SHARE, SOLVED_SHARE, SOLVED_AGAIN_SHARE = 0.07, 0.4, 0.68
+LIFTED_FRAMES = 3600  # that are lifted at once; their histories take 20 MB
 MIN_TILT_STD = 1e-3  # rad; a smaller deviation of a vertical is not believed
 FOUND_TILT_FACTOR = 1.5  # 1; by which a vertical counts less that people show, who share its errors
 USUAL_SIZES = 0.75, 1.2  # 1; three standard deviations of the size of adults

@@ -153,11 +153,14 @@ class ObservedWindow:
         )
 
 
-def sample_unlifted_histories(windows: Sequence[ObservedWindow], roll: float = 0.0) -> tuple[Array, Array, Array]:
+def sample_unlifted_histories(
+    windows: Sequence[ObservedWindow], roll: float = 0.0, frames: slice = slice(None)
+) -> tuple[Array, Array, Array]:
     """Return rays (N, T, J, 2) and scores (N, T, J) of the frames not lifted yet, for `Lifter.lift`.
 
-    The frames of all windows are one after the other. Their virtual cameras are turned about their axes, so that
-    images turn clockwise by `roll` rad; the rotations (N, 3, 3) from the real camera to these are returned too.
+    `frames` selects some of these frames of each window. The frames of all windows are one after the other. Their
+    virtual cameras are turned about their axes, so that images turn clockwise by `roll` rad; the rotations
+    (N, 3, 3) from the real camera to these are returned too.
     """
     people = []
     turn = np.array([
@@ -169,7 +172,7 @@ def sample_unlifted_histories(windows: Sequence[ObservedWindow], roll: float = 0
             groups.append(window.extremities)
         rotation = window.virtual_camera.rotation.reshape(-1, 3, 3)
         rotation = turn @ rotation if roll else rotation
-        people.append((window.times, range(window.lifted_frames, len(window.times)), rotation, groups))
+        people.append((window.times, range(window.lifted_frames, len(window.times))[frames], rotation, groups))
     return engine.sample_histories(people, JOINT_COUNT, *SLOTS)
 
 

@@ -376,3 +376,23 @@ def test_noise_is_found(walk_model: BasePoses) -> None:
         noisy = replace(exact, points=exact.points + px * rng.normal(size=exact.points.shape))
         (result,) = joint.solve([noisy], walk_model, SolverConfig())
         assert result.noise == pytest.approx(px / 205, rel=0.2)
+
+
+@pytest.mark.parametrize('hidden', [slice(0), slice(140, 320)])
+def test_a_sequence_in_sections_is_as_in_one(
+    walk_model: BasePoses, rng: np.random.Generator, hidden: slice
+) -> None:
+    """Three sections, also where nobody is seen in all of the middle one."""
+    walk, reported = make_walk(walk_model, frames=450), list[float]()
+    weight = np.ones(walk.points.shape[:2])
+    weight[hidden] = 0
+    window = Window(walk.points + rng.normal(0, 1.0, walk.points.shape), weight, walk.times)
+    config = SolverConfig(components=COMPONENTS)
+    whole = joint.solve_in_sections(window, walk_model, config)
+    parts = joint.solve_in_sections(window, walk_model, config, reported.append, max_frames=150)
+    difference = np.linalg.norm(parts.joints - whole.joints, axis=-1)[weight > 0]
+    assert difference.mean() < 1.8e-3, 'the tolerance of the solver alone makes 0.5 mm'
+    assert parts.noise == pytest.approx(whole.noise, rel=0.05)
+    assert np.isnan(parts.residual).tolist() == np.isnan(whole.residual).tolist()
+    assert reported == sorted(reported)
+    assert reported[-1] == 1

@@ -63,10 +63,11 @@ def get_given_noise(windows: Sequence[Window], config: SolverConfig) -> Array:
 
 def anneal_stepwise(
     batch: Batch, state: State, model: BasePoses, windows: Sequence[Window], config: SolverConfig
-) -> Stepwise[tuple[engine.JointProblem, NDArray[np.int64]]]:
+) -> Stepwise[tuple[engine.JointProblem, NDArray[np.int64], tuple[Array, Array] | None]]:
     """Find the noise of each window that does not give it, in steps.
 
-    Returns the problem under this noise, at the point that was reached, and the number of steps of each sequence.
+    Returns the problem under this noise, at the point that was reached, the number of steps of each sequence, and
+    the activities (`measure_activities`) of all frames, if accelerations count.
     """
     noise, is_unknown = get_given_noise(windows, config), np.array([w.noise is None for w in windows])
 
@@ -105,4 +106,4 @@ def anneal_stepwise(
         yield
         if np.array_equal(noise, before):
             break
-    return problem, iterations
+    return problem, iterations, activity

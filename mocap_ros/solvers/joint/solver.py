@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,16 @@ from mocap_ros.solvers.window import (
     reverse_depth,
 )
 
+MANY_FRAMES = 10**7  # frames with the bone lengths that are given, by far more than any sequence has
 WARM_DAMPING = 1e-2  # first damping from the solution of the last frame; tuned on live walks and runs
+
+
+class SharedValues(NamedTuple):
+    """What the frames of a window share with others of the same sequence, or was found with these."""
+
+    least_noise: float  # m, that the points of the sequence show by themselves (`noise_annealing`)
+    bone_lengths: Array | None = None  # (B,) m, mean lengths of the bones; None for those of the window
+    activity: tuple[Array, Array] | None = None  # as of `JointReconstruction`; None to measure it
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,21 +71,27 @@ class JointReconstruction(Reconstruction):
     # (J,) m, posterior standard deviation (root of the trace of the covariance) of each joint of the last frame
     # relative to the origin of the body frame; None where the equations are singular
     joint_std: Array | None
+    # mean square accelerations (F,) m^2/s^4 of poses and (F,) 1/s^4 of cameras, by which accelerations were
+    # weighed; None where they are not kept
+    activity: tuple[Array, Array] | None = None
 
 
-def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> tuple[JointReconstruction, ...]:
+def solve(
+    windows: Sequence[Window], model: BasePoses, config: SolverConfig, shared: SharedValues | None = None
+) -> tuple[JointReconstruction, ...]:
     """Reconstruct many sequences as one batch.
 
-    A window without initial values starts from its lifted poses or, without these, from the mean pose.
+    A window without initial values starts from its lifted poses or, without these, from the mean pose. `shared`
+    are values that the windows, all of one sequence, share with others of it.
 
     Raises:
         InputError: no frame of a window has four seen joints, or only some of the windows have lifted poses.
     """
-    return run_to_end(solve_stepwise(windows, model, config))
+    return run_to_end(solve_stepwise(windows, model, config, shared))
 
 
 def solve_stepwise(
-    windows: Sequence[Window], model: BasePoses, config: SolverConfig
+    windows: Sequence[Window], model: BasePoses, config: SolverConfig, shared: SharedValues | None = None
 ) -> Stepwise[tuple[JointReconstruction, ...]]:
     """Reconstruct as `solve` does, in steps."""
     if config.components < len(model.std):
@@ -85,6 +101,11 @@ def solve_stepwise(
     chosen = [choose_initial_values(w, model, config.start_window) for w in windows]
     yield
     batch = Batch.build(windows, np.array([unit for _, unit in chosen]), [start for start, _ in chosen])
+    if shared is not None:
+        batch.sequences['least_noise'] = shared.least_noise
+    if shared is not None and shared.bone_lengths is not None:
+        batch.sequences['earlier_lengths'], batch.sequences['earlier_frames'] = shared.bone_lengths, MANY_FRAMES
+    activity = None if shared is None else shared.activity
     settle_steps = 1 if is_warm else 2
     earlier_iterations = np.zeros(len(windows), np.int64)
     damping = WARM_DAMPING if is_warm else CONTINUED_DAMPING if config.adapt_noise else COLD_DAMPING
@@ -92,24 +113,31 @@ def solve_stepwise(
         settled = continue_from(batch, None, model, config, settle_steps)
         yield
         annealed = anneal_stepwise(batch, read_state(settled), model, windows, config)
-        problem, earlier_iterations = yield from annealed
+        problem, earlier_iterations, activity = yield from annealed
     else:
         noise = get_given_noise(windows, config) if config.adapt_noise else None
-        problem = continue_from(batch, noise, model, config, settle_steps)
+        problem = continue_from(batch, noise, model, config, settle_steps, activity)
         yield
     history = yield from minimise_stepwise(problem, config.max_iterations, config.tolerance, damping)
     yield
-    return make_reconstructions(problem, batch, windows, history, earlier_iterations)
+    return make_reconstructions(problem, batch, windows, history, earlier_iterations, activity)
 
 
 def continue_from(
-    batch: Batch, noise: Array | None, model: BasePoses, config: SolverConfig, settle_steps: int = 1
+    batch: Batch,
+    noise: Array | None,
+    model: BasePoses,
+    config: SolverConfig,
+    settle_steps: int = 1,
+    activity: tuple[Array, Array] | None = None,
 ) -> engine.JointProblem:
-    """Return the problem of a batch at its start under image noise (P,) m; None for the reference."""
-    activity = None
+    """Return the problem of a batch at its start under image noise (P,) m; None for the reference.
+
+    `activity` is that of `JointReconstruction`; None to measure it.
+    """
     if noise is not None:
         set_noise(batch, noise)
-        if config.pose_acceleration_weight > 0:
+        if activity is None and config.pose_acceleration_weight > 0:
             frames = batch.find_best_seen(COARSE_FRAME_STEP_S)
             activity = measure_activities(batch.start.select(frames), batch.select(frames), batch)
     problem = pose_problem(batch, model, list_terms(batch, model, config, activity=activity))
@@ -118,7 +146,7 @@ def continue_from(
 
 
 def solve_hypotheses(
-    windows: Sequence[Window], model: BasePoses, config: SolverConfig
+    windows: Sequence[Window], model: BasePoses, config: SolverConfig, shared: SharedValues | None = None
 ) -> tuple[JointReconstruction, ...]:
     """Reconstruct each window from one or two initial cameras, all in one batch, and return the likelier results.
 
@@ -126,24 +154,24 @@ def solve_hypotheses(
     `config.heading_hypotheses` for base poses aligned by heading: those of all motions need it for people seen
     from the front or from behind (docs/method.md). Lifted poses separate these already, so one start is enough.
     """
-    return run_to_end(solve_hypotheses_stepwise(windows, model, config))
+    return run_to_end(solve_hypotheses_stepwise(windows, model, config, shared))
 
 
 def solve_hypotheses_stepwise(
-    windows: Sequence[Window], model: BasePoses, config: SolverConfig
+    windows: Sequence[Window], model: BasePoses, config: SolverConfig, shared: SharedValues | None = None
 ) -> Stepwise[tuple[JointReconstruction, ...]]:
     """Reconstruct as `solve_hypotheses` does, in steps."""
     count = config.heading_hypotheses if model.aligned_by_heading else config.hypotheses
     if all(w.lifted is not None for w in windows):
         count = 1
     if count == 1:
-        return (yield from solve_stepwise(windows, model, config))
+        return (yield from solve_stepwise(windows, model, config, shared))
     batch: list[Window] = []
     for window in windows:
         start, unit = choose_initial_values(window, model.truncate(config.components), config.start_window)
         batch += [copy_with(window, start=s, unit=unit) for s in (start, reverse_depth(start))]
         yield
-    results = yield from solve_stepwise(batch, model, config)
+    results = yield from solve_stepwise(batch, model, config, shared)
     return tuple(
         min(pair, key=lambda r: negative_log_posterior(r, w, config))
         for pair, w in zip(zip(results[::2], results[1::2], strict=True), windows, strict=True)
@@ -172,6 +200,7 @@ def make_reconstructions(
     windows: Sequence[Window],
     history: Array,
     earlier_iterations: NDArray[np.int64],
+    activity: tuple[Array, Array] | None = None,
 ) -> tuple[JointReconstruction, ...]:
     """Return the reconstruction of each sequence of a batch."""
     joints, cameras, translation, residual = describe_frames(problem, batch)
@@ -194,6 +223,7 @@ def make_reconstructions(
                 noise=float(noise[i]),
                 misfit=float(misfit[i]),
                 joint_std=None if np.isnan(joint_std[i, 0]) else joint_std[i],
+                activity=None if activity is None else (activity[0][own], activity[1][own]),
             )
         )
     return tuple(out)
