@@ -236,6 +236,7 @@ def _reconstruct(
             models = {ALL_MOTIONS: models[ALL_MOTIONS]}
         lifted, vertical = _lift(observed, lifter, config.tracker)
         observed = _add_lifted(observed, lifted)
+        del lifted  # here and below what is as long as the sequence, before it is solved
         report(LIFTED_SHARE)
         category, solution = _solve_with_lifter(observed, vertical, lifter, models, config, report)
     camera = observed.virtual_camera
@@ -471,14 +472,17 @@ def _solve_with_lifter(
     window = observed.build_solver_window()
     _, solution = _solve(window, models, config.solver, _share(report, LIFTED_SHARE, SOLVED_SHARE))
     believed = hide_unexplained_points(observed, window, solution)
+    del window
     if believed is not observed:
         lifted, _ = _lift(replace(believed, lifted=None), lifter, config.tracker, vertical)
         observed = _add_lifted(observed, lifted)
+        del lifted
         rest = _share(report, SOLVED_SHARE, SOLVED_AGAIN_SHARE)
         _, solution = _solve(observed.build_solver_window(), models, config.solver, rest)
     report(SOLVED_AGAIN_SHARE)
     again, _ = _lift(draw_points(believed, solution), lifter, config.tracker, vertical)
     observed = _add_lifted(observed, turn_like(again, solution.joints))
+    del again, believed, solution
     return _solve(observed.build_solver_window(), models, config.solver, _share(report, SOLVED_AGAIN_SHARE, 1.0))
 
 

@@ -82,12 +82,13 @@ def solve_in_sections(
     for index, section in enumerate(sections):
         alone += solve_hypotheses([select_frames(window, section.padded)], model, config, shared)
         report((index + 1) / len(sections) / 2)
-    joined = _join(window, sections, alone, least_noise)
+    joined, activities = _join(window, sections, alone, least_noise), [solution.activity for solution in alone]
+    del alone  # which is as large as the joined one
     shared = shared._replace(bone_lengths=model.skeleton.bone_lengths(joined.joints).mean(axis=0))
     window = replace(window, start=InitialValues(joined.theta, joined.cameras), noise=joined.noise)
     together: list[JointReconstruction] = []
-    for index, (section, own) in enumerate(zip(sections, alone, strict=True)):
-        known = shared._replace(activity=own.activity)
+    for index, (section, activity) in enumerate(zip(sections, activities, strict=True)):
+        known = shared._replace(activity=activity)
         together += solve([select_frames(window, section.padded)], model, config, known)
         report((1 + (index + 1) / len(sections)) / 2)
     return _join(window, sections, together, least_noise)
