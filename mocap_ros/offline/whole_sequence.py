@@ -255,8 +255,7 @@ def _complete(result: SequenceResult, observed: ObservedWindow, config: TrackerC
     core, count = result.joints, len(result.joints)
     image_noise = result.solution.noise if isinstance(result.solution, joint.JointReconstruction) else 0.0
     seen = [observed] * count, np.full(count, image_noise), range(count)
-    evidence = collect_evidence(core, *seen)
-    found = smooth_extremities(observed.times, evidence, config.body_height)
+    found = smooth_extremities(observed.times, collect_evidence(core, *seen), config.body_height)
     core = plant_sequence(observed, core, found.offsets, result.vertical, image_noise or NOISE_REFERENCE)
     evidence = collect_evidence(core, *seen)
     found = smooth_extremities(observed.times, evidence, config.body_height)

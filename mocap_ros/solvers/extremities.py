@@ -172,6 +172,9 @@ _start['time_s'] = -np.inf
 START = _start.view(float)  # (N,) state of a person before the first frame
 
 
+BLOCK_FRAMES = 3600  # whose states are kept at once; they take 40 MB
+
+
 def attach(core: Array, offsets: Array) -> Array:
     """Return all joints (..., 26, 3) m of core joints (..., 15, 3) and offsets (..., 11, 3) of extremities."""
     return np.concatenate([core, core[..., ANCHORS, :] + offsets], axis=-2)
@@ -219,17 +222,43 @@ class ExtremitySequence(NamedTuple):
 
 
 def smooth_extremities(times: Array, evidence: ExtremityEvidence, stature: float) -> ExtremitySequence:
-    """Estimate the extremities of a person over times (F,) s (formulas of the module)."""
+    """Estimate the extremities of a person over times (F,) s (formulas of the module).
+
+    The states of `BLOCK_FRAMES` at a time are in memory.
+    """
     steps, start = np.append(np.inf, np.diff(times)), START[None].copy()
-    sizes, _ = BODY.run(start[0], evidence, stature, steps, True)
-    read_states(start)['sizes'] = read_states(sizes)['sizes'][-1]
-    forwards, _ = BODY.run(start[0], evidence, stature, steps, False)
-    reversed_ = ExtremityEvidence(*(np.ascontiguousarray(values[::-1]) for values in evidence))
-    _, predicted = BODY.run(start[0], reversed_, stature, np.append(np.inf, steps[:0:-1]), False)
+    blocks = [slice(first, first + BLOCK_FRAMES) for first in range(0, len(times), BLOCK_FRAMES)]
+    parts = [ExtremityEvidence(*(values[block] for values in evidence)) for block in blocks]
+    state = start[0]
+    for block, seen in zip(blocks, parts, strict=True):
+        state = BODY.run(state, seen, stature, steps[block], True)[0][-1]
+    read_states(start)['sizes'] = read_states(state[None])['sizes']
+    predicted, state, steps_back = np.empty((2, len(times), len(PARTS), 9)), start[0], np.append(steps[1:], np.inf)
+    for block, seen in zip(blocks[::-1], parts[::-1], strict=True):
+        reversed_ = ExtremityEvidence(*(np.ascontiguousarray(values[::-1]) for values in seen))
+        steps_on = np.ascontiguousarray(steps_back[block][::-1])
+        states, found = BODY.run(state, reversed_, stature, steps_on, False)
+        predicted[:, block], state = found[:, ::-1], states[-1]
+    state, smoothed = start[0], []
+    for block, seen in zip(blocks, parts, strict=True):
+        forwards, _ = BODY.run(state, seen, stature, steps[block], False)
+        state = forwards[-1].copy()
+        smoothed.append(_join_directions(forwards, predicted[0, block], predicted[1, block], seen.weight, stature))
+        read_states(state[None])['quaternions'] = smoothed[-1].quaternions[-1]  # whose signs the next ones have
+    return ExtremitySequence(*map(np.concatenate, zip(*smoothed, strict=True)))
+
+
+def _join_directions(
+    forwards: Array, back: Array, back_covariance: Array, weight: Array, stature: float
+) -> ExtremitySequence:
+    """Overwrite states (F, N) of a person followed forwards by those of both directions, and return their results.
+
+    R and P (F, 5, 9) are predicted backwards; scores (F, 26).
+    """
     states = read_states(forwards)
-    back, back_covariance = predicted[:, ::-1].reshape(2, len(times), len(PARTS), 3, 3)
-    fields = (states[name].reshape(len(times), -1, 3, 3) for name in ('turns', 'segments', 'covariances'))
+    fields = (states[name].reshape(len(states), -1, 3, 3) for name in ('turns', 'segments', 'covariances'))
     turns, segments, covariances = fields  # views
+    back, back_covariance = (values.reshape(turns.shape) for values in (back, back_covariance))
     rest = segments[:, PART_SEGMENTS]
     of_rest = rest @ (REST_STD[..., None] ** -2 * np.swapaxes(rest, -1, -2))  # S^-1
     of_back = np.linalg.inv(back_covariance)
@@ -237,7 +266,7 @@ def smooth_extremities(times: Array, evidence: ExtremityEvidence, stature: float
     pull = of_back @ _find_turn(turns, back) - of_rest @ _find_turn(turns, rest)
     turns[:] = rotation_from_vector((covariance @ pull)[..., 0]) @ turns
     covariances[:] = covariance
-    BODY.finish(forwards, evidence.weight, stature)
+    BODY.finish(forwards, weight, stature)
     offsets, std, quaternions = (np.ascontiguousarray(states[n]) for n in ('offsets', 'offset_std', 'quaternions'))
     return ExtremitySequence(offsets, std, quaternions, states['is_turn_seen'] > 0)
 

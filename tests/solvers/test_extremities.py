@@ -113,6 +113,14 @@ def test_head_and_feet_are_truer_and_steadier_than_the_lifted_pose() -> None:
     assert 0.5 < np.mean(within) < 0.98, 'the deviations hold most errors'
 
 
+def test_a_long_sequence_in_blocks_is_as_in_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, evidence = look_around(0)
+    whole = extremities.smooth_extremities(TIMES, evidence, STATURE_M)
+    monkeypatch.setattr(extremities, 'BLOCK_FRAMES', len(TIMES) // 3)
+    for in_blocks, in_one in zip(extremities.smooth_extremities(TIMES, evidence, STATURE_M), whole, strict=True):
+        np.testing.assert_allclose(in_blocks, in_one, atol=1e-9)
+
+
 def test_parts_are_rigid_and_sizes_are_learnt_and_kept() -> None:
     _, evidence = look_around(5, sizes=(1.05, 1.2, 0.85), frames=400)
     states = follow(evidence)

@@ -110,9 +110,9 @@ def solve_stepwise(
     earlier_iterations = np.zeros(len(windows), np.int64)
     damping = WARM_DAMPING if is_warm else CONTINUED_DAMPING if config.adapt_noise else COLD_DAMPING
     if config.adapt_noise and any(w.noise is None for w in windows):
-        settled = continue_from(batch, None, model, config, settle_steps)
+        settled = read_state(continue_from(batch, None, model, config, settle_steps))
         yield
-        annealed = anneal_stepwise(batch, read_state(settled), model, windows, config)
+        annealed = anneal_stepwise(batch, settled, model, windows, config)
         problem, earlier_iterations, activity = yield from annealed
     else:
         noise = get_given_noise(windows, config) if config.adapt_noise else None
