@@ -78,20 +78,20 @@ def solve_in_sections(
     window = replace(window, start=start, unit=unit)
     least_noise = float(Batch.build([window], np.array([unit]), [start]).sequences['least_noise'][0])
     sections, shared = split_into_sections(window, max_frames), SharedValues(least_noise)
-    alone: list[JointReconstruction] = []
+    first_pass: list[JointReconstruction] = []
     for index, section in enumerate(sections):
-        alone += solve_hypotheses([select_frames(window, section.padded)], model, config, shared)
+        first_pass += solve_hypotheses([select_frames(window, section.padded)], model, config, shared)
         report((index + 1) / len(sections) / 2)
-    joined, activities = _join(window, sections, alone, least_noise), [solution.activity for solution in alone]
-    del alone  # which is as large as the joined one
+    joined, activities = _join(window, sections, first_pass, least_noise), [s.activity for s in first_pass]
+    del first_pass  # which is as large as the joined one
     shared = shared._replace(bone_lengths=model.skeleton.bone_lengths(joined.joints).mean(axis=0))
     window = replace(window, start=InitialValues(joined.theta, joined.cameras), noise=joined.noise)
-    together: list[JointReconstruction] = []
+    second_pass: list[JointReconstruction] = []
     for index, (section, activity) in enumerate(zip(sections, activities, strict=True)):
         known = shared._replace(activity=activity)
-        together += solve([select_frames(window, section.padded)], model, config, known)
+        second_pass += solve([select_frames(window, section.padded)], model, config, known)
         report((1 + (index + 1) / len(sections)) / 2)
-    return _join(window, sections, together, least_noise)
+    return _join(window, sections, second_pass, least_noise)
 
 
 def split_into_sections(window: Window, max_frames: int) -> list[Section]:
@@ -103,8 +103,9 @@ def split_into_sections(window: Window, max_frames: int) -> list[Section]:
     for first, end in pairwise(edges.tolist()):
         padded = np.searchsorted(times, [times[first] - MARGIN_S, times[end - 1] + MARGIN_S])
         padded = np.clip(padded, [first - max_frames, end], [first, end + max_frames]).tolist()
-        if is_seen[first:end].any():
-            sections.append(Section(slice(first, end), slice(max(padded[0], 0), min(padded[1], count))))
+        section = Section(slice(first, end), slice(max(padded[0], 0), min(padded[1], count)))
+        if (window.weight[section.own] > 0).any() and is_seen[section.padded].any():
+            sections.append(section)
     return sections
 
 
@@ -132,7 +133,8 @@ def _join(
 ) -> JointReconstruction:
     """Return one solution for all frames; those of no section have that of the nearest one.
 
-    What two sections say of the middle of their common frames fades from one to the other, but for rotations.
+    Where two sections overlap, their solutions are blended linearly over the middle half, but for rotations, which
+    only the cameras of the result have.
     """
     nearest = find_nearest(window.times, np.concatenate([window.times[section.own] for section in sections]))
 

@@ -50,7 +50,7 @@ from mocap_ros.solvers.window import (
     reverse_depth,
 )
 
-MANY_FRAMES = 10**7  # frames with the bone lengths that are given, by far more than any sequence has
+MANY_FRAMES = 10**7  # frames that given bone lengths count for, so many that they are the mean lengths
 WARM_DAMPING = 1e-2  # first damping from the solution of the last frame; tuned on live walks and runs
 
 
