@@ -28,7 +28,6 @@ from mocap_ros.config import SolverConfig
 from mocap_ros.geometry.interpolation import find_nearest
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.joint.solver import (
     JointReconstruction,
@@ -77,7 +76,7 @@ def solve_in_sections(
     start, unit = choose_initial_values(start_from_lifted_poses(window, model), model, config.start_window)
     window = replace(window, start=start, unit=unit)
     least_noise = float(Batch.build([window], np.array([unit]), [start]).sequences['least_noise'][0])
-    sections, shared = split_into_sections(window, max_frames), SharedValues(least_noise)
+    sections, shared = choose_sections(window, max_frames), SharedValues(least_noise)
     first_pass: list[JointReconstruction] = []
     for index, section in enumerate(sections):
         first_pass += solve_hypotheses([select_frames(window, section.padded)], model, config, shared)
@@ -94,7 +93,7 @@ def solve_in_sections(
     return _join(window, sections, second_pass, least_noise)
 
 
-def split_into_sections(window: Window, max_frames: int) -> list[Section]:
+def choose_sections(window: Window, max_frames: int) -> list[Section]:
     """Return sections of about equal lengths, without those in which nobody is seen well enough to be solved."""
     times, count = window.times, len(window.times)
     edges = np.linspace(0, count, math.ceil(count / max_frames) + 1).astype(int)
@@ -121,7 +120,7 @@ def select_frames(window: Window, frames: slice) -> Window:
         weight=window.weight[frames],
         times=window.times[frames],
         start=start,
-        lifted=None if lifted is None else LiftedPoses(lifted.joints[frames], lifted.std[frames]),
+        lifted=None if lifted is None else lifted.select_frames(frames),
     )
 
 
