@@ -36,9 +36,9 @@ if TYPE_CHECKING:
         RecordingError,
         SkeletonError,
     )
-    from mocap_ros.evaluation.evaluate import Evaluation
     from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence
     from mocap_ros.people import Motion, MotionKind, Person3D
+    from mocap_ros.verdict.errors_of_result import Evaluation
 
 __all__ = [
     'BasePoses',
@@ -81,7 +81,7 @@ _MODULES = {
         'RecordingError',
         'SkeletonError',
     ),
-    'mocap_ros.evaluation.evaluate': ('Evaluation',),
+    'mocap_ros.verdict.errors_of_result': ('Evaluation',),
     'mocap_ros.formats.sequence_file': ('GroundTruth', 'KeypointSequence'),
     'mocap_ros.people': ('Motion', 'MotionKind', 'Person3D'),
 }

@@ -15,9 +15,9 @@ from mocap_ros.api.arguments import read_array, read_joint_names, read_numbers, 
 from mocap_ros.api.reconstruct import PoseSequence
 from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
-from mocap_ros.evaluation import evaluate as evaluation
 from mocap_ros.formats.sequence_file import MAX_COORDINATE_M, GroundTruth, check_timestamps
 from mocap_ros.skeleton import BODY26, CMU15, canonical_joint_names, skeleton_from_joints
+from mocap_ros.verdict import errors_of_result as evaluation
 
 
 def evaluate(

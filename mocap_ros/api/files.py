@@ -22,8 +22,8 @@ from mocap_ros.errors import InputError, name_errors
 from mocap_ros.formats.detections import HFOV_RANGE_DEG, MAX_FRAME_RATE_HZ, Video
 from mocap_ros.formats.sequence_file import KeypointSequence, make_camera_arrays, save_sequence
 from mocap_ros.formats.text_files import replace_output
-from mocap_ros.runtime import save_results
-from mocap_ros.runtime.load_keypoints import InputOptions, load_input
+from mocap_ros.recordings import save_results
+from mocap_ros.recordings.load_keypoints import InputOptions, load_input
 from mocap_ros.skeleton import keypoint_layout
 
 MIN_FRAME_RATE_HZ = 1e-3  # Hz; far below that of any video

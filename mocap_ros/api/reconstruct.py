@@ -27,8 +27,8 @@ from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import KeypointSequence, describe_frames, extract_observations
 from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.whole_sequence import SequenceResult, describe_height_faults, reconstruct_sequence
-from mocap_ros.runtime.save_results import ReconstructedSequence
-from mocap_ros.runtime.summary import Summary, summarise
+from mocap_ros.recordings.save_results import ReconstructedSequence
+from mocap_ros.verdict.summary import Summary, summarise
 
 
 @dataclass(frozen=True, eq=False, repr=False)

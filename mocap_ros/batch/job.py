@@ -30,12 +30,12 @@ from mocap_ros.formats.detections import Video
 from mocap_ros.formats.sequence_file import extract_observations
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.keyframes.keyframe_method import find_keyframes, observe_plausible_points
+from mocap_ros.recordings.input_kind import BAG_FORMATS, InputKind, find_input_kind, require_kind
+from mocap_ros.recordings.load_keypoints import OPTIONS_BY_KIND, InputOptions, load_input
+from mocap_ros.recordings.save_results import format_yaml
 from mocap_ros.runtime.cpu_setup import configure_process
-from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, find_input_kind, require_kind
-from mocap_ros.runtime.load_keypoints import OPTIONS_BY_KIND, InputOptions, load_input
 from mocap_ros.runtime.provenance import provenance_attachments
 from mocap_ros.runtime.replay import ReplayOptions, replay
-from mocap_ros.runtime.save_results import format_yaml
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing import plots
 from mocap_ros.viewing.keyframe_plots import draw_distances_figure, draw_keyframes_figure

@@ -21,7 +21,7 @@ from mocap_ros.bags.reader import ROS1_SUFFIX, ROS2_SUFFIXES, is_bag
 from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.errors import InputError
 from mocap_ros.formats.detector_json import FILE_SUFFIX as OPENPOSE_SUFFIX
-from mocap_ros.runtime.input_kind import VIDEO_SUFFIXES
+from mocap_ros.recordings.input_kind import VIDEO_SUFFIXES
 
 # Ends of the paths of files of recordings
 SUFFIXES = (f'/{METADATA}', *ROS2_SUFFIXES, ROS1_SUFFIX, '.npz', '.json', *VIDEO_SUFFIXES)

@@ -13,8 +13,8 @@ from mocap_ros.cli.inputs import TOPIC_OPTIONS, VIDEO_OPTIONS, read_lens_paramet
 from mocap_ros.cli.options import CONFIG_OPTIONS, STRICT_OPTIONS, Options, load_config_file, option, parse_changes
 from mocap_ros.cli.terminal import make_bar, print_note, print_result
 from mocap_ros.errors import InputError, MocapError, tell_installation
+from mocap_ros.recordings.save_results import SUFFIXES
 from mocap_ros.runtime.replay import ReplayOptions
-from mocap_ros.runtime.save_results import SUFFIXES
 
 DESCRIPTION = (
     'Replays every bag, or reconstructs or summarises every recording, that a folder, a pattern or a list '

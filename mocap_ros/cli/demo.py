@@ -26,12 +26,12 @@ from mocap_ros.cli.terminal import print_result, show_progress
 from mocap_ros.config import Config
 from mocap_ros.demo.scene import motion_name_at
 from mocap_ros.errors import MocapError
-from mocap_ros.evaluation import metrics
 from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence
 from mocap_ros.formats.text_files import replace_output
-from mocap_ros.runtime.load_keypoints import load_sequence_file
-from mocap_ros.runtime.load_scene import SceneOptions, load_scene, select_true_joints
-from mocap_ros.runtime.playback import Playback
+from mocap_ros.recordings.load_keypoints import load_sequence_file
+from mocap_ros.recordings.load_scene import SceneOptions, load_scene, select_true_joints
+from mocap_ros.recordings.playback import Playback
+from mocap_ros.verdict import metrics
 from mocap_ros.viewing import plots
 from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.scene import Scene

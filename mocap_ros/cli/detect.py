@@ -21,9 +21,9 @@ from mocap_ros.formats.detections import Detections, select_person
 from mocap_ros.formats.sequence_file import describe_frames, save_sequence
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.formats.video import VideoImage, find_camera
-from mocap_ros.runtime.detection import ShowProgress, detect_in_video
-from mocap_ros.runtime.input_kind import InputKind, require_kind
-from mocap_ros.runtime.save_results import save_detections
+from mocap_ros.recordings.detection import ShowProgress, detect_in_video
+from mocap_ros.recordings.input_kind import InputKind, require_kind
+from mocap_ros.recordings.save_results import save_detections
 from mocap_ros.units import NS_PER_S
 
 BAG_SUFFIX = '.mcap'

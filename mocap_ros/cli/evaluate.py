@@ -20,22 +20,22 @@ from mocap_ros.cli.inputs import MODEL_OPTIONS, list_sources, load_models, name_
 from mocap_ros.cli.options import CONFIG_OPTIONS, STRICT_OPTIONS, Options, load_config, option
 from mocap_ros.cli.terminal import ShareBar, print_note, print_result
 from mocap_ros.errors import InputError
-from mocap_ros.evaluation.coverage import SHARES, compute_coverage
-from mocap_ros.evaluation.evaluate import (
+from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence, StoredResult, check_timestamps
+from mocap_ros.formats.text_files import check_output, replace_output
+from mocap_ros.offline.whole_sequence import report_part
+from mocap_ros.recordings.input_kind import InputKind, require_kind
+from mocap_ros.recordings.load_keypoints import load_sequence_file
+from mocap_ros.recordings.load_results import load_result
+from mocap_ros.recordings.reconstruct import reconstruct_people
+from mocap_ros.verdict.coverage import SHARES, compute_coverage
+from mocap_ros.verdict.errors_of_result import (
     MAX_PERSON_SIZE_M,
     check_truth,
     estimate_frame_rate,
     evaluate,
     measure_person_size,
 )
-from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence, StoredResult, check_timestamps
-from mocap_ros.formats.text_files import check_output, replace_output
-from mocap_ros.offline.whole_sequence import report_part
-from mocap_ros.runtime.input_kind import InputKind, require_kind
-from mocap_ros.runtime.load_keypoints import load_sequence_file
-from mocap_ros.runtime.load_results import load_result
-from mocap_ros.runtime.summary import summarise
-from mocap_ros.runtime.whole_recording import reconstruct_people
+from mocap_ros.verdict.summary import summarise
 
 # Columns of the table: key of the record, title, unit and number format.
 COLUMNS = (

@@ -24,7 +24,7 @@ from mocap_ros.formats.mocap.trials import MANIFEST_NAME, list_files
 from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX, KeypointSequence
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models, load_prior_lifter
-from mocap_ros.runtime.load_keypoints import InputOptions, load_people
+from mocap_ros.recordings.load_keypoints import InputOptions, load_people
 from mocap_ros.skeleton import LAYOUT_NAMES
 
 # Options of all commands that name files to read; a name that is no file does no harm.

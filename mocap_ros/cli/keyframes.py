@@ -16,7 +16,7 @@ from mocap_ros.formats.sequence_file import extract_observations
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.offline.keyframes.keyframe_method import find_keyframes, observe_plausible_points
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
-from mocap_ros.runtime.save_results import format_yaml, list_keyframe_entries
+from mocap_ros.recordings.save_results import format_yaml, list_keyframe_entries
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.viewing import plots
 from mocap_ros.viewing.keyframe_plots import draw_distances_figure, draw_keyframes_figure

@@ -12,8 +12,8 @@ from mocap_ros.cli.inputs import TOPIC_OPTIONS
 from mocap_ros.cli.options import Options, option
 from mocap_ros.cli.terminal import print_note, print_result, show_progress
 from mocap_ros.errors import ConfigError, MocapError
-from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
-from mocap_ros.runtime.playback import Playback
+from mocap_ros.recordings.input_kind import BAG_FORMATS, InputKind, require_kind
+from mocap_ros.recordings.playback import Playback
 
 CLOCK_HZ = 40.0  # Hz, the default rate of /clock, that of `ros2 bag play --clock`
 

@@ -39,9 +39,9 @@ from mocap_ros.offline.whole_sequence import (
     describe_height_faults,
     reconstruct_without_floor,
 )
-from mocap_ros.runtime import save_results
-from mocap_ros.runtime.summary import summarise
-from mocap_ros.runtime.whole_recording import Method, reconstruct_people
+from mocap_ros.recordings import save_results
+from mocap_ros.recordings.reconstruct import Method, reconstruct_people
+from mocap_ros.verdict.summary import summarise
 
 MAX_ENDING = 64  # characters of a person's id in the name of a file
 MAX_CHOICES_BYTES = 16 << 20  # bytes; guards against parsing a huge file as keyframes

@@ -13,7 +13,7 @@ from mocap_ros.bags.recovery import list_recoverable_files, recover
 from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.cli.options import Options, derive_output_stem
 from mocap_ros.cli.terminal import ShareBar, print_note, print_result
-from mocap_ros.runtime.input_kind import InputKind, require_kind
+from mocap_ros.recordings.input_kind import InputKind, require_kind
 
 PARTLY_RECOVERED = 3  # exit code: there is a new bag, which lacks something
 

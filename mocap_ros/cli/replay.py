@@ -25,7 +25,7 @@ from mocap_ros.cli.options import (
 )
 from mocap_ros.cli.terminal import finish, interrupt_between_items, print_note, print_result, show_progress
 from mocap_ros.errors import InputError, MocapError, RecordingError, make_printable_line
-from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
+from mocap_ros.recordings.input_kind import BAG_FORMATS, InputKind, require_kind
 from mocap_ros.runtime.replay import ReplayOptions, replay
 
 DESCRIPTION = (

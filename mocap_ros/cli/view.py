@@ -29,10 +29,10 @@ from mocap_ros.config import Config
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.formats.video import write_video
-from mocap_ros.runtime.input_kind import find_input_kind, require_kind
-from mocap_ros.runtime.load_keypoints import LOADERS, InputOptions
-from mocap_ros.runtime.load_results import holds_result
-from mocap_ros.runtime.load_scene import VIEWED_FORMATS, VIEWED_KINDS, SceneOptions, load_scene, read_images
+from mocap_ros.recordings.input_kind import find_input_kind, require_kind
+from mocap_ros.recordings.load_keypoints import LOADERS, InputOptions
+from mocap_ros.recordings.load_results import holds_result
+from mocap_ros.recordings.load_scene import VIEWED_FORMATS, VIEWED_KINDS, SceneOptions, load_scene, read_images
 from mocap_ros.viewing import plots
 from mocap_ros.viewing.overlay import Overlay, StampedImage, find_frame, pick_images, reduce_images
 from mocap_ros.viewing.page import build_page

@@ -22,11 +22,11 @@ from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, decode_camera_info
 from mocap_ros.messages.keypoints import KEYPOINTS, KeypointsFrame, decode_keypoints
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
+from mocap_ros.recordings.load_scene import average_core, make_scene_person, recover_intrinsics
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.nodes import run_node
 from mocap_ros.ros.qos import NEWEST_QOS
 from mocap_ros.ros.topics import subscribe
-from mocap_ros.runtime.load_scene import average_core, make_scene_person, recover_intrinsics
 from mocap_ros.skeleton import BODY26, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.live_page import LiveScene, PageServer, make_nobody

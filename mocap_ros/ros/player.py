@@ -21,9 +21,9 @@ from rclpy.validate_topic_name import validate_topic_name
 from mocap_ros.errors import ConfigError, MocapError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import typestore
+from mocap_ros.recordings.playback import Playback, PlaybackMessage
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.qos import choose_playback_profile
-from mocap_ros.runtime.playback import Playback, PlaybackMessage
 from mocap_ros.units import NS_PER_S
 
 CLOCK = 'rosgraph_msgs/msg/Clock'  # message type of /clock

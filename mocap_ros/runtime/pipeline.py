@@ -32,13 +32,13 @@ from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Person3D
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.input_camera import GIVEN, KNOWN, NOMINAL, CalibrationWait, FocalSource, InputCamera
-from mocap_ros.runtime.input_checks import InputChecks
 from mocap_ros.runtime.output_frame import OutputFrame
 from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.runtime.run_memory import NOTHING, RunMemory
-from mocap_ros.runtime.summary import RunSummary
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.units import NS_PER_S
+from mocap_ros.verdict.input_checks import InputChecks
+from mocap_ros.verdict.summary import RunSummary
 
 TRACKER_GROUPS = 'solver', 'classifier', 'tracker'  # fields of `Config` that a tracker reads when it is made
 NOTED_GAP_S = 10.0  # s between the stamps of successive images, from which on a note says so

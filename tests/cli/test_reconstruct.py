@@ -37,9 +37,9 @@ from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.models.model_file import load_base_poses
-from mocap_ros.runtime import detection, save_results
-from mocap_ros.runtime.playback import encode_sequence
-from mocap_ros.runtime.save_results import save_detections
+from mocap_ros.recordings import detection, save_results
+from mocap_ros.recordings.playback import encode_sequence
+from mocap_ros.recordings.save_results import save_detections
 from mocap_ros.skeleton import CMU15
 from mocap_ros.training.fit_base_poses import fit_base_poses
 from mocap_ros.units import NS_PER_S

@@ -17,7 +17,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.formats.detections import Detections, Video, associate_people, select_person
 from mocap_ros.formats.detector_json import MIN_PERSON_SCORE, load_json_file, load_json_folder
 from mocap_ros.formats.export.trc import save_trc
-from mocap_ros.runtime.load_keypoints import InputOptions, load_input, load_people
+from mocap_ros.recordings.load_keypoints import InputOptions, load_input, load_people
 from mocap_ros.skeleton import keypoint_layout
 from tests.support.input_files import FPS, FRAMES, VIDEO, check_same_keypoints, flatten_keypoints, make_walker
 

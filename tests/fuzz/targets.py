@@ -54,7 +54,7 @@ from mocap_ros.messages.transform_tree import TransformTree
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.models.model_file import decode_base_poses, decode_lifter, load_base_poses, save_base_poses
 from mocap_ros.npz_file import write_npz
-from mocap_ros.runtime.load_keypoints import InputOptions, load_input
+from mocap_ros.recordings.load_keypoints import InputOptions, load_input
 from mocap_ros.skeleton import CMU15, keypoint_layout
 from tests.support.bodies import make_person_3d
 from tests.support.camera_messages import camera_info, encode, encode_ros1_camera_info, make_transforms

@@ -39,6 +39,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION, encode_skeleton_definition
 from mocap_ros.messages.transforms import TRANSFORMS
+from mocap_ros.recordings.playback import PlaybackMessage, PlayedTopic, encode_sequence
 from mocap_ros.ros import player
 from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.ros.player import Player
@@ -46,7 +47,6 @@ from mocap_ros.ros.qos import choose_playback_profile
 from mocap_ros.ros.subscriptions import MAX_PUBLISHERS, InputSubscriptions, LostMessages
 from mocap_ros.ros.topics import SilenceMonitor
 from mocap_ros.runtime.outputs import OUTPUTS
-from mocap_ros.runtime.playback import PlaybackMessage, PlayedTopic, encode_sequence
 from mocap_ros.skeleton import CMU15
 from tests.support.pipeline_inputs import read_messages
 from tests.support.ros_node import TIMEOUT_S, Peer, StartNode, StartProgram, keypoints_at, stack_joints, stop_node

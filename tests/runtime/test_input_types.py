@@ -29,13 +29,13 @@ from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.foreign_types import HRI_SKELETON, OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS
 from mocap_ros.messages.input_types import ZED38, decode_body, decode_frame
 from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.recordings.load_keypoints import InputOptions, load_bag, load_input
+from mocap_ros.recordings.load_scene import SceneOptions, load_scene
 from mocap_ros.runtime.input_camera import SILENCE_S, InputCamera
-from mocap_ros.runtime.input_checks import MIN_BOX_IMAGES, UNUSABLE_S, describe_misspelt_joint
-from mocap_ros.runtime.load_keypoints import InputOptions, load_bag, load_input
-from mocap_ros.runtime.load_scene import SceneOptions, load_scene
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import KEYPOINT_LAYOUTS, keypoint_layout
+from mocap_ros.verdict.input_checks import MIN_BOX_IMAGES, UNUSABLE_S, describe_misspelt_joint
 from tests.support.camera_messages import camera_info, encode
 from tests.support.foreign_messages import (
     BASE_CONFIG,

@@ -36,9 +36,9 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.models.model_file import load_base_poses
-from mocap_ros.runtime.load_scene import SceneOptions, load_scene
+from mocap_ros.recordings.load_scene import SceneOptions, load_scene
+from mocap_ros.recordings.playback import Playback, encode_sequence
 from mocap_ros.runtime.pipeline import Pipeline
-from mocap_ros.runtime.playback import Playback, encode_sequence
 from mocap_ros.runtime.provenance import RECORDED_PACKAGES
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import CORE_COUNT

@@ -21,8 +21,8 @@ from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header, OutputMessage, decode
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION, SKELETONS, encode_skeleton_definition
+from mocap_ros.recordings.playback import encode_sequence
 from mocap_ros.runtime.pipeline import Pipeline
-from mocap_ros.runtime.playback import encode_sequence
 from mocap_ros.skeleton import CMU15, keypoint_layout
 from tests.support.camera_messages import camera_info, create_header, encode
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from mocap_ros.arrays import Array
 from mocap_ros.config import Config
-from mocap_ros.evaluation.metrics import scale_to_reference
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
@@ -23,6 +22,7 @@ from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Window
 from mocap_ros.tracking.track import Track
 from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.verdict.metrics import scale_to_reference
 
 # Rotation from the body frame (x forward, z up) to the optical frame of a camera that looks along x.
 BODY_TO_OPTICAL = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0.0]])

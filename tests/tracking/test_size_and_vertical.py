@@ -27,7 +27,7 @@ from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.solvers.vertical import MAX_STD_DEG
 from mocap_ros.tracking.body_size import ANKLE_SHARE, ANKLES, BodySize, FloorContact, assume_size
 from mocap_ros.tracking.tracker import Tracker
-from mocap_ros.tracking.vertical_check import LEAST_S, VerticalCheck
+from mocap_ros.verdict.vertical_check import LEAST_S, VerticalCheck
 from tests.support.bodies import STANDING, UPRIGHT, angles_deg, make_person_3d
 from tests.support.synthetic_walk import STEP_NS, make_walk, see
 

@@ -37,7 +37,7 @@ from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
 from mocap_ros.formats.video import VideoReader
 from mocap_ros.messages.images import IMAGE
-from mocap_ros.runtime.load_scene import read_images
+from mocap_ros.recordings.load_scene import read_images
 from mocap_ros.skeleton import CMU15
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing import live_page, plots

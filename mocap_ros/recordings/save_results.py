@@ -39,11 +39,11 @@ from mocap_ros.npz_file import write_npz
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
 from mocap_ros.offline.whole_sequence import MAX_GAP_S, SequenceResult
 from mocap_ros.people import CameraVertical, Motion, MotionKind, Person3D
+from mocap_ros.recordings.playback import DEFAULT_FRAME_ID
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OutputEncoder, build_skeleton_definition
-from mocap_ros.runtime.playback import DEFAULT_FRAME_ID
-from mocap_ros.runtime.summary import Summary
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.solvers.observed_window import ObservedWindow
+from mocap_ros.verdict.summary import Summary
 
 ONE_FILE = RecorderConfig(min_free_mb=0, split_seconds=0.0)  # of a bag that is written as a single file
 DEFAULT_PERSON_ID = 'person_1'  # id in the messages of a bag, if the sequence does not name its person

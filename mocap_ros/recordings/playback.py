@@ -17,7 +17,7 @@ from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, encode_camera_info
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
-from mocap_ros.runtime.load_keypoints import load_sequence_file
+from mocap_ros.recordings.load_keypoints import load_sequence_file
 
 DEFAULT_FRAME_ID = 'camera'  # header.frame_id of sequences that do not name their camera
 CAMERA_INFO_TOPIC = 'camera_info'  # the name on which the node subscribes to CameraInfo

@@ -16,9 +16,9 @@ from scipy.stats import chi2
 
 from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
-from mocap_ros.evaluation import metrics
 from mocap_ros.models.joint_std import compute_joint_covariance
 from mocap_ros.skeleton import Skeleton
+from mocap_ros.verdict import metrics
 
 SHARES = (0.68, 0.95)  # p: as many errors are within one and two standard deviations of one dimension
 HIPS = ('lhip', 'rhip')  # between which the root is

@@ -37,12 +37,12 @@ from mocap_ros.messages.camera_info import (
 )
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.offline.whole_sequence import MAX_GAP_S
-from mocap_ros.runtime.detection import ShowProgress, detect_in_video
+from mocap_ros.recordings.detection import ShowProgress, detect_in_video
+from mocap_ros.recordings.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.input_camera import FROM_VIDEO, GIVEN, find_turns
-from mocap_ros.runtime.input_checks import WITHOUT_KEYPOINTS, describe_misspelt_joint, describe_unusable_distortion
-from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 from mocap_ros.units import NS_PER_S
+from mocap_ros.verdict.input_checks import WITHOUT_KEYPOINTS, describe_misspelt_joint, describe_unusable_distortion
 
 RESTART_S = 1.0  # s; messages are at most so late, and an older one begins a new run of the clock
 MIN_RUN_SHARE = 0.1  # 1; share of the images that the longest run of the clock must have

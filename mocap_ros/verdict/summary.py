@@ -3,7 +3,7 @@
 
 """What a reconstruction rests on, in numbers and one line: who was seen, the fit, the focal length, the vertical.
 
-`summarise` makes it of whole recordings and `RunSummary` of images that follow one another; `evaluation.verdict`
+`summarise` makes it of whole recordings and `RunSummary` of images that follow one another; `plausibility`
 judges both.
 """
 
@@ -19,7 +19,20 @@ import numpy as np
 from mocap_ros.arrays import Array
 from mocap_ros.bags.journal import Verdict
 from mocap_ros.config import Config
-from mocap_ros.evaluation.verdict import (
+from mocap_ros.formats.sequence_file import KeypointSequence
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.level import MAX_CERTAIN_STD
+from mocap_ros.keypoints.joint_map import build_joint_map
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.keypoints.validation import MAX_SHARE_OUTSIDE, PointPlaces
+from mocap_ros.messages.skeletons import RecordedPerson
+from mocap_ros.models.model_file import load_shipped_lifter
+from mocap_ros.offline.whole_sequence import SequenceResult
+from mocap_ros.people import CameraVertical, Person3D
+from mocap_ros.skeleton import CMU15, CORE_COUNT, skeleton_from_joints
+from mocap_ros.solvers.vertical import read_given_vertical
+from mocap_ros.units import NS_PER_S
+from mocap_ros.verdict.plausibility import (
     LOOK_S,
     MAX_STRETCHES,
     MIN_FRAMES,
@@ -38,19 +51,6 @@ from mocap_ros.evaluation.verdict import (
     make_stretch,
     measure_uncertainty,
 )
-from mocap_ros.formats.sequence_file import KeypointSequence
-from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.level import MAX_CERTAIN_STD
-from mocap_ros.keypoints.joint_map import build_joint_map
-from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import MAX_SHARE_OUTSIDE, PointPlaces
-from mocap_ros.messages.skeletons import RecordedPerson
-from mocap_ros.models.model_file import load_shipped_lifter
-from mocap_ros.offline.whole_sequence import SequenceResult
-from mocap_ros.people import CameraVertical, Person3D
-from mocap_ros.skeleton import CMU15, CORE_COUNT, skeleton_from_joints
-from mocap_ros.solvers.vertical import read_given_vertical
-from mocap_ros.units import NS_PER_S
 
 NOT_JUDGED = Judgement(Grade.GOOD, Fault.UNKNOWN)
 MAX_JUDGED_PEOPLE = 3  # of a recording; those who come first in the input
@@ -238,7 +238,7 @@ def find_same_person(last: Person2D, detections: Sequence[Person2D]) -> Person2D
 class RunSummary:
     """Summary of the images of one camera so far; `judgement` is that of its last part, as of the last image.
 
-    Every few seconds the points of one person are collected for a stretch of `evaluation.verdict`. One of its
+    Every few seconds the points of one person are collected for a stretch of `plausibility`. One of its
     readings is measured at each call of `advance_judgement`, so that no image waits for all of them.
     """
 

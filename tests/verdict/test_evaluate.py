@@ -15,14 +15,22 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError
-from mocap_ros.evaluation import metrics, verdict
-from mocap_ros.evaluation.coverage import compute_coverage
-from mocap_ros.evaluation.evaluate import Evaluation, evaluate
-from mocap_ros.evaluation.verdict import GIVEN, MIRROR_IMAGE, Fault, Grade, Judgement, Reading, list_readings
 from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.models.model_file import load_shipped_lifter
 from mocap_ros.skeleton import CMU15, keypoint_layout
+from mocap_ros.verdict import metrics, plausibility
+from mocap_ros.verdict.coverage import compute_coverage
+from mocap_ros.verdict.errors_of_result import Evaluation, evaluate
+from mocap_ros.verdict.plausibility import (
+    GIVEN,
+    MIRROR_IMAGE,
+    Fault,
+    Grade,
+    Judgement,
+    Reading,
+    list_readings,
+)
 from tests.support.bodies import make_swinging_body
 
 FRAMES = 20
@@ -211,10 +219,10 @@ def judge_sequence(
     upward = None if vertical is None else np.array(vertical)
     lifter = load_shipped_lifter()
     parts = [
-        {r: verdict.measure_uncertainty(stretch, r, lifter, 0.1) for r in list_readings(stretch)}
-        for stretch in verdict.cut_stretches(*given, upward)
+        {r: plausibility.measure_uncertainty(stretch, r, lifter, 0.1) for r in list_readings(stretch)}
+        for stretch in plausibility.cut_stretches(*given, upward)
     ]
-    return verdict.judge(verdict.average(parts), share)
+    return plausibility.judge(plausibility.average(parts), share)
 
 
 @pytest.mark.parametrize(
@@ -247,13 +255,13 @@ def test_points_are_judged_by_the_lifter(sequence: KeypointSequence, share: floa
 def test_left_and_right_are_judged_by_whole_bodies(hidden: tuple[str, ...], *, is_judged: bool) -> None:
     keypoints = WALK.keypoints.copy()
     keypoints[:, [joint.endswith(hidden) for joint in COCO17.joints], 2] = 0
-    readings = list_readings(verdict.Stretch(keypoints, COCO17.joints, WALK.timestamps))
-    assert set(readings) >= {GIVEN, *verdict.TURNED}
-    assert set(verdict.MIRRORED) & set(readings) == (set(verdict.MIRRORED) if is_judged else set())
+    readings = list_readings(plausibility.Stretch(keypoints, COCO17.joints, WALK.timestamps))
+    assert set(readings) >= {GIVEN, *plausibility.TURNED}
+    assert set(plausibility.MIRRORED) & set(readings) == (set(plausibility.MIRRORED) if is_judged else set())
     uncertainty = dict.fromkeys(readings, -1.5) | {Reading(turns=2): -1.9, MIRROR_IMAGE: -1.3}
     if not is_judged:
         del uncertainty[MIRROR_IMAGE]
-    assert verdict.judge(uncertainty, 0.02) == Judgement(Grade.WRONG, Fault.TURNED)
+    assert plausibility.judge(uncertainty, 0.02) == Judgement(Grade.WRONG, Fault.TURNED)
 
 
 def test_a_turned_camera_whose_vertical_is_given_is_sound() -> None:
@@ -282,10 +290,10 @@ def test_a_turned_camera_whose_vertical_is_given_is_sound() -> None:
 def test_only_clear_differences_count(
     mirrored: float, layout: float, share: float, size: Grade, is_backwards: bool, expected: Judgement
 ) -> None:
-    stretch = verdict.Stretch(WALK.keypoints, COCO17.joints, WALK.timestamps)
+    stretch = plausibility.Stretch(WALK.keypoints, COCO17.joints, WALK.timestamps)
     uncertainty = dict.fromkeys(list_readings(stretch), -1.5)
     uncertainty |= {GIVEN: -2.3, MIRROR_IMAGE: mirrored, Reading('h36m17'): layout}
-    assert verdict.judge(uncertainty, share, size, is_backwards=is_backwards) == expected
+    assert plausibility.judge(uncertainty, share, size, is_backwards=is_backwards) == expected
 
 
 def test_exchanged_sides_show_under_a_vertical_that_is_given() -> None:
@@ -312,7 +320,7 @@ def test_exchanged_sides_show_under_a_vertical_that_is_given() -> None:
     ],
 )
 def test_who_walks_backwards_faces_away(turn: float, speed: float, has_strides: bool, expected: bool) -> None:
-    walk, body = verdict.Walk(), np.zeros((15, 3))
+    walk, body = plausibility.Walk(), np.zeros((15, 3))
     place = {'lhip': (0.1, 0.0), 'rhip': (-0.1, 0.0), 'lshoulder': (0.2, -0.5), 'rshoulder': (-0.2, -0.5)}
     for name, (across, height) in place.items():  # faces the camera, or is turned away from it
         body[CMU15.index(name)] = across * np.cos(turn), height, across * np.sin(turn)

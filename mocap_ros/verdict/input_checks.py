@@ -3,7 +3,7 @@
 
 """Mistakes in valid input, each described in words once: what is suspicious, and what to check.
 
-A vertical that people contradict is suspected once they do so for seconds (`tracking/vertical_check.py`); misspelt
+A vertical that people contradict is suspected once they do so for seconds (`verdict/vertical_check.py`); misspelt
 names of joints, distortions without an inverse, stamps that are those of no camera, and a camera without a
 calibration are certain. Whether the points fit their layout and the image, `summary.RunSummary` judges.
 """
@@ -28,8 +28,8 @@ from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15, KNOWN_JOINTS, canonical_joint_names
 from mocap_ros.solvers.vertical import AUTO, NONE
 from mocap_ros.tracking.tracker import Tracker
-from mocap_ros.tracking.vertical_check import VerticalCheck
 from mocap_ros.units import NS_PER_S
+from mocap_ros.verdict.vertical_check import VerticalCheck
 
 # s; a CameraInfo comes within it, if at all: publishers send it with every image
 CALIBRATION_WAIT_S = 2.5

@@ -38,15 +38,21 @@ from mocap_ros.messages.skeletons import RecordedPerson, RecordedSkeletons
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.whole_sequence import Report, describe_height_faults
 from mocap_ros.people import CameraVertical, MotionKind
+from mocap_ros.recordings.input_kind import (
+    KEYPOINT_FORMATS,
+    KEYPOINT_KINDS,
+    InputKind,
+    find_input_kind,
+    require_kind,
+)
+from mocap_ros.recordings.load_keypoints import InputOptions, load_bag, load_people
+from mocap_ros.recordings.load_results import RecordedPeople, find_skeletons_topic, holds_result, load_result
+from mocap_ros.recordings.reconstruct import reconstruct_people
 from mocap_ros.runtime.frame_assembly import is_stamp_missing
 from mocap_ros.runtime.input_camera import KNOWN
-from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, find_input_kind, require_kind
-from mocap_ros.runtime.load_keypoints import InputOptions, load_bag, load_people
-from mocap_ros.runtime.load_results import RecordedPeople, find_skeletons_topic, holds_result, load_result
-from mocap_ros.runtime.summary import WRONG, RunSummary, summarise
-from mocap_ros.runtime.whole_recording import reconstruct_people
 from mocap_ros.skeleton import CMU15, Skeleton, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
+from mocap_ros.verdict.summary import WRONG, RunSummary, summarise
 from mocap_ros.viewing.overlay import StampedImage
 from mocap_ros.viewing.scene import Mark, Scene, SceneKeypoints, ScenePerson
 

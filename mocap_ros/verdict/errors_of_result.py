@@ -14,8 +14,8 @@ import numpy as np
 
 from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
-from mocap_ros.evaluation import metrics
 from mocap_ros.skeleton import Skeleton
+from mocap_ros.verdict import metrics
 
 MIN_PERSON_SIZE_M = 0.01  # m; a smaller truth is a single point, against which no pose can be compared
 MAX_PERSON_SIZE_M = 10.0  # m; a larger truth is probably in mm

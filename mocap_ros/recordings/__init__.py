@@ -1,4 +1,4 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Errors of a reconstruction against the truth."""
+"""Recordings as a whole: files in, people out."""

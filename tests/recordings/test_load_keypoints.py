@@ -37,11 +37,11 @@ from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
 from mocap_ros.offline.whole_sequence import find_frames_in_sight
-from mocap_ros.runtime import detection
-from mocap_ros.runtime.detection import detect_in_video, name_people
+from mocap_ros.recordings import detection
+from mocap_ros.recordings.detection import detect_in_video, name_people
+from mocap_ros.recordings.input_kind import InputKind, find_input_kind
+from mocap_ros.recordings.load_keypoints import InputOptions, load_input
 from mocap_ros.runtime.frame_assembly import FrameAssembler
-from mocap_ros.runtime.input_kind import InputKind, find_input_kind
-from mocap_ros.runtime.load_keypoints import InputOptions, load_input
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import CORE_COUNT, keypoint_layout

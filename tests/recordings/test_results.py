@@ -30,16 +30,16 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.people import Motion, MotionKind, Person3D
-from mocap_ros.runtime import save_results
+from mocap_ros.recordings import save_results
+from mocap_ros.recordings.load_keypoints import InputOptions
+from mocap_ros.recordings.load_results import holds_result, load_result
+from mocap_ros.recordings.load_scene import SceneOptions, load_scene
+from mocap_ros.recordings.playback import DEFAULT_FRAME_ID
 from mocap_ros.runtime.appearances import AppearanceLog
-from mocap_ros.runtime.load_keypoints import InputOptions
-from mocap_ros.runtime.load_results import holds_result, load_result
-from mocap_ros.runtime.load_scene import SceneOptions, load_scene
-from mocap_ros.runtime.playback import DEFAULT_FRAME_ID
 from mocap_ros.runtime.replay import ReplayOptions, replay
-from mocap_ros.runtime.summary import summarise
 from mocap_ros.skeleton import BODY26, CMU15
 from mocap_ros.units import NS_PER_S
+from mocap_ros.verdict.summary import summarise
 from tests.support.bodies import make_person_3d
 from tests.support.camera_messages import encode
 from tests.support.input_files import FRAMES, Z_UP_TO_Y_UP, make_walker
