@@ -33,9 +33,10 @@ from tqdm import tqdm
 import mocap_ros
 from mocap_ros.config import TrackerConfig
 from mocap_ros.formats.mocap.trials import Trial, load_trials, select_trials
-from mocap_ros.formats.sequence_file import create_intrinsics, load_sequence
+from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
+from mocap_ros.keypoints.keypoint_sequence import create_intrinsics
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mocap_ros.api.base_poses import BasePoses
     from mocap_ros.api.evaluate import evaluate
     from mocap_ros.api.files import read, write
-    from mocap_ros.api.reconstruct import PoseSequence, reconstruct
+    from mocap_ros.api.reconstruct import reconstruct
     from mocap_ros.api.tracker import Tracker
     from mocap_ros.config import Config
     from mocap_ros.errors import (
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
         RecordingError,
         SkeletonError,
     )
-    from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence
-    from mocap_ros.people import Motion, MotionKind, Person3D
+    from mocap_ros.keypoints.keypoint_sequence import GroundTruth, KeypointSequence
+    from mocap_ros.people import Motion, MotionKind, Person3D, PoseSequence
     from mocap_ros.verdict.errors_of_result import Evaluation
 
 __all__ = [
@@ -69,7 +69,7 @@ _MODULES = {
     'mocap_ros.api.base_poses': ('BasePoses',),
     'mocap_ros.api.evaluate': ('evaluate',),
     'mocap_ros.api.files': ('read', 'write'),
-    'mocap_ros.api.reconstruct': ('PoseSequence', 'reconstruct'),
+    'mocap_ros.api.reconstruct': ('reconstruct',),
     'mocap_ros.api.tracker': ('Tracker',),
     'mocap_ros.config': ('Config',),
     'mocap_ros.errors': (
@@ -82,8 +82,8 @@ _MODULES = {
         'SkeletonError',
     ),
     'mocap_ros.verdict.errors_of_result': ('Evaluation',),
-    'mocap_ros.formats.sequence_file': ('GroundTruth', 'KeypointSequence'),
-    'mocap_ros.people': ('Motion', 'MotionKind', 'Person3D'),
+    'mocap_ros.keypoints.keypoint_sequence': ('GroundTruth', 'KeypointSequence'),
+    'mocap_ros.people': ('Motion', 'MotionKind', 'Person3D', 'PoseSequence'),
 }
 
 if not TYPE_CHECKING:  # type checkers know the names from above, and so report names that do not exist

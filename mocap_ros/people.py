@@ -1,21 +1,24 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A reconstructed person in 3D, and the kind of motion that the person is in."""
+"""People in 3D: those of one frame, and one person over time; and the kind of motion that they are in."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.arrays import Array
-from mocap_ros.skeleton import CMU15, CORE_COUNT, Skeleton
-
-HIPS = CMU15.index('lhip'), CMU15.index('rhip')  # joints between which the root is
+from mocap_ros.arrays import Array, Mask
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence, describe_frames
+from mocap_ros.skeleton import CMU15, CORE_COUNT, HIPS, Skeleton
+from mocap_ros.summary import Summary
+from mocap_ros.units import NS_PER_S
 
 
 class MotionKind(IntEnum):
@@ -157,3 +160,183 @@ class PredictedPerson:
     def root(self) -> Array:
         """(3,) m, midway between the hips."""
         return np.asarray((self.joints[HIPS[0]] + self.joints[HIPS[1]]) / 2)
+
+
+# The shapes of the columns of a `PoseSequence` that may be unknown, after that of its F frames and, where the last
+# is true, J joints; and what they are filled with.
+_COLUMNS: dict[str, tuple[tuple[int, ...], float, bool]] = {
+    'rotation': ((3, 3), np.nan, False),
+    'joint_std': ((), np.nan, True),
+    'joint_orientation': ((4,), np.nan, True),
+    'turn_inferred': ((), True, True),
+    'root_covariance': ((3, 3), np.nan, False),
+    'contact': ((2,), np.nan, False),
+    'vertical': ((3,), np.nan, False),
+    'vertical_std': ((), np.nan, False),
+    'motion': ((), MotionKind.UNKNOWN, False),
+    'cadence': ((), np.nan, False),
+    'predicted': ((), False, False),
+    'tentative': ((), False, False),
+    'weights': ((0,), np.nan, False),
+}
+
+
+UNKNOWN_COLUMN: NDArray[Any] = np.empty(0)  # stands for a column of which nothing is known
+
+
+def _leave_unknown() -> NDArray[Any]:
+    return UNKNOWN_COLUMN
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PoseSequence:
+    """One person's 3D poses over time, as `mocap_ros.reconstruct` returns and result files and bags hold them.
+
+    F frames, J = 26 joints of the layout `body26` (15 of `cmu15` with `tracker.skeleton: cmu15`, or by the method
+    `keyframes`), K base poses. Coordinates are in metres in the camera's optical frame: x to the right, y down, z
+    forward. NaN where something is not known.
+
+    Attributes:
+        id: name of the person; empty where there is none.
+        times: (F,) s, times of the frames.
+        skeleton: names and tree of the joints.
+        joints: (F, J, 3) m, positions of the joints; NaN in frames in which the person was out of sight.
+        inferred: (F, J) True where the joint was not seen in the image, so that the model inferred it.
+        reprojection_residual: (F,) px, RMS reprojection error over the seen joints; NaN in frames without any.
+        intrinsics: of the camera.
+        rotation: (F, 3, 3) rotation from the body frame (x forward, y left, z up) to the camera's optical frame.
+        joint_std: (F, J) m, standard deviation of each joint in the body.
+        joint_orientation: (F, J, 4) quaternions x, y, z, w of the body segment that turns about each joint, to the
+            optical frame. If a person stands upright with hanging arms, the axes of all segments are x forward, y
+            left and z up. Successive quaternions do not change their sign. NaN where the joints are, or with the
+            method `keyframes`.
+        turn_inferred: (F, J) True where the image does not show how that segment is turned about its own axis z.
+        root_covariance: (F, 3, 3) m^2, covariance of the place between the hips.
+        contact: (F, 2) probabilities that the left and the right foot stand; NaN as the joints, where the image
+            shows nothing of it, or with the method `keyframes`.
+        vertical: (F, 3) unit vectors upwards in the camera's optical frame.
+        vertical_std: (F,) rad, standard deviations of the direction of `vertical`.
+        motion: (F,) kind of motion, a `MotionKind`.
+        cadence: (F,) Hz, full cycles; NaN for motion that is not periodic.
+        predicted: (F,) True where the person was not detected.
+        tentative: (F,) True where the person had been seen too shortly to be certain.
+        world_from_camera: (4, 4) transform in m from the optical frame to a world: z up, the floor at z = 0, x
+            where the person looks first, the origin below the first pelvis.
+        floor_std: m, standard deviation of the height of the camera over that floor; NaN where no standing feet
+            showed it, so that the lowest joints are the floor.
+        body_height: m, the stature by which metres are measured.
+        base_poses: name of the base poses that were used, such as `walk`, or the path of their file.
+        weights: (F, K) m, weights of the base poses.
+        success: True if the solver converged.
+        message: why the solver stopped, as a sentence.
+        iterations: number of iterations of the solver.
+        cost: final value of the objective, m^2.
+        sequence: the keypoints that were reconstructed; None where they are not stored.
+        summary: what the poses rest on, and whether the input is `good`, `doubtful` or `wrong` (`grade`); as text,
+            the line that the commands print. None where it is not known.
+        recorded_ns: (F,) times in ns, where they are known more exactly than in s, or empty.
+    """
+
+    id: str
+    times: Array
+    skeleton: Skeleton
+    joints: Array
+    inferred: Mask
+    reprojection_residual: Array
+    intrinsics: Intrinsics
+    rotation: Array = field(default_factory=_leave_unknown)
+    joint_std: Array = field(default_factory=_leave_unknown)
+    joint_orientation: Array = field(default_factory=_leave_unknown)
+    turn_inferred: Mask = field(default_factory=_leave_unknown)
+    root_covariance: Array = field(default_factory=_leave_unknown)
+    contact: Array = field(default_factory=_leave_unknown)
+    vertical: Array = field(default_factory=_leave_unknown)
+    vertical_std: Array = field(default_factory=_leave_unknown)
+    motion: NDArray[np.uint8] = field(default_factory=_leave_unknown)
+    cadence: Array = field(default_factory=_leave_unknown)
+    predicted: Mask = field(default_factory=_leave_unknown)
+    tentative: Mask = field(default_factory=_leave_unknown)
+    world_from_camera: Array = field(default_factory=lambda: _unknown(4, 4))
+    floor_std: float = math.nan
+    body_height: float = math.nan
+    base_poses: str = ''
+    weights: Array = field(default_factory=_leave_unknown)
+    success: bool = True
+    message: str = ''
+    iterations: int = 0
+    cost: float = math.nan
+    sequence: KeypointSequence | None = None
+    summary: Summary | None = None
+    recorded_ns: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, (shape, value, is_of_joints) in _COLUMNS.items():
+            if getattr(self, name) is UNKNOWN_COLUMN:
+                frames = self.inferred.shape if is_of_joints else self.inferred.shape[:1]
+                kind = np.uint8 if isinstance(value, MotionKind) else type(value)
+                object.__setattr__(self, name, np.full((*frames, *shape), value, kind))
+
+    def __len__(self) -> int:
+        """Return the number of frames F."""
+        return len(self.times)
+
+    def __repr__(self) -> str:
+        words = f'PoseSequence: {describe_frames(self.times)}, {len(self.joint_names)} joints '
+        words += f'({self.inferred.mean():.0%} inferred)'
+        words += f', base poses {self.base_poses}' if self.base_poses else ''
+        if self.summary is not None:
+            words += f', residual {self.summary.residual_px:.2f} px, {self.summary.distance_m:.1f} m away'
+            words += '' if self.is_scale_known else ' by the nominal focal length'
+        return words if self.success else f'{words}. {self.message}'
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """(J,) names of the joints."""
+        return self.skeleton.joints
+
+    @property
+    def parents(self) -> tuple[int, ...]:
+        """(J,) index of each joint's parent, -1 for the root."""
+        return self.skeleton.parents
+
+    @property
+    def core(self) -> Array:
+        """(F, 15, 3) m, the joints of `skeleton.CMU15`, without face, feet and hands."""
+        return self.joints[:, :CORE_COUNT]
+
+    @property
+    def is_scale_known(self) -> bool:
+        """True if the focal length was given; False if it is nominal, and the distances with it."""
+        return self.intrinsics.is_focal_known
+
+    @property
+    def scale(self) -> Array:
+        """(F,) px/m, scale of the weak-perspective camera."""
+        return np.asarray(self.intrinsics.focal / self.core.mean(axis=1)[:, 2])
+
+    @property
+    def translation(self) -> Array:
+        """(F, 2) px, image point of the mean of the joints of `skeleton.CMU15`."""
+        return self.intrinsics.project(self.core.mean(axis=1))
+
+    @property
+    def stamps_ns(self) -> list[int]:
+        """Times (F,) in ns."""
+        return list(self.recorded_ns) or [round(float(t) * NS_PER_S) for t in self.times]
+
+    @property
+    def in_sight(self) -> Mask:
+        """(F,) True in the frames that have a skeleton."""
+        return np.asarray(np.isfinite(self.joints).all(axis=(1, 2)))
+
+    @property
+    def camera_height(self) -> float | None:
+        """Height in m of the camera over the floor; None where nothing shows it."""
+        return float(self.world_from_camera[2, 3]) if math.isfinite(self.floor_std) else None
+
+    def select(self, frames: Mask) -> PoseSequence:
+        """Return these frames alone, without the keypoints."""
+        columns = ('times', 'joints', 'inferred', 'reprojection_residual', *_COLUMNS)
+        stamps = tuple(np.array(self.recorded_ns)[frames].tolist()) if self.recorded_ns else ()
+        parts = {name: getattr(self, name)[frames] for name in columns}
+        return replace(self, recorded_ns=stamps, sequence=None, **parts)

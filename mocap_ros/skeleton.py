@@ -179,6 +179,7 @@ LAYOUT_NAMES = tuple(KEYPOINT_LAYOUTS)  # names of the known layouts, for messag
 CMU15 = KEYPOINT_LAYOUTS['cmu15']  # skeleton of the base poses and the solvers
 BODY26 = KEYPOINT_LAYOUTS['body26']  # skeleton of the lifter: that of the solvers, then face, feet and hands
 CORE_COUNT = len(CMU15.joints)  # joints; the first of `BODY26` are those of `CMU15`
+HIPS = CMU15.index('lhip'), CMU15.index('rhip')  # joints between which the root is
 EXTREMITY_COUNT = len(BODY26.joints) - CORE_COUNT  # joints; the others, of face, feet and hands
 
 # Words that name a side, and the letter of the side in canonical joint names.

@@ -19,8 +19,9 @@ from mocap_ros.arrays import Array
 from mocap_ros.config import Config, format_value, values, with_values
 from mocap_ros.errors import ConfigError, InputError, MocapError, ModelError, name_errors
 from mocap_ros.formats.npz_arrays import ArrayReader
-from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence, validate_camera, validate_sequence
+from mocap_ros.formats.sequence_file import validate_camera, validate_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.keypoint_sequence import GroundTruth, KeypointSequence
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import AUTO, check_base_poses, load_base_pose_models
 from mocap_ros.skeleton import keypoint_layout

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mocap_ros.api.arguments import read_array, read_joint_names, read_numbers, rename_errors
-from mocap_ros.api.reconstruct import PoseSequence
 from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
-from mocap_ros.formats.sequence_file import MAX_COORDINATE_M, GroundTruth, check_timestamps
-from mocap_ros.skeleton import BODY26, CMU15, canonical_joint_names, skeleton_from_joints
+from mocap_ros.formats.sequence_file import MAX_COORDINATE_M, check_timestamps
+from mocap_ros.keypoints.keypoint_sequence import GroundTruth
+from mocap_ros.people import PoseSequence
+from mocap_ros.skeleton import BODY26, CMU15, canonical_joint_names
 from mocap_ros.verdict import errors_of_result as evaluation
 
 
@@ -54,10 +55,13 @@ def evaluate(
         if times is not None:
             raise InputError('times: the PoseSequence has its own')
         result = joints
-        predicted, residual, frame_times = result.joints, result.residual, result.times
-        skeleton = skeleton_from_joints(result.joint_names)
-        truth = result.sequence.truth if truth is None else truth
-        names, scores = result.sequence.joint_names, result.sequence.keypoints[..., 2]
+        predicted, residual, frame_times = result.joints, result.reprojection_residual, result.times
+        skeleton = result.skeleton
+        names: tuple[str, ...] = ()
+        scores: Array | None = None
+        if result.sequence is not None:
+            truth = result.sequence.truth if truth is None else truth
+            names, scores = result.sequence.joint_names, result.sequence.keypoints[..., 2]
     else:
         if limbs_only:
             raise InputError('limbs_only: needs a result of reconstruct, which knows the seen joints')

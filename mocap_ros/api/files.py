@@ -16,12 +16,13 @@ from mocap_ros.api.arguments import (
     read_number,
     read_path,
 )
-from mocap_ros.api.reconstruct import PoseSequence
 from mocap_ros.config import NodeConfig, format_value
 from mocap_ros.errors import InputError, name_errors
 from mocap_ros.formats.detections import HFOV_RANGE_DEG, MAX_FRAME_RATE_HZ, Video
-from mocap_ros.formats.sequence_file import KeypointSequence, make_camera_arrays, save_sequence
+from mocap_ros.formats.sequence_file import make_camera_arrays, save_sequence
 from mocap_ros.formats.text_files import replace_output
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
+from mocap_ros.people import PoseSequence
 from mocap_ros.recordings import save_results
 from mocap_ros.recordings.load_keypoints import InputOptions, load_input
 from mocap_ros.skeleton import keypoint_layout
@@ -123,7 +124,7 @@ def write(path: str | Path, result: PoseSequence | KeypointSequence) -> None:
         raise InputError(f'path: {path}: unknown file type; expected {", ".join(suffixes)}')
     with replace_output(path) as unfinished:
         if isinstance(result, PoseSequence):
-            save_results.save(unfinished, result._reconstruction)
+            save_results.save(unfinished, result)
         else:
             save_sequence(unfinished, check_sequence(result))
             if result.calibration is not None and make_camera_arrays(result)[0] is None:

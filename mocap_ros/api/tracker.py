@@ -27,8 +27,9 @@ from mocap_ros.api.arguments import (
 )
 from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError, name_errors
-from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, check_timestamps, create_intrinsics
+from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, check_timestamps
 from mocap_ros.keypoints.joint_map import build_joint_map
+from mocap_ros.keypoints.keypoint_sequence import create_intrinsics
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import (
     MAX_METRES,

@@ -15,30 +15,31 @@ import math
 import os
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
 from upath import UPath
 
-from mocap_ros import Config, KeypointSequence, MocapError, reconstruct, write
+from mocap_ros import Config, MocapError
 from mocap_ros.bags.reader import Bag
 from mocap_ros.batch.recordings import Recording, list_files
 from mocap_ros.config import to_yaml, with_values
 from mocap_ros.formats.detections import Video
-from mocap_ros.formats.sequence_file import extract_observations
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.offline.keyframes.keyframe_method import find_keyframes, observe_plausible_points
 from mocap_ros.recordings.input_kind import BAG_FORMATS, InputKind, find_input_kind, require_kind
 from mocap_ros.recordings.load_keypoints import OPTIONS_BY_KIND, InputOptions, load_input
-from mocap_ros.recordings.save_results import format_yaml
+from mocap_ros.recordings.reconstruct import ReconstructionOptions, reconstruct
+from mocap_ros.recordings.save_keyframes import describe_keyframes
+from mocap_ros.recordings.save_results import save
 from mocap_ros.runtime.cpu_setup import configure_process
 from mocap_ros.runtime.provenance import provenance_attachments
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing import plots
-from mocap_ros.viewing.keyframe_plots import draw_distances_figure, draw_keyframes_figure
 
 RESULTS = 'results'  # folder of the results, below that of the run
 RECORDS = 'records'  # folder of what is known of each result
@@ -156,26 +157,24 @@ def _replay(path: Path, result: Path, settings: Settings) -> list[Row]:
 
 
 def _reconstruct(path: Path, result: Path, settings: Settings) -> list[Row]:
-    sequence, row, notes = _load(path, settings)
-    poses = reconstruct(sequence, parameters=settings.parameters)
-    write(f'{result}{settings.suffix}', poses)
-    summary = poses.summary
-    row |= {'grade': summary.grade, 'note': '; '.join((str(summary), *notes))}
-    return [{**row, 'residual_px': _drop_nan(summary.residual_px)}]
+    config = settings.parameters
+    models = load_base_pose_models(config.tracker.model)
+    recording = reconstruct(path, ReconstructionOptions(config, models, _choose_reading(path, settings)))
+    (poses,) = recording.people
+    save(Path(f'{result}{settings.suffix}'), poses)
+    row = _describe(poses.id, poses.stamps_ns, settings)
+    row['residual_px'] = _drop_nan(float(np.nanmean(poses.reprojection_residual)))
+    summary = recording.summary
+    return [{**row, 'grade': summary.grade, 'note': '; '.join((str(summary), *recording.notes))}]
 
 
 def _find_keyframes(path: Path, result: Path, settings: Settings) -> list[Row]:
-    config = settings.parameters
-    sequence, row, notes = _load(path, settings)
-    observations = extract_observations(sequence, config.tracker.nominal_focal_length)
-    observed = observe_plausible_points(*observations, config.tracker)
-    keyframes = find_keyframes(observed, config.keyframes)
-    listed = format_yaml(observed, keyframes, plots.make_printable(path.name), sequence.stamps_ns[0])
-    Path(f'{result}.yaml').write_text(listed, encoding='utf-8')
-    plots.save_figure(draw_keyframes_figure(observed, keyframes, path.name), Path(f'{result}.png'))
-    distances = draw_distances_figure(observed, keyframes, config.keyframes.beta, path.name)
-    plots.save_figure(distances, Path(f'{result}_distances.png'))
-    return [{**row, 'note': '; '.join(notes)}]
+    sequence, notes = load_input(path, _choose_reading(path, settings))
+    found = describe_keyframes(sequence, path.name, settings.parameters)
+    Path(f'{result}.yaml').write_text(found.listed, encoding='utf-8')
+    plots.save_figure(found.poses, Path(f'{result}.png'))
+    plots.save_figure(found.distances, Path(f'{result}_distances.png'))
+    return [{**_describe(sequence.person_id, sequence.stamps_ns, settings), 'note': '; '.join(notes)}]
 
 
 # What is done with a recording: functions that get its path, that of the result without a suffix, and settings,
@@ -183,26 +182,28 @@ def _find_keyframes(path: Path, result: Path, settings: Settings) -> list[Row]:
 WORK = {'replay': _replay, 'reconstruct': _reconstruct, 'keyframes': _find_keyframes}
 
 
-def _load(path: Path, settings: Settings) -> tuple[KeypointSequence, Row, list[str]]:
-    """Load the person who is seen most; return also what the table has of a sequence, and notes on the input."""
+def _choose_reading(path: Path, settings: Settings) -> InputOptions:
+    """Return how a recording is read, without what does not apply to its kind."""
     config, kind = settings.parameters, find_input_kind(path)
     used = ('--hfov', '--focal', *OPTIONS_BY_KIND.get(kind, ()))
     video = {
         name: value for name, value in asdict(settings.video).items() if f'--{name.replace("_", "-")}' in used
     }
     topics = (settings.options.topic, settings.options.camera_info) if kind is InputKind.BAG else (None, None)
-    options = InputOptions(Video(**video), config.node, None, *topics, tracker=config.tracker)
-    sequence, notes = load_input(path, options)
-    start_ns, *_, end_ns = map(int, sequence.stamps_ns)
-    row = {
-        'person': sequence.person_id or '',
+    return InputOptions(Video(**video), config.node, None, *topics, tracker=config.tracker)
+
+
+def _describe(person: str, stamps_ns: Sequence[int], settings: Settings) -> Row:
+    """Return what the table has of the keypoints of a person."""
+    start_ns, *_, end_ns = map(int, stamps_ns)
+    return {
+        'person': person,
         'from_ns': start_ns,
         'to_ns': end_ns,
         'unknown_s': (end_ns - start_ns) / NS_PER_S,
-        'bag_frames': len(sequence),
-        'configuration': _compute_key(to_yaml(config))[:KEY_DIGITS],
+        'bag_frames': len(stamps_ns),
+        'configuration': _compute_key(to_yaml(settings.parameters))[:KEY_DIGITS],
     }
-    return sequence, row, notes
 
 
 def _drop_nan(value: float) -> float | None:

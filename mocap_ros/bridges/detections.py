@@ -13,7 +13,7 @@ import numpy as np
 from mocap_ros.arrays import Array
 from mocap_ros.bridges.seen import FLESH_M, People
 from mocap_ros.geometry.rigid_transform import NO_ROTATION
-from mocap_ros.people import HIPS
+from mocap_ros.skeleton import HIPS
 
 
 def convert_detections(people: People) -> dict[str, Any]:

@@ -23,13 +23,13 @@ import numpy as np
 
 from mocap_ros.cli.options import Options, option
 from mocap_ros.cli.terminal import print_result, show_progress
-from mocap_ros.config import Config
 from mocap_ros.demo.scene import motion_name_at
 from mocap_ros.errors import MocapError
-from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence
 from mocap_ros.formats.text_files import replace_output
+from mocap_ros.keypoints.keypoint_sequence import GroundTruth, KeypointSequence
+from mocap_ros.recordings.build_scene import build_scene, select_true_joints
 from mocap_ros.recordings.load_keypoints import load_sequence_file
-from mocap_ros.recordings.load_scene import SceneOptions, load_scene, select_true_joints
+from mocap_ros.recordings.load_results import load_recording
 from mocap_ros.recordings.playback import Playback
 from mocap_ros.verdict import metrics
 from mocap_ros.viewing import plots
@@ -142,8 +142,7 @@ def _run_node(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
 
 def load_demo_scene(bag: Path, sequence: KeypointSequence) -> Scene:
     """Return what is drawn of a bag that the node recorded, with the truth of the sequence played to it."""
-    scene, _ = load_scene(bag, SceneOptions(Config(), models={}))
-    scene = replace(scene, title=TITLE)
+    scene = build_scene(TITLE, load_recording(bag))
     if sequence.truth is None:
         return scene
     truth = select_true_joints(sequence.truth.joints, sequence.truth.joint_names, scene.skeleton)

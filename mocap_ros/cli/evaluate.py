@@ -20,13 +20,16 @@ from mocap_ros.cli.inputs import MODEL_OPTIONS, list_sources, load_models, name_
 from mocap_ros.cli.options import CONFIG_OPTIONS, STRICT_OPTIONS, Options, load_config, option
 from mocap_ros.cli.terminal import ShareBar, print_note, print_result
 from mocap_ros.errors import InputError
-from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence, StoredResult, check_timestamps
+from mocap_ros.formats.sequence_file import check_timestamps
 from mocap_ros.formats.text_files import check_output, replace_output
+from mocap_ros.keypoints.keypoint_sequence import GroundTruth, KeypointSequence
 from mocap_ros.offline.whole_sequence import report_part
+from mocap_ros.people import PoseSequence
 from mocap_ros.recordings.input_kind import InputKind, require_kind
 from mocap_ros.recordings.load_keypoints import load_sequence_file
 from mocap_ros.recordings.load_results import load_result
-from mocap_ros.recordings.reconstruct import reconstruct_people
+from mocap_ros.recordings.reconstruct import ReconstructionOptions, reconstruct
+from mocap_ros.summary import Summary
 from mocap_ros.verdict.coverage import SHARES, compute_coverage
 from mocap_ros.verdict.errors_of_result import (
     MAX_PERSON_SIZE_M,
@@ -35,7 +38,6 @@ from mocap_ros.verdict.errors_of_result import (
     evaluate,
     measure_person_size,
 )
-from mocap_ros.verdict.summary import summarise
 
 # Columns of the table: key of the record, title, unit and number format.
 COLUMNS = (
@@ -98,19 +100,16 @@ def run(args: argparse.Namespace) -> int:
                 sequence = load_sequence_file(path) if args.truth else truths.setdefault(path, _load_truth(path))
                 start_s = time.perf_counter()
                 with name_file_in_errors(path):
-                    people, _ = reconstruct_people([sequence], models, config, part)
-                found = people[0].result
+                    recording = reconstruct([sequence], ReconstructionOptions(config, models), part)
+                (result,), summary = recording.people, recording.summary
                 timing = {'seconds': time.perf_counter() - start_s}
-                summary = summarise([sequence], [found], config)
-                if summary.reason:
+                if isinstance(summary, Summary) and summary.reason:
                     print_note(f'{path}: {summary}')
                 is_wrong |= summary.is_wrong
-                residual = found.solution.residual
-                result = StoredResult(sequence.timestamps, found.joints, found.seen, residual, found.skeleton)
             else:
                 options = {'--model': args.model, '--config': args.config, '--set': args.set}
                 _refuse_options(path, options, 'a result, which is compared as it is')
-                result, _ = load_result(path, args.person)
+                result = load_result(path, args.person)
                 if args.truth is None:
                     raise InputError(f'{path}: holds no truth; give the sequence file that does by --truth')
             with name_file_in_errors(path):
@@ -148,7 +147,7 @@ def _get_truth(sequence: KeypointSequence) -> GroundTruth:
     return sequence.truth
 
 
-def compare_with_truth(result: StoredResult, reference: KeypointSequence) -> tuple[dict[str, Any], str]:
+def compare_with_truth(result: PoseSequence, reference: KeypointSequence) -> tuple[dict[str, Any], str]:
     """Compare a result with the truth of a sequence in the frames whose times both have.
 
     Joints that are unknown in every frame of the truth are not compared. Of the frames, only those are compared in
@@ -176,15 +175,15 @@ def compare_with_truth(result: StoredResult, reference: KeypointSequence) -> tup
     errors = evaluate(
         joints,
         result.skeleton,
-        result.residual[frames],
+        result.reprojection_residual[frames],
         true_joints,
         truth.joint_names,
         estimate_frame_rate(result.times[frames]),
         times=reference.timestamps[reference_frames],
     )
     coverage: dict[str, float] = {}
-    if result.std is not None and result.root_covariance is not None:
-        std, covariance = result.std[frames], result.root_covariance[frames]
+    if np.isfinite(result.joint_std).any():
+        std, covariance = result.joint_std[frames], result.root_covariance[frames]
         coverage = compute_coverage(joints, std, covariance, result.skeleton, true_joints, truth.joint_names)
     return {**errors.as_dict(), **coverage}, warning
 

@@ -21,7 +21,8 @@ from mocap_ros.config import Config, Value
 from mocap_ros.errors import InputError, MocapError, name_errors
 from mocap_ros.formats.detections import HFOV_RANGE_DEG, Video
 from mocap_ros.formats.mocap.trials import MANIFEST_NAME, list_files
-from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX, KeypointSequence
+from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models, load_prior_lifter
 from mocap_ros.recordings.load_keypoints import InputOptions, load_people

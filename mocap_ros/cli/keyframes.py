@@ -12,14 +12,11 @@ from mocap_ros.cli.inputs import INPUT_OPTIONS, list_sources, load_sequences, na
 from mocap_ros.cli.options import CONFIG_OPTIONS, Options, derive_output_stem, load_config
 from mocap_ros.cli.terminal import print_result, show_stages
 from mocap_ros.errors import InputError
-from mocap_ros.formats.sequence_file import extract_observations
 from mocap_ros.formats.text_files import check_output, replace_output
-from mocap_ros.offline.keyframes.keyframe_method import find_keyframes, observe_plausible_points
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
-from mocap_ros.recordings.save_results import format_yaml, list_keyframe_entries
+from mocap_ros.recordings.save_keyframes import describe_keyframes, list_keyframe_entries
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.viewing import plots
-from mocap_ros.viewing.keyframe_plots import draw_distances_figure, draw_keyframes_figure
 
 MAX_PRINTED_SPANS = 6  # spans of a keyframe in its line of the table, so that the line fits a wide terminal
 
@@ -49,20 +46,13 @@ def run(args: argparse.Namespace) -> int:
         check_output(path, *sources)
     (sequence,) = load_sequences(args, config)
     with name_file_in_errors(args.input), show_stages() as set_stage:
-        set_stage('keypoints')
-        observations = extract_observations(sequence, config.tracker.nominal_focal_length)
-        observed = observe_plausible_points(*observations, config.tracker)
-        keyframes = find_keyframes(observed, config.keyframes, set_stage)
-        set_stage('pictures')
-        poses = draw_keyframes_figure(observed, keyframes, args.input.name)
-        distances = draw_distances_figure(observed, keyframes, config.keyframes.beta, args.input.name)
+        found = describe_keyframes(sequence, args.input.name, config, set_stage)
     with replace_output(output, *sources) as unfinished:
-        name, start_ns = plots.make_printable(args.input.name), sequence.stamps_ns[0]
-        unfinished.write_text(format_yaml(observed, keyframes, name, start_ns), encoding='utf-8')
-    for path, figure in zip(pictures, (poses, distances), strict=True):
+        unfinished.write_text(found.listed, encoding='utf-8')
+    for path, figure in zip(pictures, (found.poses, found.distances), strict=True):
         with replace_output(path, *sources) as unfinished:
             plots.save_figure(figure, unfinished)
-    print_table(observed, keyframes)
+    print_table(found.observed, found.keyframes)
     for path in (output, *pictures):
         print_result(path)
     return 0

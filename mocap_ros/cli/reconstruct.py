@@ -13,14 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_ros.arrays import Array
 from mocap_ros.cli.inputs import (
     INPUT_OPTIONS,
     MODEL_OPTIONS,
     list_sources,
     load_models,
-    load_sequences,
     name_file_in_errors,
+    read_input_options,
 )
 from mocap_ros.cli.options import CONFIG_OPTIONS, STRICT_OPTIONS, Options, derive_output_stem, load_config, option
 from mocap_ros.cli.terminal import ShareBar, finish, print_note, print_result, show_stages
@@ -28,20 +27,15 @@ from mocap_ros.config import Config, load_yaml, with_values
 from mocap_ros.errors import InputError
 from mocap_ros.formats.bvh import BLENDER_IMPORT
 from mocap_ros.formats.text_files import check_output, read_text, replace_output
-from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import average_vertical
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.keyframes.taylor import DepthChoice, parse_depth_choices
-from mocap_ros.offline.whole_sequence import (
-    Report,
-    SequenceResult,
-    describe_height_faults,
-    reconstruct_without_floor,
-)
+from mocap_ros.offline.whole_sequence import Report, Solved, solve_sequence
+from mocap_ros.people import PoseSequence
 from mocap_ros.recordings import save_results
-from mocap_ros.recordings.reconstruct import Method, reconstruct_people
-from mocap_ros.verdict.summary import summarise
+from mocap_ros.recordings.reconstruct import Method, ReconstructionOptions, reconstruct
 
 MAX_ENDING = 64  # characters of a person's id in the name of a file
 MAX_CHOICES_BYTES = 16 << 20  # bytes; guards against parsing a huge file as keyframes
@@ -87,32 +81,29 @@ def run(args: argparse.Namespace) -> int:
         config = with_values(config, {'tracker.camera_height': args.floor_height})
     sources = list_sources(args, config)
     _check_options(args, outputs, sources)
-    models = load_models(args, config)
-    sequences, endings = load_sequences(args, config, all_people=args.all_people), ['']
-    if args.all_people:
-        endings = choose_endings([sequence.person_id for sequence in sequences])
-    method, is_all_saved = _choose_method(args), True
+    options = ReconstructionOptions(
+        config,
+        load_models(args, config),
+        read_input_options(args, config),
+        max_people=None if args.all_people else 1,
+        method=_choose_method(args),
+    )
     with ShareBar('reconstruct') as report:
-        with name_file_in_errors(args.input):
-            people, notes = reconstruct_people(sequences, models, config, report, method)
-        for note in notes:
-            print_note(f'{args.input}: {note}')
-        found, results = [person.sequence for person in people], [person.result for person in people]
-        height = 'tracker.camera_height' if args.floor_height is None else '--floor-height'
-        for fault in describe_height_faults(results):
-            print_note(f'{args.input}: {height} {fault}')
-        for place, sequence, person_id, result in people:
-            summary = summarise([sequence], [result], config)
-            reconstructed = save_results.ReconstructedSequence(sequence, result, summary)
-            try:
-                _save(args, reconstructed, [add_ending(path, endings[place]) for path in outputs], sources)
-            except InputError as error:  # one whom a format cannot hold does not stop the others
-                if len(sequences) == 1:
-                    raise
-                print_note(f'{error} (person {person_id!r} is not saved)')
-                is_all_saved = False
-    if len(found) > 1:
-        summary = summarise(found, results, config)
+        recording = reconstruct(args.input, options, report)
+    for note in recording.notes:
+        named = note if args.floor_height is None else note.replace('tracker.camera_height', '--floor-height', 1)
+        print_note(named)
+    people, is_all_saved = recording.people, True
+    endings = choose_endings([poses.id for poses in people]) if args.all_people else ['']
+    for poses, ending in zip(people, endings, strict=True):
+        try:
+            _save(args, poses, [add_ending(path, ending) for path in outputs], sources)
+        except InputError as error:  # noqa: PERF203 # one whom a format cannot hold does not stop the others
+            if len(people) == 1:
+                raise
+            print_note(f'{error} (person {poses.id!r} is not saved)')
+            is_all_saved = False
+    summary = recording.summary
     return finish(args.input, summary, summary.is_wrong, is_strict=args.strict) or int(not is_all_saved)
 
 
@@ -152,41 +143,27 @@ def _choose_method(args: argparse.Namespace) -> Method:
         choices = parse_depth_choices(load_yaml(text, str(args.choices)), str(args.choices))
 
     def by_keyframes(
-        keypoints: Array,
-        names: tuple[str, ...],
-        times: Array,
-        camera: Intrinsics,
-        models: Mapping[str, BasePoses],
-        config: Config,
-        _: Report,
-    ) -> SequenceResult:
+        sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config, _: Report
+    ) -> Solved:
         with show_stages() as set_stage:
-            observed = keypoints, names, times, camera
-            return keyframe_method.reconstruct(*observed, models, config, choices, set_stage).result
+            return keyframe_method.reconstruct(sequence, models, config, choices, set_stage).solved
 
-    return by_keyframes if args.method == 'keyframes' else reconstruct_without_floor
+    return by_keyframes if args.method == 'keyframes' else solve_sequence
 
 
-def _save(
-    args: argparse.Namespace,
-    found: save_results.ReconstructedSequence,
-    outputs: Sequence[Path],
-    sources: Sequence[Path],
-) -> None:
+def _save(args: argparse.Namespace, poses: PoseSequence, outputs: Sequence[Path], sources: Sequence[Path]) -> None:
     """Write the files, put them in place when all of them are written, and print their names."""
     with ExitStack() as replacements:
         for output in outputs:
             unfinished = replacements.enter_context(replace_output(output, *sources))
             with name_file_in_errors(args.input, InputError):
-                save_results.save(unfinished, found)
-    missing = int(np.isnan(found.result.joints).any(axis=(1, 2)).sum())
+                save_results.save(unfinished, poses)
+    missing = int((~poses.in_sight).sum())
     if missing:
-        line = f'{missing} frames in which the person was out of sight have no skeleton'
-        print_note(f'{args.input}: {line}')
-    solution = found.result.solution
+        print_note(f'{args.input}: {missing} frames in which the person was out of sight have no skeleton')
     for output in outputs:
-        print_result(output if solution.success else f'{output}: {solution.message}')
+        print_result(output if poses.success else f'{output}: {poses.message}')
         if output.suffix == '.bvh':
-            is_known = np.isfinite(average_vertical(found.result.vertical, found.result.vertical_std)).all()
+            is_known = np.isfinite(average_vertical(poses.vertical, poses.vertical_std)).all()
             up = 'y up' if is_known else 'y up, as for a level camera'
             print_result(f'{output}: in cm, {up}. In Blender: {BLENDER_IMPORT}')

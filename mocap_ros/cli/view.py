@@ -29,10 +29,17 @@ from mocap_ros.config import Config
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.formats.video import write_video
-from mocap_ros.recordings.input_kind import find_input_kind, require_kind
+from mocap_ros.recordings.build_scene import build_scene, read_images
+from mocap_ros.recordings.input_kind import (
+    KEYPOINT_FORMATS,
+    KEYPOINT_KINDS,
+    InputKind,
+    find_input_kind,
+    require_kind,
+)
 from mocap_ros.recordings.load_keypoints import LOADERS, InputOptions
-from mocap_ros.recordings.load_results import holds_result
-from mocap_ros.recordings.load_scene import VIEWED_FORMATS, VIEWED_KINDS, SceneOptions, load_scene, read_images
+from mocap_ros.recordings.load_results import holds_result, load_recording
+from mocap_ros.recordings.reconstruct import ReconstructionOptions, reconstruct
 from mocap_ros.viewing import plots
 from mocap_ros.viewing.overlay import Overlay, StampedImage, find_frame, pick_images, reduce_images
 from mocap_ros.viewing.page import build_page
@@ -43,6 +50,9 @@ DEFAULT_PORT, MAX_PORT = 8642, 65535  # of --live
 # Options that apply to no result, and those of the others that apply to one only in a bag
 RECONSTRUCTION_OPTIONS = 'fps', 'image_size', 'layout', 'hfov', 'focal', 'detector', 'model'
 BAG_OPTIONS = 'topic', 'camera_info', 'config', 'set'
+VIEWED_FORMATS = f'{KEYPOINT_FORMATS}, or a result (.npz, .mcap)'
+VIEWED_KINDS = (*KEYPOINT_KINDS, InputKind.RESULT)
+MAX_PEOPLE = 16  # people who are reconstructed; those who are seen most, since each one takes seconds
 POSES = 8  # frames in a picture; many more would be too small to see
 
 DESCRIPTION = (
@@ -94,10 +104,18 @@ def run(args: argparse.Namespace) -> int:
     config = load_config(args)
     sources = list_sources(args, config)
     check_output(output, *sources)
-    options = SceneOptions(config, load_models(args, config), _read_input_options(args, config), is_picture)
+    reading = _read_input_options(args, config)
     with ShareBar('view') as report:
-        scene, lines = load_scene(args.input, options, report)
-    for line in lines:
+        if holds_result(args.input):
+            recording = load_recording(args.input, reading, config, report)
+        else:
+            is_one = is_picture or bool(args.person) or find_input_kind(args.input) is InputKind.SEQUENCE
+            options = ReconstructionOptions(
+                config, load_models(args, config), reading, max_people=1 if is_one else MAX_PEOPLE
+            )
+            recording = reconstruct(args.input, options, report)
+        scene = build_scene(args.input.name, recording)
+    for line in recording.notes:
         print_note(line)
     notes: list[str] = []
     video = args.video or args.input

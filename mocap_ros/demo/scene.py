@@ -18,7 +18,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from mocap_ros.arrays import Array
 from mocap_ros.demo.motions import FRAME_RATE_HZ, load_motions
-from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence
+from mocap_ros.keypoints.keypoint_sequence import GroundTruth, KeypointSequence
 from mocap_ros.skeleton import CMU15, keypoint_layout
 from mocap_ros.training.fit_base_poses import scale_bones
 

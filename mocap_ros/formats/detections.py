@@ -23,11 +23,12 @@ from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import InputError
 from mocap_ros.formats.image_names import order_images
-from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, KeypointSequence
+from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.identities import FollowedPerson, Identities
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_image_size
 from mocap_ros.keypoints.joint_map import build_joint_map
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.keypoints.matching import Detection
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import describe_other_unit, mark_unseen

@@ -1,15 +1,11 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Sequence files (.npz): one person's keypoints in the images of one camera, and the true 3D joints if known.
-
-The result files (.npz) of `reconstruct` are read here as well, to be drawn or to be compared with the truth.
-"""
+"""Sequence files (.npz): one person's keypoints in the images of one camera, and the true 3D joints if known."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +14,9 @@ from numpy.typing import NDArray
 from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.npz_arrays import ArrayReader, iterate_arrays, list_keys
-from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.joint_map import build_joint_map
-from mocap_ros.keypoints.person import Person2D
+from mocap_ros.keypoints.keypoint_sequence import GroundTruth, KeypointSequence, create_distortion
 from mocap_ros.keypoints.validation import (
     check_places,
     describe_other_unit,
@@ -34,10 +29,8 @@ from mocap_ros.messages.camera_info import check_coefficients
 from mocap_ros.npz_file import write_npz
 from mocap_ros.skeleton import (
     KNOWN_JOINTS,
-    Skeleton,
     canonical_joint_names,
     detector_joint_names,
-    skeleton_from_joints,
 )
 from mocap_ros.units import NS_PER_S
 
@@ -53,120 +46,6 @@ SEQUENCE_KEYS = (
 )  # fmt: skip
 # A file with all of these keys is a result of `reconstruct`.
 RESULT_KEYS = frozenset(('joints3d', 'theta', 'residual_px'))
-
-
-@dataclass(frozen=True, eq=False)
-class GroundTruth:
-    """Measured or generated 3D joints (F, J3, 3) in m in the camera's optical frame, NaN where unknown."""
-
-    joints: Array
-    joint_names: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        return f'GroundTruth: {len(self.joints)} frames, {len(self.joint_names)} joints'
-
-
-@dataclass(frozen=True, eq=False)
-class KeypointSequence:
-    """Keypoints of one person over time.
-
-    Attributes:
-        keypoints: (F, J, 3) x to the right and y down in px, confidence score in [0, 1]; where a keypoint was not
-            seen, x and y are NaN and the score is 0.
-        joint_names: (J,) names of the joints.
-        timestamps: (F,) s, strictly increasing.
-        image_size: (width, height) in px.
-        camera_matrix: (3, 3) px, or None where the camera is unknown.
-        distortion: distortion coefficients in OpenCV's order, or None.
-        truth: true 3D joints in the same frames, or None.
-        person_id: id of the person, or empty.
-        frame_id: name of the camera's optical frame, or empty.
-        recorded_ns: (F,) timestamps in ns, where they are known more exactly than in s, or empty.
-        calibration: intrinsics of the camera, where they are given in another form than `camera_matrix` and
-            `distortion`, or None.
-        focal_source: where the focal length is from if it is neither a calibration nor nominal, such as `given`.
-        notes: lines for the user about the content of the file.
-        is_size_assumed: whether the image size is one that holds the keypoints, because it is not known.
-        recording_start: s, time of the first image of the recording, which may show somebody else; None where it
-            is the first of `timestamps`.
-    """
-
-    keypoints: Array
-    joint_names: tuple[str, ...]
-    timestamps: Array
-    image_size: tuple[int, int]
-    camera_matrix: Array | None = None
-    distortion: Array | None = None
-    truth: GroundTruth | None = None
-    person_id: str = ''
-    frame_id: str = ''
-    recorded_ns: tuple[int, ...] = ()
-    calibration: Intrinsics | None = None
-    focal_source: str = ''
-    notes: tuple[str, ...] = ()
-    is_size_assumed: bool = False
-    recording_start: float | None = None
-
-    def __len__(self) -> int:
-        return len(self.timestamps)
-
-    def __repr__(self) -> str:
-        return (
-            f'KeypointSequence: {describe_frames(self.timestamps)}, {len(self.joint_names)} joints '
-            f'({(self.keypoints[..., 2] > 0).mean():.0%} seen) in {self.image_size[0]} x {self.image_size[1]} px, '
-            f'camera {"known" if self.is_camera_known else "unknown"}, '
-            f'{"no truth" if self.truth is None else f"truth of {len(self.truth.joint_names)} joints"}'
-        )
-
-    @property
-    def is_camera_known(self) -> bool:
-        """Whether the focal length is known, and not nominal."""
-        if self.calibration is not None:
-            return self.calibration.is_focal_known
-        return self.camera_matrix is not None
-
-    @property
-    def stamps_ns(self) -> list[int]:
-        """Timestamps (F,) in ns."""
-        return list(self.recorded_ns) or [round(float(t) * NS_PER_S) for t in self.timestamps]
-
-    def person(self, frame: int, person_id: str = '') -> Person2D:
-        """Return the keypoints in one frame as a person with this id."""
-        keypoints = self.keypoints[frame]
-        return Person2D(person_id, self.joint_names, keypoints[:, :2], keypoints[:, 2])
-
-    def intrinsics(self, focal_in_sides: float) -> Intrinsics:
-        """Return the intrinsics; an unknown camera has the focal length `focal_in_sides` times the longer side."""
-        if self.calibration is not None:
-            return self.calibration
-        return create_intrinsics(self.image_size, self.camera_matrix, self.distortion, focal_in_sides)
-
-
-def extract_observations(
-    sequence: KeypointSequence, focal_in_sides: float
-) -> tuple[Array, tuple[str, ...], Array, Intrinsics]:
-    """Return the arguments of a reconstruction: keypoints, joint names, times and camera intrinsics.
-
-    `focal_in_sides` is that of `KeypointSequence.intrinsics`.
-    """
-    return sequence.keypoints, sequence.joint_names, sequence.timestamps, sequence.intrinsics(focal_in_sides)
-
-
-def describe_frames(times: Array) -> str:
-    """Return the number and the duration of frames at times (F,) in s, such as `390 frames in 13.0 s`."""
-    return f'{len(times)} frames' + (f' in {times[-1] - times[0]:.1f} s' if len(times) > 1 else '')
-
-
-def create_intrinsics(
-    image_size: tuple[int, int], camera_matrix: Array | None, distortion: Array | None, focal_in_sides: float
-) -> Intrinsics:
-    """Return the intrinsics of a camera matrix or, where there is none, nominal ones for the image size.
-
-    The arguments are the attributes of a `KeypointSequence`, and `focal_in_sides` of its `intrinsics`.
-    """
-    if camera_matrix is not None:
-        return Intrinsics.from_matrix(camera_matrix, _create_distortion(distortion), image_size)
-    return Intrinsics.from_image_size(*image_size, focal_in_sides)
 
 
 def make_camera_arrays(sequence: KeypointSequence) -> tuple[Array | None, Array | None]:
@@ -288,7 +167,7 @@ def validate_camera(
             Intrinsics.from_matrix(camera_matrix)
     if 'distortion' in arrays:
         distortion = arrays.read_numbers('distortion', (None,))
-        _create_distortion(distortion)
+        check_coefficients(create_distortion(distortion), 'distortion')
     return (int(size[0]), int(size[1])), camera_matrix, distortion
 
 
@@ -313,70 +192,3 @@ def find_longest_gap(times: Array) -> tuple[float, float]:
     steps = np.diff(times)
     longest = int(steps.argmax()) if len(steps) else -1
     return (float(steps[longest]), float(times[longest])) if len(steps) else (0.0, 0.0)
-
-
-def _create_distortion(distortion: Array | None) -> Distortion:
-    """Create the distortion from coefficients in OpenCV's order; InputError where they are those of no lens."""
-    coefficients = () if distortion is None else tuple(distortion.tolist())
-    lens = Distortion.from_coefficients('plumb_bob', coefficients)
-    check_coefficients(lens, 'distortion')
-    return lens
-
-
-READ_KEYS = ('joints3d', 'joint_names', 'timestamps', 'seen', 'residual_px')  # the keys that are read again
-# The keys of the 2D points from which a result was made, each with its key in a sequence file.
-INPUT_KEYS = {
-    'keypoints': 'keypoints', 'keypoint_names': 'joint_names', 'timestamps': 'timestamps',
-    'image_size': 'image_size', 'camera_matrix': 'camera_matrix', 'distortion': 'distortion',
-}  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class StoredResult:
-    """One person's reconstruction as a file holds it."""
-
-    times: Array  # (F,) s, increasing
-    joints: Array  # (F, J, 3) m in the camera's optical frame; NaN in frames without a skeleton
-    seen: NDArray[np.bool_]  # (F, J) True where the joint was seen in the image, False where it was inferred
-    residual: Array  # (F,) px, RMS reprojection error over the seen joints; NaN where there is none
-    skeleton: Skeleton  # of the joints
-    recorded_ns: tuple[int, ...] = ()  # (F,) times in ns, where they are known more exactly than in s, or empty
-    # (F, J) m, standard deviation of each joint in the body, or None where they are not stored
-    std: Array | None = None
-    root_covariance: Array | None = None  # (F, 3, 3) m^2, covariance of the place between the hips, likewise
-    # The keypoints with the camera, which may be a nominal one, or None where they are not stored
-    sequence: KeypointSequence | None = None
-
-    @property
-    def stamps_ns(self) -> list[int]:
-        """Times (F,) in ns."""
-        return list(self.recorded_ns) or [round(float(t) * NS_PER_S) for t in self.times]
-
-
-def is_result_file(path: Path) -> bool:
-    """Return whether a file is an .npz file with the keys of a result."""
-    return list_keys(path) >= RESULT_KEYS
-
-
-def load_result_file(path: Path) -> StoredResult:
-    """Read and validate a result file."""
-    with naming(path):
-        array_by_key = dict(iterate_arrays(path, {*READ_KEYS, *INPUT_KEYS}, 'a result of reconstruct'))
-        arrays = ArrayReader(array_by_key)
-        times = arrays.read_numbers('timestamps', (None,))
-        if not len(times) or not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
-            raise InputError('timestamps: expected increasing times in s')
-        names = arrays.read_joint_names('joint_names')
-        skeleton = skeleton_from_joints(names)
-        if not skeleton.name:
-            raise InputError(f'joint_names: {", ".join(names)}: not those of a known skeleton')
-        shape = (len(times), len(names))
-        joints = arrays.read_numbers('joints3d', (*shape, 3))
-        if np.isinf(joints).any():
-            raise InputError('joints3d: not finite')
-        seen, residual = arrays.read_flags('seen', shape), arrays.read_numbers('residual_px', shape[:1])
-        sequence = None
-        if 'keypoint_names' in arrays:
-            named = {INPUT_KEYS[key]: array_by_key[key] for key in INPUT_KEYS if key in array_by_key}
-            sequence = validate_sequence(named)
-        return StoredResult(times, joints, seen, residual, skeleton, sequence=sequence)

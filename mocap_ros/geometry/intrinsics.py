@@ -94,3 +94,23 @@ class Intrinsics:
         aspect = float(matrix[1, 1] / matrix[0, 0])
         centre_px = float(matrix[0, 2]), float(matrix[1, 2])
         return Intrinsics(focal, centre_px, True, aspect, distortion, image_size)
+
+
+def recover_intrinsics(roots: Array, scale: Array, translation: Array) -> Intrinsics:
+    """Return the camera, without distortion, of which weak-perspective cameras are known, of no known focal length.
+
+        f = median s z,  c = median (t - f (x, y) / z)
+
+    of roots (N, 3) m, means (x, y, z) of the joints, scales s (N,) px/m and translations t (N, 2) px. The
+    principal point is in the middle of its image. InputError where they are not those of a camera.
+    """
+    is_known = np.isfinite(np.column_stack([roots, scale, translation])).all(axis=1)
+    if not is_known.any():
+        raise InputError('scale, translation: not finite in any frame')
+    roots, scale, translation = roots[is_known], scale[is_known], translation[is_known]
+    focal = float(np.median(scale * roots[:, 2]))
+    x, y = np.median(translation - focal * roots[:, :2] / roots[:, 2:], axis=0).tolist()
+    if not (np.isfinite([focal, x, y]).all() and focal >= 1):
+        raise InputError('scale, translation: not those of a camera')
+    size = max(round(2 * x), 1), max(round(2 * y), 1)
+    return Intrinsics(focal, (x, y), is_focal_known=False, image_size=size)

@@ -19,8 +19,7 @@ import numpy as np
 from mocap_ros.arrays import Array
 from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.geometry.rotations import MIN_SINE, rotation_from_vector
-from mocap_ros.people import HIPS
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import CMU15, HIPS
 
 LEVEL_UP = np.array([0.0, -1.0, 0.0])  # upwards in the optical frame of a level camera
 MAX_CERTAIN_STD = math.radians(10.0)  # rad; no person is turned by a vertical that is less certain

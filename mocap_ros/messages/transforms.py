@@ -34,8 +34,8 @@ from mocap_ros.geometry.rigid_transform import NO_ROTATION, RigidTransform
 from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_rotation
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.plain import encode_plain
-from mocap_ros.people import HIPS, Person3D
-from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, Skeleton
+from mocap_ros.people import Person3D
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, HIPS, Skeleton
 
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 ROOT_LINK = 'body'  # name of the root link in REP-155

@@ -36,8 +36,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mocap_ros.arrays import Array
-from mocap_ros.people import HIPS
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import CMU15, HIPS
 
 PAST_S = (0.1, 0.2, 0.3, 0.4, 0.6, 0.8)  # s; times ago at which the motion is sampled
 HEADING_PAST = [1, 3, 5]  # indices of `PAST_S`; ways along the heading, which change slowly

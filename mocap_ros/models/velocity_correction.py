@@ -33,8 +33,7 @@ import numpy as np
 
 from mocap_ros.arrays import Array, Array32
 from mocap_ros.engine import motion as engine
-from mocap_ros.people import HIPS
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import CMU15, HIPS
 
 SPANS_S = (1 / 30, 0.1, 0.2, 0.4, 0.8)  # s; over which mean velocities are taken
 # s; one of the `SPANS_S`, of a person's past without which nothing is corrected; training has hardly less

@@ -36,27 +36,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.arrays import Array
+from mocap_ros.arrays import Array, Mask
 from mocap_ros.config import Config, SolverConfig, TrackerConfig
-from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import CALIBRATED_TILT_STD, MAX_CERTAIN_STD, Floor, average_vertical, build_world
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
-from mocap_ros.geometry.virtual_camera import VirtualCamera
-from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.keypoints.rays import join_body
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.models.joint_std import expect_stature
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.model_file import load_prior_lifter
 from mocap_ros.models.upward_direction import Stances
-from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, Skeleton
+from mocap_ros.people import UNKNOWN_COLUMN, PoseSequence
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.classification import choose_category
 from mocap_ros.solvers.extremities import SEGMENT_OF, attach, collect_evidence, smooth_extremities
@@ -83,73 +82,24 @@ from mocap_ros.solvers.window import Reconstruction, Window
 Report = Callable[[float], None]  # gets the share, 0 to 1, of the work that is done
 
 
-@dataclass(frozen=True, eq=False)
-class SequenceResult:
-    """A reconstructed sequence."""
+class Solved(NamedTuple):
+    """One person's poses before the floor is known, without a world and of the assumed size."""
 
-    # (F, J, 3) m, real camera's optical frame, joints of `skeleton`; NaN before the first and after the last frame
-    # in which a joint was seen, and in gaps of more than `MAX_GAP_S`, where it is not known whether the person is
-    # there
-    joints: Array
-    # (F, J) True where the joint was seen in the image, False where it was inferred or is NaN
-    seen: NDArray[np.bool_]
-    skeleton: Skeleton
-    category: str
+    poses: PoseSequence
+    contact: Array  # (F, 4) probabilities of `solvers.footing`; NaN where they are not known
+    height_fault: str = ''  # in words why `tracker.camera_height`, if it is given, is not used or may be wrong
+
+
+class SolvedWindow(NamedTuple):
+    """The core of a person in the F frames of a window, and what it was solved from."""
+
+    joints: Array  # (F, 15, 3) m, real camera's optical frame
+    category: str  # name of the base poses
     # weights, cameras and residuals in the images of the virtual cameras, before the body was scaled to
     # `tracker.body_height`
     solution: Reconstruction
-    # the virtual cameras of `solution`, one a frame, with the real camera's intrinsics
-    virtual_camera: VirtualCamera
-    vertical: Array  # (F, 3) unit vectors upwards in the real camera's optical frame; NaN where it is not known
-    vertical_std: Array  # (F,) rad, standard deviations of these directions; NaN likewise
-    # (F, J, 4) quaternions x, y, z, w, as in `people.Person3D`; NaN where the joints are; None if they were not
-    # computed
-    orientation: Array | None = None
-    # (F, J) True where nothing shows how a segment is turned about its own axis; None likewise
-    turn_inferred: NDArray[np.bool_] | None = None
-    contact: Array | None = None  # (F, 4) probabilities of `solvers.footing`; None likewise
-    floor: Floor | None = None  # the floor on which the person stands; None if nothing shows it
-    size: float = 1.0  # of the body, as a share of `tracker.body_height`
-    height_note: str = ''  # in words why `tracker.camera_height`, if it is given, is not used or may be wrong
-    shared_world: Array | None = None  # the `world_from_camera` of another person on the same floor
-
-    @property
-    def core(self) -> Array:
-        """(F, 15, 3) m, the joints of `skeleton.CMU15`, without face, feet and hands."""
-        return self.joints[:, :CORE_COUNT]
-
-    @property
-    def world_from_camera(self) -> Array:
-        """(4, 4) m, from the optical frame to the person's world (`geometry.level`); NaN without joints."""
-        if self.shared_world is not None:
-            return self.shared_world
-        if self.floor is not None:
-            return build_world(self.joints, self.floor.upward, self.floor.camera_height)
-        return build_world(self.joints, average_vertical(self.vertical, self.vertical_std), None)
-
-    @property
-    def foot_contact(self) -> Array:
-        """(F, 2) probabilities that the left and the right foot stand; NaN where they were not computed."""
-        if self.contact is None:
-            return np.full((len(self.joints), 2), np.nan)
-        return np.fmax(self.contact[:, ::2], self.contact[:, 1::2])
-
-    @property
-    def floor_std(self) -> float:
-        """Standard deviation of the height of the floor in m; NaN where nothing shows the floor."""
-        return math.nan if self.floor is None else self.floor.height_std
-
-    def cameras_in_real_image(self) -> tuple[WeakPerspectiveCameras, Array]:
-        """Return the weak-perspective cameras that show the body as the real camera does; NaN as the joints.
-
-        Returns scale (F,) in px/m and rotation (F, 3, 3) from the body frame to the real camera's optical frame;
-        and (F, 2) px, image of the body's origin in the real camera.
-        """
-        intrinsics, roots = self.virtual_camera.intrinsics, self.core.mean(axis=1)
-        rotation = self.virtual_camera.body_rotations(self.solution.cameras)
-        rotation = np.where(np.isfinite(roots[:, :1, None]), rotation, np.nan)
-        cameras = WeakPerspectiveCameras(intrinsics.focal / roots[:, 2], rotation)
-        return cameras, intrinsics.project(roots)
+    vertical: Verticals
+    observed: ObservedWindow  # with the lifted poses, if there is a lifter
 
 
 def report_part(report: Report, index: int, count: int) -> Report:
@@ -158,38 +108,28 @@ def report_part(report: Report, index: int, count: int) -> Report:
 
 
 def reconstruct_sequence(
-    keypoints: Array,
-    joint_names: tuple[str, ...],
-    times: Array,
-    intrinsics: Intrinsics,
+    sequence: KeypointSequence,
     model: BasePoses | Mapping[str, BasePoses],
     config: Config,
     report: Report = lambda _: None,
-) -> SequenceResult:
-    """Reconstruct a sequence of one person's keypoints.
-
-    The arguments are those of `reconstruct_without_floor`, and so are the errors.
-    """
-    result = reconstruct_without_floor(keypoints, joint_names, times, intrinsics, model, config, report)
-    return share_floor([result], [times], config.tracker)[0]
+) -> PoseSequence:
+    """Reconstruct a sequence of one person's keypoints; arguments and errors are those of `solve_sequence`."""
+    people, _ = share_floor([solve_sequence(sequence, model, config, report)], config.tracker)
+    return people[0]
 
 
-def reconstruct_without_floor(
-    keypoints: Array,
-    joint_names: tuple[str, ...],
-    times: Array,
-    intrinsics: Intrinsics,
+def solve_sequence(
+    sequence: KeypointSequence,
     model: BasePoses | Mapping[str, BasePoses],
     config: Config,
     report: Report = lambda _: None,
-) -> SequenceResult:
-    """Reconstruct a sequence of one person's keypoints, for whom `share_floor` has still to find the floor.
+) -> Solved:
+    """Reconstruct a sequence of one person's keypoints, but for the floor.
 
-    `keypoints` (F, J, 3) x and y in px, and confidence score, NaN or score 0 where not seen; `joint_names` (J,)
-    any names that `keypoints.joint_map` knows; `times` (F,) s, increasing; `model` base poses, or several by name.
+    `model` are base poses, or several by name.
     Of several, the most probable are chosen (`solvers.classification`), with a learned prior, those of all motions
     are used if present; `config` parameters of the solver, `min_score`, `undo_swaps`, `perspective`, `vertical`,
-    `body_height`, `camera_height` and `skeleton` of `tracker` apply; `report` is called with the
+    `body_height`, `nominal_focal_length` and `skeleton` of `tracker` apply; `report` is called with the
     share, 0 to 1, that is done.
 
     Raises:
@@ -202,28 +142,28 @@ def reconstruct_without_floor(
     report(0.0)
     models = {model.name: model} if isinstance(model, BasePoses) else model
     skeleton = next(iter(models.values())).skeleton
-    observed = observe_sequence(keypoints, joint_names, times, intrinsics, config.tracker, skeleton)
-    result, lifted = _reconstruct(observed, models, config, report)
-    in_sight = find_frames_in_sight(result.seen, times)
-    complete = _blank_frames(_complete(result, lifted, config.tracker), ~in_sight)
-    return _find_contacts(complete, lifted)
+    observed = observe_sequence(sequence, config.tracker, skeleton)
+    solved = reconstruct_window(observed, models, config, report)
+    poses = _complete(describe_poses(sequence, solved, config.tracker), solved, config.tracker)
+    poses = _blank_frames(poses, ~find_frames_in_sight(~poses.inferred, sequence.timestamps))
+    observed = solved.observed
+    points, weight = join_body(observed.rays, observed.weight, observed.extremities)
+    contact = find_contacts(points, weight, poses.joints, poses.vertical, observed.times)
+    contact[np.isnan(poses.joints).all(axis=(1, 2))] = np.nan
+    return Solved(replace(poses, contact=np.fmax(contact[:, ::2], contact[:, 1::2])), contact)
 
 
 def reconstruct_window(
-    observed: ObservedWindow, models: Mapping[str, BasePoses], config: Config
-) -> SequenceResult:
+    observed: ObservedWindow,
+    models: Mapping[str, BasePoses],
+    config: Config,
+    report: Report = lambda _: None,
+) -> SolvedWindow:
     """Reconstruct the core of one person from all F frames of a window together, whether or not a joint was seen.
 
     `observed` the person's joints, not lifted yet; `models` base poses by name, as in `reconstruct_sequence`;
     `config` parameters of the solver, `body_height` and `vertical` of `tracker` apply.
     """
-    return _reconstruct(observed, models, config)[0]
-
-
-def _reconstruct(
-    observed: ObservedWindow, models: Mapping[str, BasePoses], config: Config, report: Report = lambda _: None
-) -> tuple[SequenceResult, ObservedWindow]:
-    """Return the result of `reconstruct_window`, and the window with the lifted poses, if there is a lifter."""
     body_height = config.tracker.body_height
     models = {name: model.rescale(body_height / model.stature) for name, model in models.items()}
     skeleton = next(iter(models.values())).skeleton
@@ -246,37 +186,58 @@ def _reconstruct(
     joints *= body_height / expect_stature(lengths, skeleton, observed.lifted, depth)
     if vertical is None:
         vertical = choose_vertical(observed, joints, observed.weight, config.tracker)
-    result = SequenceResult(joints, observed.weight > 0, skeleton, category, solution, camera, *vertical)
-    return result, observed
+    return SolvedWindow(joints, category, solution, vertical, observed)
 
 
-def _complete(result: SequenceResult, observed: ObservedWindow, config: TrackerConfig) -> SequenceResult:
-    """Return a result with the orientations and, if `tracker.skeleton` says so, with face, feet and hands."""
-    core, count = result.joints, len(result.joints)
-    image_noise = result.solution.noise if isinstance(result.solution, joint.JointReconstruction) else 0.0
-    seen = [observed] * count, np.full(count, image_noise), range(count)
-    found = smooth_extremities(observed.times, collect_evidence(core, *seen), config.body_height)
-    core = plant_sequence(observed, core, found.offsets, result.vertical, image_noise or NOISE_REFERENCE)
-    evidence = collect_evidence(core, *seen)
-    found = smooth_extremities(observed.times, evidence, config.body_height)
-    result = replace(result, joints=core)
-    if config.skeleton == CMU15.name:
-        return replace(result, orientation=found.quaternions, turn_inferred=~found.is_turn_seen)
-    return replace(
-        result,
-        joints=attach(core, found.offsets),
-        seen=evidence.weight > 0,
-        skeleton=BODY26,
-        orientation=found.quaternions[:, SEGMENT_OF],
-        turn_inferred=~found.is_turn_seen[:, SEGMENT_OF],
+def describe_poses(sequence: KeypointSequence, solved: SolvedWindow, config: TrackerConfig) -> PoseSequence:
+    """Return the core of a person over time, as solved from a sequence of keypoints."""
+    solution, camera = solved.solution, solved.observed.virtual_camera
+    rotation = camera.body_rotations(solution.cameras)
+    return PoseSequence(
+        id=sequence.person_id,
+        times=sequence.timestamps,
+        skeleton=CMU15,
+        joints=solved.joints,
+        inferred=~(solved.observed.weight > 0),
+        reprojection_residual=solution.residual,
+        intrinsics=camera.intrinsics,
+        rotation=np.where(np.isfinite(solved.joints).all(axis=(1, 2), keepdims=True), rotation, np.nan),
+        vertical=solved.vertical.direction,
+        vertical_std=solved.vertical.std,
+        body_height=config.body_height,
+        base_poses=solved.category,
+        weights=solution.theta,
+        success=solution.success,
+        message=solution.message,
+        iterations=solution.iterations,
+        cost=solution.cost,
+        sequence=sequence,
+        recorded_ns=sequence.recorded_ns,
     )
 
 
-def _find_contacts(result: SequenceResult, observed: ObservedWindow) -> SequenceResult:
-    points = join_body(observed.rays, observed.weight, observed.extremities)
-    contact = find_contacts(*points, result.joints, result.vertical, observed.times)
-    contact[np.isnan(result.joints).all(axis=(1, 2))] = np.nan
-    return replace(result, contact=contact)
+def _complete(poses: PoseSequence, solved: SolvedWindow, config: TrackerConfig) -> PoseSequence:
+    """Return poses with the orientations and, if `tracker.skeleton` says so, with face, feet and hands."""
+    core, observed, count = poses.joints, solved.observed, len(poses)
+    image_noise = solved.solution.noise if isinstance(solved.solution, joint.JointReconstruction) else 0.0
+    windows, noise = [observed] * count, np.full(count, image_noise)
+    found = smooth_extremities(
+        observed.times, collect_evidence(core, windows, noise, range(count)), config.body_height
+    )
+    core = plant_sequence(observed, core, found.offsets, poses.vertical, image_noise or NOISE_REFERENCE)
+    evidence = collect_evidence(core, windows, noise, range(count))
+    found = smooth_extremities(observed.times, evidence, config.body_height)
+    if config.skeleton == CMU15.name:
+        return replace(poses, joints=core, joint_orientation=found.quaternions, turn_inferred=~found.is_turn_seen)
+    return replace(
+        poses,
+        skeleton=BODY26,
+        joints=attach(core, found.offsets),
+        joint_std=UNKNOWN_COLUMN,
+        inferred=~(evidence.weight > 0),
+        joint_orientation=found.quaternions[:, SEGMENT_OF],
+        turn_inferred=~found.is_turn_seen[:, SEGMENT_OF],
+    )
 
 
 def find_height_fault(*, is_focal_known: bool, tilt_std: float) -> str:
@@ -286,20 +247,16 @@ def find_height_fault(*, is_focal_known: bool, tilt_std: float) -> str:
     return '' if tilt_std <= MAX_CERTAIN_STD else 'is not used: the vertical is not known: give tracker.vertical'
 
 
-def share_floor(
-    results: Sequence[SequenceResult], times: Sequence[Array], config: TrackerConfig
-) -> tuple[SequenceResult, ...]:
+def share_floor(found: Sequence[Solved], config: TrackerConfig) -> tuple[list[PoseSequence], list[str]]:
     """Return people of one recording on one floor, under one vertical, and in one world, that of the first.
 
-    The results are those of `reconstruct_without_floor`, with times (F,) s of each.
-    `tracker.camera_height` shows their true sizes. Where it is not known, the sizes of several become those with
-    which all stand on the floor.
+    `tracker.camera_height` shows their true sizes; what is wrong with it for some people is returned in words.
+    Where it is not known, the sizes of several become those with which all stand on the floor.
     """
-    if not results:
-        return ()
-    known = [(r, average_vertical(r.vertical, r.vertical_std)) for r in results]
-    known = [(r, upward) for r, upward in known if np.isfinite(upward).all()]
-    trust = np.array([max(float(np.nanmean(r.vertical_std)), MIN_TILT_STD) ** -2 for r, _ in known])
+    people = [person.poses for person in found]
+    known = [(p, average_vertical(p.vertical, p.vertical_std)) for p in people]
+    known = [(p, upward) for p, upward in known if np.isfinite(upward).all()]
+    trust = np.array([max(float(np.nanmean(p.vertical_std)), MIN_TILT_STD) ** -2 for p, _ in known])
     total = np.sum([t * upward for t, (_, upward) in zip(trust, known, strict=True)], axis=0)
     length = float(np.linalg.norm(total))
     agree = length > trust.sum() / 2  # opposite verticals show none
@@ -308,72 +265,84 @@ def share_floor(
     tilt_std = min(FOUND_TILT_FACTOR * std, MAX_CERTAIN_STD) if std <= MAX_CERTAIN_STD else math.nan
     if read_given_vertical(config) is not None:
         std = tilt_std = CALIBRATED_TILT_STD
-    people, fault = list(results), ''
+    standing: list[_Standing] = []
+    fault = ''
     if config.camera_height > 0:
-        is_focal_known = all(r.virtual_camera.intrinsics.is_focal_known for r in results)
+        is_focal_known = all(p.is_scale_known for p in people)
         fault = find_height_fault(is_focal_known=is_focal_known, tilt_std=std)
         if not fault:
-            people = _stand_on(results, times, Floor(vertical, config.camera_height, tilt_std), config)
-            fault = next((r.height_note for r in people if r.floor is None), '')
-    if not config.camera_height or (fault and not any(r.floor for r in people)):
-        people = [
-            replace(r, height_note=r.height_note or fault)
-            for r in _stand_on(results, times, Floor(vertical, None, tilt_std), config)
+            standing = _stand_on(found, Floor(vertical, config.camera_height, tilt_std), config)
+            fault = next((s.height_fault for s in standing if s.floor is None), '')
+    if not any(s.floor for s in standing):
+        standing = [
+            s._replace(height_fault=s.height_fault or fault)
+            for s in _stand_on(found, Floor(vertical, None, tilt_std), config)
         ]
-    first = next((r for r in people if r.floor is not None), people[0])
-    return tuple(replace(r, shared_world=first.world_from_camera if len(people) > 1 else None) for r in people)
+    first = next((s for s in standing if s.floor is not None), standing[0])
+    world = first.build_world()
+    people = [
+        replace(
+            s.poses,
+            world_from_camera=world if len(standing) > 1 else s.build_world(),
+            floor_std=math.nan if s.floor is None else s.floor.height_std,
+        )
+        for s in standing
+    ]
+    return people, [words for words in dict.fromkeys(s.height_fault for s in standing) if words]
 
 
-def _stand_on(
-    results: Sequence[SequenceResult], times: Sequence[Array], before: Floor, config: TrackerConfig
-) -> list[SequenceResult]:
+class _Standing(NamedTuple):
+    """One person's poses of the size that the floor shows, and the floor; None if nothing shows it."""
+
+    poses: PoseSequence
+    floor: Floor | None = None
+    height_fault: str = ''
+
+    def build_world(self) -> Array:
+        poses = self.poses
+        if self.floor is not None:
+            return build_world(poses.joints, self.floor.upward, self.floor.camera_height)
+        return build_world(poses.joints, average_vertical(poses.vertical, poses.vertical_std), None)
+
+
+def _stand_on(found: Sequence[Solved], before: Floor, config: TrackerConfig) -> list[_Standing]:
     """Return people on a floor, of the sizes that it shows; who cannot be of such a size has a fault instead."""
     share = math.hypot(config.body_height_std / config.body_height, POSE_SHARE)
-    unknown = [np.full((len(r.joints), 4), np.nan) if r.contact is None else r.contact for r in results]
-    standers = [Stander(r.joints, c, t) for r, c, t in zip(results, unknown, times, strict=True)]
-    fit = fit_floor(standers, before, share)
+    fit = fit_floor([Stander(s.poses.joints, s.contact, s.poses.times) for s in found], before, share)
     if fit is None:
-        return [replace(r, floor=before if before.camera_height else None) for r in results]
+        floor = before if before.camera_height else None
+        return [_Standing(s.poses, floor, s.height_fault) for s in found]
     people = []
     sizes = fit.sizes[~np.isnan(fit.sizes)]
     is_scale_shown = before.camera_height is not None or len(sizes) > 1
     if before.camera_height is None and (np.abs(sizes - 1) > 3 * share).any():
-        return list(results)  # they rather stand at different heights
-    for p, (result, size) in enumerate(zip(results, fit.sizes.tolist(), strict=True)):
+        return [_Standing(s.poses, None, s.height_fault) for s in found]  # they rather stand at different heights
+    for p, (person, size) in enumerate(zip(found, fit.sizes.tolist(), strict=True)):
+        poses, fault = person.poses, person.height_fault
         if not SIZE_RANGE[0] < (1.0 if math.isnan(size) else size) < SIZE_RANGE[1]:
-            people.append(replace(result, height_note=WRONG_HEIGHT if before.camera_height else ''))
+            people.append(_Standing(poses, None, WRONG_HEIGHT if before.camera_height else ''))
             continue
-        person = replace(result, floor=fit.floor)
         if is_scale_shown:
-            frames = len(result.joints)
-            vertical = np.tile(fit.floor.upward, (frames, 1))
-            std = np.full(frames, fit.floor.tilt_std)
-            person = replace(person, vertical=vertical, vertical_std=std)
+            vertical = np.tile(fit.floor.upward, (len(poses), 1))
+            poses = replace(poses, vertical=vertical, vertical_std=np.full(len(poses), fit.floor.tilt_std))
         if is_scale_shown and not math.isnan(size):
-            person = replace(person, joints=fit.place(p, result.joints), size=size)
+            poses = replace(poses, joints=fit.place(p, poses.joints), body_height=size * poses.body_height)
             if before.camera_height and not USUAL_SIZES[0] < size < USUAL_SIZES[1]:
-                person = replace(person, height_note=UNUSUAL.format(size))
-        people.append(person)
+                fault = UNUSUAL.format(size)
+        people.append(_Standing(poses, fit.floor, fault))
     return people
 
 
-def _blank_frames(result: SequenceResult, is_blank: NDArray[np.bool_]) -> SequenceResult:
+def _blank_frames(poses: PoseSequence, is_blank: Mask) -> PoseSequence:
     of_joints = is_blank[:, None]
-    blanked = replace(
-        result, joints=np.where(of_joints[..., None], np.nan, result.joints), seen=result.seen & ~of_joints
-    )
-    if result.orientation is None or result.turn_inferred is None:
-        return blanked
     return replace(
-        blanked,
-        orientation=np.where(of_joints[..., None], np.nan, result.orientation),
-        turn_inferred=result.turn_inferred | of_joints,
+        poses,
+        joints=np.where(of_joints[..., None], np.nan, poses.joints),
+        inferred=poses.inferred | of_joints,
+        rotation=np.where(of_joints[..., None], np.nan, poses.rotation),
+        joint_orientation=np.where(of_joints[..., None], np.nan, poses.joint_orientation),
+        turn_inferred=poses.turn_inferred | of_joints,
     )
-
-
-def describe_height_faults(results: Sequence[SequenceResult]) -> list[str]:
-    """Return in words what is wrong with `tracker.camera_height` for some people."""
-    return [fault for fault in dict.fromkeys(r.height_note for r in results) if fault]
 
 
 def find_frames_in_sight(seen: NDArray[np.bool_], times: Array) -> NDArray[np.bool_]:
@@ -391,7 +360,7 @@ def find_frames_in_sight(seen: NDArray[np.bool_], times: Array) -> NDArray[np.bo
 
 
 class Verticals(NamedTuple):
-    """The vertical in each frame, as `SequenceResult` has it: (F, 3) and (F,) rad."""
+    """The vertical in each frame, as `PoseSequence` has it: (F, 3) and (F,) rad."""
 
     direction: Array
     std: Array

@@ -12,7 +12,7 @@ from pathlib import Path
 from mocap_ros.bags.reader import is_bag
 from mocap_ros.errors import InputError
 from mocap_ros.formats.npz_arrays import list_keys
-from mocap_ros.formats.sequence_file import is_result_file
+from mocap_ros.formats.result_file import is_result_file
 from mocap_ros.formats.sports2d import PIXEL_FILES
 from mocap_ros.input_file import NEITHER_FILE_NOR_FOLDER, is_special_file
 

@@ -23,10 +23,11 @@ from mocap_ros.config import NodeConfig, TrackerConfig
 from mocap_ros.errors import FrameDropped, InputError, naming
 from mocap_ros.formats.detections import Detections, Video, arrange_people, associate_people, select_person
 from mocap_ros.formats.detector_json import load_json_file, load_json_folder
-from mocap_ros.formats.sequence_file import KeypointSequence, find_longest_gap, load_sequence
+from mocap_ros.formats.sequence_file import find_longest_gap, load_sequence
 from mocap_ros.formats.sports2d import load_pixel_files
 from mocap_ros.formats.video import read_video_facts
 from mocap_ros.keypoints.image_size import resolve_image_size
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.keypoints.validation import check_places, describe_rate
 from mocap_ros.messages.camera_info import (
     CameraInfo,

@@ -1,43 +1,49 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Load reconstructions from result files of `reconstruct`, and from bags that hold skeletons."""
+"""Load people in 3D from result files of `reconstruct`, and from bags that hold skeletons."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.bags.journal import JOURNAL, RESET, Verdict, decode_entry
 from mocap_ros.bags.reader import Bag, is_bag
-from mocap_ros.errors import InputError, naming
-from mocap_ros.formats.sequence_file import StoredResult, is_result_file, load_result_file
+from mocap_ros.bags.topics import PEOPLE_TYPES
+from mocap_ros.config import Config
+from mocap_ros.errors import InputError, SkeletonError
+from mocap_ros.formats.detections import Detections
+from mocap_ros.formats.result_file import is_result_file, load_result_file
+from mocap_ros.geometry.intrinsics import Intrinsics, recover_intrinsics
+from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, resolve_image_size
 from mocap_ros.messages.skeletons import SKELETONS, RecordedPerson, RecordedSkeletons, decode_skeletons
-from mocap_ros.skeleton import CMU15, Skeleton
+from mocap_ros.offline.whole_sequence import Report
+from mocap_ros.people import CameraVertical, PoseSequence
+from mocap_ros.recordings.load_keypoints import InputOptions, load_bag
+from mocap_ros.recordings.recording import Drop, Recording
+from mocap_ros.runtime.frame_assembly import is_stamp_missing
+from mocap_ros.runtime.input_camera import KNOWN
+from mocap_ros.skeleton import CORE_COUNT
+from mocap_ros.summary import UNKNOWN_SUMMARY, StoredSummary, Summary
 from mocap_ros.units import NS_PER_S
+from mocap_ros.verdict.summary import RunSummary
 
+VERTICAL_TOLERANCE = 1.0  # of the length of a unit vector, far beyond its rounding; a longer one is damaged
+MAX_GIVEN_STD = math.radians(2.0)  # rad; verticals that are given have 1 degree, those found 2.5 or more
+# Fields of a `RecordedPerson` that are columns of a `PoseSequence`, each with its value where there is no skeleton.
+COLUMNS = {
+    'joints': np.nan, 'joint_std': np.nan, 'inferred': True, 'reprojection_residual': np.nan, 'motion': 0,
+    'cadence': np.nan, 'predicted': False, 'tentative': False, 'root_covariance': np.nan, 'contact': np.nan,
+}  # fmt: skip
 
-class RecordedPeople:
-    """The people in the messages of skeletons of a bag, who all have the same joints."""
-
-    def __init__(self) -> None:
-        self.skeleton: Skeleton = CMU15
-        self.stamps_ns: set[int] = set()
-        self.by_id: dict[str, dict[int, RecordedPerson]] = {}
-
-    def add(self, raw: bytes) -> RecordedSkeletons:
-        """Add a message; raises InputError, which names the field, if it does not fit those before."""
-        array = decode_skeletons(raw)
-        self.stamps_ns.add(array.stamp_ns)
-        for person in array.people:
-            if self.by_id and person.skeleton != self.skeleton:
-                names = ', '.join(sorted({person.skeleton.name, self.skeleton.name}))
-                raise InputError(f'skeletons of several layouts: {names}')
-            self.skeleton = person.skeleton
-            self.by_id.setdefault(person.id, {})[array.stamp_ns] = person
-        return array
+RENAMED = {'joint_std': 'std', 'reprojection_residual': 'residual'}
 
 
 def holds_result(path: Path) -> bool:
@@ -48,6 +54,155 @@ def holds_result(path: Path) -> bool:
     return path.is_file() and is_result_file(path)
 
 
+def load_result(path: Path, person: str | None = None) -> PoseSequence:
+    """Load the person with this id, or the one with most skeletons, from a result file or a bag.
+
+    In a bag there is a frame for each message of skeletons. InputError where one cannot be read.
+    """
+    if not is_bag(path):
+        if person is not None:
+            raise InputError(f'{path}: --person does not apply to a result of reconstruct')
+        chosen = load_recording(path).people[0]
+    else:
+        recording = _load_bag(path, InputOptions(), Config(), lambda _: None, with_keypoints=False)
+        counts = {p.id: int(p.in_sight.sum()) for p in recording.people}
+        wanted = max(counts, key=counts.__getitem__) if person is None else person
+        if wanted not in counts:
+            people = ', '.join(f'{i} ({n})' for i, n in sorted(counts.items(), key=lambda item: -item[1]))
+            raise InputError(f'{path}: no person {person!r}; there are {people}')
+        chosen = next(p for p in recording.people if p.id == wanted)
+    if not chosen.in_sight.any():
+        raise InputError(f'{path}: no frame has a skeleton')
+    return chosen
+
+
+def load_recording(
+    path: Path,
+    reading: InputOptions | None = None,
+    config: Config | None = None,
+    report: Report = lambda _: None,
+) -> Recording:
+    """Load all people of a result file or a bag of skeletons, or the one whom `reading` names.
+
+    In a bag, what they rest on is judged by the keypoints in it, as in the recorded run. `report` gets the share of
+    its messages that were read.
+    """
+    reading = reading or InputOptions()
+    if is_bag(path):
+        return _load_bag(path, reading, config or Config(), report, with_keypoints=True)
+    poses, summary = load_result_file(path)
+    return Recording((replace(poses, id='person_1'),), summary)
+
+
+def collect_rows(
+    person_id: str,
+    stamps_ns: Sequence[int],
+    rows: Mapping[int, RecordedPerson],
+    intrinsics: Intrinsics,
+) -> PoseSequence:
+    """Return a recorded person, of at least one row, over time; `rows` are those of some of the stamps in ns."""
+    first = next(iter(rows.values()))
+    frames = np.searchsorted(stamps_ns, [*rows])
+    columns: dict[str, Any] = {}
+    for name, missing in COLUMNS.items():
+        values = np.array([getattr(row, RENAMED.get(name, name)) for row in rows.values()])
+        columns[name] = np.full((len(stamps_ns), *values.shape[1:]), missing, values.dtype)
+        columns[name][frames] = values
+    return PoseSequence(
+        id=person_id,
+        times=np.array(stamps_ns) / NS_PER_S,
+        skeleton=first.skeleton,
+        intrinsics=intrinsics,
+        recorded_ns=tuple(stamps_ns),
+        **columns,
+    )
+
+
+def find_intrinsics(people: Sequence[RecordedPerson]) -> Intrinsics:
+    """Return the camera that shows recorded people, one or more, as their own cameras do."""
+    return recover_intrinsics(
+        np.array([person.joints[:CORE_COUNT].mean(axis=0) for person in people]),
+        np.array([person.scale for person in people]),
+        np.array([person.translation for person in people]),
+    )
+
+
+def _load_bag(
+    path: Path, reading: InputOptions, config: Config, report: Report, *, with_keypoints: bool
+) -> Recording:
+    detections = Detections([], [])
+    if with_keypoints:
+        with suppress(*(() if reading.topic or reading.camera_info else (InputError,))):
+            detections = load_bag(path, config.node, reading.topic, reading.camera_info)
+    arrays, drops, faults, run, newest_ns = list[RecordedSkeletons](), list[Drop](), list[str](), RunSummary(), 0
+    restarts: set[int] = set()  # numbers of skeletons before resets
+    with Bag(path) as bag:
+        topic = find_skeletons_topic(bag)
+        journals = [name for name in bag.topics_of_type([JOURNAL]) if name.endswith('/journal')]
+        layout, count = '', bag.count([topic, *journals])
+        for index, message in enumerate(bag.messages([topic, *journals])):
+            report(index / count)
+            try:
+                if message.topic == topic:
+                    array = decode_skeletons(message.raw)
+                    names = {layout or person.skeleton.name for person in array.people[:1]}
+                    names |= {person.skeleton.name for person in array.people}
+                    if len(names) > 1:
+                        raise InputError(f'skeletons of several layouts: {", ".join(sorted(names))}')
+                    layout, newest_ns = next(iter(names), layout), array.stamp_ns
+                    arrays.append(array)
+                    continue
+                entry = decode_entry(message.raw)
+                if entry.kind == RESET:
+                    restarts.add(len(arrays))
+                if entry.verdict is not Verdict.ACCEPTED:
+                    drops.append(Drop(newest_ns, entry.reason))
+                if bag.topics.get(entry.topic) in PEOPLE_TYPES:
+                    run.count(entry.verdict)
+            except (InputError, SkeletonError) as error:
+                faults.append(f'{message.topic}: {error}')
+    if not with_keypoints and faults:
+        raise InputError(f'{path}: {faults[0]}')
+    by_id: dict[str, dict[int, RecordedPerson]] = {}
+    for array in arrays:
+        for person in array.people:
+            by_id.setdefault(person.id, {})[array.stamp_ns] = person
+    if reading.person is not None:
+        by_id = {reading.person: by_id[reading.person]} if reading.person in by_id else {}
+    if not by_id:
+        wanted = 'no person' if reading.person is None else f'no person {reading.person!r}'
+        raise InputError(f'{path}: {topic}: {wanted} is in any message')
+    stamps = sorted({array.stamp_ns for array in arrays})
+    stamps = stamps[int(is_stamp_missing(stamps[0], stamps[-1])) :]
+    intrinsics = detections.intrinsics or find_intrinsics([p for own in by_id.values() for p in own.values()])
+    size = resolve_image_size(stated=detections.image_size, configured=intrinsics.image_size or UNKNOWN_SIZE)
+    intrinsics = replace(intrinsics, image_size=size)
+    verticals = {array.stamp_ns: (array.vertical, array.vertical_std) for array in arrays}
+    directions = np.array([verticals[stamp_ns][0] for stamp_ns in stamps])
+    is_direction = np.abs(np.linalg.norm(directions, axis=1) - 1) < VERTICAL_TOLERANCE
+    vertical = np.where(is_direction[:, None], directions, np.nan)
+    vertical_std = np.where(is_direction, [verticals[stamp_ns][1] for stamp_ns in stamps], np.nan)
+    people = [
+        replace(collect_rows(i, stamps, rows, intrinsics), vertical=vertical, vertical_std=vertical_std)
+        for i, rows in by_id.items()
+    ]
+    summary: Summary | StoredSummary = UNKNOWN_SUMMARY
+    if seen := dict(zip(detections.stamps_ns, detections.people, strict=True)):
+        source = KNOWN if intrinsics.is_focal_known else 'as recorded'
+        for number, array in enumerate(arrays):
+            if number in restarts:
+                run.restart()
+            std = array.vertical_std
+            found = CameraVertical(array.vertical, std, is_given=std < MAX_GIVEN_STD) if std > 0 else None
+            shown = seen.get(array.stamp_ns, ())
+            run.add(array.stamp_ns, shown, array.people, intrinsics, source, found, config)
+            run.advance_judgement(config)
+        summary = run.summarise()
+    notes = [*detections.notes, *([f'{len(faults)} messages left out; {faults[0]}'] if faults else [])]
+    in_order = sorted(people, key=lambda person: int(person.in_sight.argmax()))
+    return Recording(tuple(in_order), summary, tuple(f'{path}: {n}' for n in notes), detections, tuple(drops))
+
+
 def find_skeletons_topic(bag: Bag) -> str:
     """Return the topic of skeletons; raises InputError unless there is exactly one."""
     topics = bag.topics_of_type([SKELETONS])
@@ -55,53 +210,3 @@ def find_skeletons_topic(bag: Bag) -> str:
         found = f'several topics of skeletons: {", ".join(topics)}' if topics else 'no skeletons'
         raise InputError(f'{bag.path}: the bag has {found}')
     return topics[0]
-
-
-def load_result(path: Path, person: str | None = None) -> tuple[StoredResult, str]:
-    """Load a reconstruction from a result file or a bag, of the person with id `person` or with most skeletons.
-
-    It has a frame for each message of a bag. The id of the person is returned as well, empty for a result file.
-    """
-    if not is_bag(path):
-        if person is not None:
-            raise InputError(f'{path}: --person does not apply to a result of reconstruct')
-        result, chosen = load_result_file(path), ''
-    else:
-        recorded = RecordedPeople()
-        with Bag(path) as bag:
-            topic = find_skeletons_topic(bag)
-            with naming(f'{path}: {topic}'):
-                for message in bag.messages([topic]):
-                    recorded.add(message.raw)
-        counts = {person_id: len(own) for person_id, own in recorded.by_id.items()}
-        if not counts:
-            raise InputError(f'{path}: {topic}: no person is in any message')
-        chosen = max(counts, key=counts.__getitem__) if person is None else person
-        if chosen not in counts:
-            people = ', '.join(f'{i} ({n})' for i, n in sorted(counts.items(), key=lambda item: -item[1]))
-            raise InputError(f'{path}: no person {person!r}; there are {people}')
-        result = _collect(recorded, chosen)
-    if not np.isfinite(result.joints).all(axis=(1, 2)).any():
-        raise InputError(f'{path}: no frame has a skeleton')
-    return result, chosen
-
-
-def _collect(recorded: RecordedPeople, person: str) -> StoredResult:
-    stamps, own = sorted(recorded.stamps_ns), recorded.by_id[person]
-    frames, count = np.searchsorted(stamps, sorted(own)), len(recorded.skeleton.joints)
-
-    def fill(field: str, missing: float, *shape: int) -> NDArray[Any]:
-        values = np.full((len(stamps), *shape), missing)
-        values[frames] = [getattr(own[stamp], field) for stamp in sorted(own)]
-        return values
-
-    return StoredResult(
-        np.array(stamps) / NS_PER_S,
-        fill('joints', np.nan, count, 3),
-        ~fill('inferred', True, count),
-        fill('residual', np.nan),
-        recorded.skeleton,
-        tuple(stamps),
-        fill('std', np.nan, count),
-        fill('root_covariance', np.nan, 3, 3),
-    )

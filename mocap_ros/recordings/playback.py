@@ -13,7 +13,7 @@ from rosbags.interfaces import Qos
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.topics import Source, find_people_topics
-from mocap_ros.formats.sequence_file import KeypointSequence
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, encode_camera_info
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints

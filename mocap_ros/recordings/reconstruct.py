@@ -1,71 +1,80 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The people of a recording, each reconstructed as a whole sequence."""
+"""The people of a recording, each reconstructed as a whole sequence: the one way of all commands and of Python."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from mocap_ros.arrays import Array
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
-from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
-from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.offline.whole_sequence import (
-    Report,
-    SequenceResult,
-    reconstruct_without_floor,
-    report_part,
-    share_floor,
-)
+from mocap_ros.offline.whole_sequence import Report, Solved, report_part, share_floor, solve_sequence
+from mocap_ros.recordings.load_keypoints import InputOptions, load_people
+from mocap_ros.recordings.recording import Recording
+from mocap_ros.verdict.summary import summarise
 
-# With the arguments of `reconstruct_without_floor`
-Method = Callable[
-    [Array, tuple[str, ...], Array, Intrinsics, Mapping[str, BasePoses], Config, Report], SequenceResult
-]
+# With the arguments of `solve_sequence`
+Method = Callable[[KeypointSequence, Mapping[str, BasePoses], Config, Report], Solved]
 
 
-class Reconstructed(NamedTuple):
-    """A person of a recording."""
+class ReconstructionOptions(NamedTuple):
+    """How an input is read and reconstructed."""
 
-    place: int  # index among the people of the recording
-    sequence: KeypointSequence
-    person_id: str
-    result: SequenceResult
+    config: Config  # parameters of tracker, solver and node
+    models: Mapping[str, BasePoses]  # base poses by name
+    reading: InputOptions = InputOptions()  # how the input is read
+    max_people: int | None = 1  # people who are reconstructed, those who are seen most; None for all
+    method: Method = solve_sequence
 
 
-def reconstruct_people(
-    sequences: Sequence[KeypointSequence],
-    models: Mapping[str, BasePoses],
-    config: Config,
-    report: Report,
-    method: Method = reconstruct_without_floor,
-) -> tuple[list[Reconstructed], list[str]]:
-    """Reconstruct the people of a recording, who share the floor; one who fails does not stop the others.
+def reconstruct(
+    source: Path | Sequence[KeypointSequence], options: ReconstructionOptions, report: Report = lambda _: None
+) -> Recording:
+    """Reconstruct the people of an input, who share the floor; one who fails does not stop the others.
 
-    Returns those who were reconstructed, and a line for each of the others.
+    `report` gets the share, 0 to 1, of the work after the input is read.
+
+    Raises:
+        InputError: the input cannot be read, or nobody in it can be reconstructed; it names the path, if one is
+            given.
     """
-    found: list[Reconstructed] = []
-    left_out: list[str] = []
+    if isinstance(source, Path):
+        sequences, read = load_people(source, options.reading, only_one=options.max_people == 1)
+        try:
+            recording = reconstruct(sequences, options, report)
+        except InputError as error:
+            raise InputError(f'{source}: {error}') from None
+        return recording._replace(notes=(*read, *(f'{source}: {note}' for note in recording.notes)))
+    config, models, notes = options.config, options.models, list[str]()
+    sequences = list(source)
+    if options.max_people is not None and len(sequences) > options.max_people:
+        sequences = sorted(sequences, key=lambda s: -int((s.keypoints[..., 2] > 0).any(axis=1).sum()))
+        notes.append(f'{len(sequences) - options.max_people} more people are not shown, who are seen less')
+    sequences = sequences[: options.max_people]
+    found: list[Solved] = []
     for index, sequence in enumerate(sequences):
         person_id = sequence.person_id or f'person_{index + 1}'
         try:
-            observations = extract_observations(sequence, config.tracker.nominal_focal_length)
-            result = method(*observations, models, config, report_part(report, index, len(sequences)))
+            solved = options.method(sequence, models, config, report_part(report, index, len(sequences)))
         except (InputError, np.linalg.LinAlgError) as error:
             if len(sequences) == 1:
                 raise InputError(str(error)) from None
-            left_out.append(f'person {person_id!r} is left out: {error}')
+            notes.append(f'person {person_id!r} is left out: {error}')
             continue
-        found.append(Reconstructed(index, sequence, person_id, result))
+        found.append(solved._replace(poses=replace(solved.poses, id=person_id)))
     if not found:
-        raise InputError('\n'.join(left_out) or 'the recording shows no person')
-    results = share_floor(
-        [person.result for person in found], [person.sequence.timestamps for person in found], config.tracker
-    )
-    return [p._replace(result=result) for p, result in zip(found, results, strict=True)], left_out
+        raise InputError('\n'.join(notes) or 'the recording shows no person')
+    people, faults = share_floor(found, config.tracker)
+    notes += (f'tracker.camera_height {fault}' for fault in faults)
+    summaries = [summarise([poses], config) for poses in people]
+    together = summaries[0] if len(people) == 1 else summarise(people, config)
+    judged = [replace(poses, summary=summary) for poses, summary in zip(people, summaries, strict=True)]
+    return Recording(tuple(judged), together, tuple(notes))

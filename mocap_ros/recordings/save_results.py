@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Save a reconstructed sequence as arrays, a table, a bag, or for animation or biomechanics; and keyframes."""
+"""Save a reconstructed sequence as arrays, a table, a bag, or for animation or biomechanics."""
 
 from __future__ import annotations
 
@@ -10,14 +10,12 @@ import math
 import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
@@ -29,21 +27,18 @@ from mocap_ros.formats.detections import MAX_FRAME_RATE_HZ, Detections
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS, compute_joint_angles
 from mocap_ros.formats.export.trc import save_trc
-from mocap_ros.formats.sequence_file import KeypointSequence, find_longest_gap, make_camera_arrays
+from mocap_ros.formats.result_file import save_result_file
+from mocap_ros.formats.sequence_file import find_longest_gap
 from mocap_ros.geometry.interpolation import central_velocity
 from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_rotation
 from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, encode_camera_info
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
-from mocap_ros.npz_file import write_npz
-from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
-from mocap_ros.offline.whole_sequence import MAX_GAP_S, SequenceResult
-from mocap_ros.people import CameraVertical, Motion, MotionKind, Person3D
+from mocap_ros.offline.whole_sequence import MAX_GAP_S
+from mocap_ros.people import CameraVertical, Motion, MotionKind, Person3D, PoseSequence
 from mocap_ros.recordings.playback import DEFAULT_FRAME_ID
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OutputEncoder, build_skeleton_definition
 from mocap_ros.skeleton import CORE_COUNT
-from mocap_ros.solvers.observed_window import ObservedWindow
-from mocap_ros.verdict.summary import Summary
 
 ONE_FILE = RecorderConfig(min_free_mb=0, split_seconds=0.0)  # of a bag that is written as a single file
 DEFAULT_PERSON_ID = 'person_1'  # id in the messages of a bag, if the sequence does not name its person
@@ -57,33 +52,13 @@ SMALLEST_NORM = 1e-9  # 1; guards the normalisation of mixed quaternions
 WORLD_TO_ANIMATION = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 WORLD_TO_GROUND = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
-# The comment above the keyframes in the YAML file.
-KEYFRAMES_HEADER = """\
-# Keyframes of {name}. start_ns: stamp of the first frame of the person, ns; time: s from then on; represents:
-# number of frames that the keyframe represents; spans: first and last time of every run of these frames, s.
-# To compute the 3D pose of a keyframe by Taylor's method, add to it the outer joints of the limbs that point
-# towards the camera (the other limbs point away), and optionally the scale in px per m, for example:
-#     forward: [lelbow, lwrist]
-#     scale: 250
-# Then run: mocap-ros reconstruct --method keyframes --choices THIS_FILE
-"""
 
-
-@dataclass(frozen=True, eq=False)
-class ReconstructedSequence:
-    """A keypoint sequence and its reconstruction."""
-
-    sequence: KeypointSequence  # the keypoints
-    result: SequenceResult  # the reconstruction, with joints (F, J, 3) in m in the camera's optical frame
-    summary: Summary | None = None  # what it rests on
-
-
-def save(path: Path, reconstruction: ReconstructedSequence) -> None:
+def save(path: Path, poses: PoseSequence) -> None:
     """Write a reconstruction; the suffix of `path`, one of `SUFFIXES`, selects the format.
 
     InputError where the frames are too far apart in time, or too close, for a format with a constant frame rate.
     """
-    WRITERS[find_suffix(path)](path, reconstruction)
+    WRITERS[find_suffix(path)](path, poses)
 
 
 def find_suffix(path: Path) -> str:
@@ -91,57 +66,21 @@ def find_suffix(path: Path) -> str:
     return max((suffix for suffix in SUFFIXES if path.name.endswith(suffix)), key=len, default='')
 
 
-def _save_npz(path: Path, reconstruction: ReconstructedSequence) -> None:
-    result, sequence = reconstruction.result, reconstruction.sequence
-    cameras, translation = result.cameras_in_real_image()
-    intrinsics = result.virtual_camera.intrinsics
-    camera = make_camera_arrays(replace(sequence, calibration=replace(intrinsics, is_focal_known=True)))
-    arrays: dict[str, NDArray[np.generic]] = {
-        'joints3d': result.joints.astype('f4'),
-        'joint_names': np.array(result.skeleton.joints),
-        'parents': np.array(result.skeleton.parents),
-        'timestamps': sequence.timestamps,
-        'keypoints': sequence.keypoints.astype('f4'),
-        'keypoint_names': np.array(sequence.joint_names),
-        'image_size': np.array(sequence.image_size),
-        'seen': result.seen,
-        'scale': cameras.scale,
-        'rotation': cameras.rotation,
-        'translation': translation,
-        'scale_known': np.array(intrinsics.is_focal_known),
-        'residual_px': result.solution.residual,
-        'theta': result.solution.theta,
-        'vertical': result.vertical,
-        'vertical_std': result.vertical_std,
-        'contact': result.foot_contact.astype('f4'),
-        'world_from_camera': result.world_from_camera,
-        'floor_std': np.array(result.floor_std),
-    }
-    arrays |= {key: a for key, a in zip(('camera_matrix', 'distortion'), camera, strict=True) if a is not None}
-    if (summary := reconstruction.summary) is not None:
-        arrays |= {'grade': np.array(summary.grade), 'summary': np.array(str(summary))}
-    if result.orientation is not None and result.turn_inferred is not None:
-        arrays |= {'orientation': result.orientation.astype('f4'), 'orientation_order': np.array('xyzw')}
-        arrays['turn_inferred'] = result.turn_inferred
-    write_npz(path, arrays)
+def _save_csv(path: Path, poses: PoseSequence) -> None:
+    columns = [f'{name}_{axis}_m' for name in poses.joint_names for axis in 'xyz']
+    _write_table(path, columns, poses.times, poses.joints.reshape(len(poses), -1))
 
 
-def _save_csv(path: Path, reconstruction: ReconstructedSequence) -> None:
-    result = reconstruction.result
-    columns = [f'{name}_{axis}_m' for name in result.skeleton.joints for axis in 'xyz']
-    _write_table(path, columns, reconstruction.sequence.timestamps, result.joints.reshape(len(result.joints), -1))
-
-
-def _count_times(sequence: KeypointSequence) -> Array:
+def _count_times(poses: PoseSequence) -> Array:
     """Return the times (F,) in s since the first image of the recording, the same for all of its people."""
-    first = float(sequence.timestamps[0])
-    start = first if sequence.recording_start is None else sequence.recording_start
-    return sequence.timestamps - min(start, first)
+    first, start = float(poses.times[0]), None
+    if poses.sequence is not None:
+        start = poses.sequence.recording_start
+    return poses.times - (first if start is None else min(start, first))
 
 
-def _save_angles(path: Path, reconstruction: ReconstructedSequence) -> None:
-    times, joints = _count_times(reconstruction.sequence), stand_on_floor(reconstruction.result, WORLD_TO_GROUND)
-    known = np.isfinite(joints).all(axis=(1, 2))
+def _save_angles(path: Path, poses: PoseSequence) -> None:
+    times, joints, known = _count_times(poses), stand_on_floor(poses, WORLD_TO_GROUND), poses.in_sight
     angles = np.full((len(times), len(COORDINATES)), np.nan)
     fps = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 1.0
     angles[known] = compute_joint_angles(joints[known], fps)
@@ -183,11 +122,13 @@ def _record_file(path: Path) -> Iterator[Recorder]:
             file.replace(path)
 
 
-def _save_bag(path: Path, reconstruction: ReconstructedSequence) -> None:
+def _save_bag(path: Path, poses: PoseSequence) -> None:
     """Write the inputs and the outputs in the same way as `replay`, but into a single .mcap file."""
-    sequence, result, encoder = reconstruction.sequence, reconstruction.result, OutputEncoder()
-    intrinsics, person_id = result.virtual_camera.intrinsics, sequence.person_id or DEFAULT_PERSON_ID
-    frames = zip(sequence.stamps_ns, _iterate_people(reconstruction), result.vertical, strict=True)
+    sequence, encoder = poses.sequence, OutputEncoder()
+    if sequence is None:
+        raise InputError('the result is without its keypoints')
+    intrinsics, person_id = poses.intrinsics, poses.id or DEFAULT_PERSON_ID
+    frames = zip(sequence.stamps_ns, _iterate_people(poses), poses.vertical, strict=True)
     with _record_file(path) as recorder:
 
         def write(topic: str, msgtype: str, raw: bytes) -> None:
@@ -197,7 +138,7 @@ def _save_bag(path: Path, reconstruction: ReconstructedSequence) -> None:
             recorder.declare_topic('/' + topic, msgtype, latched=True)
         for frame, (stamp, person, upward) in enumerate(frames):
             if not frame:
-                definition = build_skeleton_definition(result.skeleton.name)
+                definition = build_skeleton_definition(poses.skeleton.name)
                 write(definition.topic, definition.type, definition.data)
             header = Header(stamp, sequence.frame_id or DEFAULT_FRAME_ID)
             if intrinsics.is_focal_known:
@@ -205,70 +146,67 @@ def _save_bag(path: Path, reconstruction: ReconstructedSequence) -> None:
                 write('camera_info', CAMERA_INFO, encode_camera_info(header, camera))
             keypoints = encode_keypoints(header, sequence.image_size, [sequence.person(frame, person_id)])
             write('keypoints', KEYPOINTS, keypoints)
-            std = float(result.vertical_std[frame])
+            std = float(poses.vertical_std[frame])
             vertical = None if math.isnan(std) else CameraVertical(upward, std)
             for output in encoder.encode(header, [person] if person else [], vertical=vertical):
                 write(output.topic, output.type, output.data)
 
 
-def _iterate_people(reconstruction: ReconstructedSequence) -> Iterator[Person3D | None]:
-    result, nan = reconstruction.result, float('nan')
-    cameras, translation = result.cameras_in_real_image()
-    contact = result.foot_contact
-    times = np.asarray(reconstruction.sequence.timestamps)
-    velocity = central_velocity(times, result.joints)
+def _iterate_people(poses: PoseSequence) -> Iterator[Person3D | None]:
+    nan, seen = float('nan'), np.asarray(~poses.inferred[:, :CORE_COUNT].all(axis=1))
+    velocity = central_velocity(poses.times, poses.joints)
+    scale, translation = poses.scale, poses.translation
     first = last_seen = math.nan
-    for frame, seen in enumerate(result.seen):
-        if seen[:CORE_COUNT].any():
-            first, last_seen = times[frame] if math.isnan(first) else first, times[frame]
-        if np.isnan(result.joints[frame]).any():
+    for frame, is_in_sight in enumerate(poses.in_sight.tolist()):
+        time = poses.times[frame]
+        if seen[frame]:
+            first, last_seen = time if math.isnan(first) else first, time
+        if not is_in_sight:
             yield None
             continue
-        person = Person3D(
-            id=reconstruction.sequence.person_id or DEFAULT_PERSON_ID,
-            joints=result.joints[frame],
-            std=np.full(len(seen), nan),
-            inferred=~seen,
-            scale=float(cameras.scale[frame]),
-            rotation=cameras.rotation[frame],
+        yield Person3D(
+            id=poses.id or DEFAULT_PERSON_ID,
+            joints=poses.joints[frame],
+            std=poses.joint_std[frame],
+            inferred=poses.inferred[frame],
+            scale=float(scale[frame]),
+            rotation=poses.rotation[frame],
             translation=translation[frame],
-            motion=Motion(MotionKind.UNKNOWN, result.category, nan, nan),
-            residual=float(result.solution.residual[frame]),
-            scale_known=result.virtual_camera.intrinsics.is_focal_known,
-            predicted=not seen[:CORE_COUNT].any(),
+            motion=Motion(MotionKind.UNKNOWN, poses.base_poses, nan, nan),
+            residual=float(poses.reprojection_residual[frame]),
+            scale_known=poses.is_scale_known,
+            predicted=not seen[frame],
             velocity=velocity[frame],
-            velocity_std=np.full(len(seen), nan),
-            age=float(times[frame] - first),
-            unseen_for=float(times[frame] - last_seen),
-            skeleton=result.skeleton,
-            contact=contact[frame],
+            velocity_std=np.full(len(poses.joint_names), nan),
+            age=float(time - first),
+            unseen_for=float(time - last_seen),
+            skeleton=poses.skeleton,
+            orientation=poses.joint_orientation[frame],
+            turn_inferred=poses.turn_inferred[frame],
+            contact=poses.contact[frame],
         )
-        if result.orientation is not None and result.turn_inferred is not None:
-            turns = result.orientation[frame], result.turn_inferred[frame]
-            person = replace(person, orientation=turns[0], turn_inferred=turns[1])
-        yield person
 
 
-def stand_on_floor(result: SequenceResult, axes: Array) -> Array:
+def stand_on_floor(poses: PoseSequence, axes: Array) -> Array:
     """Return the joints (F, J, 3) in m in the person's world, in axes whose rows (3, 3) are along those of it."""
-    world = axes @ result.world_from_camera[:3]
-    return np.asarray(result.joints @ world[:, :3].T + world[:, 3])
+    world = axes @ poses.world_from_camera[:3]
+    return np.asarray(poses.joints @ world[:, :3].T + world[:, 3])
 
 
-def _save_bvh(path: Path, reconstruction: ReconstructedSequence) -> None:
-    resampled = _resample_at_constant_rate(reconstruction, MAX_BVH_GAP_S, WORLD_TO_ANIMATION, is_from_start=True)
+def _save_bvh(path: Path, poses: PoseSequence) -> None:
+    resampled = _resample_at_constant_rate(poses, MAX_BVH_GAP_S, WORLD_TO_ANIMATION, is_from_start=True)
     orientation = resampled.orientation
     if orientation is not None:
         orientation /= np.maximum(np.linalg.norm(orientation, axis=-1, keepdims=True), SMALLEST_NORM)
-        turn = WORLD_TO_ANIMATION @ reconstruction.result.world_from_camera[:3, :3]
+        turn = WORLD_TO_ANIMATION @ poses.world_from_camera[:3, :3]
         orientation = multiply_quaternions(np.array(quaternion_from_rotation(turn)), orientation)
     save_bvh(path, build_armature(resampled.joints, resampled.fps, orientation))
 
 
-def _save_trc(path: Path, reconstruction: ReconstructedSequence) -> None:
-    resampled = _resample_at_constant_rate(reconstruction, MAX_EMPTY_S, WORLD_TO_GROUND)
+def _save_trc(path: Path, poses: PoseSequence) -> None:
+    resampled = _resample_at_constant_rate(poses, MAX_EMPTY_S, WORLD_TO_GROUND)
     resampled.joints[~resampled.in_sight] = np.nan
-    save_trc(path, reconstruction.result.skeleton.joints, resampled.joints, resampled.fps, resampled.first)
+    save_trc(path, poses.joint_names, resampled.joints, resampled.fps, resampled.first)
 
 
 class _Resampled(NamedTuple):
@@ -280,21 +218,20 @@ class _Resampled(NamedTuple):
 
 
 def _resample_at_constant_rate(
-    reconstruction: ReconstructedSequence, max_gap_s: float, axes: Array, *, is_from_start: bool = False
+    poses: PoseSequence, max_gap_s: float, axes: Array, *, is_from_start: bool = False
 ) -> _Resampled:
     """Interpolate a result linearly, at about the median frame rate of the sequence; InputError at longer gaps.
 
     The frames begin with those of the sequence, or at the start of the recording, with the first pose.
     """
-    result, joints = reconstruction.result, stand_on_floor(reconstruction.result, axes)
-    times = _count_times(reconstruction.sequence)
+    times, joints, known = _count_times(poses), stand_on_floor(poses, axes), poses.in_sight
     step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
     if step * MAX_FRAME_RATE_HZ < 1.0 - RATE_TOLERANCE:
         raise InputError(
             f'timestamps: {step:.3g} s from frame to frame; at most {MAX_FRAME_RATE_HZ:g} Hz fit the format'
         )
     frame_count = round(float(times[-1]) / step) + 1
-    known_times = times[np.isfinite(joints).all(axis=(1, 2))]
+    known_times = times[known]
     gap, start = find_longest_gap(known_times)
     if gap > max_gap_s:
         raise InputError(
@@ -308,7 +245,6 @@ def _resample_at_constant_rate(
     grid = step * np.arange(first, frame_count)
 
     def interpolate(values: Array) -> Array:
-        known = np.isfinite(values).all(axis=(1, 2))
         columns = values[known].reshape(int(known.sum()), -1).T
         mixed = np.stack([np.interp(grid, times[known], column) for column in columns], axis=1)
         return mixed.reshape(len(grid), *values.shape[1:])
@@ -317,13 +253,13 @@ def _resample_at_constant_rate(
     for before, after in pairwise(known_times):
         if after - before > MAX_GAP_S:
             in_sight &= (grid < before + step / 2) | (grid > after - step / 2)
-    orientation = None if result.orientation is None else interpolate(result.orientation)
+    orientation = interpolate(poses.joint_orientation) if np.isfinite(poses.joint_orientation).any() else None
     return _Resampled(1 / step, interpolate(joints), orientation, in_sight, first)
 
 
 # The function that writes each format, by file suffix.
-WRITERS: dict[str, Callable[[Path, ReconstructedSequence], None]] = {
-    '.npz': _save_npz,
+WRITERS: dict[str, Callable[[Path, PoseSequence], None]] = {
+    '.npz': save_result_file,
     '.csv': _save_csv,
     '.mcap': _save_bag,
     '.bvh': _save_bvh,
@@ -331,39 +267,3 @@ WRITERS: dict[str, Callable[[Path, ReconstructedSequence], None]] = {
     '.angles.csv': _save_angles,
 }
 SUFFIXES = tuple(WRITERS)  # the file suffixes that `save` accepts
-
-
-def list_keyframe_entries(
-    observed: ObservedWindow, keyframes: tuple[KeyframeSet, KeyframeSet]
-) -> list[dict[str, Any]]:
-    """Return the entry of every keyframe in the YAML file, upper body first, sorted by time.
-
-    The keys are `half` (upper or lower), `time` (s from the beginning), `represents` (number of frames) and
-    `spans` (pairs of times in s).
-    """
-    times = observed.times - observed.times[0]
-    return [
-        {
-            'half': half.body_half.name,
-            'time': round(float(times[half.frames[key]]), 6),
-            'represents': int((half.assignment == key).sum()),
-            'spans': [
-                [round(float(times[first]), 3), round(float(times[last]), 3)]
-                for first, last in half.find_runs(int(key))
-            ],
-        }
-        for half in keyframes
-        for key in half.chronological_order
-    ]
-
-
-def format_yaml(
-    observed: ObservedWindow, keyframes: tuple[KeyframeSet, KeyframeSet], name: str, start_ns: int
-) -> str:
-    """Return the text of the YAML file of keyframes, which `reconstruct --choices` reads.
-
-    The name of the recording is for the comment; times count from `start_ns`, the stamp of the first frame.
-    """
-    tree = {'start_ns': start_ns, 'keyframes': list_keyframe_entries(observed, keyframes)}
-    content = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)
-    return KEYFRAMES_HEADER.format(name=' '.join(name.split())) + content

@@ -22,7 +22,7 @@ from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, decode_camera_info
 from mocap_ros.messages.keypoints import KEYPOINTS, KeypointsFrame, decode_keypoints
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
-from mocap_ros.recordings.load_scene import average_core, make_scene_person, recover_intrinsics
+from mocap_ros.recordings.load_results import collect_rows, find_intrinsics
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.nodes import run_node
 from mocap_ros.ros.qos import NEWEST_QOS
@@ -95,19 +95,17 @@ class LiveView(Node):
         if self._camera is not None and self._camera.intrinsics.is_focal_known:
             intrinsics = self._camera.intrinsics
         elif array.people:
-            joints, scale, translation = (
-                np.array([getattr(p, n) for p in array.people]) for n in ('joints', 'scale', 'translation')
-            )
-            intrinsics, self._size = recover_intrinsics(average_core(joints, skeleton), scale, translation)
+            intrinsics = find_intrinsics(array.people)
+            self._size = intrinsics.image_size or self._size
         else:
             intrinsics = Intrinsics.from_image_size(*self._size, 1.0)
         if self._camera is not None:
             self._size = self._camera.size
         if frame is not None:
             self._size = resolve_image_size(stated=(frame.image_width, frame.image_height), configured=self._size)
-        people = make_nobody(len(skeleton.joints), intrinsics)
+        people = make_nobody(skeleton, intrinsics)
         if array.people:
-            people = make_scene_person('', np.arange(len(array.people)), array.people, intrinsics)
+            people = collect_rows('', range(len(array.people)), dict(enumerate(array.people)), intrinsics)
         found = [] if frame is None else frame.people
         self._scene.publish(
             array.stamp_ns,

@@ -37,8 +37,8 @@ from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, build_skeleton_definition
 from mocap_ros.runtime.pipeline import Counters, Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
 from mocap_ros.runtime.run_memory import RunMemory
+from mocap_ros.summary import Summary
 from mocap_ros.verdict.input_checks import find_kind
-from mocap_ros.verdict.summary import Summary
 
 JOURNAL_TOPIC = '/mocap_replay/journal'  # ends as the journal of a live run, so that a replay can be replayed
 INPUT_TYPE_PARAMETER = 'node.input_type'  # set to the type of the bag's keypoints, whatever the parameters say

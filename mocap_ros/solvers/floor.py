@@ -33,8 +33,7 @@ from numpy.typing import NDArray
 from mocap_ros.arrays import Array
 from mocap_ros.geometry.level import MAX_CERTAIN_STD, Floor
 from mocap_ros.models.upward_direction import Stances
-from mocap_ros.people import HIPS
-from mocap_ros.skeleton import CORE_COUNT
+from mocap_ros.skeleton import CORE_COUNT, HIPS
 from mocap_ros.solvers.footing import ANKLES, HEELS_AND_TOES
 
 # m; h of heels, toes and ankles of training persons where they seem to stand, which is too early and too late

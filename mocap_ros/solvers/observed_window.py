@@ -29,6 +29,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera, solver_focal
 from mocap_ros.keypoints.association import measure_sizes, show_people
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.keypoints.left_right import BodySides, exchange_sides, find_swapped_parts
 from mocap_ros.keypoints.rays import Extremities, convert_to_rays, join_body
 from mocap_ros.models.lifter import LiftedPoses
@@ -189,10 +190,7 @@ def append_lifted(windows: Sequence[ObservedWindow], lifted: LiftedPoses, camera
 
 
 def observe_sequence(
-    keypoints: Array,
-    joint_names: tuple[str, ...],
-    times: Array,
-    intrinsics: Intrinsics,
+    sequence: KeypointSequence,
     config: TrackerConfig,
     skeleton: Skeleton = CMU15,
     find_shots: ShotFinder | None = None,
@@ -201,22 +199,23 @@ def observe_sequence(
 
     A frame with all its points in one place, of four or more seen joints, counts as not seen.
 
-    `keypoints` (F, Js, 3) x and y in px, and confidence score, NaN or score 0 where not seen; `joint_names` (Js,)
-    any names that `keypoints.joint_map` knows; `times` (F,) s, increasing; `config` parameters, `min_score`,
-    `undo_swaps` and `perspective` apply; `find_shots` splits the sequence into shots, whose sides are put right
-    independently, None if the sequence has no cuts.
+    `config` parameters, `min_score`, `undo_swaps`, `perspective` and `nominal_focal_length` apply; `find_shots`
+    splits the sequence into shots, whose sides are put right independently, None if the sequence has no cuts.
 
     Raises:
         SkeletonError: These names give too few of the model's joints.
         InputError: No frame has four seen joints, all seen points of each such frame lie in one place, or the
             times span more than `MAX_SPAN_S`.
     """
+    times, keypoints = sequence.timestamps, sequence.keypoints
+    intrinsics = sequence.intrinsics(config.nominal_focal_length)
     if (span_s := float(times[-1] - times[0])) > MAX_SPAN_S:
         raise InputError(
             f'the times span {span_s:.0f} s, at most {MAX_SPAN_S:.0f} s expected; is a stamp not set?'
         )
-    given = keypoints[..., :2], keypoints[..., 2], joint_names, intrinsics, config.min_score, skeleton
-    rays, weight, is_evidence, found = convert_to_rays(*given)
+    rays, weight, is_evidence, found = convert_to_rays(
+        keypoints[..., :2], keypoints[..., 2], sequence.joint_names, intrinsics, config.min_score, skeleton
+    )
     extremities = found if skeleton == CMU15 else None
     require_camera_frame(weight)
     rays, weight, extremities = _exclude_frames_in_one_place(rays, weight, extremities)

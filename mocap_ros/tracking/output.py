@@ -20,8 +20,8 @@ from mocap_ros.engine import motion as engine
 from mocap_ros.geometry.interpolation import central_velocity
 from mocap_ros.models.model_file import load_velocity_correction
 from mocap_ros.models.velocity_correction import SPANS_S, VelocityPast
-from mocap_ros.people import HIPS, Motion, Person3D
-from mocap_ros.skeleton import Skeleton
+from mocap_ros.people import Motion, Person3D
+from mocap_ros.skeleton import HIPS, Skeleton
 from mocap_ros.solvers.extremities import BODY, ExtremityEvidence, collect_evidence
 from mocap_ros.solvers.footing import plant_newest
 from mocap_ros.solvers.observed_window import ObservedWindow

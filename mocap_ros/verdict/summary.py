@@ -12,14 +12,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from mocap_ros.arrays import Array
 from mocap_ros.bags.journal import Verdict
 from mocap_ros.config import Config
-from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import MAX_CERTAIN_STD
 from mocap_ros.keypoints.joint_map import build_joint_map
@@ -27,10 +25,10 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import MAX_SHARE_OUTSIDE, PointPlaces
 from mocap_ros.messages.skeletons import RecordedPerson
 from mocap_ros.models.model_file import load_shipped_lifter
-from mocap_ros.offline.whole_sequence import SequenceResult
-from mocap_ros.people import CameraVertical, Person3D
+from mocap_ros.people import CameraVertical, Person3D, PoseSequence
 from mocap_ros.skeleton import CMU15, CORE_COUNT, skeleton_from_joints
 from mocap_ros.solvers.vertical import read_given_vertical
+from mocap_ros.summary import Summary
 from mocap_ros.units import NS_PER_S
 from mocap_ros.verdict.plausibility import (
     LOOK_S,
@@ -61,8 +59,6 @@ MEMORY_S = 5.0  # s; live, the residual is averaged over about this time, and af
 MAX_REFUSED = 0.1  # 1, share of the messages of people; of more, the input is doubtful
 MAX_REFUSED_IN_TURN = 30  # messages, a second at 30 Hz; as many that no accepted one has followed yet, likewise
 
-WRONG = Grade.WRONG.name.lower()  # a grade in words
-
 AnyPerson3D = Person3D | RecordedPerson
 
 # What to say of a fault; `{given}` is the layout of the points.
@@ -77,49 +73,6 @@ WORDS = {
     Fault.TURNED: 'people lie or are upside down in the image: x and y may be exchanged, or y points upwards; '
     'if the camera is turned, give tracker.vertical',
 }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Summary:
-    """What a reconstruction rests on."""
-
-    people: int
-    frames: int
-    seen: float  # 1, share of the detector's points that were seen, in images with people; NaN without any
-    residual_px: float  # px, mean RMS reprojection error; NaN if unknown
-    residual_share: float  # 1, the same over the height of the body in the image
-    # m, distance along the optical axis, the median over joints and frames, or live the mean of the first joint;
-    # NaN if unknown
-    distance_m: float
-    focal_px: float  # px, focal length; NaN if unknown
-    focal_source: str  # `known` by a calibration, `given` by the user, `from the video`, or `nominal`
-    vertical: str  # `given`, `found`, `uncertain` or `none`
-    vertical_std_deg: float  # degrees, standard deviation of the vertical; NaN if there is none
-    grade: str  # `good`, `doubtful` or `wrong`; `not judged` if too little was seen
-    reason: str = ''  # why the grade is not good, in words
-
-    @property
-    def is_wrong(self) -> bool:
-        """Whether the input is wrong, so that the result is."""
-        return self.grade == WRONG
-
-    def __str__(self) -> str:
-        parts = [f'{self.grade}: {self.reason}' if self.reason else self.grade]
-        parts.append(f'{self.people} {"person" if self.people == 1 else "people"} in {self.frames} frames')
-        if math.isfinite(self.seen):
-            parts.append(f'{self.seen:.0%} of the points seen')
-        if math.isfinite(self.residual_px):
-            parts.append(f'residual {self.residual_px:.1f} px ({self.residual_share:.1%} of the body height)')
-        if math.isfinite(self.focal_px):
-            focal = f'focal length {self.focal_px:.0f} px, {self.focal_source}'
-            if math.isfinite(self.distance_m):
-                is_known = self.focal_source == 'known'
-                focal += f'{"," if is_known else ":"} {self.distance_m:.1f} m away'
-                focal += '' if is_known else ', proportional to it'
-            parts.append(focal)
-        std = f' (± {self.vertical_std_deg:.0f}°)' if math.isfinite(self.vertical_std_deg) else ''
-        parts.append(f'vertical {self.vertical}{std}')
-        return '; '.join(parts)
 
 
 def describe_grade(judgement: Judgement) -> str:
@@ -145,25 +98,26 @@ def describe_fault(judgement: Judgement, names: Sequence[str], size_fault: str) 
     return WORDS.get(judgement.fault, '').format(layout=judgement.layout, given=given)
 
 
-def summarise(sequences: Sequence[KeypointSequence], results: Sequence[SequenceResult], config: Config) -> Summary:
-    """Summarise the reconstruction of all people of a recording, one sequence and result each."""
+def summarise(people: Sequence[PoseSequence], config: Config) -> Summary:
+    """Summarise the reconstruction of all people of a recording, with their keypoints."""
+    sequences = [person.sequence for person in people if person.sequence is not None]
     tracker, lifter = config.tracker, load_shipped_lifter()
     given, walk, places = read_given_vertical(tracker), Walk(), PointPlaces()
     vertical = None if given is None else given.direction
     measured: list[dict[Reading, float]] = []
     rows, seen = [], []
-    for sequence, result in zip(sequences, results, strict=True):
-        intrinsics = result.virtual_camera.intrinsics
-        depth = float(np.nanmedian(result.joints[..., 2]))
-        residual = float(np.nanmean(result.solution.residual))
-        share = residual * depth / intrinsics.focal / (tracker.body_height * result.size)
-        std = result.vertical_std[np.isfinite(result.vertical_std)]
+    for sequence, person in zip(sequences, people, strict=True):
+        intrinsics = person.intrinsics
+        depth = float(np.nanmedian(person.joints[..., 2]))
+        residual = float(np.nanmean(person.reprojection_residual))
+        share = residual * depth / intrinsics.focal / person.body_height
+        std = person.vertical_std[np.isfinite(person.vertical_std)]
         rows.append((residual, share, depth, float(np.median(std)) if len(std) else math.nan))
         score = np.where(sequence.keypoints[..., 2] >= tracker.min_score, sequence.keypoints[..., 2], 0.0)
         keypoints = np.concatenate([sequence.keypoints[..., :2], score[..., None]], axis=-1)
         seen.append(float((score > 0)[(score > 0).any(axis=1)].mean()))
         places.add(keypoints[..., :2], score, sequence.image_size)
-        for stamp_ns, joints in zip(sequence.stamps_ns, result.joints, strict=True):
+        for stamp_ns, joints in zip(sequence.stamps_ns, person.joints, strict=True):
             walk.add(str(len(rows)), stamp_ns, joints)
         if len(measured) < MAX_JUDGED_PEOPLE * MAX_STRETCHES:
             points = keypoints, sequence.joint_names, sequence.timestamps
@@ -173,7 +127,7 @@ def summarise(sequences: Sequence[KeypointSequence], results: Sequence[SequenceR
     counts = [len(sequence) for sequence in sequences]
     residual, share, depth, std = np.average(rows, axis=0, weights=counts).tolist()
     size, size_fault = judge_size(places)
-    sequence, intrinsics = sequences[0], results[0].virtual_camera.intrinsics
+    sequence, intrinsics = sequences[0], people[0].intrinsics
     is_known, (width, height) = intrinsics.is_focal_known, sequence.image_size
     if sequence.is_size_assumed and not is_known and size is Grade.GOOD:
         size, size_fault = Grade.DOUBTFUL, f'the image size of {width}x{height} px is assumed'

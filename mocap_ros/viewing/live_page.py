@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 from mocap_ros.errors import MocapError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import average_vertical
+from mocap_ros.people import PoseSequence
 from mocap_ros.skeleton import BODY26, Skeleton
 from mocap_ros.viewing.page import LIVE_STEPS, build_page, describe_camera, pack_person, round_to_int16
-from mocap_ros.viewing.scene import PERSON_COLOURS, Scene, ScenePerson
+from mocap_ros.viewing.scene import PERSON_COLOURS, Scene
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -52,7 +53,7 @@ class LiveScene:
         self._changed = threading.Condition()
         self._skeleton = BODY26
         self._verticals: deque[NDArray[np.float64]] = deque(maxlen=LEVEL_FRAMES)
-        self._people: deque[ScenePerson] = deque(maxlen=LEVEL_FRAMES)
+        self._people: deque[PoseSequence] = deque(maxlen=LEVEL_FRAMES)
         self._level: dict[str, Any] = {}
 
     @property
@@ -69,7 +70,7 @@ class LiveScene:
         """Return the page, which asks for the frames."""
         size = 640, 480  # px; the frames have their own
         intrinsics = Intrinsics.from_image_size(*size, 1.0)
-        empty = make_nobody(len(self._skeleton.joints), intrinsics)
+        empty = make_nobody(self._skeleton, intrinsics)
         people = (empty,) * len(PERSON_COLOURS)
         scene = Scene(self._title, [0], people, (), size, intrinsics, skeleton=self._skeleton)
         return build_page(scene, live_topic=self._topic)
@@ -78,7 +79,7 @@ class LiveScene:
         self,
         stamp_ns: int,
         ids: Sequence[str],
-        people: ScenePerson,
+        people: PoseSequence,
         keypoints: Sequence[tuple[Skeleton, NDArray[np.float64]]],
         image_size: tuple[int, int],
         vertical: NDArray[np.float64],
@@ -92,7 +93,7 @@ class LiveScene:
         self._skeleton = skeleton if ids else self._skeleton
         if self._number % LEVEL_STEP == 0 or not self._people:
             self._find_level(people, vertical)
-        arrays = pack_person(people, np.zeros(len(ids), bool), LIVE_STEPS)
+        arrays = pack_person(people, np.arange(len(ids)), np.zeros(len(ids), bool), LIVE_STEPS)
         frame = {
             'stampMs': stamp_ns / 1e6,
             'skeleton': self._skeleton.joints,
@@ -119,10 +120,10 @@ class LiveScene:
         """Note skeletons that nobody views, so that there is no frame of them; the last one is out of date."""
         self._arrival_s, self._frame = time.monotonic(), b''
 
-    def _find_level(self, people: ScenePerson, vertical: NDArray[np.float64]) -> None:
+    def _find_level(self, people: PoseSequence, vertical: NDArray[np.float64]) -> None:
         if np.linalg.norm(vertical) > 0:
             self._verticals.append(vertical)
-        if len(people.frames):
+        if len(people):
             self._people.append(people)
         verticals = np.array(self._verticals).reshape(-1, 3)
         known = average_vertical(verticals, np.zeros(len(verticals)))
@@ -140,22 +141,17 @@ class LiveScene:
             return b'' if self._number == number else self._frame
 
 
-def make_nobody(joint_count: int, intrinsics: Intrinsics) -> ScenePerson:
+def make_nobody(skeleton: Skeleton, intrinsics: Intrinsics) -> PoseSequence:
     """Return a person without frames."""
-    numbers, flags = np.zeros(0, np.float32), np.zeros(0, bool)
-    return ScenePerson(
+    count = len(skeleton.joints)
+    return PoseSequence(
         id='',
-        frames=np.arange(0),
-        joints=np.zeros((0, joint_count, 3), np.float32),
-        std=np.zeros((0, joint_count), np.float32),
-        inferred=np.zeros((0, joint_count), bool),
+        times=np.zeros(0),
+        skeleton=skeleton,
+        joints=np.zeros((0, count, 3)),
+        inferred=np.zeros((0, count), bool),
+        reprojection_residual=np.zeros(0),
         intrinsics=intrinsics,
-        residual=numbers,
-        cadence=numbers,
-        motion=np.zeros(0, np.uint8),
-        predicted=flags,
-        tentative=flags,
-        contact=np.zeros((0, 2), np.float32),
     )
 
 

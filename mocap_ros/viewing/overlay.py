@@ -15,7 +15,14 @@ from PIL import Image, ImageDraw
 
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.plots import INFERRED_COLOUR
-from mocap_ros.viewing.scene import PALE_COLOUR, Scene, SceneImages, choose_joint_colours, choose_person_colour
+from mocap_ros.viewing.scene import (
+    PALE_COLOUR,
+    Scene,
+    SceneImages,
+    choose_joint_colours,
+    choose_person_colour,
+    project_joints,
+)
 
 Pixels = NDArray[np.uint8]  # (H, W, 3) red, green, blue
 Points = NDArray[np.float32]  # (J, 2) px
@@ -85,7 +92,13 @@ class Overlay:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._people = [
-            (person, person.image, choose_joint_colours(scene, index), choose_person_colour(scene, index))
+            (
+                person,
+                scene.find_frames(person),
+                project_joints(person),
+                choose_joint_colours(scene, index),
+                choose_person_colour(scene, index),
+            )
             for index, person in enumerate(scene.people)
         ]
 
@@ -105,9 +118,9 @@ class Overlay:
         if frame < 0:
             return pixels
         pen = _Pen(pixels, pixels.shape[1] / self._scene.image_size[0])
-        for person, image, colours, name_colour in self._people:
-            row = int(np.searchsorted(person.frames, frame))
-            if row == len(person.frames) or person.frames[row] != frame:
+        for person, frames, image, colours, name_colour in self._people:
+            row = int(np.searchsorted(frames, frame))
+            if row == len(frames) or frames[row] != frame:
                 continue
             is_pale, points = person.predicted[row] or person.tentative[row], image[row]
             for bone in self._scene.skeleton.bones:

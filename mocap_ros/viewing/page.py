@@ -25,7 +25,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Indices, Mask
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.people import PoseSequence
 from mocap_ros.skeleton import Skeleton
 from mocap_ros.viewing.plots import INFERRED_COLOUR, TRUTH_COLOUR, make_printable
 from mocap_ros.viewing.scene import (
@@ -37,11 +39,11 @@ from mocap_ros.viewing.scene import (
     TRAIL_JOINT,
     Scene,
     SceneKeypoints,
-    ScenePerson,
     choose_joint_colours,
     choose_person_colour,
     image_corners,
     list_colour_key,
+    project_joints,
 )
 
 CAMERA_DEPTH_M = 0.5  # m; distance of the corners of the image in the picture of the camera
@@ -176,7 +178,7 @@ def describe_camera(image_size: tuple[int, int], intrinsics: Intrinsics) -> dict
 
 
 def pack_person(
-    person: ScenePerson, swapped: NDArray[np.bool_], steps: Steps
+    person: PoseSequence, frames: Indices, swapped: Mask, steps: Steps
 ) -> Mapping[str, NDArray[np.integer[Any]]]:
     """Return what is known of a person in N frames as arrays (N, ...) of integers, as the script reads them."""
     state = (
@@ -187,23 +189,23 @@ def pack_person(
         | (person.contact > STANDS) @ np.array([1, 2], np.uint8) << 6
     )
     inferred = person.inferred.astype(np.int32) @ (1 << np.arange(person.inferred.shape[1], dtype=np.int32))
-    std = np.minimum(np.round(np.nan_to_num(person.std, nan=np.inf) / STD_STEP), UNKNOWN_STD)
-    std = np.where(np.isfinite(person.std), np.minimum(std, UNKNOWN_STD - 1), UNKNOWN_STD)
+    std = np.minimum(np.round(np.nan_to_num(person.joint_std, nan=np.inf) / STD_STEP), UNKNOWN_STD)
+    std = np.where(np.isfinite(person.joint_std), np.minimum(std, UNKNOWN_STD - 1), UNKNOWN_STD)
     return {
-        'frames': person.frames.astype(np.int32),
+        'frames': frames.astype(np.int32),
         'joints': round_to_int16(person.joints, steps.metre),
         'std': std.astype(np.uint8),
         'inferred': inferred.astype(np.int32),
-        'image': round_to_int16(person.image, steps.pixel),
+        'image': round_to_int16(project_joints(person), steps.pixel),
         'state': state.astype(np.uint8),
-        'residual': round_to_int16(person.residual, RESIDUAL_STEP),
+        'residual': round_to_int16(person.reprojection_residual, RESIDUAL_STEP),
         'cadence': round_to_int16(person.cadence, CADENCE_STEP),
     }
 
 
 def _describe_person(scene: Scene, index: int, packer: _Packer, steps: Steps) -> dict[str, Any]:
-    person: ScenePerson = scene.people[index]
-    colours, arrays = choose_joint_colours(scene, index), pack_person(person, scene.swapped[index], steps)
+    person, colours = scene.people[index], choose_joint_colours(scene, index)
+    arrays = pack_person(person, scene.find_frames(person), scene.swapped[index], steps)
     return {
         'id': person.id,
         'colour': choose_person_colour(scene, index),
@@ -225,7 +227,7 @@ def _describe_keypoints(keypoints: SceneKeypoints, packer: _Packer, pixel_step: 
     }
 
 
-def _find_step(arrays: list[NDArray[np.float32]]) -> float:
+def _find_step(arrays: list[NDArray[Any]]) -> float:
     largest = max((float(np.nanmax(np.abs(a), initial=0.0)) for a in arrays if a.size), default=0.0)
     return largest / MAX_INT16
 

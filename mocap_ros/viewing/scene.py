@@ -14,11 +14,11 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array, Array32, Indices, Mask
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import LOWEST_PERCENTILE, rotation_to_level
+from mocap_ros.people import PoseSequence
 from mocap_ros.skeleton import CMU15, Skeleton, canonical_joint_names
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.plots import MIDDLE_COLOUR, TRUTH_COLOUR, PlotData, choose_side_colour
@@ -54,28 +54,10 @@ class Mark(NamedTuple):
     text: str
 
 
-@dataclass(frozen=True, eq=False)
-class ScenePerson:
-    """A reconstructed person in the N frames in which there is a skeleton."""
-
-    id: str
-    frames: Indices  # (N,) indices of the frames, increasing
-    joints: Array32  # (N, J, 3) m
-    std: Array32  # (N, J) m, standard deviation of each joint; NaN where unknown
-    inferred: Mask  # (N, J) True where the joint was not seen and was inferred
-    intrinsics: Intrinsics  # of the camera
-    residual: Array32  # (N,) px, RMS reprojection error; NaN where unknown
-    cadence: Array32  # (N,) Hz; NaN where the motion is not periodic
-    motion: NDArray[np.uint8]  # (N,) kind of motion, as in `people.MotionKind`
-    predicted: Mask  # (N,) True where the person was not detected
-    tentative: Mask  # (N,) True where the person was seen too shortly to be certain
-    contact: Array32  # (N, 2) probabilities that the left and the right foot stand; NaN where unknown
-
-    @property
-    def image(self) -> Array32:
-        """(N, J, 2) px, the joints in the image; NaN behind or at the camera. It is computed at each call."""
-        points = np.where(self.joints[..., 2:] > MIN_DEPTH_M, self.joints, np.nan).astype(np.float64)
-        return self.intrinsics.project(points).astype(np.float32)
+def project_joints(person: PoseSequence) -> Array32:
+    """Return the joints of a person in the image, (F, J, 2) px; NaN behind or at the camera."""
+    points = np.where(person.joints[..., 2:] > MIN_DEPTH_M, person.joints, np.nan)
+    return person.intrinsics.project(points).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +91,7 @@ class Scene:
 
     title: str  # name of the recording
     stamps_ns: Sequence[int]  # (F,) ns, increasing times of the frames
-    people: tuple[ScenePerson, ...]
+    people: tuple[PoseSequence, ...]  # in the frames in which each has a skeleton
     keypoints: tuple[SceneKeypoints, ...]  # the 2D input, one entry a keypoint layout; empty where it is unknown
     image_size: tuple[int, int]  # (width, height) in px
     intrinsics: Intrinsics  # of the camera
@@ -127,6 +109,10 @@ class Scene:
     def times(self) -> Array:
         """(F,) s from the first frame."""
         return (np.asarray(self.stamps_ns, np.int64) - self.stamps_ns[0]) / NS_PER_S
+
+    def find_frames(self, person: PoseSequence) -> Indices:
+        """Return the indices (N,) of the frames of a person."""
+        return np.searchsorted(self.stamps_ns, person.stamps_ns)
 
     @cached_property
     def _coordinates(self) -> Array:
@@ -156,7 +142,7 @@ class Scene:
         if self.camera_height is not None:
             return self.camera_height
         down = self.to_level[1].astype(np.float32)
-        lowest = [np.fmax.reduce(person.joints @ down, axis=1) for person in self.people if len(person.frames)]
+        lowest = [np.fmax.reduce(person.joints @ down, axis=1) for person in self.people if len(person)]
         known = [own[np.isfinite(own)] for own in lowest]
         return (
             float(np.percentile(np.concatenate(known), 100 - LOWEST_PERCENTILE)) if any(map(len, known)) else 1.0
@@ -166,19 +152,22 @@ class Scene:
     def swapped(self) -> tuple[Mask, ...]:
         """(N,) for each person, True in the frames in which an exchange of left and right was undone."""
         detected = SidedPoints.find(self.keypoints)
-        return tuple(find_undone_swaps(person, detected, self.skeleton) for person in self.people)
+        return tuple(
+            find_undone_swaps(person, self.find_frames(person), detected, self.skeleton) for person in self.people
+        )
 
     def to_plot_data(self) -> PlotData:
         """Return the person who is seen in most frames, with the own detections, for a picture."""
-        person = max(self.people, key=lambda p: len(p.frames))
+        person = max(self.people, key=len)
+        frames, image = self.find_frames(person), project_joints(person)
         shape = len(self.stamps_ns), len(self.skeleton.joints)
         joints, seen, keypoints = np.full((*shape, 3), np.nan), np.zeros(shape, bool), None
-        joints[person.frames], seen[person.frames] = person.joints, ~person.inferred
+        joints[frames], seen[frames] = person.joints, ~person.inferred
         projected = np.full((*shape, 2), np.nan)
-        projected[person.frames] = person.image
+        projected[frames] = image
         detected = max(self.keypoints, key=lambda k: len(k.frames), default=None)
         if detected is not None:
-            near, _, distance, _ = find_near(person, SidedPoints.find([detected]), self.skeleton)
+            near, _, distance, _ = find_near(person, frames, SidedPoints.find([detected]), self.skeleton)
             order = near[np.argsort(-distance, kind='stable')]  # the nearest comes last
             keypoints = np.full((len(self.stamps_ns), len(detected.skeleton.joints), 3), np.nan)
             keypoints[detected.frames[order], :, :2] = detected.points[order]
@@ -248,7 +237,9 @@ class SidedPoints(NamedTuple):
         return SidedPoints(frames, points, centre.astype(np.float32))
 
 
-def find_undone_swaps(person: ScenePerson, detected: SidedPoints, skeleton: Skeleton = CMU15) -> Mask:
+def find_undone_swaps(
+    person: PoseSequence, frames: Indices, detected: SidedPoints, skeleton: Skeleton = CMU15
+) -> Mask:
     """Find the frames in which the result has left and right of a part of the body otherwise than the detector.
 
     e = mean |x_j - y_j| and e' = mean |x_m(j) - y_j| over the joints j of a part that are seen on both sides, with
@@ -257,10 +248,10 @@ def find_undone_swaps(person: ScenePerson, detected: SidedPoints, skeleton: Skel
     several detections in a frame, the one that fits the person best counts; those elsewhere are passed over.
     Returns (N,) True in these of the person's N frames.
     """
-    swapped = np.zeros(len(person.frames), bool)
-    if not len(person.frames):
+    swapped = np.zeros(len(person), bool)
+    if not len(person):
         return swapped
-    near, rows, _, image = find_near(person, detected, skeleton)
+    near, rows, _, image = find_near(person, frames, detected, skeleton)
     cost, is_undone = _compare_sides(detected.points[near], image[rows])
     order = np.lexsort((cost, rows))
     found, best = np.unique(rows[order], return_index=True)
@@ -269,16 +260,16 @@ def find_undone_swaps(person: ScenePerson, detected: SidedPoints, skeleton: Skel
 
 
 def find_near(
-    person: ScenePerson, detected: SidedPoints, skeleton: Skeleton
+    person: PoseSequence, frames: Indices, detected: SidedPoints, skeleton: Skeleton
 ) -> tuple[Indices, Indices, Array32, Array32]:
-    """Find the detections where a person of N > 0 frames is, in the frames in which the person was detected.
+    """Find the detections where a person is, who has N > 0 `frames` of the scene, in the frames in which the person was detected.
 
     Returns their indices (K,), the rows (K,) of the person's frames in which they are, the distances (K,) px of
     the centres, and the person's `SIDED_JOINTS` in the image (N, 12, 2) px.
     """
-    image = person.image[:, [skeleton.index(joint) for joint in SIDED_JOINTS]]
-    rows = np.searchsorted(person.frames, detected.frames).clip(max=len(person.frames) - 1)
-    is_detected = (person.frames[rows] == detected.frames) & ~person.predicted[rows]
+    image = project_joints(person)[:, [skeleton.index(joint) for joint in SIDED_JOINTS]]
+    rows = np.searchsorted(frames, detected.frames).clip(max=len(frames) - 1)
+    is_detected = (frames[rows] == detected.frames) & ~person.predicted[rows]
     distance = np.linalg.norm(detected.centre - image.mean(axis=1)[rows], axis=1)
     near = np.flatnonzero(is_detected & (distance < MAX_CENTRE_DISTANCE * _measure_extent(image)[rows]))
     return near, rows[near], distance[near], image

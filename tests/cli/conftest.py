@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from mocap_ros.demo.scene import make_recording
-from mocap_ros.formats.sequence_file import GroundTruth, load_sequence, save_sequence
+from mocap_ros.formats.sequence_file import load_sequence, save_sequence
+from mocap_ros.keypoints.keypoint_sequence import GroundTruth
 
 
 @pytest.fixture(scope='session')

@@ -31,8 +31,9 @@ from mocap_ros.formats.detections import Detections
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS
 from mocap_ros.formats.mocap.joint_maps import map_to_model
-from mocap_ros.formats.sequence_file import GroundTruth, load_sequence, save_sequence
+from mocap_ros.formats.sequence_file import load_sequence, save_sequence
 from mocap_ros.formats.video import VideoImage, VideoReader
+from mocap_ros.keypoints.keypoint_sequence import GroundTruth
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS

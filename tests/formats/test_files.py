@@ -21,15 +21,10 @@ import pytest
 
 from mocap_ros import npz_file
 from mocap_ros.errors import InputError, MocapError
-from mocap_ros.formats.sequence_file import (
-    GroundTruth,
-    KeypointSequence,
-    load_sequence,
-    save_sequence,
-    validate_sequence,
-)
+from mocap_ros.formats.sequence_file import load_sequence, save_sequence, validate_sequence
 from mocap_ros.formats.text_files import replace_output
 from mocap_ros.formats.video import VideoReader, find_camera, read_ahead
+from mocap_ros.keypoints.keypoint_sequence import GroundTruth, KeypointSequence
 from mocap_ros.skeleton import keypoint_layout
 from tests.support.blob_people import write_video
 

@@ -37,8 +37,7 @@ from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past
 from mocap_ros.models.network import RoundedNetwork
 from mocap_ros.models.upward_direction import MASSES, SUPPORT_AHEAD, Stances
 from mocap_ros.models.velocity_correction import LEAST_PAST_S, MAX_CORRECTION, SPANS_S, VelocityPast
-from mocap_ros.people import HIPS
-from mocap_ros.skeleton import CMU15, CORE_COUNT
+from mocap_ros.skeleton import CMU15, CORE_COUNT, HIPS
 from mocap_ros.solvers.extremities import ExtremityEvidence
 from mocap_ros.training.motion_library import MotionLibrary
 from mocap_ros.training.synthesis import ExampleSynthesiser

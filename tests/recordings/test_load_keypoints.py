@@ -29,10 +29,11 @@ from mocap_ros.config import NodeConfig, RecorderConfig, with_values
 from mocap_ros.detectors.detector import Image
 from mocap_ros.errors import InputError, ModelError
 from mocap_ros.formats.detections import Detections, Video, create_person, select_person
-from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence, validate_sequence
+from mocap_ros.formats.sequence_file import save_sequence, validate_sequence
 from mocap_ros.formats.video import VideoImage
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints

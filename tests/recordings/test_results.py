@@ -20,8 +20,9 @@ from mocap_ros.errors import InputError
 from mocap_ros.formats.bvh import load_bvh
 from mocap_ros.formats.mocap.joint_maps import map_to_model
 from mocap_ros.formats.mocap.trials import load_trials
-from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
+from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.geometry.distortion import Distortion
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints

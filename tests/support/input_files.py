@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from mocap_ros.config import NodeConfig
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.formats.detections import Detections, Video, select_person
-from mocap_ros.formats.sequence_file import KeypointSequence
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.models.model_file import load_base_poses
 
 FRAMES = 40

@@ -18,8 +18,8 @@ from mocap_ros.engine.motion import MOTION, describe_cores, filter_motion
 from mocap_ros.geometry.interpolation import central_velocity
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.people import HIPS, Person3D
-from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
+from mocap_ros.people import Person3D
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, HIPS
 from mocap_ros.solvers.extremities import ExtremityEvidence
 from mocap_ros.tracking.body_size import BodySize
 from mocap_ros.tracking.motion_filter import UNFILTERED

@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 from mocap_ros.config import Config, with_settings, with_values
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import ConfigError
-from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import Floor, is_level
 from mocap_ros.geometry.rigid_transform import parse_camera_pose
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequence

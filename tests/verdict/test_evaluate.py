@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError
-from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.geometry.rotations import rotation_from_vector
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.models.model_file import load_shipped_lifter
 from mocap_ros.skeleton import CMU15, keypoint_layout
 from mocap_ros.verdict import metrics, plausibility

@@ -34,8 +34,9 @@ from mocap_ros.cli.view import POSES, save_picture
 from mocap_ros.config import NodeConfig, RecorderConfig
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError, MocapError
-from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
+from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.formats.video import VideoReader
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.messages.images import IMAGE
 from mocap_ros.recordings.load_scene import read_images
 from mocap_ros.skeleton import CMU15

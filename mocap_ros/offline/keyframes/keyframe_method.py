@@ -13,9 +13,9 @@ import numpy as np
 from mocap_ros.arrays import Array, Indices, Mask
 from mocap_ros.config import Config, KeyframesConfig, TrackerConfig
 from mocap_ros.errors import InputError
-from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.keyframes.alignment import (
     AlignedMotion,
@@ -44,7 +44,14 @@ from mocap_ros.offline.keyframes.motion import (
 )
 from mocap_ros.offline.keyframes.shots import find_shots, split_into_sections
 from mocap_ros.offline.keyframes.taylor import DepthChoice
-from mocap_ros.offline.whole_sequence import SequenceResult, choose_vertical, find_frames_in_sight
+from mocap_ros.offline.whole_sequence import (
+    Solved,
+    SolvedWindow,
+    choose_vertical,
+    describe_poses,
+    find_frames_in_sight,
+)
+from mocap_ros.people import PoseSequence
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import ObservedWindow, observe_sequence
 from mocap_ros.solvers.window import Reconstruction
@@ -61,27 +68,22 @@ TORSO_M = 0.5  # m, torso length of an adult; turns torso lengths into metres be
 class KeyframeResult:
     """A sequence reconstructed by keyframes."""
 
-    # 3D joints; joints that were not seen or are outliers are not `seen` in it. Its solution says how the gradient
-    # fit ended; the objective is the mean squared reprojection error, which may rise, since limb lengths are reset
-    # after every step
-    result: SequenceResult
+    # Joints that were not seen or are outliers are `inferred`. The poses say how the gradient fit ended; its
+    # objective is the mean squared reprojection error, which may rise, since limb lengths are reset at each step
+    solved: Solved
     keyframes: tuple[KeyframeSet, KeyframeSet]  # keyframes of the upper and the lower half of the body
     motion: Array  # (F, J, 3) m, virtual camera's axes: the initial motion X^0 between key poses, before the fit
     outliers: Mask  # (F, J) True for the image points that were seen and found to be outliers
 
 
-def observe_shots(
-    keypoints: Array, joint_names: tuple[str, ...], times: Array, intrinsics: Intrinsics, config: TrackerConfig
-) -> ObservedWindow:
+def observe_shots(sequence: KeypointSequence, config: TrackerConfig) -> ObservedWindow:
     """Observe a sequence that may have cuts; arguments and errors are those of `observe_sequence`."""
-    return observe_sequence(keypoints, joint_names, times, intrinsics, config, CMU15, find_shots)
+    return observe_sequence(sequence, config, CMU15, find_shots)
 
 
-def observe_plausible_points(
-    keypoints: Array, joint_names: tuple[str, ...], times: Array, intrinsics: Intrinsics, config: TrackerConfig
-) -> ObservedWindow:
+def observe_plausible_points(sequence: KeypointSequence, config: TrackerConfig) -> ObservedWindow:
     """Observe a long sequence without its suspect points; arguments and errors are those of `observe_sequence`."""
-    observed = observe_shots(keypoints, joint_names, times, intrinsics, config)
+    observed = observe_shots(sequence, config)
     return observed.exclude_points(find_suspect_points(observed))
 
 
@@ -101,10 +103,7 @@ def find_keyframes(
 
 
 def reconstruct(
-    keypoints: Array,
-    joint_names: tuple[str, ...],
-    times: Array,
-    intrinsics: Intrinsics,
+    sequence: KeypointSequence,
     models: Mapping[str, BasePoses],
     config: Config,
     choices: Sequence[DepthChoice] = (),
@@ -112,14 +111,14 @@ def reconstruct(
 ) -> KeyframeResult:
     """Reconstruct a long sequence of one person's keypoints by keyframes.
 
-    Arguments and errors are those of `whole_sequence.reconstruct_without_floor`, but the result always has the
+    Arguments and errors are those of `whole_sequence.solve_sequence`, but the result always has the
     joints of `skeleton.CMU15`; the models are for the solver that proposes poses. `choices` are forward/backward
     choices for the keyframes whose key poses Taylor's method is to make. `progress` is called with the name of
     each stage before it begins. InputError also where no frame gives a 3D pose or a choice does not fit the
     keyframes.
     """
-    parameters = config.keyframes
-    observed = observe_shots(keypoints, joint_names, times, intrinsics, config.tracker)
+    parameters, times = config.keyframes, sequence.timestamps
+    observed = observe_shots(sequence, config.tracker)
     plausible = observed.exclude_points(find_suspect_points(observed))
     keyframes = find_keyframes(plausible, parameters, progress)
     progress('key poses')
@@ -164,8 +163,10 @@ def reconstruct(
         iterations=parameters.iterations,
     )
     in_sight = find_frames_in_sight(observed.weight > 0, observed.times)
-    result = _build_result(fit, inliers, seen_points, in_sight, category, model, config.tracker)
-    return KeyframeResult(result, keyframes, motion, outliers)
+    found = _describe_poses(sequence, fit, inliers, seen_points, in_sight, category, model, config.tracker)
+    contact = np.full((len(times), 4), np.nan)
+    fault = 'is not used: the method keyframes has no feet on a floor' if config.tracker.camera_height else ''
+    return KeyframeResult(Solved(found, contact, fault), keyframes, motion, outliers)
 
 
 def find_suspect_points(observed: ObservedWindow) -> Mask:
@@ -249,7 +250,8 @@ def fill_missing_points(
     return np.where(seen[..., None], points, filled), np.where(seen, weight, FILLED_WEIGHT)
 
 
-def _build_result(
+def _describe_poses(
+    sequence: KeypointSequence,
     fit: FitResult,
     observed: ObservedWindow,
     points: Array,
@@ -257,8 +259,8 @@ def _build_result(
     category: str,
     model: BasePoses,
     config: TrackerConfig,
-) -> SequenceResult:
-    """Return the fitted motion as the result type of all solvers; outliers count as not seen in it.
+) -> PoseSequence:
+    """Return the fitted motion over time; outliers count as not seen in it.
 
     Only frames in sight (F,), from the first to the last in which a joint was seen, outliers included, get joints.
     Rotations and weights are those that bring the base poses nearest to the joints.
@@ -285,5 +287,4 @@ def _build_result(
     in_camera = camera.to_real_camera(joints) + camera.root_positions(cameras, translation)[:, None]
     in_camera[~in_sight] = np.nan
     vertical = choose_vertical(observed, in_camera, observed.weight, config)
-    fault = 'is not used: the method keyframes has no feet on a floor' if config.camera_height else ''
-    return SequenceResult(in_camera, seen, CMU15, category, solution, camera, *vertical, height_note=fault)
+    return describe_poses(sequence, SolvedWindow(in_camera, category, solution, vertical, observed), config)

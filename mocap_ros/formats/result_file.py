@@ -1,0 +1,129 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Result files (.npz): one person's 3D poses over time, the keypoints that they were made from, and the camera."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.errors import InputError, naming
+from mocap_ros.formats.npz_arrays import ArrayReader, iterate_arrays, list_keys
+from mocap_ros.formats.sequence_file import RESULT_KEYS, make_camera_arrays, validate_sequence
+from mocap_ros.geometry.intrinsics import recover_intrinsics
+from mocap_ros.npz_file import write_npz
+from mocap_ros.people import UNKNOWN_COLUMN, PoseSequence
+from mocap_ros.skeleton import CORE_COUNT, skeleton_from_joints
+from mocap_ros.summary import UNKNOWN_SUMMARY, StoredSummary
+
+# The keys of the 2D points from which a result was made, each with its key in a sequence file.
+INPUT_KEYS = {
+    'keypoints': 'keypoints', 'keypoint_names': 'joint_names', 'timestamps': 'timestamps',
+    'image_size': 'image_size', 'camera_matrix': 'camera_matrix', 'distortion': 'distortion',
+}  # fmt: skip
+POSE_KEYS = (
+    'joints3d', 'joint_names', 'timestamps', 'seen', 'residual_px', 'scale', 'translation', 'vertical',
+    'vertical_std', 'scale_known',
+)  # fmt: skip
+LATER_KEYS = 'contact', 'world_from_camera', 'floor_std', 'grade', 'summary'  # which older files do not have
+
+
+def is_result_file(path: Path) -> bool:
+    """Return whether a file is an .npz file with the keys of a result."""
+    return list_keys(path) >= RESULT_KEYS
+
+
+def save_result_file(path: Path, poses: PoseSequence) -> None:
+    """Write a reconstructed person with the keypoints and the camera."""
+    sequence = poses.sequence
+    if sequence is None:
+        raise InputError('the result is without its keypoints')
+    known = replace(poses.intrinsics, is_focal_known=True)
+    camera_matrix, distortion = make_camera_arrays(replace(sequence, calibration=known))
+    arrays: dict[str, NDArray[np.generic]] = {
+        'joints3d': poses.joints.astype('f4'),
+        'joint_names': np.array(poses.joint_names),
+        'parents': np.array(poses.parents),
+        'timestamps': poses.times,
+        'keypoints': sequence.keypoints.astype('f4'),
+        'keypoint_names': np.array(sequence.joint_names),
+        'image_size': np.array(sequence.image_size),
+        'seen': ~poses.inferred,
+        'scale': poses.scale,
+        'rotation': poses.rotation,
+        'translation': poses.translation,
+        'scale_known': np.array(poses.is_scale_known),
+        'residual_px': poses.reprojection_residual,
+        'theta': poses.weights,
+        'vertical': poses.vertical,
+        'vertical_std': poses.vertical_std,
+        'contact': poses.contact.astype('f4'),
+        'world_from_camera': poses.world_from_camera,
+        'floor_std': np.array(poses.floor_std),
+    }
+    if camera_matrix is not None:
+        arrays['camera_matrix'] = camera_matrix
+    if distortion is not None:
+        arrays['distortion'] = distortion
+    if poses.summary is not None:
+        arrays |= {'grade': np.array(poses.summary.grade), 'summary': np.array(str(poses.summary))}
+    if np.isfinite(poses.joint_orientation).any():
+        arrays |= {'orientation': poses.joint_orientation.astype('f4'), 'orientation_order': np.array('xyzw')}
+        arrays['turn_inferred'] = poses.turn_inferred
+    write_npz(path, arrays)
+
+
+def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
+    """Read and validate a result file; in one without a camera, the cameras of the frames give its intrinsics."""
+    with naming(path):
+        keys = {*POSE_KEYS, *LATER_KEYS, *INPUT_KEYS}
+        array_by_key = dict(iterate_arrays(path, keys, 'a result of reconstruct'))
+        arrays = ArrayReader(array_by_key)
+        times = arrays.read_numbers('timestamps', (None,))
+        if not len(times) or not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
+            raise InputError('timestamps: expected increasing times in s')
+        names, frames = arrays.read_joint_names('joint_names'), len(times)
+        skeleton = skeleton_from_joints(names)
+        if not skeleton.name:
+            raise InputError(f'joint_names: {", ".join(names)}: not those of a known skeleton')
+        joints = arrays.read_numbers('joints3d', (frames, len(names), 3))
+        if np.isinf(joints).any():
+            raise InputError('joints3d: not finite')
+        scale = arrays.read_numbers('scale', (frames,))
+        translation = arrays.read_numbers('translation', (frames, 2))
+        sequence, core = None, joints[:, :CORE_COUNT].mean(axis=1)
+        if 'keypoint_names' in arrays:
+            named = {INPUT_KEYS[key]: array_by_key[key] for key in INPUT_KEYS if key in array_by_key}
+            sequence = validate_sequence(named)
+        if sequence is not None and sequence.is_camera_known:
+            intrinsics = sequence.intrinsics(1.0)
+        else:
+            intrinsics = recover_intrinsics(core, scale, translation)
+        world, floor_std = np.full((4, 4), np.nan), np.nan
+        if 'floor_std' in arrays:
+            world = arrays.read_numbers('world_from_camera', (4, 4))
+            floor_std = float(arrays.read_numbers('floor_std', ()))
+        seen = arrays.read_flags('seen', joints.shape[:2])
+        poses = PoseSequence(
+            id='',
+            times=times,
+            skeleton=skeleton,
+            joints=joints,
+            inferred=~seen,
+            reprojection_residual=arrays.read_numbers('residual_px', (frames,)),
+            intrinsics=replace(intrinsics, is_focal_known=bool(arrays.read_flags('scale_known', ()))),
+            contact=arrays.read_numbers('contact', (frames, 2)) if 'contact' in arrays else UNKNOWN_COLUMN,
+            vertical=arrays.read_numbers('vertical', (frames, 3)),
+            vertical_std=arrays.read_numbers('vertical_std', (frames,)),
+            predicted=np.asarray(~seen.any(axis=1)),
+            world_from_camera=world,
+            floor_std=floor_std,
+            sequence=sequence,
+        )
+        if 'grade' not in arrays or 'summary' not in arrays:
+            return poses, UNKNOWN_SUMMARY
+        return poses, StoredSummary(arrays.read_texts('grade', ())[0], arrays.read_texts('summary', ())[0])
