@@ -44,8 +44,8 @@ DISTANCE_M = 4.0  # m to the perspective camera of every second view; the others
 PEOPLE_OFFSET_PX = 640  # px between three people before one camera
 # Quantities of a whole sequence, and of a person in a frame.
 WHOLE = (
-    *('joints', 'orientation', 'turn_inferred', 'seen', 'residual', 'weights', 'scale', 'rotation', 'translation'),
-    *('vertical', 'vertical_std', 'cost'),
+    *('joints', 'joint_orientation', 'turn_inferred', 'inferred', 'reprojection_residual', 'weights', 'scale'),
+    *('rotation', 'translation', 'vertical', 'vertical_std', 'cost'),
 )
 LIVE = (
     *(

@@ -44,7 +44,7 @@ def find_turns(way: str, view: View, model: Any = 'auto', given: common.Paramete
         return [live.joints, live.turns]
     options: dict[str, Any] = {**view.camera, 'model': model, 'parameters': given}
     whole = mocap_ros.reconstruct(view.keypoints, view.joint_names, view.times, **options)
-    return [whole.joints, whole.orientation]
+    return [whole.joints, whole.joint_orientation]
 
 
 def find_true_turns(view: View) -> tuple[Array, Array]:

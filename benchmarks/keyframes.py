@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from report import Report, run
 
 from mocap_ros.config import Config, with_values
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.models.base_poses import ALL_MOTIONS
 from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.skeleton import CMU15
@@ -104,11 +105,12 @@ def report_methods(report: Report) -> None:
     config = with_values(Config(), parameters)
 
     def by_keyframes(view: View) -> keyframe_method.KeyframeResult:
-        given = view.keypoints, CMU15.joints, view.times, view.intrinsics
-        return keyframe_method.reconstruct(*given, {ALL_MOTIONS: model}, config)
+        size = view.intrinsics.image_size or (1, 1)
+        given = KeypointSequence(view.keypoints, CMU15.joints, view.times, size, calibration=view.intrinsics)
+        return keyframe_method.reconstruct(given, {ALL_MOTIONS: model}, config)
 
     ways: dict[str, Any] = {
-        'keyframes': lambda v: by_keyframes(v).result.joints,
+        'keyframes': lambda v: by_keyframes(v).solved.poses.joints,
         'whole sequence': lambda v: common.reconstruct_whole(v, model, parameters),
         'tracker': lambda v: common.track(v, model, parameters).joints,
     }

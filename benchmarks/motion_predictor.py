@@ -38,8 +38,7 @@ from mocap_ros.models.motion_predictor import (
     mirror,
 )
 from mocap_ros.npz_file import write_npz
-from mocap_ros.people import HIPS
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import CMU15, HIPS
 from mocap_ros.tracking.prediction import sample_past
 
 Array = NDArray[np.float64]

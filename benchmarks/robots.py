@@ -25,8 +25,8 @@ from report import Report, run
 from mocap_ros.bridges.capsules import compute_capsules
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.joint_std import compute_joint_covariance
-from mocap_ros.people import HIPS, Person3D
-from mocap_ros.skeleton import BODY26, CORE_COUNT
+from mocap_ros.people import Person3D
+from mocap_ros.skeleton import BODY26, CORE_COUNT, HIPS
 
 Array = NDArray[np.float64]
 Records = Sequence[Mapping[str, Any]]

@@ -40,6 +40,7 @@ from mocap_ros.recordings.input_kind import (
 from mocap_ros.recordings.load_keypoints import LOADERS, InputOptions
 from mocap_ros.recordings.load_results import holds_result, load_recording
 from mocap_ros.recordings.reconstruct import ReconstructionOptions, reconstruct
+from mocap_ros.recordings.recording import Recording
 from mocap_ros.viewing import plots
 from mocap_ros.viewing.overlay import Overlay, StampedImage, find_frame, pick_images, reduce_images
 from mocap_ros.viewing.page import build_page
@@ -104,16 +105,8 @@ def run(args: argparse.Namespace) -> int:
     config = load_config(args)
     sources = list_sources(args, config)
     check_output(output, *sources)
-    reading = _read_input_options(args, config)
     with ShareBar('view') as report:
-        if holds_result(args.input):
-            recording = load_recording(args.input, reading, config, report)
-        else:
-            is_one = is_picture or bool(args.person) or find_input_kind(args.input) is InputKind.SEQUENCE
-            options = ReconstructionOptions(
-                config, load_models(args, config), reading, max_people=1 if is_one else MAX_PEOPLE
-            )
-            recording = reconstruct(args.input, options, report)
+        recording = _load(args, config, report, is_one_shown=is_picture)
         scene = build_scene(args.input.name, recording)
     for line in recording.notes:
         print_note(line)
@@ -137,6 +130,16 @@ def run(args: argparse.Namespace) -> int:
         print_note(line)
     print_result(output)
     return finish(args.input, scene.summary, scene.is_wrong, is_strict=args.strict) if scene.summary else 0
+
+
+def _load(args: argparse.Namespace, config: Config, report: Report, *, is_one_shown: bool) -> Recording:
+    """Load a result as it is, or reconstruct another input."""
+    reading = _read_input_options(args, config)
+    if holds_result(args.input):
+        return load_recording(args.input, reading, config, report)
+    is_one = is_one_shown or bool(args.person) or find_input_kind(args.input) is InputKind.SEQUENCE
+    models, count = load_models(args, config), 1 if is_one else MAX_PEOPLE
+    return reconstruct(args.input, ReconstructionOptions(config, models, reading, count), report)
 
 
 def _read_input_options(args: argparse.Namespace, config: Config) -> InputOptions:

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.npz_arrays import ArrayReader, iterate_arrays, list_keys
 from mocap_ros.formats.sequence_file import RESULT_KEYS, make_camera_arrays, validate_sequence
-from mocap_ros.geometry.intrinsics import recover_intrinsics
+from mocap_ros.geometry.intrinsics import Intrinsics, recover_intrinsics
 from mocap_ros.npz_file import write_npz
 from mocap_ros.people import UNKNOWN_COLUMN, PoseSequence
 from mocap_ros.skeleton import CORE_COUNT, skeleton_from_joints
@@ -25,11 +26,13 @@ INPUT_KEYS = {
     'keypoints': 'keypoints', 'keypoint_names': 'joint_names', 'timestamps': 'timestamps',
     'image_size': 'image_size', 'camera_matrix': 'camera_matrix', 'distortion': 'distortion',
 }  # fmt: skip
-POSE_KEYS = (
-    'joints3d', 'joint_names', 'timestamps', 'seen', 'residual_px', 'scale', 'translation', 'vertical',
-    'vertical_std', 'scale_known',
+POSE_KEYS = 'joints3d', 'joint_names', 'timestamps', 'seen', 'residual_px'
+# Those that older results, and those of others, do not have
+OPTIONAL_KEYS = (
+    'scale', 'translation', 'scale_known', 'vertical', 'vertical_std', 'contact', 'world_from_camera', 'floor_std',
+    'grade', 'summary',
 )  # fmt: skip
-LATER_KEYS = 'contact', 'world_from_camera', 'floor_std', 'grade', 'summary'  # which older files do not have
+UNKNOWN_IMAGE = 640, 480, 1.0  # px, and sides: size and focal length of a camera of which nothing is known
 
 
 def is_result_file(path: Path) -> bool:
@@ -80,7 +83,7 @@ def save_result_file(path: Path, poses: PoseSequence) -> None:
 def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
     """Read and validate a result file; in one without a camera, the cameras of the frames give its intrinsics."""
     with naming(path):
-        keys = {*POSE_KEYS, *LATER_KEYS, *INPUT_KEYS}
+        keys = {*POSE_KEYS, *OPTIONAL_KEYS, *INPUT_KEYS}
         array_by_key = dict(iterate_arrays(path, keys, 'a result of reconstruct'))
         arrays = ArrayReader(array_by_key)
         times = arrays.read_numbers('timestamps', (None,))
@@ -93,21 +96,31 @@ def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
         joints = arrays.read_numbers('joints3d', (frames, len(names), 3))
         if np.isinf(joints).any():
             raise InputError('joints3d: not finite')
-        scale = arrays.read_numbers('scale', (frames,))
-        translation = arrays.read_numbers('translation', (frames, 2))
-        sequence, core = None, joints[:, :CORE_COUNT].mean(axis=1)
+        sequence, is_scale_known = None, False
         if 'keypoint_names' in arrays:
             named = {INPUT_KEYS[key]: array_by_key[key] for key in INPUT_KEYS if key in array_by_key}
             sequence = validate_sequence(named)
         if sequence is not None and sequence.is_camera_known:
             intrinsics = sequence.intrinsics(1.0)
+        elif 'scale' in arrays:
+            scale, translation = (
+                arrays.read_numbers('scale', (frames,)),
+                arrays.read_numbers('translation', (frames, 2)),
+            )
+            intrinsics = recover_intrinsics(joints[:, :CORE_COUNT].mean(axis=1), scale, translation)
         else:
-            intrinsics = recover_intrinsics(core, scale, translation)
+            intrinsics = Intrinsics.from_image_size(*UNKNOWN_IMAGE)
+        if 'scale_known' in arrays:
+            is_scale_known = bool(arrays.read_flags('scale_known', ()))
         world, floor_std = np.full((4, 4), np.nan), np.nan
         if 'floor_std' in arrays:
             world = arrays.read_numbers('world_from_camera', (4, 4))
             floor_std = float(arrays.read_numbers('floor_std', ()))
         seen = arrays.read_flags('seen', joints.shape[:2])
+
+        def read(key: str, *shape: int) -> Array:
+            return arrays.read_numbers(key, (frames, *shape)) if key in arrays else UNKNOWN_COLUMN
+
         poses = PoseSequence(
             id='',
             times=times,
@@ -115,11 +128,11 @@ def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
             joints=joints,
             inferred=~seen,
             reprojection_residual=arrays.read_numbers('residual_px', (frames,)),
-            intrinsics=replace(intrinsics, is_focal_known=bool(arrays.read_flags('scale_known', ()))),
-            contact=arrays.read_numbers('contact', (frames, 2)) if 'contact' in arrays else UNKNOWN_COLUMN,
-            vertical=arrays.read_numbers('vertical', (frames, 3)),
-            vertical_std=arrays.read_numbers('vertical_std', (frames,)),
-            predicted=np.asarray(~seen.any(axis=1)),
+            intrinsics=replace(intrinsics, is_focal_known=is_scale_known),
+            contact=read('contact', 2),
+            vertical=read('vertical', 3),
+            vertical_std=read('vertical_std'),
+            predicted=np.asarray(~seen[:, :CORE_COUNT].any(axis=1)),
             world_from_camera=world,
             floor_std=floor_std,
             sequence=sequence,

@@ -97,7 +97,7 @@ class Intrinsics:
 
 
 def recover_intrinsics(roots: Array, scale: Array, translation: Array) -> Intrinsics:
-    """Return the camera, without distortion, of which weak-perspective cameras are known, of no known focal length.
+    """Return the camera, without distortion, of which weak-perspective cameras are known.
 
         f = median s z,  c = median (t - f (x, y) / z)
 

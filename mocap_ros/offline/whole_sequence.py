@@ -285,6 +285,7 @@ def share_floor(found: Sequence[Solved], config: TrackerConfig) -> tuple[list[Po
             s.poses,
             world_from_camera=world if len(standing) > 1 else s.build_world(),
             floor_std=math.nan if s.floor is None else s.floor.height_std,
+            predicted=np.asarray(s.poses.inferred[:, :CORE_COUNT].all(axis=1)),
         )
         for s in standing
     ]

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,16 +28,15 @@ from mocap_ros.offline.whole_sequence import Report
 from mocap_ros.people import CameraVertical, PoseSequence
 from mocap_ros.recordings.load_keypoints import InputOptions, load_bag
 from mocap_ros.recordings.recording import Drop, Recording
-from mocap_ros.runtime.frame_assembly import is_stamp_missing
 from mocap_ros.runtime.input_camera import KNOWN
 from mocap_ros.skeleton import CORE_COUNT
-from mocap_ros.summary import UNKNOWN_SUMMARY, StoredSummary, Summary
+from mocap_ros.summary import UNKNOWN_SUMMARY, Summary
 from mocap_ros.units import NS_PER_S
 from mocap_ros.verdict.summary import RunSummary
 
-VERTICAL_TOLERANCE = 1.0  # of the length of a unit vector, far beyond its rounding; a longer one is damaged
+MAX_VERTICAL = 2.0  # length of a unit vector, far beyond its rounding; a longer one is damaged
 MAX_GIVEN_STD = math.radians(2.0)  # rad; verticals that are given have 1 degree, those found 2.5 or more
-# Fields of a `RecordedPerson` that are columns of a `PoseSequence`, each with its value where there is no skeleton.
+# Fields of a recorded person that are columns of a `PoseSequence`, each with its value where there is no skeleton
 COLUMNS = {
     'joints': np.nan, 'joint_std': np.nan, 'inferred': True, 'reprojection_residual': np.nan, 'motion': 0,
     'cadence': np.nan, 'predicted': False, 'tentative': False, 'root_covariance': np.nan, 'contact': np.nan,
@@ -84,8 +83,8 @@ def load_recording(
 ) -> Recording:
     """Load all people of a result file or a bag of skeletons, or the one whom `reading` names.
 
-    In a bag, what they rest on is judged by the keypoints in it, as in the recorded run. `report` gets the share of
-    its messages that were read.
+    In a bag, what they rest on is judged by the keypoints in it, as in the recorded run. `report` gets the share
+    of its messages that were read.
     """
     reading = reading or InputOptions()
     if is_bag(path):
@@ -127,6 +126,17 @@ def find_intrinsics(people: Sequence[RecordedPerson]) -> Intrinsics:
     )
 
 
+class _Messages(NamedTuple):
+    """What is read of a bag of skeletons."""
+
+    topic: str
+    skeletons: list[RecordedSkeletons]
+    drops: list[Drop]
+    restarts: set[int]  # numbers of skeletons before resets
+    summary: RunSummary  # which has counted what became of the messages of people
+    faults: list[str]  # why messages could not be read
+
+
 def _load_bag(
     path: Path, reading: InputOptions, config: Config, report: Report, *, with_keypoints: bool
 ) -> Recording:
@@ -134,73 +144,87 @@ def _load_bag(
     if with_keypoints:
         with suppress(*(() if reading.topic or reading.camera_info else (InputError,))):
             detections = load_bag(path, config.node, reading.topic, reading.camera_info)
-    arrays, drops, faults, run, newest_ns = list[RecordedSkeletons](), list[Drop](), list[str](), RunSummary(), 0
-    restarts: set[int] = set()  # numbers of skeletons before resets
-    with Bag(path) as bag:
-        topic = find_skeletons_topic(bag)
-        journals = [name for name in bag.topics_of_type([JOURNAL]) if name.endswith('/journal')]
-        layout, count = '', bag.count([topic, *journals])
-        for index, message in enumerate(bag.messages([topic, *journals])):
-            report(index / count)
-            try:
-                if message.topic == topic:
-                    array = decode_skeletons(message.raw)
-                    names = {layout or person.skeleton.name for person in array.people[:1]}
-                    names |= {person.skeleton.name for person in array.people}
-                    if len(names) > 1:
-                        raise InputError(f'skeletons of several layouts: {", ".join(sorted(names))}')
-                    layout, newest_ns = next(iter(names), layout), array.stamp_ns
-                    arrays.append(array)
-                    continue
-                entry = decode_entry(message.raw)
-                if entry.kind == RESET:
-                    restarts.add(len(arrays))
-                if entry.verdict is not Verdict.ACCEPTED:
-                    drops.append(Drop(newest_ns, entry.reason))
-                if bag.topics.get(entry.topic) in PEOPLE_TYPES:
-                    run.count(entry.verdict)
-            except (InputError, SkeletonError) as error:
-                faults.append(f'{message.topic}: {error}')
-    if not with_keypoints and faults:
-        raise InputError(f'{path}: {faults[0]}')
+    read = _read_messages(path, report)
+    if read.faults and not with_keypoints:
+        raise InputError(f'{path}: {read.faults[0]}')
     by_id: dict[str, dict[int, RecordedPerson]] = {}
-    for array in arrays:
+    for array in read.skeletons:
         for person in array.people:
             by_id.setdefault(person.id, {})[array.stamp_ns] = person
     if reading.person is not None:
         by_id = {reading.person: by_id[reading.person]} if reading.person in by_id else {}
     if not by_id:
         wanted = 'no person' if reading.person is None else f'no person {reading.person!r}'
-        raise InputError(f'{path}: {topic}: {wanted} is in any message')
-    stamps = sorted({array.stamp_ns for array in arrays})
-    stamps = stamps[int(is_stamp_missing(stamps[0], stamps[-1])) :]
+        raise InputError(f'{path}: {wanted} is in any message of {read.topic}')
     intrinsics = detections.intrinsics or find_intrinsics([p for own in by_id.values() for p in own.values()])
     size = resolve_image_size(stated=detections.image_size, configured=intrinsics.image_size or UNKNOWN_SIZE)
-    intrinsics = replace(intrinsics, image_size=size)
-    verticals = {array.stamp_ns: (array.vertical, array.vertical_std) for array in arrays}
-    directions = np.array([verticals[stamp_ns][0] for stamp_ns in stamps])
-    is_direction = np.abs(np.linalg.norm(directions, axis=1) - 1) < VERTICAL_TOLERANCE
-    vertical = np.where(is_direction[:, None], directions, np.nan)
-    vertical_std = np.where(is_direction, [verticals[stamp_ns][1] for stamp_ns in stamps], np.nan)
+    people = _collect_people(read.skeletons, by_id, replace(intrinsics, image_size=size))
+    summary = _judge(read, detections, people[0].intrinsics, config) if detections.people else UNKNOWN_SUMMARY
+    left_out = [f'{len(read.faults)} messages left out; {read.faults[0]}'] if read.faults else []
+    notes = tuple(f'{path}: {note}' for note in (*detections.notes, *left_out))
+    return Recording(people, summary, notes, detections, tuple(read.drops))
+
+
+def _read_messages(path: Path, report: Report) -> _Messages:
+    with Bag(path) as bag:
+        topic = find_skeletons_topic(bag)
+        journals = [name for name in bag.topics_of_type([JOURNAL]) if name.endswith('/journal')]
+        read, layouts, newest_ns = _Messages(topic, [], [], set(), RunSummary(), []), set[str](), 0
+        count = bag.count([topic, *journals])
+        for index, message in enumerate(bag.messages([topic, *journals])):
+            report(index / count)
+            try:
+                if message.topic == topic:
+                    array = decode_skeletons(message.raw)
+                    together = layouts | {person.skeleton.name for person in array.people}
+                    if len(together) > 1:
+                        raise InputError(f'skeletons of several layouts: {", ".join(sorted(together))}')
+                    layouts, newest_ns = together, array.stamp_ns
+                    read.skeletons.append(array)
+                    continue
+                entry = decode_entry(message.raw)
+                if entry.kind == RESET:
+                    read.restarts.add(len(read.skeletons))
+                if entry.verdict is not Verdict.ACCEPTED:
+                    read.drops.append(Drop(newest_ns, entry.reason))
+                if bag.topics.get(entry.topic) in PEOPLE_TYPES:
+                    read.summary.count(entry.verdict)
+            except (InputError, SkeletonError) as error:
+                read.faults.append(f'{message.topic}: {error}')
+    return read
+
+
+def _collect_people(
+    skeletons: Sequence[RecordedSkeletons],
+    by_id: Mapping[str, Mapping[int, RecordedPerson]],
+    intrinsics: Intrinsics,
+) -> tuple[PoseSequence, ...]:
+    """Return all people over all stamps, in the order in which they came."""
+    by_stamp = {array.stamp_ns: array for array in skeletons}
+    stamps = sorted(by_stamp)
+    directions = np.array([by_stamp[stamp_ns].vertical for stamp_ns in stamps])
+    length = np.linalg.norm(directions, axis=1, keepdims=True)
+    vertical = np.where((length > 0) & (length < MAX_VERTICAL), directions, np.nan)
+    vertical_std = np.array([by_stamp[stamp_ns].vertical_std for stamp_ns in stamps])
     people = [
         replace(collect_rows(i, stamps, rows, intrinsics), vertical=vertical, vertical_std=vertical_std)
         for i, rows in by_id.items()
     ]
-    summary: Summary | StoredSummary = UNKNOWN_SUMMARY
-    if seen := dict(zip(detections.stamps_ns, detections.people, strict=True)):
-        source = KNOWN if intrinsics.is_focal_known else 'as recorded'
-        for number, array in enumerate(arrays):
-            if number in restarts:
-                run.restart()
-            std = array.vertical_std
-            found = CameraVertical(array.vertical, std, is_given=std < MAX_GIVEN_STD) if std > 0 else None
-            shown = seen.get(array.stamp_ns, ())
-            run.add(array.stamp_ns, shown, array.people, intrinsics, source, found, config)
-            run.advance_judgement(config)
-        summary = run.summarise()
-    notes = [*detections.notes, *([f'{len(faults)} messages left out; {faults[0]}'] if faults else [])]
-    in_order = sorted(people, key=lambda person: int(person.in_sight.argmax()))
-    return Recording(tuple(in_order), summary, tuple(f'{path}: {n}' for n in notes), detections, tuple(drops))
+    return tuple(sorted(people, key=lambda person: int(person.in_sight.argmax())))
+
+
+def _judge(read: _Messages, detections: Detections, intrinsics: Intrinsics, config: Config) -> Summary:
+    """Return what the people of a bag rest on, judged by its keypoints as in the recorded run."""
+    seen = dict(zip(detections.stamps_ns, detections.people, strict=True))
+    source = KNOWN if intrinsics.is_focal_known else 'as recorded'
+    for number, array in enumerate(read.skeletons):
+        if number in read.restarts:
+            read.summary.restart()
+        std, shown = array.vertical_std, seen.get(array.stamp_ns, ())
+        vertical = CameraVertical(array.vertical, std, is_given=std < MAX_GIVEN_STD) if std > 0 else None
+        read.summary.add(array.stamp_ns, shown, array.people, intrinsics, source, vertical, config)
+        read.summary.advance_judgement(config)
+    return read.summary.summarise()
 
 
 def find_skeletons_topic(bag: Bag) -> str:

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A recording with its people in 3D, as `recordings.reconstruct` makes it and `recordings.load_results` reads it."""
+"""A recording with its people in 3D, which is reconstructed, or read from a result."""
 
 from __future__ import annotations
 

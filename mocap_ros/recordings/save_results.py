@@ -38,7 +38,6 @@ from mocap_ros.offline.whole_sequence import MAX_GAP_S
 from mocap_ros.people import CameraVertical, Motion, MotionKind, Person3D, PoseSequence
 from mocap_ros.recordings.playback import DEFAULT_FRAME_ID
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OutputEncoder, build_skeleton_definition
-from mocap_ros.skeleton import CORE_COUNT
 
 ONE_FILE = RecorderConfig(min_free_mb=0, split_seconds=0.0)  # of a bag that is written as a single file
 DEFAULT_PERSON_ID = 'person_1'  # id in the messages of a bag, if the sequence does not name its person
@@ -153,13 +152,13 @@ def _save_bag(path: Path, poses: PoseSequence) -> None:
 
 
 def _iterate_people(poses: PoseSequence) -> Iterator[Person3D | None]:
-    nan, seen = float('nan'), np.asarray(~poses.inferred[:, :CORE_COUNT].all(axis=1))
+    nan = float('nan')
     velocity = central_velocity(poses.times, poses.joints)
     scale, translation = poses.scale, poses.translation
     first = last_seen = math.nan
     for frame, is_in_sight in enumerate(poses.in_sight.tolist()):
         time = poses.times[frame]
-        if seen[frame]:
+        if not poses.predicted[frame]:
             first, last_seen = time if math.isnan(first) else first, time
         if not is_in_sight:
             yield None
@@ -175,7 +174,7 @@ def _iterate_people(poses: PoseSequence) -> Iterator[Person3D | None]:
             motion=Motion(MotionKind.UNKNOWN, poses.base_poses, nan, nan),
             residual=float(poses.reprojection_residual[frame]),
             scale_known=poses.is_scale_known,
-            predicted=not seen[frame],
+            predicted=bool(poses.predicted[frame]),
             velocity=velocity[frame],
             velocity_std=np.full(len(poses.joint_names), nan),
             age=float(time - first),

@@ -262,7 +262,7 @@ def find_undone_swaps(
 def find_near(
     person: PoseSequence, frames: Indices, detected: SidedPoints, skeleton: Skeleton
 ) -> tuple[Indices, Indices, Array32, Array32]:
-    """Find the detections where a person is, who has N > 0 `frames` of the scene, in the frames in which the person was detected.
+    """Find the detections where a person of N > 0 `frames` of the scene is, where the person was detected.
 
     Returns their indices (K,), the rows (K,) of the person's frames in which they are, the distances (K,) px of
     the centres, and the person's `SIDED_JOINTS` in the image (N, 12, 2) px.

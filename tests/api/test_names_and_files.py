@@ -155,10 +155,18 @@ def test_the_errors_of_a_result_are_those_of_the_evaluation(
     result: mocap_ros.PoseSequence, truth: mocap_ros.GroundTruth, limbs_only: bool
 ) -> None:
     keypoints = result.sequence
+    assert keypoints is not None
     scores = keypoints.keypoints[..., 2] if limbs_only else None
     fps = 1 / float(np.median(np.diff(result.times)))
     expected = evaluate(
-        result.joints, BODY26, result.residual, truth.joints, truth.joint_names, fps, keypoints.joint_names, scores
+        result.joints,
+        BODY26,
+        result.reprojection_residual,
+        truth.joints,
+        truth.joint_names,
+        fps,
+        keypoints.joint_names,
+        scores,
     )
     own = mocap_ros.evaluate(result, limbs_only=limbs_only)
     assert own == mocap_ros.evaluate(result, truth, limbs_only=limbs_only) == expected
@@ -236,9 +244,10 @@ PUBLIC: dict[str, str] = {
     'Person3D': 'age contact core id inferred joint_names joints motion orientation predicted residual root '
     'root_covariance root_velocity root_velocity_covariance rotation scale scale_known skeleton std tentative '
     'translation turn_inferred unseen_for velocity velocity_std',
-    'PoseSequence': 'base_poses contact cost floor_std is_scale_known iterations joint_names joints message '
-    'orientation parents residual rotation scale seen sequence success summary times translation turn_inferred '
-    'vertical vertical_std weights world_from_camera',
+    'PoseSequence': 'base_poses body_height cadence camera_height contact core cost floor_std id in_sight inferred '
+    'intrinsics is_scale_known iterations joint_names joint_orientation joint_std joints message motion parents '
+    'predicted recorded_ns reprojection_residual root_covariance rotation scale select sequence skeleton stamps_ns '
+    'success summary tentative times translation turn_inferred vertical vertical_std weights world_from_camera',
     'Tracker': "(joint_names, *, image_size, camera_matrix=None, distortion=None, model='auto', parameters=None)",
     'evaluate': "(joints, truth=None, *, truth_names='cmu15', times=None, limbs_only=False)",
     'read': "(path, *, person=None, topic=None, camera_info=None, fps=None, image_size=None, layout='', "

@@ -35,28 +35,25 @@ def arguments_of(sequence: mocap_ros.KeypointSequence) -> dict[str, Any]:
 @pytest.mark.parametrize('method', ['whole', 'keyframes'])
 def test_the_result_is_that_of_the_solver(sequence: mocap_ros.KeypointSequence, method: str) -> None:
     config = mocap_ros.Config()
-    observations = sequence.keypoints, sequence.joint_names, sequence.timestamps, sequence.intrinsics(0.75)
     models = {'walk': mocap_ros.BasePoses.load('walk')}
     if method == 'whole':
-        expected = reconstruct_sequence(*observations, models, config)
+        expected = reconstruct_sequence(sequence, models, config)
     else:
-        expected = keyframe_method.reconstruct(*observations, models, config).result
+        expected = keyframe_method.reconstruct(sequence, models, config).solved.poses
     given = {**arguments_of(sequence), 'parameters': None, 'model': 'walk', 'method': method}
     result = mocap_ros.reconstruct(**given)
     joints = 15 if method == 'keyframes' else 26
     assert result.base_poses == 'walk'
     assert (len(result), len(result.joint_names), len(result.parents)) == (40, joints, joints)
-    for name in ('joints', 'seen', 'vertical', 'vertical_std'):
+    for name in ('joints', 'inferred', 'vertical', 'vertical_std', 'reprojection_residual', 'weights'):
         np.testing.assert_array_equal(getattr(result, name), getattr(expected, name))
-    np.testing.assert_array_equal(result.residual, expected.solution.residual)
-    np.testing.assert_array_equal(result.weights, expected.solution.theta)
-    assert (result.success, result.cost) == (expected.solution.success, expected.solution.cost)
-    assert result.orientation.shape == (40, joints, 4)
+    assert (result.success, result.cost) == (expected.success, expected.cost)
+    assert result.joint_orientation.shape == (40, joints, 4)
     if method == 'keyframes':
-        assert np.isnan(result.orientation).all()
+        assert np.isnan(result.joint_orientation).all()
         assert result.turn_inferred.all()
     else:
-        np.testing.assert_array_equal(result.orientation, expected.orientation)
+        np.testing.assert_array_equal(result.joint_orientation, expected.joint_orientation)
         np.testing.assert_array_equal(result.turn_inferred, expected.turn_inferred)
 
 

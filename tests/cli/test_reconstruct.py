@@ -38,6 +38,7 @@ from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.models.model_file import load_base_poses
+from mocap_ros.people import PoseSequence
 from mocap_ros.recordings import detection, save_results
 from mocap_ros.recordings.playback import encode_sequence
 from mocap_ros.recordings.save_results import save_detections
@@ -172,8 +173,8 @@ def test_people_of_one_recording_are_together_in_time(tmp_path: Path) -> None:
 
 
 def test_one_who_cannot_be_saved_does_not_stop_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def save(path: Path, found: save_results.ReconstructedSequence) -> None:
-        if found.sequence.person_id == 'b':
+    def save(path: Path, poses: PoseSequence) -> None:
+        if poses.id == 'b':
             raise InputError('too long')
         path.touch()
 

@@ -42,7 +42,8 @@ from mocap_ros.formats.detections import Video
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.mocap.joint_maps import load_marker_map
 from mocap_ros.formats.mocap.trials import TrialOptions, load_trials
-from mocap_ros.formats.sequence_file import load_result_file, load_sequence
+from mocap_ros.formats.result_file import load_result_file
+from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.cdr import Header, typestore
 from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON, OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS

@@ -29,18 +29,18 @@ from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.messages.skeletons import CAMERAS, SKELETONS, encode_skeletons
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.people import Motion, MotionKind, Person3D
 from mocap_ros.recordings import save_results
+from mocap_ros.recordings.build_scene import build_scene
 from mocap_ros.recordings.load_keypoints import InputOptions
-from mocap_ros.recordings.load_results import holds_result, load_result
-from mocap_ros.recordings.load_scene import SceneOptions, load_scene
+from mocap_ros.recordings.load_results import holds_result, load_recording, load_result
 from mocap_ros.recordings.playback import DEFAULT_FRAME_ID
+from mocap_ros.recordings.reconstruct import ReconstructionOptions, reconstruct
 from mocap_ros.runtime.appearances import AppearanceLog
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import BODY26, CMU15
 from mocap_ros.units import NS_PER_S
-from mocap_ros.verdict.summary import summarise
+from mocap_ros.viewing.scene import Scene, project_joints
 from tests.support.bodies import make_person_3d
 from tests.support.camera_messages import encode
 from tests.support.input_files import FRAMES, Z_UP_TO_Y_UP, make_walker
@@ -55,17 +55,16 @@ def test_a_result_file_and_a_bag_hold_the_same(results: Path) -> None:
     assert not holds_result(results / 'walk.npz')
     assert holds_result(results / 'r.npz')
     assert holds_result(results / 'r.mcap')
-    file, no_name = load_result(results / 'r.npz')
-    bag, person = load_result(results / 'r.mcap')
-    assert (no_name, person) == ('', 'person_1')
+    file, bag = (load_result(results / name) for name in ('r.npz', 'r.mcap'))
+    assert bag.id == 'person_1'
     with np.load(results / 'r.npz') as arrays:
         assert np.array_equal(file.joints, arrays['joints3d'])
-        assert np.array_equal(file.seen, arrays['seen'])
+        assert np.array_equal(~file.inferred, arrays['seen'])
         assert np.array_equal(file.times, arrays['timestamps'])
     assert bag.joints == pytest.approx(file.joints, abs=1e-6)
-    assert bag.residual == pytest.approx(file.residual, abs=1e-4, nan_ok=True)
-    assert np.array_equal(bag.seen, file.seen)
-    assert not file.seen.all()
+    assert bag.reprojection_residual == pytest.approx(file.reprojection_residual, abs=1e-4, nan_ok=True)
+    assert np.array_equal(bag.inferred, file.inferred)
+    assert file.inferred.any()
     assert bag.stamps_ns == file.stamps_ns
     assert (bag.skeleton, file.skeleton) == (BODY26, BODY26)
 
@@ -76,16 +75,16 @@ def test_the_person_with_most_skeletons_is_read_from_a_bag(tmp_path: Path) -> No
         for frame, people in enumerate(([b[0]], [a, b[1]], [], [b[2]])):
             stamp = 10**9 * (frame + 1) + 1
             recorder.write('/skeletons', SKELETONS, encode_skeletons(Header(stamp, 'c'), people), stamp, stamp)
-    result, person = load_result(tmp_path / 'bag')
-    assert person == 'b'
+    result = load_result(tmp_path / 'bag')
+    assert result.id == 'b'
     assert result.times == pytest.approx([1, 2, 3, 4])
     assert result.stamps_ns == [1000000001, 2000000001, 3000000001, 4000000001]
     assert result.joints[:, 0, 0] == pytest.approx([1, 3, np.nan, 4], nan_ok=True)
-    assert result.residual == pytest.approx([0.1, 0.3, np.nan, 0.4], nan_ok=True)
-    assert result.seen.sum(axis=1).tolist() == [14, 14, 0, 14]
-    assert not result.seen[:, 2].any()
-    other, person = load_result(tmp_path / 'bag', 'a')
-    assert (person, np.isfinite(other.joints).all(axis=(1, 2)).tolist()) == ('a', [False, True, False, False])
+    assert result.reprojection_residual == pytest.approx([0.1, 0.3, np.nan, 0.4], nan_ok=True)
+    assert (~result.inferred).sum(axis=1).tolist() == [14, 14, 0, 14]
+    assert result.inferred[:, 2].all()
+    other = load_result(tmp_path / 'bag', 'a')
+    assert (other.id, other.in_sight.tolist()) == ('a', [False, True, False, False])
     with pytest.raises(InputError, match=r"bag: no person 'c'; there are b \(3\), a \(1\)"):
         load_result(tmp_path / 'bag', 'c')
 
@@ -151,10 +150,12 @@ def walker() -> KeypointSequence:
 @pytest.fixture(scope='module')
 def results(tmp_path_factory: pytest.TempPathFactory, walker: KeypointSequence) -> Path:
     """Return a folder that holds the reconstruction of the walk in every format."""
-    return reconstruct(tmp_path_factory.mktemp('results'), walker, 5, 'npz', 'csv', 'mcap', 'bvh', 'trc')
+    return run_reconstruct(tmp_path_factory.mktemp('results'), walker, 5, 'npz', 'csv', 'mcap', 'bvh', 'trc')
 
 
-def reconstruct(folder: Path, sequence: KeypointSequence, iterations: int, *suffixes: str, **values: str) -> Path:
+def run_reconstruct(
+    folder: Path, sequence: KeypointSequence, iterations: int, *suffixes: str, **values: str
+) -> Path:
     save_sequence(folder / 'walk.npz', sequence)
     outputs = [option for suffix in suffixes for option in ('-o', str(folder / f'r.{suffix}'))]
     settings = {'solver.max_iterations': iterations, **{f'tracker.{k}': v for k, v in values.items()}}
@@ -216,7 +217,7 @@ def test_a_bag_holds_the_camera_of_the_sequence(tmp_path: Path, walker: Keypoint
     """The bag is an input again, with the same focal length, principal point and lens."""
     matrix = np.array([[910.0, 0.0, 331.0], [0.0, 905.0, 236.0], [0.0, 0.0, 1.0]])
     known = replace(walker, camera_matrix=matrix, distortion=np.array(lens) if lens else None)
-    file = reconstruct(tmp_path, known, 2, 'mcap') / 'r.mcap'
+    file = run_reconstruct(tmp_path, known, 2, 'mcap') / 'r.mcap'
     with Bag(file) as bag:
         messages = list(bag.messages(['/camera_info', '/keypoints']))
     assert [m.type for m in messages] == [CAMERA_INFO, KEYPOINTS] * FRAMES
@@ -249,7 +250,7 @@ def passing(tmp_path_factory: pytest.TempPathFactory, walker: KeypointSequence) 
     keypoints = walker.keypoints.copy()
     for unseen in (slice(FIRST), GAP, slice(LAST + 1, None)):
         keypoints[unseen] = [np.nan, np.nan, 0.0]
-    return reconstruct(folder, replace(walker, keypoints=keypoints), 5, 'npz', 'csv', 'mcap', 'bvh', 'trc')
+    return run_reconstruct(folder, replace(walker, keypoints=keypoints), 5, 'npz', 'csv', 'mcap', 'bvh', 'trc')
 
 
 def test_there_is_no_skeleton_before_the_first_and_after_the_last_sight(passing: Path) -> None:
@@ -293,7 +294,14 @@ def test_a_trc_has_empty_fields_and_a_bvh_the_nearest_pose_where_there_is_no_ske
 
 DRAWN_FRAMES = 20
 MODELS: dict[str, BasePoses] = load_base_pose_models('walk')
-OPTIONS = SceneOptions(with_values(Config(), {'solver.max_iterations': 2}), MODELS)
+OPTIONS = ReconstructionOptions(with_values(Config(), {'solver.max_iterations': 2}), MODELS, max_people=None)
+
+
+def show(path: Path, reading: InputOptions | None = None) -> Scene:
+    """Return the scene of a result as it is, or of a recording that is reconstructed."""
+    if holds_result(path):
+        return build_scene(path.name, load_recording(path, reading, OPTIONS.config))
+    return build_scene(path.name, reconstruct(path, OPTIONS))
 
 
 @pytest.fixture(scope='module')
@@ -323,7 +331,8 @@ def bag(sequence: KeypointSequence, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 def test_a_bag_is_drawn_as_it_was_recorded(bag: Path, sequence: KeypointSequence) -> None:
-    scene, (line,) = load_scene(bag, OPTIONS)
+    recording = load_recording(bag, config=OPTIONS.config)
+    scene, (line,) = build_scene(bag.name, recording), recording.notes
     assert '1 messages left out; /keypoints: message 9: ' in line
     assert scene.image_size == sequence.image_size
     assert scene.stamps_ns == sequence.stamps_ns
@@ -332,19 +341,19 @@ def test_a_bag_is_drawn_as_it_was_recorded(bag: Path, sequence: KeypointSequence
     with Bag(bag) as recorded:
         arrays = [decode(message.raw, SKELETONS) for message in recorded.messages(['/skeletons'])]
     skeletons = [(frame, skeleton) for frame, array in enumerate(arrays) for skeleton in array.people]
-    assert len(skeletons) == sum(len(person.frames) for person in scene.people) > DRAWN_FRAMES
+    assert len(skeletons) == sum(map(len, scene.people)) > DRAWN_FRAMES
     for frame, skeleton in skeletons:
         person = by_id[skeleton.id]
-        (row,) = np.flatnonzero(person.frames == frame)
+        (row,) = np.flatnonzero(scene.find_frames(person) == frame)
         joints = np.array([[j.x, j.y, j.z] for j in skeleton.joints])
         assert person.joints[row] == pytest.approx(joints, abs=1e-5)
-        assert person.std[row] == pytest.approx(skeleton.joint_std, nan_ok=True)
+        assert person.joint_std[row] == pytest.approx(skeleton.joint_std, nan_ok=True)
         assert person.inferred[row].tolist() == list(skeleton.inferred)
-        assert person.image[row].mean(axis=0) == pytest.approx(skeleton.camera.translation, abs=8)
-        assert person.residual[row] == pytest.approx(skeleton.reprojection_residual, nan_ok=True)
+        assert project_joints(person)[row].mean(axis=0) == pytest.approx(skeleton.camera.translation, abs=8)
+        assert person.reprojection_residual[row] == pytest.approx(skeleton.reprojection_residual, nan_ok=True)
         states = person.motion[row], person.predicted[row], person.tentative[row]
         assert states == (skeleton.motion.state, skeleton.predicted, skeleton.tentative)
-    assert by_id['anna'].predicted[by_id['anna'].frames == 12].all()
+    assert by_id['anna'].predicted[scene.find_frames(by_id['anna']) == 12].all()
     (keypoints,) = scene.keypoints
     rows = keypoints.frames == 3
     assert rows.sum() == 2
@@ -355,23 +364,23 @@ def test_a_bag_is_drawn_as_it_was_recorded(bag: Path, sequence: KeypointSequence
 
 
 def test_one_person_of_a_bag_is_shown_alone(bag: Path) -> None:
-    scene, _ = load_scene(bag, OPTIONS._replace(input=InputOptions(person='ben')))
+    scene = show(bag, InputOptions(person='ben'))
     assert [person.id for person in scene.people] == ['ben']
     with pytest.raises(InputError, match="no person 'carl'"):
-        load_scene(bag, OPTIONS._replace(input=InputOptions(person='carl')))
+        show(bag, InputOptions(person='carl'))
     with pytest.raises(InputError, match='there is no topic /nothing'):
-        load_scene(bag, OPTIONS._replace(input=InputOptions(topic='/nothing')))
+        show(bag, InputOptions(topic='/nothing'))
 
 
 def test_a_bag_of_keypoints_shows_all_people(bag: Path) -> None:
-    scene, _ = load_scene(bag.with_name('in'), OPTIONS)
+    scene = show(bag.with_name('in'))
     assert [person.id for person in scene.people] == ['anna', 'ben']
-    assert all((np.diff(person.frames) == 1).all() for person in scene.people)
+    assert all((np.diff(scene.find_frames(person)) == 1).all() for person in scene.people)
     anna, ben = scene.people
-    left_of = np.median(ben.image[..., 0] - anna.image[..., 0])
+    left_of = np.median(project_joints(ben)[..., 0] - project_joints(anna)[..., 0])
     assert left_of == pytest.approx(-90, abs=15)
     assert (scene.keypoints[0].frames == 12).sum() == 0
-    assert anna.predicted[anna.frames == 12].all()
+    assert anna.predicted[scene.find_frames(anna) == 12].all()
 
 
 @pytest.mark.parametrize('is_calibrated', [False, True])
@@ -381,24 +390,21 @@ def test_a_sequence_file_and_its_results_look_the_same(
     if is_calibrated:
         sequence = replace(sequence, camera_matrix=np.array([[480.0, 0, 320], [0, 480, 240], [0, 0, 1]]))
     save_sequence(tmp_path / 'in.npz', sequence)
-    whole, _ = load_scene(tmp_path / 'in.npz', OPTIONS)
+    whole = build_scene('in', reconstruct(tmp_path / 'in.npz', OPTIONS._replace(max_people=1)))
     assert whole.summary.startswith('good; 1 person')
     (person,) = whole.people
-    intrinsics = sequence.intrinsics(OPTIONS.config.tracker.nominal_focal_length)
-    result = reconstruct_sequence(
-        sequence.keypoints, sequence.joint_names, sequence.timestamps, intrinsics, MODELS, OPTIONS.config
-    )
+    recording = reconstruct([sequence], OPTIONS)
+    (result,) = recording.people
     assert person.joints == pytest.approx(result.joints, abs=1e-4)
     assert whole.intrinsics.is_focal_known == is_calibrated
     for suffix in ('.npz', '.mcap'):
         path = tmp_path / f'result{suffix}'
-        summary = summarise([sequence], [result], OPTIONS.config)
-        save_results.save(path, save_results.ReconstructedSequence(sequence, result, summary))
-        scene, _ = load_scene(path, OPTIONS)
-        assert (scene.summary == str(summary)) == (suffix == '.npz')
+        save_results.save(path, result)
+        scene = show(path)
+        assert (scene.summary == str(recording.summary)) == (suffix == '.npz')
         (stored,) = scene.people
         assert stored.joints == pytest.approx(person.joints, abs=1e-4)
-        assert stored.image == pytest.approx(person.image, abs=1)
+        assert project_joints(stored) == pytest.approx(project_joints(person), abs=1)
         assert stored.inferred.tolist() == person.inferred.tolist()
         assert scene.image_size == pytest.approx(sequence.image_size, abs=1)
         for found, known in zip(scene.keypoints, whole.keypoints, strict=True):
@@ -408,8 +414,8 @@ def test_a_sequence_file_and_its_results_look_the_same(
     with np.load(tmp_path / 'result.npz') as archive:  # as earlier versions wrote it
         old = {key: archive[key] for key in archive if not key.startswith(('keypoint', 'image_size', 'camera'))}
     np.savez(tmp_path / 'old.npz', **old)
-    scene, _ = load_scene(tmp_path / 'old.npz', OPTIONS)
-    assert scene.people[0].image == pytest.approx(person.image, abs=1)
+    scene = show(tmp_path / 'old.npz')
+    assert project_joints(scene.people[0]) == pytest.approx(project_joints(person), abs=1)
     assert not scene.keypoints
 
 
@@ -419,11 +425,11 @@ def test_what_shows_no_person_is_refused(sequence: KeypointSequence, tmp_path: P
             raw = encode_keypoints(Header(stamp, DEFAULT_FRAME_ID), sequence.image_size, [])
             recorder.write('/keypoints', KEYPOINTS, raw, stamp, stamp)
     with pytest.raises(InputError, match='empty: no person is seen'):
-        load_scene(tmp_path / 'empty', OPTIONS)
+        show(tmp_path / 'empty')
     with Bag(tmp_path / 'empty') as recorded:
         replay(recorded, tmp_path / 'replayed', ReplayOptions(FAST_CONFIG))
     with pytest.raises(InputError, match='replayed: no person is in any message'):
-        load_scene(tmp_path / 'replayed', OPTIONS)
+        show(tmp_path / 'replayed')
 
 
 NAN = float('nan')

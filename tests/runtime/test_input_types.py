@@ -30,7 +30,7 @@ from mocap_ros.messages.foreign_types import HRI_SKELETON, OPENPOSE_POSES, YOLO_
 from mocap_ros.messages.input_types import ZED38, decode_body, decode_frame
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.recordings.load_keypoints import InputOptions, load_bag, load_input
-from mocap_ros.recordings.load_scene import SceneOptions, load_scene
+from mocap_ros.recordings.load_results import load_recording
 from mocap_ros.runtime.input_camera import SILENCE_S, InputCamera
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.replay import ReplayOptions, replay
@@ -336,9 +336,11 @@ def test_a_summary_covers_the_run_across_restarts(tmp_path: Path, is_reset: bool
             recorder.write('/keypoints', KEYPOINTS, raw, number * STEP_NS, number * STEP_NS)
     with Bag(tmp_path / 'bag') as bag:
         summary = replay(bag, tmp_path / 'out', ReplayOptions(FAST_CONFIG)).summary
-    scene, _ = load_scene(tmp_path / 'out', SceneOptions(FAST_CONFIG, {}))
+    recording = load_recording(tmp_path / 'out', config=FAST_CONFIG)
     start = f'wrong: {summary.reason}; 1 person in {2 * count} frames; '
-    assert [line[: len(start)] for line in (str(summary), scene.summary)] == [start] * 2, 'also when viewed'
+    assert [line[: len(start)] for line in (str(summary), str(recording.summary))] == [start] * 2, (
+        'also when viewed'
+    )
 
 
 @pytest.mark.parametrize(

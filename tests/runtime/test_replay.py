@@ -36,7 +36,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.models.model_file import load_base_poses
-from mocap_ros.recordings.load_scene import SceneOptions, load_scene
+from mocap_ros.recordings.load_results import load_recording
 from mocap_ros.recordings.playback import Playback, encode_sequence
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.provenance import RECORDED_PACKAGES
@@ -187,8 +187,10 @@ def test_many_refused_messages_make_an_input_doubtful(
     assert (summary.grade, summary.is_wrong) == (grade, grade == 'wrong')
     assert summary.reason.startswith(count)
     if accepted:
-        scene, _ = load_scene(tmp_path / 'out', SceneOptions(FAST_CONFIG, {}))
-        assert scene.summary.partition(';')[0] == str(summary).partition(';')[0], 'likewise when it is viewed'
+        recording = load_recording(tmp_path / 'out', config=FAST_CONFIG)
+        assert str(recording.summary).partition(';')[0] == str(summary).partition(';')[0], (
+            'likewise when it is viewed'
+        )
 
 
 # Parameters of a recorded run.

@@ -23,7 +23,6 @@ from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline import whole_sequence
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
-from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers import periodic
 from mocap_ros.solvers.classification import (
     MAX_STRETCH,
@@ -43,7 +42,16 @@ from mocap_ros.solvers.window import InitialValues, Window
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.training.fit_base_poses import fit_base_poses
 from tests.support.plain_objective import compute_residuals
-from tests.support.synthetic_walk import BODY_TO_OPTICAL, STEP_NS, Walk, feed, make_walk, mpjpe_mm, with_scores
+from tests.support.synthetic_walk import (
+    BODY_TO_OPTICAL,
+    STEP_NS,
+    Walk,
+    feed,
+    make_sequence,
+    make_walk,
+    mpjpe_mm,
+    with_scores,
+)
 
 COMPONENTS, HARMONICS, FRAMES = 4, 2, 8
 CONFIG = SolverConfig(
@@ -425,7 +433,7 @@ def make_motion(name: str, times: Array = TIMES) -> tuple[Array, BasePoses, Arra
 
 def reconstruct(points: Array, base_poses: BasePoses, prior: str = 'learned') -> Array:
     config = Config(solver=SolverConfig(prior=prior))
-    return reconstruct_sequence(with_scores(points), CMU15.joints, TIMES, UNKNOWN, base_poses, config).core
+    return reconstruct_sequence(make_sequence(with_scores(points), TIMES, UNKNOWN), base_poses, config).core
 
 
 @pytest.mark.parametrize('lifter_noise', [0.0, 0.001, 0.01, 0.02, 2 * MAX_NOISE])

@@ -5,7 +5,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +20,8 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.model_file import load_prior_lifter
 from mocap_ros.models.upward_direction import Stances
-from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequence, share_floor
+from mocap_ros.offline.whole_sequence import Solved, reconstruct_sequence, share_floor
+from mocap_ros.people import PoseSequence
 from mocap_ros.skeleton import BODY26, CMU15
 from mocap_ros.solvers import vertical as module
 from mocap_ros.solvers.floor import HEEL_M, SIZE_RANGE, TOE_M, FloorFit, Stander, fit_floor
@@ -29,7 +29,7 @@ from mocap_ros.solvers.image_roll import CameraSide, find_camera_roll, find_side
 from mocap_ros.solvers.vertical import Vertical, find_vertical, read_given_vertical, turn_towards_vertical
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.bodies import UPRIGHT, angles_deg
-from tests.support.synthetic_walk import CAMERA, STEP_NS, feed, make_walk, with_scores
+from tests.support.synthetic_walk import CAMERA, STEP_NS, feed, make_sequence, make_walk, with_scores
 
 UP = np.array([0.0, -math.cos(0.3), -math.sin(0.3)])  # of a camera that looks down by 17 degrees
 LEVEL = np.array([0.0, -math.cos(math.radians(10)), -math.sin(math.radians(10))])  # where nobody stands
@@ -320,7 +320,7 @@ def test_people_turn_with_a_camera(walk_model: BasePoses, points: Array, roll_de
         up = Rotation.from_rotvec([0, 0, angle]).apply([0.0, -1.0, 0.0])
         config = with_values(Config(), {'tracker.vertical': ' '.join(map(str, up)) if is_given else 'auto'})
         keypoints, times = with_scores(turn(points, angle)), np.arange(FRAMES) / 30
-        whole = reconstruct_sequence(keypoints, CMU15.joints, times, CAMERA, walk_model, config)
+        whole = reconstruct_sequence(make_sequence(keypoints, times, CAMERA), walk_model, config)
         live = [person.core for person in feed(Tracker(walk_model, config), keypoints[..., :2])]
         found.append([whole.core, np.array(live), whole.vertical])
     for upright, turned in zip(*found, strict=True):
@@ -393,24 +393,35 @@ def test_several_people_stand_on_one_floor_in_one_world() -> None:
     people = [stand() * 0.95, (stand() + np.cross(UPWARD, [0.0, 0.0, 1.0])) * 1.05]
     found = []
     for joints in people:
-        vertical, std = np.tile(UPWARD, (FLOOR_FRAMES, 1)), np.full(FLOOR_FRAMES, math.radians(3.0))
-        rest: Any = np.ones((FLOOR_FRAMES, 26), bool), BODY26, '', None, None, vertical, std
-        found.append(replace(SequenceResult(joints, *rest), contact=CONTACT))
-    lain = Rotation.from_rotvec([0.1, 0.0, 0.0]).apply(found[0].vertical)
-    found.append(replace(found[0], contact=CONTACT * np.nan, vertical=lain, vertical_std=2 * TIMES))
-    above = replace(found[1], joints=found[1].joints + 0.8 * UPWARD)
+        poses = PoseSequence(
+            id='',
+            times=TIMES,
+            skeleton=BODY26,
+            joints=joints,
+            inferred=np.zeros((FLOOR_FRAMES, 26), bool),
+            reprojection_residual=np.zeros(FLOOR_FRAMES),
+            intrinsics=CAMERA,
+            vertical=np.tile(UPWARD, (FLOOR_FRAMES, 1)),
+            vertical_std=np.full(FLOOR_FRAMES, math.radians(3.0)),
+            body_height=1.0,
+        )
+        found.append(Solved(poses, CONTACT))
+    one, other = (person.poses for person in found)
+    lain = Rotation.from_rotvec([0.1, 0.0, 0.0]).apply(one.vertical)
+    found.append(Solved(replace(one, vertical=lain, vertical_std=2 * TIMES), CONTACT * np.nan))
+    above = Solved(replace(other, joints=other.joints + 0.8 * UPWARD), CONTACT)
     for people_found in ([found[0], above], [above, found[0]]):  # one stands on a platform
-        apart = share_floor(people_found, [TIMES] * 2, TrackerConfig())
-        assert [(r.size, r.floor, r.height_note) for r in apart] == [(1.0, None, '')] * 2
-    opposite = replace(found[1], vertical=-found[0].vertical)
-    assert all(r.floor is None for r in share_floor([found[0], opposite], [TIMES] * 2, TrackerConfig()))
-    first, second, unknown = share_floor(found, [TIMES] * 3, TrackerConfig())
+        apart, faults = share_floor(people_found, TrackerConfig())
+        assert [(p.body_height, p.camera_height) for p in apart] == [(1.0, None)] * 2
+        assert not faults
+    opposite = Solved(replace(other, vertical=-one.vertical), CONTACT)
+    assert all(p.camera_height is None for p in share_floor([found[0], opposite], TrackerConfig())[0])
+    (first, second, unknown), _ = share_floor(found, TrackerConfig())
     assert (unknown.vertical == first.vertical).all()
-    assert (unknown.size, unknown.floor) == (1.0, first.floor)
+    assert (unknown.body_height, unknown.camera_height) == (1.0, first.camera_height)
     assert (unknown.world_from_camera == first.world_from_camera).all()
-    assert (first.size, second.size) == pytest.approx((1 / 0.95, 1 / 1.05), abs=0.015)
-    heights = [result.floor and result.floor.camera_height for result in (first, second)]
-    assert heights == pytest.approx([CAMERA_HEIGHT_M] * 2, rel=0.03)
+    assert (first.body_height, second.body_height) == pytest.approx((1 / 0.95, 1 / 1.05), abs=0.015)
+    assert [first.camera_height, second.camera_height] == pytest.approx([CAMERA_HEIGHT_M] * 2, rel=0.03)
     assert (first.world_from_camera == second.world_from_camera).all()
     for result, joints, size in ((first, people[0], 1 / 0.95), (second, people[1], 1 / 1.05)):
         world = result.world_from_camera

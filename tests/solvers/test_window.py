@@ -32,7 +32,7 @@ from mocap_ros.solvers.image_roll import turn_about_axis
 from mocap_ros.solvers.observed_window import RAY_FOCAL, ObservedWindow, append_lifted, observe_sequence
 from mocap_ros.solvers.window import Reconstruction, SolverStatus, Window, choose_initial_values
 from tests.support.bodies import make_swinging_body
-from tests.support.synthetic_walk import make_walk, mpjpe_mm, with_scores
+from tests.support.synthetic_walk import make_sequence, make_walk, mpjpe_mm, with_scores
 
 FRAMES = 60
 CAMERA = Intrinsics(600.0, (320.0, 240.0), True, 1.05, Distortion('plumb_bob', (-0.1, 0.02, 0.001, -0.001, 0.0)))
@@ -57,7 +57,7 @@ def make_person() -> tuple[Array, Array, Array]:
 
 def observe(single_camera: bool = False) -> ObservedWindow:
     keypoints, times, _ = make_person()
-    observed = observe_sequence(keypoints, CMU15.joints, times, CAMERA, TRACKING)
+    observed = observe_sequence(make_sequence(keypoints, times, CAMERA), TRACKING)
     if not single_camera:
         return observed
     camera = VirtualCamera.look_at_mean_position(observed.rays, observed.weight, CAMERA)
@@ -69,14 +69,14 @@ def test_rays_are_those_of_the_joints_with_the_right_sides() -> None:
     keypoints[20:25] = keypoints[20:25][:, MIRROR]
     keypoints[30, 3] = np.nan, np.nan, 0.9
     keypoints[31, 3, 2] = TRACKING.min_score / 2
-    observed = observe_sequence(keypoints, CMU15.joints, times, CAMERA, TRACKING)
+    observed = observe_sequence(make_sequence(keypoints, times, CAMERA), TRACKING)
     unseen = np.zeros((FRAMES, 15), bool)
     unseen[[30, 31], 3] = True
     assert observed.rays[~unseen] == pytest.approx((joints[..., :2] / joints[..., 2:])[~unseen], abs=1e-6)
     assert (observed.weight == np.where(unseen, 0, 0.9)).all()
     assert (observed.points[unseen] == 0).all()
     assert (observed.times == times).all()
-    as_given = observe_sequence(keypoints, CMU15.joints, times, CAMERA, replace(TRACKING, undo_swaps=False))
+    as_given = observe_sequence(make_sequence(keypoints, times, CAMERA), replace(TRACKING, undo_swaps=False))
     assert as_given.rays[22] == pytest.approx(observed.rays[22][MIRROR])
 
 
@@ -95,7 +95,7 @@ def test_sequences_that_show_no_motion_are_refused(places: Any, value: float, me
     else:
         keypoints[places] = value
     with pytest.raises(InputError, match=message):
-        observe_sequence(keypoints, CMU15.joints, times, CAMERA, TRACKING)
+        observe_sequence(make_sequence(keypoints, times, CAMERA), TRACKING)
 
 
 @SINGLE_CAMERA

@@ -12,39 +12,42 @@ import numpy as np
 from PIL import Image
 
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.people import MotionKind
+from mocap_ros.people import MotionKind, PoseSequence
 from mocap_ros.skeleton import CMU15
-from mocap_ros.viewing.scene import Mark, Scene, SceneKeypoints, ScenePerson
+from mocap_ros.units import NS_PER_S
+from mocap_ros.viewing.scene import Mark, Scene, SceneKeypoints, project_joints
 from tests.support.bodies import make_swinging_body
 
 INTRINSICS = Intrinsics(600.0, (320.0, 240.0), is_focal_known=True)
 STEP_NS = 33_333_333  # ns between two frames; about 30 Hz
 
 
-def make_scene_person(person_id: str, frames: Sequence[int], place: Sequence[float]) -> ScenePerson:
+def make_scene_person(person_id: str, frames: Sequence[int], place: Sequence[float]) -> PoseSequence:
     """Return a person who stands at a place (3,) in m in the given frames."""
     joints = make_swinging_body(len(frames))[0] + np.asarray(place)
     count = len(frames)
-    return ScenePerson(
+    return PoseSequence(
         id=person_id,
-        frames=np.asarray(frames),
-        joints=joints.astype(np.float32),
-        std=np.full((count, 15), 0.05, np.float32),
+        times=np.asarray(frames) * STEP_NS / NS_PER_S,
+        skeleton=CMU15,
+        joints=joints,
+        joint_std=np.full((count, 15), 0.05),
         inferred=np.zeros((count, 15), bool),
         intrinsics=INTRINSICS,
-        residual=np.linspace(2, 3, count, dtype=np.float32),
-        cadence=np.full(count, 0.9, np.float32),
+        reprojection_residual=np.linspace(2, 3, count),
+        cadence=np.full(count, 0.9),
         motion=np.full(count, MotionKind.PERIODIC, np.uint8),
         predicted=np.zeros(count, bool),
         tentative=np.zeros(count, bool),
-        contact=np.tile([1.0, 0.0], (count, 1)).astype(np.float32),
+        contact=np.tile([1.0, 0.0], (count, 1)),
+        recorded_ns=tuple(frame * STEP_NS for frame in frames),
     )
 
 
-def make_keypoints(people: Sequence[ScenePerson]) -> SceneKeypoints:
-    frames = np.concatenate([person.frames for person in people])
+def make_keypoints(people: Sequence[PoseSequence]) -> SceneKeypoints:
+    frames = np.concatenate([np.array(person.stamps_ns) // STEP_NS for person in people])
     order = np.argsort(frames, kind='stable')
-    points = np.concatenate([person.image for person in people])[order]
+    points = np.concatenate([project_joints(person) for person in people])[order]
     return SceneKeypoints(CMU15, frames[order], points)
 
 

@@ -13,6 +13,7 @@ from mocap_ros.config import Config
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.keypoints.left_right import BodySides, SwapFilter
 from mocap_ros.keypoints.matching import Detection
 from mocap_ros.keypoints.person import Person2D
@@ -66,6 +67,13 @@ def mpjpe_mm(found: Array, truth: Array) -> float:
 def with_scores(points: Array, score: float = 1.0) -> Array:
     """Return keypoints (F, J, 3) of points (F, J, 2) px that all have one score."""
     return np.concatenate([points, np.full((*points.shape[:2], 1), score)], axis=-1)
+
+
+def make_sequence(
+    keypoints: Array, times: Array, camera: Intrinsics, names: tuple[str, ...] = CMU15.joints
+) -> KeypointSequence:
+    """Return keypoints (F, J, 3) at times (F,) s in the images of a camera as a sequence."""
+    return KeypointSequence(keypoints, names, times, camera.image_size or (640, 480), calibration=camera)
 
 
 CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)

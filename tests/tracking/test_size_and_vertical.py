@@ -22,14 +22,14 @@ from mocap_ros.geometry.rigid_transform import parse_camera_pose
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequence
-from mocap_ros.people import CameraVertical, Person3D
+from mocap_ros.offline.whole_sequence import reconstruct_sequence
+from mocap_ros.people import CameraVertical, Person3D, PoseSequence
 from mocap_ros.solvers.vertical import MAX_STD_DEG
 from mocap_ros.tracking.body_size import ANKLE_SHARE, ANKLES, BodySize, FloorContact, assume_size
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.verdict.vertical_check import LEAST_S, VerticalCheck
 from tests.support.bodies import STANDING, UPRIGHT, angles_deg, make_person_3d
-from tests.support.synthetic_walk import STEP_NS, make_walk, see
+from tests.support.synthetic_walk import STEP_NS, make_sequence, make_walk, see
 
 HEIGHT_M = 1.7
 ASSUMED = assume_size(Config().tracker)
@@ -199,11 +199,11 @@ def feed_demo(
     return [tracker.update(*frame)[-1].joints for frame in given]
 
 
-def reconstruct(vertical: str, frames: int = FRAMES, sequence: KeypointSequence = SEQUENCE) -> SequenceResult:
-    keypoints = sequence.keypoints[:frames].astype(float)
+def reconstruct(vertical: str, frames: int = FRAMES, sequence: KeypointSequence = SEQUENCE) -> PoseSequence:
     config = with_values(Config(), {'tracker.vertical': vertical})
     times = SEQUENCE.timestamps[:frames]
-    return reconstruct_sequence(keypoints, SEQUENCE.joint_names, times, DEMO_CAMERA, MODELS, config)
+    part = make_sequence(sequence.keypoints[:frames].astype(float), times, DEMO_CAMERA, SEQUENCE.joint_names)
+    return reconstruct_sequence(part, MODELS, config)
 
 
 def find(tracker: Tracker) -> CameraVertical:

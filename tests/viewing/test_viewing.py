@@ -38,7 +38,8 @@ from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.formats.video import VideoReader
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.messages.images import IMAGE
-from mocap_ros.recordings.load_scene import read_images
+from mocap_ros.people import PoseSequence
+from mocap_ros.recordings.build_scene import read_images
 from mocap_ros.skeleton import CMU15
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing import live_page, plots
@@ -46,7 +47,7 @@ from mocap_ros.viewing import scene as scenes
 from mocap_ros.viewing.live_page import LiveScene, PageServer, make_nobody
 from mocap_ros.viewing.overlay import MAX_OFFSET_S, Overlay, StampedImage, find_frame, reduce_images
 from mocap_ros.viewing.page import NOT_A_NUMBER, UNKNOWN_STD, build_page
-from mocap_ros.viewing.scene import Scene, SceneKeypoints, ScenePerson, SidedPoints
+from mocap_ros.viewing.scene import Scene, SceneKeypoints, SidedPoints, project_joints
 from tests.support.blob_people import write_video
 from tests.support.bodies import make_swinging_body
 from tests.support.camera_messages import encode, encode_pixels
@@ -130,7 +131,7 @@ class ReadPage:
 @pytest.fixture
 def scene() -> Scene:
     scene = make_scene()
-    scene.people[0].std[3:6] = np.nan
+    scene.people[0].joint_std[3:6] = np.nan
     scene.people[0].cadence[:10] = np.nan
     scene.keypoints[0].points[7] = np.nan
     return scene
@@ -142,17 +143,17 @@ def test_the_arrays_are_those_of_the_scene_to_a_millimetre(scene: Scene) -> None
     page = ReadPage(scene)
     for person, described in zip(scene.people, page.scene['people'], strict=True):
         arrays = {name: page.read(layout) for name, layout in described['arrays'].items()}
-        assert arrays['frames'][:, 0].tolist() == person.frames.tolist()
+        assert arrays['frames'][:, 0].tolist() == scene.find_frames(person).tolist()
         joints = arrays['joints'].reshape(-1, 15, 3) * page.scene['metrePerStep']
         assert np.abs(joints - person.joints).max() < 0.00051
         image = arrays['image'].reshape(-1, 15, 2) * page.scene['pixelPerStep']
-        assert np.abs(image - person.image).max() < 0.07
-        unknown = np.isnan(person.std)
+        assert np.abs(image - project_joints(person)).max() < 0.07
+        unknown = np.isnan(person.joint_std)
         assert ((arrays['std'] == UNKNOWN_STD) == unknown).all()
-        assert np.abs(arrays['std'] * page.scene['stdPerStep'] - person.std)[~unknown].max() < 0.0011
+        assert np.abs(arrays['std'] * page.scene['stdPerStep'] - person.joint_std)[~unknown].max() < 0.0011
         inferred = arrays['inferred'] >> np.arange(15) & 1
         assert (inferred == person.inferred).all()
-        is_swapped = (person.frames == 10) & (person is scene.people[0])
+        is_swapped = (scene.find_frames(person) == 10) & (person is scene.people[0])
         for bit, values in enumerate((person.predicted, person.tentative, is_swapped)):
             assert ((arrays['state'][:, 0] >> bit & 1) == values).all()
         assert ((arrays['state'][:, 0] >> 4 & 3) == person.motion).all()
@@ -262,7 +263,11 @@ def test_what_is_not_known_has_no_row_and_people_are_upright(scene: Scene, tmp_p
     anna, nan = scene.people[0], np.float32(np.nan)
     joints = (anna.joints @ turn.T).astype(np.float32)
     joints[:, 4] = nan
-    unknown = {'cadence': anna.cadence * nan, 'std': anna.std * nan, 'motion': np.zeros_like(anna.motion)}
+    unknown = {
+        'cadence': anna.cadence * nan,
+        'joint_std': anna.joint_std * nan,
+        'motion': np.zeros_like(anna.motion),
+    }
     plain = replace(anna, joints=joints, **unknown)
     camera, vertical = replace(scene.intrinsics, is_focal_known=False), turn @ [0.0, -1.0, 0.0]
     tilted = replace(scene, people=(plain,), keypoints=(), marks=(), vertical=vertical, intrinsics=camera)
@@ -295,7 +300,7 @@ def publish(scene: LiveScene, frame: int) -> None:
     people = make_scene_person('', range(PEOPLE), (0.0, 0.0, 5.0))
     people.joints[:] += np.arange(PEOPLE)[:, None, None] * [0.8, 0, 0] + [0.001 * frame, 0, 0]
     ids = [f'walker {i}' for i in range(PEOPLE)]
-    keypoints = [(CMU15, people.image[0].astype(float))]
+    keypoints = [(CMU15, project_joints(people)[0].astype(float))]
     scene.publish(START_NS + frame * STEP_NS, ids, people, keypoints, (640, 480), UP, CMU15)
 
 
@@ -363,7 +368,7 @@ def test_the_age_of_skeletons_is_told_and_those_that_nobody_viewed_are_left_out(
 
 
 def test_an_image_without_people_is_a_frame_without_people() -> None:
-    scene, nobody = LiveScene('Live'), make_nobody(len(CMU15.joints), INTRINSICS)
+    scene, nobody = LiveScene('Live'), make_nobody(CMU15, INTRINSICS)
     scene.publish(START_NS, [], nobody, [], (640, 480), UP, CMU15)
     frame = json.loads(scene.wait(0))
     assert (frame['ids'], set(map(str, frame['people'].values()))) == ([], {'[]'})
@@ -439,8 +444,9 @@ MIRROR = list(CMU15.mirror)
 LEGS = [CMU15.index(side + joint) for side in 'lr' for joint in ('hip', 'knee', 'ankle')]
 
 
-def find_swaps(person: ScenePerson, *inputs: SceneKeypoints) -> np.ndarray:
-    return scenes.find_undone_swaps(person, SidedPoints.find(inputs))
+def find_swaps(person: PoseSequence, *inputs: SceneKeypoints) -> np.ndarray:
+    frames = np.array(person.stamps_ns) // STEP_NS
+    return scenes.find_undone_swaps(person, frames, SidedPoints.find(inputs))
 
 
 @pytest.mark.parametrize('joints', [list(range(15)), LEGS], ids=['whole body', 'legs'])
@@ -503,7 +509,7 @@ def test_a_picture_shows_the_person_seen_most_where_there_is_a_skeleton(monkeypa
     shown = [word for word in words if word.endswith(' s')]
     assert len(shown) == POSES
     assert (shown[0], shown[-1]) == tuple(f'{scene.times[frame]:.2f} s' for frame in (frames[0], frames[-1]))
-    predicted = replace(ben, predicted=ben.frames == frames[3])
+    predicted = replace(ben, predicted=scene.find_frames(ben) == frames[3])
     points = replace(scene, people=(predicted,), keypoints=(make_keypoints([anna, ben]),)).to_plot_data().keypoints
     assert points is not None
     is_shown = [int(frame) for frame in np.flatnonzero(points[..., 2].any(axis=1))]
@@ -592,7 +598,7 @@ def test_an_image_belongs_to_the_nearest_frame() -> None:
 
 def test_a_film_and_a_picture_show_points_in_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = make_scene(IMAGES)
-    points = np.concatenate([scene.people[0].image, np.ones((IMAGES, 15, 1), np.float32)], axis=-1)
+    points = np.concatenate([project_joints(scene.people[0]), np.ones((IMAGES, 15, 1), np.float32)], axis=-1)
     save_sequence(tmp_path / 'in.npz', KeypointSequence(points, CMU15.joints, scene.times, (640, 480)))
     times = [i / 30 for i in range(IMAGES)]
     video = write_video(tmp_path / 'in.mkv', [image for _, image in make_images(scene)], times)
