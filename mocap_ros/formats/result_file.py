@@ -16,6 +16,7 @@ from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.npz_arrays import ArrayReader, iterate_arrays, list_keys
 from mocap_ros.formats.sequence_file import RESULT_KEYS, make_camera_arrays, validate_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics, recover_intrinsics
+from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.npz_file import write_npz
 from mocap_ros.people import UNKNOWN_COLUMN, PoseSequence
 from mocap_ros.skeleton import CORE_COUNT, skeleton_from_joints
@@ -100,16 +101,7 @@ def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
         if 'keypoint_names' in arrays:
             named = {INPUT_KEYS[key]: array_by_key[key] for key in INPUT_KEYS if key in array_by_key}
             sequence = validate_sequence(named)
-        if sequence is not None and sequence.is_camera_known:
-            intrinsics = sequence.intrinsics(1.0)
-        elif 'scale' in arrays:
-            scale, translation = (
-                arrays.read_numbers('scale', (frames,)),
-                arrays.read_numbers('translation', (frames, 2)),
-            )
-            intrinsics = recover_intrinsics(joints[:, :CORE_COUNT].mean(axis=1), scale, translation)
-        else:
-            intrinsics = Intrinsics.from_image_size(*UNKNOWN_IMAGE)
+        intrinsics = _find_intrinsics(arrays, sequence, joints)
         if 'scale_known' in arrays:
             is_scale_known = bool(arrays.read_flags('scale_known', ()))
         world, floor_std = np.full((4, 4), np.nan), np.nan
@@ -140,3 +132,13 @@ def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
         if 'grade' not in arrays or 'summary' not in arrays:
             return poses, UNKNOWN_SUMMARY
         return poses, StoredSummary(arrays.read_texts('grade', ())[0], arrays.read_texts('summary', ())[0])
+
+
+def _find_intrinsics(arrays: ArrayReader, sequence: KeypointSequence | None, joints: Array) -> Intrinsics:
+    if sequence is not None and sequence.is_camera_known:
+        return sequence.intrinsics(1.0)
+    if 'scale' not in arrays:
+        return Intrinsics.from_image_size(*UNKNOWN_IMAGE)
+    scale = arrays.read_numbers('scale', (len(joints),))
+    translation = arrays.read_numbers('translation', (len(joints), 2))
+    return recover_intrinsics(joints[:, :CORE_COUNT].mean(axis=1), scale, translation)
