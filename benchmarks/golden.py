@@ -169,7 +169,7 @@ def compare(found: Numbers, expected: Mapping[str, Array]) -> bool:
         if name not in found or name not in expected:
             first = first or f'{name}: {"new" if name in found else "missing"}'
             continue
-        new, old = found[name], expected[name]
+        new, old = map(np.atleast_1d, (found[name], expected[name]))
         if new.shape != old.shape or not np.array_equal(np.isnan(new), np.isnan(old)):
             first = first or f'{name}: shape {new.shape}, before {old.shape}, or other values are NaN'
             continue
@@ -178,7 +178,7 @@ def compare(found: Numbers, expected: Mapping[str, Array]) -> bool:
         quantity, value = name.rpartition('/')[2], float(difference.max(initial=0.0))
         largest[quantity] = max(largest.get(quantity, (0.0, '')), (value, place))
         if value > TOLERANCE_M:
-            where = [int(i[0]) for i in np.nonzero(np.atleast_1d(difference > TOLERANCE_M))]
+            where = [int(i[0]) for i in np.nonzero(difference > TOLERANCE_M)]
             first = first or f'{name}{where}: {new[tuple(where)]:.9g}, before {old[tuple(where)]:.9g}'
     for quantity, (value, place) in sorted(largest.items(), key=lambda item: -item[1][0]):
         if value > 0 or quantity == 'joints':

@@ -10,8 +10,10 @@ some time:
     v_t = normalise(sum_i max(p_i, L) k_i u_i),    k_i = exp(-|t - t_i| / T) dt_i / (1 + (angle(u_i, v) / A)^2)
     s_v = min(sqrt(B^2 + S^2 / sum_i p_i k_i), MAX_STD_DEG)
 
-with p_i the share to which the pose stands and dt_i the time to the next frame; live, the sums are over the
-frames before t alone. Who lies or stands on the hands has straight hips as well, and cameras are mostly level:
+with p_i the share to which the pose stands and dt_i the time since the frame before. Live, the sums are over the
+frames up to t, each with the v that was known then. In a whole sequence the same goes forwards and backwards, and
+both sums are added: on 21 views that is 6.0 degrees off in the mean; sums with one v for all frames are 6.2 off.
+Who lies or stands on the hands has straight hips as well, and cameras are mostly level:
 p_i is multiplied by a share that falls from 1 to 0 as the angle from u_i to -y grows from `LEVEL_DEG`[0] to [1].
 It is also multiplied by the share to which hips and knees are seen, for inferred legs nearly always stand.
 Part of the error of a direction lasts, for it is that of a body, B; the rest is another one after a second.
@@ -69,15 +71,9 @@ STANDING_SHARE = 0.1  # 1; of the time; who stands for less of it still shows mo
 ASKEW_STD_DEG = 45.0  # half of the quarter of a turn by which v_0 is wrong if the camera is on its side
 OUTLIER_DEG = 10.0  # A: who lies or tumbles does not show the vertical
 MIN_STANDING = 0.02  # L: where no person stands, a vertical is better than none
-ROBUST_ROUNDS = 4  # of weights and means; more change nothing
+WAYS = slice(None), slice(None, None, -1)  # forwards and backwards
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for
 UNIT_TOLERANCE = 0.01  # 1; difference of a given direction's length from 1 that rounding may cause
-
-
-def _measure_levelness(upward: Array) -> Array:
-    """Return the shares (N,) to which directions (N, 3) are up for a level camera."""
-    angle_deg = np.degrees(np.arccos((-upward[:, 1]).clip(-1, 1)))
-    return np.asarray(((LEVEL_DEG[1] - angle_deg) / (LEVEL_DEG[1] - LEVEL_DEG[0])).clip(0, 1))
 
 
 def _add_prior(
@@ -251,34 +247,21 @@ def find_vertical(times: Array, stances: Stances, *, is_turned: bool = False) ->
     known = np.asarray(np.isfinite(stances.upward).all(axis=1))
     if not known.any():
         return np.full(stances.upward.shape, np.nan), np.full(len(times), np.nan)
-    upward, straight = np.where(known[:, None], stances.upward, 0.0), np.where(known, stances.standing, 0.0)
-    steps = np.minimum(np.diff(times, append=times[-1]), MAX_STEP_S)
-    steps[-1] = steps[-2] if len(steps) > 1 else MAX_STEP_S
-    weight = np.where(known, np.maximum(steps, 1e-9), 0.0)
-    levelness = _measure_levelness(upward)
-    upright, is_level = straight * levelness, weight * (levelness > 0)
-    standing = upright * stances.seen
-    kept = np.exp(np.diff(times, prepend=-np.inf) / -MEMORY_S)  # of the frame before
-    counted, robust = np.maximum(standing, MIN_STANDING)[:, None] * upward, is_level
-    for _ in range(ROBUST_ROUNDS):
-        total = _sum_over_time(robust[:, None] * np.column_stack([counted, standing]), kept)
-        length = np.linalg.norm(total[:, :3], axis=1, keepdims=True)
-        directions, seconds = total[:, :3] / np.maximum(length, 1e-300), total[:, 3]
-        angle = np.arccos((directions * upward).sum(axis=1).clip(-1, 1))
-        robust = is_level / (1 + (angle / math.radians(OUTLIER_DEG)) ** 2)
-    std_deg = np.hypot(BODY_STD_DEG, SECOND_STD_DEG / np.sqrt(np.maximum(seconds, 1e-9))).clip(None, MAX_STD_DEG)
-    askew = known if is_turned else np.maximum(straight - upright, 0.0)
-    sums = _sum_over_time(weight[:, None] * np.column_stack([known, standing, askew]), kept)
-    return _add_prior(directions, std_deg, 1.0, *sums.T)
+    ahead, back = (_follow(times[way], Stances(*(values[way] for values in stances)))[way] for way in WAYS)
+    weighted, (_, certain, seen, standing, askew) = (ahead + back)[:, :3], (ahead + back)[:, 3:].T
+    found = weighted / np.maximum(np.linalg.norm(weighted, axis=1, keepdims=True), 1e-300)
+    std_deg = np.hypot(BODY_STD_DEG, SECOND_STD_DEG / np.sqrt(np.maximum(certain, 1e-9))).clip(None, MAX_STD_DEG)
+    return _add_prior(found, std_deg, 1.0, seen, standing, seen if is_turned else askew)
 
 
-def _sum_over_time(values: Array, kept: Array) -> Array:
-    """Return sum_i exp(-|t - t_i| / T) values_i of each frame t, (F, D); `kept` (F,) is k of the one before."""
-    sums = -values
-    for order, shares in ((slice(None), kept), (slice(None, None, -1), np.roll(kept[::-1], 1))):
-        total, totals = [0.0] * values.shape[1], []
-        for share, row in zip(shares.tolist(), values[order].tolist(), strict=True):
-            total = [share * old + new for old, new in zip(total, row, strict=True)]
-            totals.append(total)
-        sums[order] += totals
-    return sums
+def _follow(times: Array, stances: Stances) -> Array:
+    """Return the direction times its weight, and the `Sums`, of the frames up to each one (F, 8)."""
+    totals, vertical = np.zeros((len(times), 3 + len(NO_SUMS))), None
+    known = np.isfinite(stances.upward[:, 0]).tolist()
+    for frame, seconds in enumerate(np.abs(times - times[0]).tolist()):
+        if known[frame]:
+            own, stamp_ns = Stances(*(values[frame : frame + 1] for values in stances)), round(seconds * NS_PER_S)
+            vertical = Vertical.begin(stamp_ns, own) if vertical is None else vertical.advance(stamp_ns, own)
+        if vertical is not None:
+            totals[frame] = *(vertical.sums.weight * vertical.found), *vertical.sums
+    return totals

@@ -123,7 +123,7 @@ def test_a_camera_that_was_tilted_is_forgotten(rng: np.random.Generator) -> None
     before, after = scatter(rng, 600, 4.0), scatter(rng, 1800, 4.0, tilted)
     assert angles_deg(advance(advance(None, before[:, None]), after[:, None]).direction, tilted) < 2
     directions, _ = find_vertical(np.arange(2400) / 30, show(np.concatenate([before, after])))
-    assert angles_deg(directions[0], UP) < 9, 'half of the tilt: later frames count a little'
+    assert angles_deg(directions[0], UP) < 10, 'about half of the tilt: later frames count a little'
     assert angles_deg(directions[-1], tilted) < 2
 
 
