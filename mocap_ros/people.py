@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any, NamedTuple
@@ -13,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.arrays import Array, Mask
+from mocap_ros.arrays import Array, Indices, Mask, copy_with
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence, describe_frames
 from mocap_ros.skeleton import CMU15, CORE_COUNT, HIPS, Skeleton
@@ -61,68 +62,108 @@ class CameraVertical(NamedTuple):
     is_given: bool = False
 
 
-def _unknown(*shape: int) -> Array:
-    return np.full(shape, np.nan)
+UNKNOWN_COLUMN: NDArray[Any] = np.empty(0)  # stands for a column of which nothing is known
+
+
+def _leave_unknown() -> NDArray[Any]:
+    return UNKNOWN_COLUMN
+
+
+class _Column(NamedTuple):
+    """A column that may be unknown: its shape after that of the rows and, of some, of the joints."""
+
+    shape: tuple[int, ...] = ()
+    unknown: float = math.nan
+    is_of_joints: bool = False
+
+    def fill(self, rows: int, joints: int) -> NDArray[Any]:
+        """Return the column of which nothing is known."""
+        count = (rows, joints) if self.is_of_joints else (rows,)
+        return np.full((*count, *self.shape), self.unknown, type(self.unknown))
+
+
+_SHARED_COLUMNS = {
+    'joint_std': _Column(is_of_joints=True),
+    'reprojection_residual': _Column(),
+    'rotation': _Column((3, 3)),
+    'root_covariance': _Column((3, 3)),
+    'joint_orientation': _Column((4,), is_of_joints=True),
+    'turn_inferred': _Column((), True, is_of_joints=True),
+    'contact': _Column((2,)),
+    'predicted': _Column((), False),
+    'tentative': _Column((), False),
+}
+_PEOPLE_COLUMNS = _SHARED_COLUMNS | {
+    'joint_velocity': _Column((3,), is_of_joints=True),
+    'joint_velocity_std': _Column(is_of_joints=True),
+    'root_velocity_covariance': _Column((3, 3)),
+    'scale': _Column(),
+    'translation': _Column((2,)),
+    'age': _Column(),
+    'unseen_for': _Column((), 0.0),
+}
+_UNKNOWN_MOTION = Motion(MotionKind.UNKNOWN, '', math.nan, math.nan)
 
 
 @dataclass(frozen=True, eq=False)
 class Person3D:
-    """One reconstructed person in one frame.
+    """One reconstructed person in one frame: a row of `People`.
 
     Attributes:
         id: name of the person, the same in all frames.
+        skeleton: names and order of the joints; the first are always those of `skeleton.CMU15`, the core.
         joints: (J, 3) m, joint positions in the camera's optical frame, in the order of `skeleton`.
-        std: (J,) m, standard deviation of each joint position; NaN if unknown.
+        joint_std: (J,) m, standard deviation of each joint position; NaN if unknown.
         inferred: (J,) True for joints that were not seen and were inferred by the model.
+        joint_velocity: (J, 3) m/s, velocity of each joint in the same frame as `joints`; NaN if unknown.
+        joint_velocity_std: (J,) m/s, standard deviation of each joint's velocity; NaN if unknown.
+        root_covariance: (3, 3) m^2, covariance of `root`; NaN if unknown.
+        root_velocity_covariance: (3, 3) m^2/s^2, covariance of `root_velocity`; NaN if unknown.
+        joint_orientation: (J, 4) quaternions x, y, z, w of the body segment that turns about each joint, to the
+            frame of `joints` (`solvers.extremities` has the axes); NaN if unknown.
+        turn_inferred: (J,) True where nothing in the image shows how that segment is turned about its own axis.
+        contact: (2,) probabilities that the left and the right foot stand; NaN if unknown.
         scale: px/m, scale of the weak-perspective camera.
         rotation: (3, 3) rotation from the body frame to the camera's optical frame.
         translation: (2,) px, image point of the body's origin, which is the mean of its joints.
         motion: classification of the motion up to this frame.
-        residual: px, RMS reprojection error over the seen joints; NaN if no joint was seen.
-        scale_known: True if the focal length is known and not nominal.
+        reprojection_residual: px, RMS reprojection error over the seen joints; NaN if no joint was seen.
+        is_scale_known: True if the focal length is known and not nominal.
         predicted: True if the person was not detected in this frame.
         tentative: True if the person has been seen too shortly to be certain.
-        velocity: (J, 3) m/s, velocity of each joint in the same frame as `joints`; NaN if unknown.
-        velocity_std: (J,) m/s, standard deviation of each joint's velocity; NaN if unknown.
-        root_covariance: (3, 3) m^2, covariance of `root`; NaN if unknown.
-        root_velocity_covariance: (3, 3) m^2/s^2, covariance of `root_velocity`; NaN if unknown.
         age: s, time since the person was first seen; NaN if unknown.
         unseen_for: s, time since the person was last seen; 0 if in this frame.
-        skeleton: names and order of the joints; the first are always those of `skeleton.CMU15`, the core.
-        orientation: (J, 4) quaternions x, y, z, w of the body segment that turns about each joint, to the frame of
-            `joints` (`solvers.extremities` has the axes); NaN if unknown.
-        contact: (2,) probabilities that the left and the right foot stand; NaN if unknown.
-        turn_inferred: (J,) True where nothing in the image shows how that segment is turned about its own axis.
     """
 
     id: str
+    skeleton: Skeleton
     joints: Array
-    std: Array
-    inferred: NDArray[np.bool_]
+    joint_std: Array
+    inferred: Mask
+    joint_velocity: Array
+    joint_velocity_std: Array
+    root_covariance: Array
+    root_velocity_covariance: Array
+    joint_orientation: Array
+    turn_inferred: Mask
+    contact: Array
     scale: float
     rotation: Array
     translation: Array
     motion: Motion
-    residual: float
-    scale_known: bool
+    reprojection_residual: float
+    is_scale_known: bool
     predicted: bool
-    tentative: bool = False
-    velocity: Array = field(default_factory=lambda: _unknown(len(CMU15.joints), 3))
-    velocity_std: Array = field(default_factory=lambda: _unknown(len(CMU15.joints)))
-    root_covariance: Array = field(default_factory=lambda: _unknown(3, 3))
-    root_velocity_covariance: Array = field(default_factory=lambda: _unknown(3, 3))
-    age: float = float('nan')
-    unseen_for: float = 0.0
-    skeleton: Skeleton = CMU15
-    orientation: Array = field(default_factory=lambda: _unknown(len(CMU15.joints), 4))
-    turn_inferred: NDArray[np.bool_] = field(default_factory=lambda: np.ones(len(CMU15.joints), bool))
-    contact: Array = field(default_factory=lambda: _unknown(2))
+    tentative: bool
+    age: float
+    unseen_for: float
 
     def __repr__(self) -> str:
         if self.predicted:
             how = 'predicted'
         else:
-            how = f'{(~self.inferred).sum()} of {len(self.inferred)} joints seen, residual {self.residual:.1f} px'
+            seen, residual = (~self.inferred).sum(), self.reprojection_residual
+            how = f'{seen} of {len(self.inferred)} joints seen, residual {residual:.1f} px'
         how = f'tentative, {how}' if self.tentative else how
         return f'Person3D {self.id!r}: {self.core.mean(axis=0)[2]:.1f} m away, {how}, {self.motion}'
 
@@ -134,12 +175,12 @@ class Person3D:
     @property
     def root(self) -> Array:
         """(3,) m, midway between the hips."""
-        return np.asarray((self.joints[HIPS[0]] + self.joints[HIPS[1]]) / 2)
+        return find_roots(self.joints)
 
     @property
     def root_velocity(self) -> Array:
         """(3,) m/s, velocity of `root`; NaN if unknown."""
-        return np.asarray((self.velocity[HIPS[0]] + self.velocity[HIPS[1]]) / 2)
+        return find_roots(self.joint_velocity)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -147,45 +188,148 @@ class Person3D:
         return self.skeleton.joints
 
 
-@dataclass(frozen=True, eq=False)
-class PredictedPerson:
-    """A person at a time ahead of an image."""
+def find_roots(joints: Array) -> Array:
+    """Return the points (..., 3) midway between the hips, or their velocities, of joints (..., J, 3)."""
+    return np.asarray((joints[..., HIPS[0], :] + joints[..., HIPS[1], :]) / 2)
 
-    id: str
-    joints: Array  # (J, 3) m, in the same frame and order as those of `Person3D`
-    std: Array  # (J,) m, standard deviation of each joint position about the root; NaN if unknown
-    root_covariance: Array  # (3, 3) m^2, covariance of `root`; NaN if unknown
+
+@dataclass(frozen=True, eq=False)
+class People:
+    """The N people of one frame, in columns; each has the shape that `Person3D` says after N rows.
+
+    `people[i]` is a person, and the people can be iterated.
+    """
+
+    ids: tuple[str, ...]
+    skeleton: Skeleton
+    joints: Array
+    inferred: Mask
+    is_scale_known: bool = False  # of all
+    motion: tuple[Motion, ...] = ()
+    joint_std: Array = field(default_factory=_leave_unknown)
+    reprojection_residual: Array = field(default_factory=_leave_unknown)
+    rotation: Array = field(default_factory=_leave_unknown)
+    root_covariance: Array = field(default_factory=_leave_unknown)
+    joint_orientation: Array = field(default_factory=_leave_unknown)
+    turn_inferred: Mask = field(default_factory=_leave_unknown)
+    contact: Array = field(default_factory=_leave_unknown)
+    predicted: Mask = field(default_factory=_leave_unknown)
+    tentative: Mask = field(default_factory=_leave_unknown)
+    joint_velocity: Array = field(default_factory=_leave_unknown)
+    joint_velocity_std: Array = field(default_factory=_leave_unknown)
+    root_velocity_covariance: Array = field(default_factory=_leave_unknown)
+    scale: Array = field(default_factory=_leave_unknown)
+    translation: Array = field(default_factory=_leave_unknown)
+    age: Array = field(default_factory=_leave_unknown)
+    unseen_for: Array = field(default_factory=_leave_unknown)
+
+    def __post_init__(self) -> None:
+        for name, column in _PEOPLE_COLUMNS.items():
+            if getattr(self, name) is UNKNOWN_COLUMN:
+                object.__setattr__(self, name, column.fill(*self.inferred.shape))
+        if len(self.motion) != len(self.ids):
+            object.__setattr__(self, 'motion', (_UNKNOWN_MOTION,) * len(self.ids))
+
+    @staticmethod
+    def none(skeleton: Skeleton = CMU15) -> People:
+        """Return nobody."""
+        count = len(skeleton.joints)
+        return People((), skeleton, np.zeros((0, count, 3)), np.zeros((0, count), bool))
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def __iter__(self) -> Iterator[Person3D]:
+        return (self[row] for row in range(len(self.ids)))
+
+    def __getitem__(self, row: int) -> Person3D:
+        values = {name: getattr(self, name)[row] for name in _ROW_COLUMNS}
+        values |= {name: value.item() for name, value in values.items() if not value.ndim}
+        return Person3D(
+            id=self.ids[row],
+            skeleton=self.skeleton,
+            motion=self.motion[row],
+            is_scale_known=self.is_scale_known,
+            **values,
+        )
 
     @property
-    def root(self) -> Array:
-        """(3,) m, midway between the hips."""
-        return np.asarray((self.joints[HIPS[0]] + self.joints[HIPS[1]]) / 2)
+    def core(self) -> Array:
+        """(N, 15, 3) m, the joints of `skeleton.CMU15`, without face, feet and hands."""
+        return self.joints[:, :CORE_COUNT]
+
+    @property
+    def roots(self) -> Array:
+        """(N, 3) m, midway between the hips."""
+        return find_roots(self.joints)
+
+    @property
+    def root_velocities(self) -> Array:
+        """(N, 3) m/s, velocities of the roots; NaN if unknown."""
+        return find_roots(self.joint_velocity)
+
+    @property
+    def certain(self) -> People:
+        """Those who are not tentative."""
+        return self.select(np.flatnonzero(~self.tentative)) if self.tentative.any() else self
+
+    def select(self, rows: Sequence[int] | Indices) -> People:
+        """Return the people of some rows, in that order."""
+        rows = [int(row) for row in rows]
+        columns = {name: getattr(self, name)[rows] for name in _ROW_COLUMNS}
+        ids, motion = tuple(self.ids[row] for row in rows), tuple(self.motion[row] for row in rows)
+        return copy_with(self, ids=ids, motion=motion, **columns)
+
+    @staticmethod
+    def concatenate(parts: Sequence[People]) -> People:
+        """Return the people of one part or more, who have the same skeleton, one part after another."""
+        shown = [part for part in parts if len(part)] or parts[:1]
+        if len(shown) == 1:
+            return shown[0]
+        columns = {name: np.concatenate([getattr(part, name) for part in shown]) for name in _ROW_COLUMNS}
+        ids = tuple(person_id for part in shown for person_id in part.ids)
+        return copy_with(shown[0], ids=ids, motion=tuple(m for part in shown for m in part.motion), **columns)
 
 
-# The shapes of the columns of a `PoseSequence` that may be unknown, after that of its F frames and, where the last
-# is true, J joints; and what they are filled with.
-_COLUMNS: dict[str, tuple[tuple[int, ...], float, bool]] = {
-    'rotation': ((3, 3), np.nan, False),
-    'joint_std': ((), np.nan, True),
-    'joint_orientation': ((4,), np.nan, True),
-    'turn_inferred': ((), True, True),
-    'root_covariance': ((3, 3), np.nan, False),
-    'contact': ((2,), np.nan, False),
-    'vertical': ((3,), np.nan, False),
-    'vertical_std': ((), np.nan, False),
-    'motion': ((), MotionKind.UNKNOWN, False),
-    'cadence': ((), np.nan, False),
-    'predicted': ((), False, False),
-    'tentative': ((), False, False),
-    'weights': ((0,), np.nan, False),
+_ROW_COLUMNS = ('joints', 'inferred', *_PEOPLE_COLUMNS)
+
+
+class PredictedPeople(NamedTuple):
+    """The N people at a time ahead of an image."""
+
+    ahead: float  # s after the image
+    ids: tuple[str, ...]
+    joints: Array  # (N, 15, 3) m, of `skeleton.CMU15`, in the same frame as those of the people
+    joint_std: Array  # (N, 15) m, standard deviation of each joint position about the root; NaN if unknown
+    root_covariance: Array  # (N, 3, 3) m^2, covariance of the root, midway between the hips; NaN if unknown
+
+
+class TrackedFrame(NamedTuple):
+    """What a tracker returns for a frame."""
+
+    stamp_ns: int  # of the frame that is shown; with `tracker.lag`, of an older one than the newest
+    people: People  # in the order of the detections, and then those who are predicted
+    vertical: CameraVertical | None  # what is known of the camera's vertical; None if nothing is
+    has_restarted: bool = False  # whether the newest frame is the first after a start or restart
+    backward_jump_s: float = 0.0  # s by which the stamp went back, so that tracking restarted
+    is_floor_seen: bool = False  # whether anybody's feet fit a floor of known height, so that it shows their size
+    swapped: int = 0  # people whose left and right were swapped back in the newest frame
+    unusable: int = 0  # detections of the newest frame that were a part of a person, or of too few joints
+    faults: tuple[str, ...] = ()  # what seems wrong with how people are detected, in words
+
+    @property
+    def time_s(self) -> float:
+        """Time in s of the frame that is shown."""
+        return self.stamp_ns / NS_PER_S
+
+
+_SEQUENCE_COLUMNS = _SHARED_COLUMNS | {
+    'vertical': _Column((3,)),
+    'vertical_std': _Column(),
+    'motion': _Column((), 0),
+    'cadence': _Column(),
+    'weights': _Column((0,)),
 }
-
-
-UNKNOWN_COLUMN: NDArray[Any] = np.empty(0)  # stands for a column of which nothing is known
-
-
-def _leave_unknown() -> NDArray[Any]:
-    return UNKNOWN_COLUMN
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -252,11 +396,11 @@ class PoseSequence:
     contact: Array = field(default_factory=_leave_unknown)
     vertical: Array = field(default_factory=_leave_unknown)
     vertical_std: Array = field(default_factory=_leave_unknown)
-    motion: NDArray[np.uint8] = field(default_factory=_leave_unknown)
+    motion: NDArray[np.integer[Any]] = field(default_factory=_leave_unknown)
     cadence: Array = field(default_factory=_leave_unknown)
     predicted: Mask = field(default_factory=_leave_unknown)
     tentative: Mask = field(default_factory=_leave_unknown)
-    world_from_camera: Array = field(default_factory=lambda: _unknown(4, 4))
+    world_from_camera: Array = field(default_factory=lambda: np.full((4, 4), np.nan))
     floor_std: float = math.nan
     body_height: float = math.nan
     base_poses: str = ''
@@ -270,11 +414,9 @@ class PoseSequence:
     recorded_ns: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, (shape, value, is_of_joints) in _COLUMNS.items():
+        for name, column in _SEQUENCE_COLUMNS.items():
             if getattr(self, name) is UNKNOWN_COLUMN:
-                frames = self.inferred.shape if is_of_joints else self.inferred.shape[:1]
-                kind = np.uint8 if isinstance(value, MotionKind) else type(value)
-                object.__setattr__(self, name, np.full((*frames, *shape), value, kind))
+                object.__setattr__(self, name, column.fill(*self.inferred.shape))
 
     def __len__(self) -> int:
         """Return the number of frames F."""
@@ -336,7 +478,7 @@ class PoseSequence:
 
     def select(self, frames: Mask) -> PoseSequence:
         """Return these frames alone, without the keypoints."""
-        columns = ('times', 'joints', 'inferred', 'reprojection_residual', *_COLUMNS)
+        columns = ('times', 'joints', 'inferred', *_SEQUENCE_COLUMNS)
         stamps = tuple(np.array(self.recorded_ns)[frames].tolist()) if self.recorded_ns else ()
         parts = {name: getattr(self, name)[frames] for name in columns}
         return replace(self, recorded_ns=stamps, sequence=None, **parts)

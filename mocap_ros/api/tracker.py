@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -40,7 +39,7 @@ from mocap_ros.keypoints.validation import (
     mark_unseen,
 )
 from mocap_ros.messages.keypoints import check_ids
-from mocap_ros.people import Person3D
+from mocap_ros.people import TrackedFrame
 from mocap_ros.tracking import tracker as tracking
 from mocap_ros.units import NS_PER_S
 
@@ -89,27 +88,10 @@ class Tracker:
 
     def __repr__(self) -> str:
         width, height = self._image_size
-        frames = f'{self._frame_count} frames' + (f' to {self.output_time_s:.3f} s' if self._frame_count else '')
+        frames = f'{self._frame_count} frames'
         return f'Tracker: {len(self._joint_names)} keypoints in {width} x {height} px, {frames}'
 
-    @property
-    def output_time_s(self) -> float:
-        """Time in s of the frame whose people `update` last returned; with `tracker.lag`, of an older one."""
-        return self._tracker.output_stamp_ns / NS_PER_S
-
-    @property
-    def vertical(self) -> Array | None:
-        """(3,) unit vector upwards in the camera's optical frame, as far as it is known now; None if it is not."""
-        known = self._tracker.vertical
-        return None if known is None else known.direction
-
-    @property
-    def vertical_std(self) -> float:
-        """Standard deviation of the direction of `vertical` in rad; NaN if it is not known."""
-        known = self._tracker.vertical
-        return math.nan if known is None else known.std
-
-    def update(self, time_s: float, people: ArrayLike, *, ids: Sequence[str] | None = ()) -> list[Person3D]:
+    def update(self, time_s: float, people: ArrayLike, *, ids: Sequence[str] | None = ()) -> TrackedFrame:
         """Track the people of the next frame.
 
         Args:
@@ -121,9 +103,10 @@ class Tracker:
                 None, people are distinguished by their positions.
 
         Returns:
-            The people in this frame, in the order of `people`, without those who show too few joints; then those
-            who were not detected and are predicted. With `tracker.lag` they are the people of an earlier frame,
-            `output_time_s`.
+            The frame, with its time `time_s` and its `people`, in the order of those given, without those who
+            show too few joints; then those who were not detected and are predicted. With `tracker.lag` it is an
+            earlier one. Its `vertical` is what is known of the direction upwards in the camera's optical frame:
+            `direction` (3,) with `std` in rad; None if nothing is.
 
         Raises:
             InputError: an argument is not valid; the error names it and the person. The tracker has not changed.
@@ -137,7 +120,7 @@ class Tracker:
             found = self._tracker.update(round(time_s * NS_PER_S), detected, self._intrinsics)
         self._first_frames = first_frames
         self._frame_count += 1
-        return list(found)
+        return found
 
     def reset(self) -> None:
         """Forget all people and all times."""

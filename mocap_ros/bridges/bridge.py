@@ -16,7 +16,7 @@ from mocap_ros.bridges.people import convert_people
 from mocap_ros.bridges.poses import convert_poses
 from mocap_ros.bridges.prediction_markers import convert_prediction_markers
 from mocap_ros.bridges.ros4hri import TRACKED, BodiesConverter
-from mocap_ros.bridges.seen import People, Predictions, read_people, read_predictions
+from mocap_ros.bridges.seen import Predictions, SeenPeople, read_people, read_predictions, show_nobody
 from mocap_ros.errors import ConfigError, suggest
 from mocap_ros.messages.cdr import Header, OutputMessage
 from mocap_ros.messages.foreign_types import COLLISION_OBJECT, DETECTIONS_3D, HRI_IDS, OBSTACLES, PEOPLE
@@ -67,7 +67,7 @@ class Bridge:
         self._consumers = [CONSUMERS[name] for name in names]
         self._bodies = BodiesConverter() if 'bodies' in names else None
         self._numbers = PersonNumbers()
-        self._people = People(Header(0, ''))
+        self._people = show_nobody(Header(0, ''))
         self._predictions = Predictions(Header(0, ''))
 
     def feed_skeletons(self, raw: bytes) -> list[OutputMessage]:
@@ -82,13 +82,13 @@ class Bridge:
         """Return the messages that say that all people are gone, if there were any."""
         outputs: list[OutputMessage] = []
         if self._people.ids:
-            outputs += self._convert_people(People(self._people.header))
+            outputs += self._convert_people(show_nobody(self._people.header))
         if any(then.numbers for then in self._predictions.times):
             outputs += self._convert_predictions(Predictions(self._predictions.header))
         self._numbers.keep([])
         return outputs
 
-    def _convert_people(self, people: People) -> list[OutputMessage]:
+    def _convert_people(self, people: SeenPeople) -> list[OutputMessage]:
         before, self._people = self._people, people
         outputs = self._convert(people, before, reads_predictions=False)
         for topic, msgtype, content in self._bodies.convert(people) if self._bodies else ():

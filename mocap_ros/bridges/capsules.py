@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
-from mocap_ros.bridges.seen import People
+from mocap_ros.bridges.seen import SeenPeople
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS
 from mocap_ros.messages.markers import CYLINDER, SPHERE_LIST, Marker, MarkerStyle, choose_color, show_markers
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton
@@ -149,10 +149,10 @@ def find_axis_poses(start: Array, end: Array) -> tuple[Array, Array]:
     return length, poses
 
 
-def convert_capsules(people: People) -> dict[str, Any]:
+def convert_capsules(people: SeenPeople) -> dict[str, Any]:
     """Return the capsules of people."""
     names = arrange_body_parts(people.skeleton).names
-    capsules = compute_capsules(people.joints, people.std, people.skeleton)
+    capsules = compute_capsules(people.joints, people.joint_std, people.skeleton)
     return {
         'header': people.header,
         'people': [
@@ -164,7 +164,7 @@ def convert_capsules(people: People) -> dict[str, Any]:
     }
 
 
-def convert_capsule_markers(people: People, before: People) -> bytes:
+def convert_capsule_markers(people: SeenPeople, before: SeenPeople) -> bytes:
     """Return a CYLINDER and a SPHERE_LIST with a ball at each end (namespaces `cylinders` and `ends`) of each.
 
     They have the colours of the other markers; those of the people of the message before are deleted.
@@ -172,8 +172,8 @@ def convert_capsule_markers(people: People, before: People) -> bytes:
     return show_markers(people.header, _list_markers(people), _list_markers(before))
 
 
-def _list_markers(people: People) -> list[Marker]:
-    start, end, radius = compute_capsules(people.joints, people.std, people.skeleton)
+def _list_markers(people: SeenPeople) -> list[Marker]:
+    start, end, radius = compute_capsules(people.joints, people.joint_std, people.skeleton)
     length, poses = find_axis_poses(start, end)
     markers = []
     for n, person in enumerate(people.numbers):

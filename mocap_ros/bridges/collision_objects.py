@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import Any
 
 from mocap_ros.bridges.capsules import compute_capsules, find_axis_poses
-from mocap_ros.bridges.seen import People
+from mocap_ros.bridges.seen import SeenPeople
 from mocap_ros.geometry.rigid_transform import SAME_POSE
 
 Content = dict[str, Any] | bytes  # of a message: plain values of some of its fields, or CDR
@@ -24,10 +24,10 @@ REMOVE = 1
 CYLINDER = 3
 
 
-def convert_collision_objects(people: People, before: People) -> list[Content]:
+def convert_collision_objects(people: SeenPeople, before: SeenPeople) -> list[Content]:
     """Return a message for each who is gone since the message before, which removes them, and for each person."""
     header = people.header
-    start, end, radius = compute_capsules(people.joints, people.std, people.skeleton)
+    start, end, radius = compute_capsules(people.joints, people.joint_std, people.skeleton)
     length, poses = find_axis_poses(start, end)
     height = length + 2 * radius
     common: dict[str, Any] = {'header': header, 'pose': SAME_POSE, 'type': ('person', '')}

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from mocap_ros.arrays import Array
-from mocap_ros.bridges.seen import FLESH_M, People
+from mocap_ros.bridges.seen import FLESH_M, SeenPeople
 from mocap_ros.geometry.rigid_transform import NO_ROTATION
 from mocap_ros.skeleton import HIPS
 
 
-def convert_detections(people: People) -> dict[str, Any]:
+def convert_detections(people: SeenPeople) -> dict[str, Any]:
     """Return people as detections.
 
     The pose is that of the point between the hips, with the axes of the body (x forward, z up along the trunk).
@@ -43,14 +43,14 @@ def convert_detections(people: People) -> dict[str, Any]:
     }
 
 
-def _build_covariances(people: People) -> Array:
+def _build_covariances(people: SeenPeople) -> Array:
     covariance = np.zeros((len(people.ids), 6, 6))
-    covariance[:, :3, :3] = people.covariances
+    covariance[:, :3, :3] = people.root_covariance
     covariance[:, 3:, 3:] = (_compute_heading_stds(people) ** 2)[:, None, None] * np.eye(3)
     return covariance
 
 
-def _compute_heading_stds(people: People) -> Array:
+def _compute_heading_stds(people: SeenPeople) -> Array:
     """Return the standard deviations (N,) in rad of bodies' directions: hips that are off turn the line between.
 
     Across the line of sight, the line of length b turns by sqrt(4/3) std / b, as two thirds of the variances lie
@@ -59,6 +59,11 @@ def _compute_heading_stds(people: People) -> Array:
     """
     left, right = HIPS
     breadth = np.linalg.norm(people.joints[:, left] - people.joints[:, right], axis=1)
-    std = math.sqrt(4 / 3) * (people.std[:, left] + people.std[:, right]) / 2 / np.maximum(breadth, FLESH_M)
+    std = (
+        math.sqrt(4 / 3)
+        * (people.joint_std[:, left] + people.joint_std[:, right])
+        / 2
+        / np.maximum(breadth, FLESH_M)
+    )
     unknown = math.pi / math.sqrt(3)
     return np.where(np.isfinite(std), np.minimum(std, unknown), unknown)

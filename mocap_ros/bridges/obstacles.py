@@ -8,16 +8,18 @@ from __future__ import annotations
 from typing import Any
 from uuid import NAMESPACE_URL, uuid5
 
-from mocap_ros.bridges.seen import People
+import numpy as np
+
+from mocap_ros.bridges.seen import SeenPeople
 
 
-def convert_obstacles(people: People) -> dict[str, Any]:
+def convert_obstacles(people: SeenPeople) -> dict[str, Any]:
     """Return people as obstacles.
 
     The position is the middle of the box around the person. The UUID follows from the person's id alone.
     """
     centres, sizes = people.compute_boxes()
-    numbers = zip(people.compute_reliability(), centres, people.velocities, sizes, strict=True)
+    numbers = zip(people.compute_reliability(), centres, np.nan_to_num(people.root_velocities), sizes, strict=True)
     return {
         'header': people.header,
         'obstacles': [

@@ -1,18 +1,26 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""people_msgs/People: name, position and velocity of each person, for the social layers of Nav2's costmaps."""
+"""people_msgs/SeenPeople: name, position and velocity of each person, for the social layers of Nav2's costmaps."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from mocap_ros.bridges.seen import People
+import numpy as np
+
+from mocap_ros.bridges.seen import SeenPeople
 
 
-def convert_people(people: People) -> dict[str, Any]:
+def convert_people(people: SeenPeople) -> dict[str, Any]:
     """Return where people are, between their hips, and how they move."""
-    numbers = zip(people.roots, people.velocities, people.compute_reliability(), people.predicted, strict=True)
+    numbers = zip(
+        people.roots,
+        np.nan_to_num(people.root_velocities),
+        people.compute_reliability(),
+        people.predicted,
+        strict=True,
+    )
     return {
         'header': people.header,
         'people': [

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from mocap_ros.bridges.seen import People
+from mocap_ros.bridges.seen import SeenPeople
 
 
-def convert_poses(people: People) -> dict[str, Any]:
+def convert_poses(people: SeenPeople) -> dict[str, Any]:
     """Return the pose of each body, between the hips."""
     poses = np.column_stack([people.roots, people.compute_orientations()])
     return {'header': people.header, 'poses': poses}

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
-from mocap_ros.bridges.seen import People
+from mocap_ros.bridges.seen import SeenPeople
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.foreign_types import HRI_IDS
 from mocap_ros.messages.transforms import FrameNames, compute_links
@@ -215,7 +215,7 @@ class BodiesConverter:
         self._names = FrameNames()
         self._lengths: dict[str, Array] = {}  # of the bodies that were described, by name
 
-    def convert(self, people: People) -> list[tuple[str, str, Any]]:
+    def convert(self, people: SeenPeople) -> list[tuple[str, str, Any]]:
         """Return topic, type and content of the messages: ids, models of new or changed bodies, joint states.
 
         The frame of joint states is that of the body.

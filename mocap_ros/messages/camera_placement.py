@@ -13,7 +13,6 @@ where the second term is the motion of the camera. Covariances of velocities do 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +20,7 @@ import numpy as np
 from mocap_ros.arrays import Array, copy_with
 from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.geometry.rotations import multiply_quaternions
-from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
+from mocap_ros.people import CameraVertical, People, PredictedPeople
 
 
 class CameraPlacement(NamedTuple):
@@ -34,25 +33,22 @@ class CameraPlacement(NamedTuple):
     before: RigidTransform | None = None
     step_s: float = 0.0  # h, s by which that was earlier
 
-    def place(self, people: Sequence[Person3D]) -> Sequence[Person3D]:
+    def place(self, people: People) -> People:
         """Return the people with joints, orientations, velocities and covariances in the frame of the outputs.
 
         What belongs to the camera (scale, rotation, translation) stays in the optical frame.
         """
         pose = self.pose
-        if pose is None:
+        if pose is None or not len(people):
             return people
-        return [
-            copy_with(
-                person,
-                joints=pose.apply(person.joints),
-                velocity=pose.rotate(person.velocity) + self._find_own_motion(person.joints),
-                orientation=multiply_quaternions(np.array(pose.quaternion), person.orientation),
-                root_covariance=pose.rotate_covariance(person.root_covariance),
-                root_velocity_covariance=pose.rotate_covariance(person.root_velocity_covariance),
-            )
-            for person in people
-        ]
+        return copy_with(
+            people,
+            joints=pose.apply(people.joints),
+            joint_velocity=pose.rotate(people.joint_velocity) + self._find_own_motion(people.joints),
+            joint_orientation=multiply_quaternions(np.array(pose.quaternion), people.joint_orientation),
+            root_covariance=pose.rotate_covariance(people.root_covariance),
+            root_velocity_covariance=pose.rotate_covariance(people.root_velocity_covariance),
+        )
 
     def _find_own_motion(self, joints: Array) -> Array | float:
         """Return the velocity (..., 3) m/s in the output frame of places (..., 3) m that move with the camera."""
@@ -60,23 +56,18 @@ class CameraPlacement(NamedTuple):
             return 0.0
         return np.asarray((self.pose.apply(joints) - self.before.apply(joints)) / self.step_s)
 
-    def place_predicted(self, people: Sequence[PredictedPerson], ahead_s: float) -> Sequence[PredictedPerson]:
-        """Return people who are predicted for a time in s after the image in the frame of the outputs.
+    def place_predicted(self, people: PredictedPeople) -> PredictedPeople:
+        """Return people who are predicted in the frame of the outputs.
 
         The prediction follows the motion that the camera saw, so that of the camera is added.
         """
         pose = self.pose
         if pose is None:
             return people
-        return [
-            PredictedPerson(
-                p.id,
-                pose.apply(p.joints) + ahead_s * self._find_own_motion(p.joints),
-                p.std,
-                pose.rotate_covariance(p.root_covariance),
-            )
-            for p in people
-        ]
+        return people._replace(
+            joints=pose.apply(people.joints) + people.ahead * self._find_own_motion(people.joints),
+            root_covariance=pose.rotate_covariance(people.root_covariance),
+        )
 
     def place_vertical(self, vertical: CameraVertical | None) -> CameraVertical | None:
         """Return the vertical in the frame of the outputs."""

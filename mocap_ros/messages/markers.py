@@ -24,7 +24,7 @@ from mocap_ros.arrays import Array
 from mocap_ros.geometry.rigid_transform import SAME_POSE
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.plain import encode_plain
-from mocap_ros.people import Person3D
+from mocap_ros.people import People, Person3D
 from mocap_ros.units import NS_PER_S
 
 MARKERS = 'visualization_msgs/msg/MarkerArray'
@@ -142,9 +142,9 @@ class MarkerEncoder:
         self._numbers = PersonNumbers()
         self._shown: list[Marker] = []
 
-    def encode_update(self, header: Header, people: Sequence[Person3D], lifetime_s: float) -> bytes:
+    def encode_update(self, header: Header, people: People, lifetime_s: float) -> bytes:
         """Encode a MarkerArray that shows these people, for `encode_markers`, and deletes those of all others."""
-        self._numbers.keep([p.id for p in people])
+        self._numbers.keep(people.ids)
         before, self._shown = self._shown, [m for p in people for m in draw_person(p, self._numbers.find(p.id))]
         return show_markers(header, self._shown, before, lifetime_s)
 
@@ -176,7 +176,7 @@ def choose_color(number: int, style: MarkerStyle) -> Colors:
     return np.array([*colorsys.hsv_to_rgb(hue, style.saturation, BRIGHTNESS), style.opacity], np.float32)
 
 
-def encode_points(header: Header, people: Sequence[Person3D]) -> bytes:
+def encode_points(header: Header, people: People) -> bytes:
     """Encode the joints of all people as an unordered PointCloud2 (height 1), for viewers that show no markers.
 
     The fields of a point are
@@ -186,11 +186,10 @@ def encode_points(header: Header, people: Sequence[Person3D]) -> bytes:
     - `joint`: index of the joint in the SkeletonDefinition,
     - `inferred`: 1 where the joint was not seen and the model inferred it, else 0.
     """
-    cloud = np.zeros((len(people), len(people[0].joints) if people else 0), POINT_DTYPE)
-    for index, (row, person) in enumerate(zip(cloud, people, strict=True)):
-        row['x'], row['y'], row['z'] = person.joints.T
-        row['std'], row['inferred'] = person.std, person.inferred
-        row['person'], row['joint'] = index, np.arange(len(row))
+    cloud = np.zeros((len(people), len(people.skeleton.joints)), POINT_DTYPE)
+    cloud['x'], cloud['y'], cloud['z'] = np.moveaxis(people.joints, -1, 0)
+    cloud['std'], cloud['inferred'] = people.joint_std, people.inferred
+    cloud['person'], cloud['joint'] = np.arange(len(people))[:, None], np.arange(len(people.skeleton.joints))
     message = {
         'header': header,
         'height': 1,

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.arrays import Array
+from mocap_ros.arrays import Array, copy_with
 from mocap_ros.config import Config, parse_numbers
 from mocap_ros.errors import ConfigError, InputError, naming
 from mocap_ros.geometry.rigid_transform import SAME_POSE, RigidTransform
@@ -25,7 +25,7 @@ from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, read_stamp
 from mocap_ros.messages.plain import decode_plain, encode_plain
-from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
+from mocap_ros.people import CameraVertical, Motion, MotionKind, People, Person3D, PredictedPeople, find_roots
 from mocap_ros.skeleton import CMU15, Skeleton, keypoint_layout
 
 SKELETONS = MOCAP_ROS_MSGS + 'Skeleton3DArray'
@@ -39,7 +39,7 @@ MAX_TIMES = 20  # more than a planner has use for; bounds what a message costs
 
 def encode_skeletons(
     header: Header,
-    people: Sequence[Person3D],
+    people: People,
     vertical: CameraVertical | None = None,
     camera: CameraPlacement | None = None,
 ) -> bytes:
@@ -52,7 +52,7 @@ def encode_skeletons(
     pose = placement.pose
     message = {
         'header': header,
-        'people': [_list_fields(person) for person in people],
+        'people': list(map(_list_fields, people, _compute_cameras(people))),
         'vertical': direction,
         'vertical_std': std,
         'camera_frame_id': placement.frame_id,
@@ -61,112 +61,116 @@ def encode_skeletons(
     return encode_plain(message, SKELETONS)
 
 
-def _list_fields(person: Person3D) -> dict[str, Any]:
+def _list_fields(person: Person3D, camera: Array) -> dict[str, Any]:
     motion = person.motion
     return {
         'id': person.id,
         'skeleton': person.skeleton.name,
         'joints': person.joints,
-        'joint_std': person.std,
+        'joint_std': person.joint_std,
         'inferred': person.inferred,
-        'camera': _compute_camera(person),
+        'camera': camera,
         'motion': (motion.kind, motion.category, motion.residual, motion.cadence),
-        'reprojection_residual': person.residual,
-        'scale_source': person.scale_known,
+        'reprojection_residual': person.reprojection_residual,
+        'scale_source': person.is_scale_known,
         'predicted': person.predicted,
         'tentative': person.tentative,
-        'joint_velocity': person.velocity,
-        'joint_velocity_std': person.velocity_std,
+        'joint_velocity': person.joint_velocity,
+        'joint_velocity_std': person.joint_velocity_std,
         'root': person.root,
         'root_covariance': person.root_covariance,
         'root_velocity': person.root_velocity,
         'root_velocity_covariance': person.root_velocity_covariance,
         'age': person.age,
         'unseen_for': person.unseen_for,
-        'joint_orientation': person.orientation,
+        'joint_orientation': person.joint_orientation,
         'turn_inferred': person.turn_inferred,
         'contact': person.contact if np.isfinite(person.contact).any() else (),
     }
 
 
-def _compute_camera(person: Person3D) -> Array:
-    """Return the fields of a WeakPerspectiveCamera (15,): scale, quaternion x, y, z, w, translation and matrix."""
-    matrix = np.column_stack([person.scale * person.rotation[:2], person.translation])
-    quaternion = quaternion_from_rotation(person.rotation)
-    return np.array([person.scale, *quaternion, *person.translation, *matrix.ravel()])
+def _compute_cameras(people: People) -> Array:
+    """Return the fields of WeakPerspectiveCameras (N, 15): scale, quaternion, translation and matrix."""
+    quaternions = [quaternion_from_rotation(rotation) for rotation in people.rotation]
+    matrices = np.concatenate(
+        [people.scale[:, None, None] * people.rotation[:, :2], people.translation[..., None]], axis=-1
+    )
+    cameras = people.scale[:, None], np.array(quaternions).reshape(-1, 4), people.translation
+    return np.concatenate([*cameras, matrices.reshape(-1, 8)], axis=1)
 
 
-def encode_cameras(header: Header, people: Sequence[Person3D]) -> bytes:
+def encode_cameras(header: Header, people: People) -> bytes:
     """Encode the cameras of all people in an image as a WeakPerspectiveCameraArray."""
-    cameras = [_compute_camera(person) for person in people]
-    return encode_plain({'header': header, 'ids': [p.id for p in people], 'cameras': cameras}, CAMERAS)
+    return encode_plain({'header': header, 'ids': people.ids, 'cameras': _compute_cameras(people)}, CAMERAS)
 
 
-class RecordedPerson(NamedTuple):
-    """What is read of a Skeleton3D with J joints: units and shapes are those of the message."""
+class ReceivedSkeletons(NamedTuple):
+    """What is read of a Skeleton3DArray."""
 
-    id: str
-    skeleton: Skeleton
-    joints: Array  # (J, 3) m, in the camera's optical frame
-    std: NDArray[np.float32]  # (J,) m, standard deviations of the joints; NaN if unknown
-    inferred: NDArray[np.bool_]  # (J,) whether a joint was not seen; version 0.1 did not record it
-    residual: float  # px, RMS over the seen joints
-    cadence: float  # Hz; NaN for motions that are not periodic
-    motion: int  # number of the `MotionKind`
-    predicted: bool
-    tentative: bool
-    scale: float  # px/m, of the weak-perspective camera
-    translation: Array  # (2,) px, of the weak-perspective camera
-    root_covariance: Array  # (3, 3) m^2, in the camera's optical frame; zeros if unknown
-    contact: Array  # (2,) probabilities that left and right foot stand; NaN if unknown
+    header: Header
+    people: People  # without rotations, orientations and categories of motions
+    vertical: Array  # (3,) unit vector upwards; zeros where it is not known
+    vertical_std: float  # rad
 
 
-class RecordedSkeletons(NamedTuple):
-    """What is read of a Skeleton3DArray: stamp in ns; people and vertical (3,) in the camera's optical frame."""
+def decode_skeletons(raw: bytes, *, is_in_camera: bool = True) -> ReceivedSkeletons:
+    """Decode a Skeleton3DArray, with people and vertical in the camera's optical frame or in that of the header.
 
-    stamp_ns: int
-    people: tuple[RecordedPerson, ...]
-    vertical: Array
-    vertical_std: float
-
-
-def decode_skeletons(raw: bytes) -> RecordedSkeletons:
-    """Decode a Skeleton3DArray, with joints, root covariances and vertical in the camera's optical frame."""
+    InputError, which names the field, where it does not fit together.
+    """
     message = decode_plain(raw, SKELETONS)
-    pose = None
+    header, pose = Header(read_stamp(message.header.stamp), message.header.frame_id), None
     with naming('camera_pose'):
-        if tuple(message.camera_pose) != SAME_POSE:
+        if is_in_camera and tuple(message.camera_pose) != SAME_POSE:
             pose = RigidTransform.from_numbers(message.camera_pose.tolist()).inverse()
-    people = []
-    for index, person in enumerate(message.people):
-        with naming(f'people[{index}]'):
-            people.append(_read_person(person, pose))
+    people = _read_people(message.people)
+    if pose is not None and len(people):
+        people = copy_with(
+            people,
+            joints=pose.apply(people.joints),
+            root_covariance=pose.rotate_covariance(people.root_covariance),
+        )
     vertical = message.vertical if pose is None else pose.rotate(message.vertical)
-    return RecordedSkeletons(read_stamp(message.header.stamp), tuple(people), vertical, message.vertical_std)
+    return ReceivedSkeletons(header, people, vertical, message.vertical_std)
 
 
-def _read_person(person: SimpleNamespace, pose: RigidTransform | None) -> RecordedPerson:
-    """Read a Skeleton3D; `pose` places its frame in the optical frame."""
-    skeleton, joints = keypoint_layout(person.skeleton), person.joints
-    count, covariance = len(skeleton.joints), person.root_covariance.reshape(3, 3)
-    if len(joints) != count or len(person.inferred) not in (0, count):
-        flags = len(person.inferred)
-        raise InputError(f'{len(joints)} joints and {flags} flags, {skeleton.name} has {count}')
-    return RecordedPerson(
-        person.id,
-        skeleton,
-        joints if pose is None else pose.apply(joints),
-        person.joint_std if len(person.joint_std) == count else np.full(count, np.nan, np.float32),
-        person.inferred if len(person.inferred) else np.zeros(count, bool),
-        person.reprojection_residual,
-        person.motion.cadence,
-        person.motion.state,
-        person.predicted,
-        person.tentative,
-        scale=person.camera[0],
-        translation=person.camera[5:7],
-        root_covariance=covariance if pose is None else pose.rotate_covariance(covariance),
-        contact=np.asarray(person.contact if len(person.contact) == FEET else [np.nan] * FEET, float),
+def _read_people(rows: Sequence[SimpleNamespace]) -> People:
+    if not rows:
+        return People.none()
+    if len(names := sorted({row.skeleton for row in rows})) > 1:
+        raise InputError(f'people: skeletons of several layouts: {", ".join(names)}')
+    with naming('people[0].skeleton'):
+        skeleton = keypoint_layout(names[0])
+    count = len(skeleton.joints)
+    for index, row in enumerate(rows):
+        joints, flags = len(row.joints), len(row.inferred)
+        if joints != count or flags not in (0, count):
+            raise InputError(f'people[{index}]: {joints} joints and {flags} flags, {skeleton.name} has {count}')
+
+    def read(field: str, *shape: int) -> Array:
+        values = (getattr(row, field) for row in rows)
+        return np.array([v if np.shape(v) == shape else np.full(shape, np.nan) for v in values], float)
+
+    def read_numbers(field: str, kind: type = float) -> NDArray[Any]:
+        return np.array([getattr(row, field) for row in rows], kind)
+
+    cameras = read_numbers('camera')
+    return People(
+        ids=tuple(row.id for row in rows),
+        skeleton=skeleton,
+        joints=read_numbers('joints'),
+        joint_std=read('joint_std', count),
+        inferred=np.array([row.inferred if len(row.inferred) else np.zeros(count, bool) for row in rows]),
+        motion=tuple(Motion(MotionKind(row.motion.state), '', math.nan, row.motion.cadence) for row in rows),
+        reprojection_residual=read_numbers('reprojection_residual'),
+        predicted=read_numbers('predicted', bool),
+        tentative=read_numbers('tentative', bool),
+        root_covariance=read_numbers('root_covariance').reshape(-1, 3, 3),
+        joint_velocity=read('joint_velocity', count, 3),
+        scale=cameras[:, 0],
+        translation=cameras[:, 5:7],
+        unseen_for=read_numbers('unseen_for'),
+        contact=read('contact', FEET),
     )
 
 
@@ -179,13 +183,6 @@ def encode_skeleton_definition(skeleton: Skeleton) -> bytes:
         'bones': np.ravel(skeleton.bones),
     }
     return encode_plain(message, SKELETON_DEFINITION)
-
-
-class PredictedFrame(NamedTuple):
-    """The people at a time, in s after an image, in the camera's optical frame."""
-
-    ahead: float
-    people: Sequence[PredictedPerson]
 
 
 def read_prediction_times(config: Config) -> tuple[float, ...]:
@@ -206,10 +203,10 @@ def read_prediction_times(config: Config) -> tuple[float, ...]:
     return times
 
 
-def encode_predictions(header: Header, frames: Sequence[PredictedFrame], camera: CameraPlacement) -> bytes:
+def encode_predictions(header: Header, times: Sequence[PredictedPeople], camera: CameraPlacement) -> bytes:
     """Encode people at each time after an image as Predictions, in the frame in which `camera` places them."""
-    times = []
-    for ahead, people in frames:
-        placed = camera.place_predicted(people, ahead)
-        times.append((ahead, [(p.id, p.joints, p.std, p.root, p.root_covariance) for p in placed]))
-    return encode_plain((header, CMU15.name, times), PREDICTIONS)
+    message = []
+    for placed in map(camera.place_predicted, times):
+        columns = placed.ids, placed.joints, placed.joint_std, find_roots(placed.joints), placed.root_covariance
+        message.append((placed.ahead, list(zip(*columns, strict=True))))
+    return encode_plain((header, CMU15.name, message), PREDICTIONS)

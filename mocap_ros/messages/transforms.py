@@ -34,8 +34,8 @@ from mocap_ros.geometry.rigid_transform import NO_ROTATION, RigidTransform
 from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_rotation
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.plain import encode_plain
-from mocap_ros.people import Person3D
-from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, HIPS, Skeleton
+from mocap_ros.people import People
+from mocap_ros.skeleton import BODY26, CMU15, HIPS, Skeleton
 
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 ROOT_LINK = 'body'  # name of the root link in REP-155
@@ -93,7 +93,7 @@ def make_body_id(person_id: str) -> str:
 
 def encode_transforms(
     header: Header,
-    people: Sequence[Person3D],
+    people: People,
     prefix: str = '',
     names: Mapping[str, str] | None = None,
     world: RigidTransform | None = None,
@@ -104,8 +104,8 @@ def encode_transforms(
     what stands for `<id>`, by default what `FrameNames` makes of the ids. `world` leads from the world to the
     frame of the header, None where it is not known.
     """
-    placed = [p for p in people if p.scale_known] if header.frame_id else []
-    links = zip(placed, *compute_links(np.array([p.core for p in placed]).reshape(-1, CORE_COUNT, 3)), strict=True)
+    placed = people if people.is_scale_known and header.frame_id else People.none()
+    links = zip(placed, *compute_links(placed.core), strict=True)
     known = [link for link in links if np.isfinite(link[-1]).all()]
     names = FrameNames().assign([p.id for p, *_ in known]) if names is None else names
     transforms: list[StampedTransform] = []
@@ -114,7 +114,7 @@ def encode_transforms(
     for person, root, torso, axes in known:
         link_names, joints = _list_links(person.skeleton)
         rotation = np.array(quaternion_from_rotation(axes))
-        turned = multiply_quaternions(rotation * _CONJUGATE, person.orientation[[_TORSO_SEGMENT, *joints]])
+        turned = multiply_quaternions(rotation * _CONJUGATE, person.joint_orientation[[_TORSO_SEGMENT, *joints]])
         turned[~np.isfinite(turned).all(axis=1)] = NO_ROTATION
         places = (np.vstack([torso, person.joints[joints]]) - root) @ axes
         suffix = names[person.id]

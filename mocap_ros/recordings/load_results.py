@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -23,26 +23,23 @@ from mocap_ros.formats.detections import Detections
 from mocap_ros.formats.result_file import is_result_file, load_result_file
 from mocap_ros.geometry.intrinsics import Intrinsics, recover_intrinsics
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, resolve_image_size
-from mocap_ros.messages.skeletons import SKELETONS, RecordedPerson, RecordedSkeletons, decode_skeletons
+from mocap_ros.messages.skeletons import SKELETONS, ReceivedSkeletons, decode_skeletons
 from mocap_ros.offline.whole_sequence import Report
-from mocap_ros.people import CameraVertical, PoseSequence
+from mocap_ros.people import CameraVertical, People, PoseSequence, TrackedFrame
 from mocap_ros.recordings.load_keypoints import InputOptions, load_bag
 from mocap_ros.recordings.recording import Drop, Recording
 from mocap_ros.runtime.input_camera import KNOWN
-from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.summary import UNKNOWN_SUMMARY, Summary
 from mocap_ros.units import NS_PER_S
 from mocap_ros.verdict.summary import RunSummary
 
 MAX_VERTICAL = 2.0  # length of a unit vector, far beyond its rounding; a longer one is damaged
 MAX_GIVEN_STD = math.radians(2.0)  # rad; verticals that are given have 1 degree, those found 2.5 or more
-# Fields of a recorded person that are columns of a `PoseSequence`, each with its value where there is no skeleton
+# Columns of `People` that a `PoseSequence` has as well, each with its value where there is no skeleton
 COLUMNS = {
-    'joints': np.nan, 'joint_std': np.nan, 'inferred': True, 'reprojection_residual': np.nan, 'motion': 0,
-    'cadence': np.nan, 'predicted': False, 'tentative': False, 'root_covariance': np.nan, 'contact': np.nan,
+    'joints': np.nan, 'joint_std': np.nan, 'inferred': True, 'reprojection_residual': np.nan, 'predicted': False,
+    'tentative': False, 'root_covariance': np.nan, 'contact': np.nan,
 }  # fmt: skip
-
-RENAMED = {'joint_std': 'std', 'reprojection_residual': 'residual'}
 
 
 def holds_result(path: Path) -> bool:
@@ -93,44 +90,40 @@ def load_recording(
     return Recording((replace(poses, id='person_1'),), summary)
 
 
-def collect_rows(
-    person_id: str,
-    stamps_ns: Sequence[int],
-    rows: Mapping[int, RecordedPerson],
-    intrinsics: Intrinsics,
+def follow_person(
+    person_id: str, stamps_ns: Sequence[int], rows: People, row_stamps_ns: Sequence[int], intrinsics: Intrinsics
 ) -> PoseSequence:
-    """Return a recorded person, of at least one row, over time; `rows` are those of some of the stamps in ns."""
-    first = next(iter(rows.values()))
-    frames = np.searchsorted(stamps_ns, [*rows])
+    """Return one person, who has a row at some of the stamps in ns, over time."""
+    frames, count = np.searchsorted(stamps_ns, row_stamps_ns), len(stamps_ns)
     columns: dict[str, Any] = {}
     for name, missing in COLUMNS.items():
-        values = np.array([getattr(row, RENAMED.get(name, name)) for row in rows.values()])
-        columns[name] = np.full((len(stamps_ns), *values.shape[1:]), missing, values.dtype)
+        values = getattr(rows, name)
+        columns[name] = np.full((count, *values.shape[1:]), missing, values.dtype)
         columns[name][frames] = values
+    motion, cadence = np.zeros(count, int), np.full(count, np.nan)
+    motion[frames], cadence[frames] = [m.kind for m in rows.motion], [m.cadence for m in rows.motion]
     return PoseSequence(
         id=person_id,
         times=np.array(stamps_ns) / NS_PER_S,
-        skeleton=first.skeleton,
+        skeleton=rows.skeleton,
         intrinsics=intrinsics,
         recorded_ns=tuple(stamps_ns),
+        motion=motion,
+        cadence=cadence,
         **columns,
     )
 
 
-def find_intrinsics(people: Sequence[RecordedPerson]) -> Intrinsics:
+def find_intrinsics(people: People) -> Intrinsics:
     """Return the camera that shows recorded people, one or more, as their own cameras do."""
-    return recover_intrinsics(
-        np.array([person.joints[:CORE_COUNT].mean(axis=0) for person in people]),
-        np.array([person.scale for person in people]),
-        np.array([person.translation for person in people]),
-    )
+    return recover_intrinsics(people.core.mean(axis=1), people.scale, people.translation)
 
 
 class _Messages(NamedTuple):
     """What is read of a bag of skeletons."""
 
     topic: str
-    skeletons: list[RecordedSkeletons]
+    skeletons: list[ReceivedSkeletons]
     drops: list[Drop]
     restarts: set[int]  # numbers of skeletons before resets
     summary: RunSummary  # which has counted what became of the messages of people
@@ -147,18 +140,14 @@ def _load_bag(
     read = _read_messages(path, report)
     if read.faults and not with_keypoints:
         raise InputError(f'{path}: {read.faults[0]}')
-    by_id: dict[str, dict[int, RecordedPerson]] = {}
-    for array in read.skeletons:
-        for person in array.people:
-            by_id.setdefault(person.id, {})[array.stamp_ns] = person
-    if reading.person is not None:
-        by_id = {reading.person: by_id[reading.person]} if reading.person in by_id else {}
-    if not by_id:
+    everybody = People.concatenate([People.none(), *(array.people for array in read.skeletons)])
+    if not len(everybody) or reading.person not in (None, *everybody.ids):
         wanted = 'no person' if reading.person is None else f'no person {reading.person!r}'
         raise InputError(f'{path}: {wanted} is in any message of {read.topic}')
-    intrinsics = detections.intrinsics or find_intrinsics([p for own in by_id.values() for p in own.values()])
+    intrinsics = detections.intrinsics or find_intrinsics(everybody)
     size = resolve_image_size(stated=detections.image_size, configured=intrinsics.image_size or UNKNOWN_SIZE)
-    people = _collect_people(read.skeletons, by_id, replace(intrinsics, image_size=size))
+    ids = [*dict.fromkeys(everybody.ids)] if reading.person is None else [reading.person]
+    people = _collect_people(read.skeletons, everybody, ids, replace(intrinsics, image_size=size))
     summary = _judge(read, detections, people[0].intrinsics, config) if detections.people else UNKNOWN_SUMMARY
     left_out = [f'{len(read.faults)} messages left out; {read.faults[0]}'] if read.faults else []
     notes = tuple(f'{path}: {note}' for note in (*detections.notes, *left_out))
@@ -176,10 +165,10 @@ def _read_messages(path: Path, report: Report) -> _Messages:
             try:
                 if message.topic == topic:
                     array = decode_skeletons(message.raw)
-                    together = layouts | {person.skeleton.name for person in array.people}
+                    together = layouts | {array.people.skeleton.name for _ in array.people.ids}
                     if len(together) > 1:
                         raise InputError(f'skeletons of several layouts: {", ".join(sorted(together))}')
-                    layouts, newest_ns = together, array.stamp_ns
+                    layouts, newest_ns = together, array.header.stamp_ns
                     read.skeletons.append(array)
                     continue
                 entry = decode_entry(message.raw)
@@ -195,21 +184,25 @@ def _read_messages(path: Path, report: Report) -> _Messages:
 
 
 def _collect_people(
-    skeletons: Sequence[RecordedSkeletons],
-    by_id: Mapping[str, Mapping[int, RecordedPerson]],
-    intrinsics: Intrinsics,
+    skeletons: Sequence[ReceivedSkeletons], everybody: People, ids: Sequence[str], intrinsics: Intrinsics
 ) -> tuple[PoseSequence, ...]:
-    """Return all people over all stamps, in the order in which they came."""
-    by_stamp = {array.stamp_ns: array for array in skeletons}
+    """Return people with these ids over all stamps, in the order in which they came."""
+    by_stamp = {array.header.stamp_ns: array for array in skeletons}
     stamps = sorted(by_stamp)
     directions = np.array([by_stamp[stamp_ns].vertical for stamp_ns in stamps])
     length = np.linalg.norm(directions, axis=1, keepdims=True)
     vertical = np.where((length > 0) & (length < MAX_VERTICAL), directions, np.nan)
     vertical_std = np.array([by_stamp[stamp_ns].vertical_std for stamp_ns in stamps])
-    people = [
-        replace(collect_rows(i, stamps, rows, intrinsics), vertical=vertical, vertical_std=vertical_std)
-        for i, rows in by_id.items()
-    ]
+    row_stamps = [array.header.stamp_ns for array in skeletons for _ in array.people.ids]
+    rows_by_id: dict[str, list[int]] = {}
+    for row, person_id in enumerate(everybody.ids):
+        rows_by_id.setdefault(person_id, []).append(row)
+    people = []
+    for person_id in ids:
+        rows = rows_by_id[person_id]
+        own_stamps = [row_stamps[row] for row in rows]
+        person = follow_person(person_id, stamps, everybody.select(rows), own_stamps, intrinsics)
+        people.append(replace(person, vertical=vertical, vertical_std=vertical_std))
     return tuple(sorted(people, key=lambda person: int(person.in_sight.argmax())))
 
 
@@ -220,9 +213,10 @@ def _judge(read: _Messages, detections: Detections, intrinsics: Intrinsics, conf
     for number, array in enumerate(read.skeletons):
         if number in read.restarts:
             read.summary.restart()
-        std, shown = array.vertical_std, seen.get(array.stamp_ns, ())
+        std, stamp_ns = array.vertical_std, array.header.stamp_ns
         vertical = CameraVertical(array.vertical, std, is_given=std < MAX_GIVEN_STD) if std > 0 else None
-        read.summary.add(array.stamp_ns, shown, array.people, intrinsics, source, vertical, config)
+        tracked = TrackedFrame(stamp_ns, array.people, vertical)
+        read.summary.add(stamp_ns, seen.get(stamp_ns, ()), tracked, intrinsics, source, config)
         read.summary.advance_judgement(config)
     return read.summary.summarise()
 

@@ -35,7 +35,7 @@ from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, encode_camer
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.offline.whole_sequence import MAX_GAP_S
-from mocap_ros.people import CameraVertical, Motion, MotionKind, Person3D, PoseSequence
+from mocap_ros.people import CameraVertical, Motion, MotionKind, People, PoseSequence
 from mocap_ros.recordings.playback import DEFAULT_FRAME_ID
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OutputEncoder, build_skeleton_definition
 
@@ -135,7 +135,7 @@ def _save_bag(path: Path, poses: PoseSequence) -> None:
 
         for topic, msgtype in LATCHED_OUTPUTS.items():
             recorder.declare_topic('/' + topic, msgtype, latched=True)
-        for frame, (stamp, person, upward) in enumerate(frames):
+        for frame, (stamp, people, upward) in enumerate(frames):
             if not frame:
                 definition = build_skeleton_definition(poses.skeleton.name)
                 write(definition.topic, definition.type, definition.data)
@@ -147,42 +147,41 @@ def _save_bag(path: Path, poses: PoseSequence) -> None:
             write('keypoints', KEYPOINTS, keypoints)
             std = float(poses.vertical_std[frame])
             vertical = None if math.isnan(std) else CameraVertical(upward, std)
-            for output in encoder.encode(header, [person] if person else [], vertical=vertical):
+            for output in encoder.encode(header, people, vertical=vertical):
                 write(output.topic, output.type, output.data)
 
 
-def _iterate_people(poses: PoseSequence) -> Iterator[Person3D | None]:
-    nan = float('nan')
-    velocity = central_velocity(poses.times, poses.joints)
-    scale, translation = poses.scale, poses.translation
+def _iterate_people(poses: PoseSequence) -> Iterator[People]:
+    """Yield who is shown in each frame: the person, or nobody."""
+    velocity, scale, translation = central_velocity(poses.times, poses.joints), poses.scale, poses.translation
+    motion = Motion(MotionKind.UNKNOWN, poses.base_poses, math.nan, math.nan)
     first = last_seen = math.nan
     for frame, is_in_sight in enumerate(poses.in_sight.tolist()):
-        time = poses.times[frame]
+        time, now = poses.times[frame], slice(frame, frame + 1)
         if not poses.predicted[frame]:
             first, last_seen = time if math.isnan(first) else first, time
         if not is_in_sight:
-            yield None
+            yield People.none(poses.skeleton)
             continue
-        yield Person3D(
-            id=poses.id or DEFAULT_PERSON_ID,
-            joints=poses.joints[frame],
-            std=poses.joint_std[frame],
-            inferred=poses.inferred[frame],
-            scale=float(scale[frame]),
-            rotation=poses.rotation[frame],
-            translation=translation[frame],
-            motion=Motion(MotionKind.UNKNOWN, poses.base_poses, nan, nan),
-            residual=float(poses.reprojection_residual[frame]),
-            scale_known=poses.is_scale_known,
-            predicted=bool(poses.predicted[frame]),
-            velocity=velocity[frame],
-            velocity_std=np.full(len(poses.joint_names), nan),
-            age=float(time - first),
-            unseen_for=float(time - last_seen),
+        yield People(
+            ids=(poses.id or DEFAULT_PERSON_ID,),
             skeleton=poses.skeleton,
-            orientation=poses.joint_orientation[frame],
-            turn_inferred=poses.turn_inferred[frame],
-            contact=poses.contact[frame],
+            joints=poses.joints[now],
+            joint_std=poses.joint_std[now],
+            inferred=poses.inferred[now],
+            scale=scale[now],
+            rotation=poses.rotation[now],
+            translation=translation[now],
+            motion=(motion,),
+            reprojection_residual=poses.reprojection_residual[now],
+            is_scale_known=poses.is_scale_known,
+            predicted=poses.predicted[now],
+            joint_velocity=velocity[now],
+            age=np.array([time - first]),
+            unseen_for=np.array([time - last_seen]),
+            joint_orientation=poses.joint_orientation[now],
+            turn_inferred=poses.turn_inferred[now],
+            contact=poses.contact[now],
         )
 
 

@@ -77,7 +77,7 @@ class DiagnosticsReporter:
         new, self._previous = counts - self._previous, counts  # negative differences, after a reset, are left out
         reason, statistics.reason = make_printable_line(statistics.reason, MAX_LINE_LENGTH), ''
         people = pipeline.people if new['accepted'] else ()  # else they are of an earlier second
-        residuals = [p.residual for p in people if math.isfinite(p.residual)]
+        residuals = [p.reprojection_residual for p in people if math.isfinite(p.reprojection_residual)]
         newest_ns = pipeline.header.stamp_ns  # 0 before the first frame, and after a reset
         age_s = (now_ns - newest_ns) / NS_PER_S if newest_ns else math.nan
         median_ms, slowest_ms = np.percentile(tuple(statistics.solve_seconds) or math.nan, (50, 99)) * 1e3

@@ -22,14 +22,14 @@ from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, decode_camera_info
 from mocap_ros.messages.keypoints import KEYPOINTS, KeypointsFrame, decode_keypoints
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
-from mocap_ros.recordings.load_results import collect_rows, find_intrinsics
+from mocap_ros.recordings.load_results import find_intrinsics, follow_person
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.nodes import run_node
 from mocap_ros.ros.qos import NEWEST_QOS
 from mocap_ros.ros.topics import subscribe
-from mocap_ros.skeleton import BODY26, skeleton_from_joints
+from mocap_ros.skeleton import skeleton_from_joints
 from mocap_ros.units import NS_PER_S
-from mocap_ros.viewing.live_page import LiveScene, PageServer, make_nobody
+from mocap_ros.viewing.live_page import LiveScene, PageServer
 
 # Only the newest messages count: a page that is late must not fall behind.
 KEYPOINTS_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -90,12 +90,11 @@ class LiveView(Node):
             self._scene.leave_out()
             return
         array = decode_skeletons(raw)
-        frame = self._keypoints.get(array.stamp_ns)
-        skeleton = array.people[0].skeleton if array.people else BODY26
+        seen, frame = array.people, self._keypoints.get(array.header.stamp_ns)
         if self._camera is not None and self._camera.intrinsics.is_focal_known:
             intrinsics = self._camera.intrinsics
-        elif array.people:
-            intrinsics = find_intrinsics(array.people)
+        elif len(seen):
+            intrinsics = find_intrinsics(seen)
             self._size = intrinsics.image_size or self._size
         else:
             intrinsics = Intrinsics.from_image_size(*self._size, 1.0)
@@ -103,18 +102,16 @@ class LiveView(Node):
             self._size = self._camera.size
         if frame is not None:
             self._size = resolve_image_size(stated=(frame.image_width, frame.image_height), configured=self._size)
-        people = make_nobody(skeleton, intrinsics)
-        if array.people:
-            people = collect_rows('', range(len(array.people)), dict(enumerate(array.people)), intrinsics)
+        people = follow_person('', range(len(seen)), seen, range(len(seen)), intrinsics)  # rows as frames
         found = [] if frame is None else frame.people
         self._scene.publish(
-            array.stamp_ns,
-            [person.id for person in array.people],
+            array.header.stamp_ns,
+            seen.ids,
             people,
             [(skeleton_from_joints(p.joints), np.where(p.score[:, None] > 0, p.points, np.nan)) for p in found],
             self._size,
             array.vertical if array.vertical_std <= MAX_CERTAIN_STD else np.full(3, np.nan),
-            skeleton,
+            seen.skeleton,
         )
 
 

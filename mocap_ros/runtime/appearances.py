@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from mocap_ros.people import MotionKind, Person3D
+from mocap_ros.people import MotionKind, People, Person3D
 from mocap_ros.units import NS_PER_S
 
 
@@ -50,8 +49,8 @@ class Appearance:
         self.to_ns = stamp_ns
         if motion.kind is MotionKind.PERIODIC and motion.cadence > 0:
             self.cadences[round(motion.cadence, 2)] += 1
-        if not person.predicted and np.isfinite(person.residual):
-            self.residual_sum += person.residual
+        if not person.predicted and np.isfinite(person.reprojection_residual):
+            self.residual_sum += person.reprojection_residual
             self.residual_count += 1
 
 
@@ -68,7 +67,7 @@ class AppearanceLog:
         self._newest: dict[str, Appearance] = {}  # by id of the person
         self._all: list[Appearance] = []
 
-    def add(self, stamp_ns: int, people: Sequence[Person3D]) -> None:
+    def add(self, stamp_ns: int, people: People) -> None:
         """Add the people of a frame."""
         for person in (p for p in people if not p.tentative):
             known = self._newest.get(person.id)

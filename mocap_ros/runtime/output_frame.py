@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.transform_tree import TransformTree
-from mocap_ros.people import CameraVertical, Person3D
+from mocap_ros.people import CameraVertical, People
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.solvers.floor import ANKLE_M, HEEL_M, MAX_STEP_S
 from mocap_ros.units import NS_PER_S
@@ -130,7 +129,7 @@ class LiveWorld:
     def advance(
         self,
         stamp_ns: int,
-        people: Sequence[Person3D],
+        people: People,
         vertical: CameraVertical | None,
         camera: CameraPlacement,
         camera_height: float | None,
@@ -142,8 +141,9 @@ class LiveWorld:
         before_ns = stamp_ns if self._stamp_ns is None else self._stamp_ns
         step_s = min(max(stamp_ns - before_ns, 0) / NS_PER_S, MAX_STEP_S)
         self._stamp_ns = stamp_ns
-        people = [p for p in people if p.scale_known and not p.predicted and np.isfinite(p.joints).all()]
-        if not self._is_known and people:
+        is_seen = ~people.predicted & np.isfinite(people.joints).all(axis=(1, 2)) & people.is_scale_known
+        people = people.select(np.flatnonzero(is_seen))
+        if not self._is_known and len(people):
             self._add_first(people, step_s)
         is_certain = vertical is not None and vertical.std <= MAX_CERTAIN_STD
         if vertical is not None and is_certain and self._first_s >= FIRST_S:
@@ -163,12 +163,12 @@ class LiveWorld:
             return None
         return RigidTransform(self._origin.copy(), quaternion_from_rotation(self._axes.T))
 
-    def _add_first(self, people: Sequence[Person3D], step_s: float) -> None:
-        person = next((p for p in people if p.id == self._first[0]), people[0])
-        if person.id != self._first[0]:
-            self._first, self._first_s, step_s = (person.id, []), 0.0, 0.0
+    def _add_first(self, people: People, step_s: float) -> None:
+        row = people.ids.index(self._first[0]) if self._first[0] in people.ids else 0
+        if people.ids[row] != self._first[0]:
+            self._first, self._first_s, step_s = (people.ids[row], []), 0.0, 0.0
         if self._first_s < FIRST_S:
-            self._first[1].append(person.joints)
+            self._first[1].append(people.joints[row])
             self._first_s += step_s
 
     def _turn(self, share: float, upward: Array) -> None:
@@ -178,20 +178,16 @@ class LiveWorld:
         left /= np.linalg.norm(left)
         self._axes = np.array([np.cross(left, up), left, up])
 
-    def _weigh_feet(self, step_s: float, people: Sequence[Person3D]) -> tuple[float, float]:
+    def _weigh_feet(self, step_s: float, people: People) -> tuple[float, float]:
         """Return the share with which the floor follows the feet in this frame, and their height over it in m."""
-        known = [(2 * float(np.nanmax(p.contact)) - 1, p) for p in people if np.isfinite(p.contact).any()]
-        stand = [(s, self._find_lowest(p)) for s, p in known if s > 0]
-        if not stand:
+        weights = 2 * np.fmax(people.contact[:, 0], people.contact[:, 1]) - 1
+        stand = weights > 0
+        if not stand.any():
             return 0.0, 0.0
-        lowest = min(height for _, height in stand)
-        weights, heights = np.array([(s, h) for s, h in stand if h < lowest + LEDGE_M]).T
-        rise = float(np.average(heights, weights=weights))
-        counted_s = step_s * float(weights.max()) / (1 + (max(rise, 0.0) / LEDGE_M) ** 2)
+        over_joint = HEEL_M if people.joints.shape[1] > CORE_COUNT else ANKLE_M
+        heights = ((people.joints - self._origin) @ self._axes[2]).min(axis=1) - over_joint
+        stand &= heights < heights[stand].min() + LEDGE_M
+        rise = float(np.average(heights[stand], weights=weights[stand]))
+        counted_s = step_s * float(weights[stand].max()) / (1 + (max(rise, 0.0) / LEDGE_M) ** 2)
         self._stood_s = min(self._stood_s + counted_s, SETTLED_S)
         return counted_s / self._stood_s, rise
-
-    def _find_lowest(self, person: Person3D) -> float:
-        """Return how high in m over the floor the lowest joint is, less what it is of a person who stands."""
-        height = HEEL_M if len(person.joints) > CORE_COUNT else ANKLE_M
-        return float(((person.joints - self._origin) @ self._axes[2]).min()) - height

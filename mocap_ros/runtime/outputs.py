@@ -21,14 +21,13 @@ from mocap_ros.messages.skeletons import (
     PREDICTIONS,
     SKELETON_DEFINITION,
     SKELETONS,
-    PredictedFrame,
     encode_cameras,
     encode_predictions,
     encode_skeleton_definition,
     encode_skeletons,
 )
 from mocap_ros.messages.transforms import TRANSFORMS, FrameNames, encode_transforms
-from mocap_ros.people import CameraVertical, Person3D
+from mocap_ros.people import CameraVertical, People, PredictedPeople
 from mocap_ros.runtime.output_frame import LiveWorld
 from mocap_ros.skeleton import keypoint_layout
 
@@ -60,11 +59,11 @@ class OutputEncoder:
     def encode(
         self,
         header: Header,
-        people: Sequence[Person3D],
+        people: People,
         node: NodeConfig | None = None,
         camera: CameraPlacement | None = None,
         vertical: CameraVertical | None = None,
-        predicted: Sequence[PredictedFrame] = (),
+        predicted: Sequence[PredictedPeople] = (),
         camera_height: float | None = None,
     ) -> tuple[OutputMessage, ...]:
         """Encode the people in an image; the result has one message for each of `OUTPUTS`, then those switched on.
@@ -83,8 +82,8 @@ class OutputEncoder:
             encode_points(header, placed),
         ]
         if node.publish_tf:
-            certain = [p for p in placed if not p.tentative]
-            names = self._names.assign([p.id for p in certain])
+            certain = placed.certain
+            names = self._names.assign(certain.ids)
             world = None
             if header.frame_id == (node.output_frame or camera.frame_id):
                 world = self._world.advance(header.stamp_ns, certain, upward, camera, camera_height)
@@ -95,11 +94,13 @@ class OutputEncoder:
         outputs = zip(types.items(), contents, strict=True)
         return tuple(OutputMessage(topic, msgtype, header.stamp_ns, raw) for (topic, msgtype), raw in outputs)
 
-    def _keep_order(self, people: Sequence[Person3D]) -> list[Person3D]:
+    def _keep_order(self, people: People) -> People:
         """Return the people in the order of the image before, new ones last; that of detectors changes."""
-        ordered = sorted(people, key=lambda p: self._order.get(p.id, len(self._order)))
-        self._order = {person.id: number for number, person in enumerate(ordered)}
-        return ordered
+        rows = sorted(range(len(people)), key=lambda row: self._order.get(people.ids[row], len(self._order)))
+        if rows != list(range(len(people))):
+            people = people.select(rows)
+        self._order = {person_id: number for number, person_id in enumerate(people.ids)}
+        return people
 
     def encode_clear(self, header: Header) -> tuple[OutputMessage, ...]:
         """Encode the message that deletes all markers, and forget all people."""

@@ -25,11 +25,11 @@ from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_imag
 from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
 from mocap_ros.messages.cdr import Header, OutputMessage, read_frame_id
 from mocap_ros.messages.keypoints import KeypointsFrame
-from mocap_ros.messages.skeletons import PredictedFrame, read_prediction_times
+from mocap_ros.messages.skeletons import read_prediction_times
 from mocap_ros.messages.transform_tree import TransformTree
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.people import Person3D
+from mocap_ros.people import People
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.input_camera import GIVEN, KNOWN, NOMINAL, CalibrationWait, FocalSource, InputCamera
 from mocap_ros.runtime.output_frame import OutputFrame
@@ -123,7 +123,9 @@ class Pipeline:
         self._make_tracker = make_tracker
         self._tracker: Tracker = make_tracker(self.models, config)
         self._checked = config, self._tracker  # the last parameters that were checked, and their tracker
-        self._swapped_before = self._unusable_before = 0  # as the trackers of earlier parameters counted
+        self.swapped_frames = 0  # detections so far whose left and right were swapped back
+        # detections so far that were no person of their own, as those with too few visible joints
+        self.unusable_people = 0
         self._outputs = OutputEncoder()
         self._assembler = FrameAssembler()
         self._camera = InputCamera()
@@ -132,7 +134,7 @@ class Pipeline:
         self._wait = CalibrationWait()
         self._consecutive_errors = 0
         self.header = self.output_header = Header(0, '')
-        self.people: tuple[Person3D, ...] = ()
+        self.people = People.none()
 
     @property
     def camera_info(self) -> bytes | None:
@@ -157,16 +159,6 @@ class Pipeline:
     def transforms(self) -> TransformTree:
         """All coordinate frames of /tf and /tf_static."""
         return self._output_frame.transforms
-
-    @property
-    def swapped_frames(self) -> int:
-        """Number of detections so far whose left and right were swapped back."""
-        return self._swapped_before + self._tracker.swapped_frames
-
-    @property
-    def unusable_people(self) -> int:
-        """Number of detections so far that were no person of their own, as those with too few visible joints."""
-        return self._unusable_before + self._tracker.unusable_people
 
     def feed(self, source: Source, raw: bytes, topic: str = '') -> ProcessingResult:
         """Process an input message; the result reports invalid inputs and internal errors, and nothing is raised.
@@ -228,7 +220,7 @@ class Pipeline:
         self.checks = InputChecks()
         self.summary.restart()
         self._wait = CalibrationWait(is_over=self._wait.is_over or memory.has_waited)
-        self.people = ()
+        self.people = People.none()
         self.header = Header(0, '')
         return self._outputs.encode_clear(self.output_header)
 
@@ -239,7 +231,6 @@ class Pipeline:
         self.config, tracker = self._checked
         if tracker is self._tracker:
             return False
-        self._swapped_before, self._unusable_before = self.swapped_frames, self.unusable_people
         self._tracker = tracker
         return True
 
@@ -282,35 +273,36 @@ class Pipeline:
             floor = self._output_frame.find_floor(frame.header, intrinsics, config)
             if restart:
                 tracker.reset()
-            people = tracker.update(stamp_ns, frame.people, intrinsics, floor[0])
-            if tracker.has_restarted:
+            tracked = tracker.update(stamp_ns, frame.people, intrinsics, floor[0])
+            self.swapped_frames += tracked.swapped
+            self.unusable_people += tracked.unusable
+            if tracked.has_restarted:
                 self._outputs.restart()
-            shown = Header(tracker.output_stamp_ns, frame.header.frame_id)
+            shown = Header(tracked.stamp_ns, frame.header.frame_id)
             header, placement, reason = self._output_frame.place_camera(shown, config.node)
-            times = self._prediction_times
-            predicted = [*map(PredictedFrame, times, tracker.predict(times))] if times else ()
-            height_m = config.tracker.camera_height if tracker.is_floor_seen else 0.0
+            predicted = tracker.predict(self._prediction_times) if self._prediction_times else ()
+            height_m = config.tracker.camera_height if tracked.is_floor_seen else 0.0
             known_m = height_m or None if floor[0] is None else floor[0].camera_height
             outputs = self._outputs.encode(
-                header, people, config.node, placement, tracker.vertical, predicted, known_m
+                header, tracked.people, config.node, placement, tracked.vertical, predicted, known_m
             )
-            seen = frame.people, people
-            self.summary.add(stamp_ns, *seen, intrinsics, focal_source, tracker.vertical, config)
+            self.summary.add(stamp_ns, frame.people, tracked, intrinsics, focal_source, config)
             other_camera = self._camera.describe_other(frame.header.frame_id) if focal_source == NOMINAL else ''
-            known = tracker, config, floor, self.summary.reason, other_camera
-            faults += self.checks.advance(frame, intrinsics, people, *known)
+            faults += self.checks.advance(
+                frame, intrinsics, tracked, config, floor, self.summary.reason, other_camera
+            )
         except Exception as error:
             if isinstance(error, FrameDropped) and stamp_ns == self.header.stamp_ns == 0:
                 error = FrameDropped(MISSING_STAMP)
             result = ProcessingResult.of_error(error, was_decoded=True)
             return replace(result, reason='; '.join((result.reason, *faults)))
         before_ns = self.header.stamp_ns
-        self.header, self.output_header, self.people = frame.header, header, people
+        self.header, self.output_header, self.people = frame.header, header, tracked.people
         self._camera.accept(frame.header, size)
         if before_ns and stamp_ns - before_ns > NOTED_GAP_S * NS_PER_S:
             gap_s = (stamp_ns - before_ns) / NS_PER_S
             reason = f'a gap of {gap_s:.1f} s before this stamp: no images for so long, or the clock was set'
-        if back_s := tracker.backward_jump_s:
+        if back_s := tracked.backward_jump_s:
             reason = f'the stamp went back by {back_s:.1f} s, so tracking was restarted'
         return ProcessingResult(Verdict.ACCEPTED, '; '.join(filter(None, (restart, reason, *faults))), outputs)
 

@@ -10,6 +10,7 @@ of the velocity.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from mocap_ros.engine import motion as engine
 from mocap_ros.geometry.interpolation import central_velocity
 from mocap_ros.models.model_file import load_velocity_correction
 from mocap_ros.models.velocity_correction import SPANS_S, VelocityPast
-from mocap_ros.people import Motion, Person3D
+from mocap_ros.people import Motion, People
 from mocap_ros.skeleton import HIPS, Skeleton
 from mocap_ros.solvers.extremities import BODY, ExtremityEvidence, collect_evidence
 from mocap_ros.solvers.footing import plant_newest
@@ -161,7 +162,7 @@ def make_people(
     sizes: Sequence[BodySize],
     skeleton: Skeleton,
     unseen_for: Sequence[float] | None = None,
-) -> list[Person3D]:
+) -> People:
     """Return the people in the frame.
 
     `cores`, with the deviations (P, 15) m and the covariances (P, 3, 3) m^2 of roots, are of the assumed size;
@@ -170,40 +171,44 @@ def make_people(
     intrinsics, is_seen = shown.tracks[0].intrinsics, unseen_for is None
     known = np.array([size.ratio for size in sizes]), cores, std, root_covariance
     *whole, roots = BODY.complete(shown.filters[:, OF_EXTREMITIES], *known)
-    scales, translations = (intrinsics.focal / roots[:, 2]).tolist(), intrinsics.project(roots)
     joints, std, velocity, velocity_std, turns, turn_inferred, inferred = (
         values[:, : len(skeleton.joints)] for values in (*whole, weight == 0)
     )
-    contact = shown.filters[:, STANDING].copy()
-    people = []
-    for p, (track, frame, solution) in enumerate(zip(shown.tracks, shown.frames, shown.solutions, strict=True)):
-        motion = track.schedule.motion
-        category = motion.category if track.schedule.is_periodic else solution.model_name
-        age_s, unseen_s = float(shown.times[p]), 0.0 if unseen_for is None else unseen_for[p]
-        people.append(
-            Person3D(
-                id=track.id,
-                joints=joints[p],
-                std=std[p],
-                inferred=inferred[p],
-                scale=scales[p],
-                rotation=solution.rotation[frame].copy(),  # the caller may change it
-                translation=translations[p],
-                motion=Motion(motion.kind, category, solution.residual, motion.cadence),
-                residual=float(solution.frame_residuals[frame]) if is_seen else float('nan'),
-                scale_known=intrinsics.is_focal_known,
-                predicted=not is_seen,
-                tentative=track.is_tentative,
-                velocity=velocity[p],
-                velocity_std=velocity_std[p],
-                root_covariance=root_covariance[p],
-                root_velocity_covariance=cores.root_velocity_covariance[p],
-                age=age_s + unseen_s,
-                unseen_for=unseen_s,
-                skeleton=skeleton,
-                orientation=turns[p],
-                turn_inferred=turn_inferred[p],
-                contact=contact[p] if is_seen else np.full(2, np.nan),
-            )
-        )
-    return people
+    ages, count = shown.times, len(shown.tracks)
+    away = np.zeros(count) if unseen_for is None else np.array(unseen_for)
+    at = list(zip(shown.frames, shown.solutions, strict=True))
+    return People(
+        ids=tuple(track.id for track in shown.tracks),
+        skeleton=skeleton,
+        joints=joints,
+        joint_std=std,
+        inferred=inferred,
+        scale=intrinsics.focal / roots[:, 2],
+        rotation=np.array([solution.rotation[frame] for frame, solution in at]),
+        translation=intrinsics.project(roots),
+        motion=tuple(
+            _describe_motion(track, solution)
+            for track, solution in zip(shown.tracks, shown.solutions, strict=True)
+        ),
+        reprojection_residual=np.array(
+            [solution.frame_residuals[frame] if is_seen else math.nan for frame, solution in at]
+        ),
+        is_scale_known=intrinsics.is_focal_known,
+        predicted=np.full(count, not is_seen),
+        tentative=np.array([track.is_tentative for track in shown.tracks]),
+        joint_velocity=velocity,
+        joint_velocity_std=velocity_std,
+        root_covariance=root_covariance,
+        root_velocity_covariance=cores.root_velocity_covariance,
+        age=ages + away,
+        unseen_for=away,
+        joint_orientation=turns,
+        turn_inferred=turn_inferred,
+        contact=shown.filters[:, STANDING].copy() if is_seen else np.full((count, 2), np.nan),
+    )
+
+
+def _describe_motion(track: Track, solution: TrackSolution) -> Motion:
+    motion = track.schedule.motion
+    category = motion.category if track.schedule.is_periodic else solution.model_name
+    return Motion(motion.kind, category, solution.residual, motion.cadence)

@@ -17,8 +17,8 @@ from mocap_ros.arrays import Array
 from mocap_ros.engine import motion as engine
 from mocap_ros.models.model_file import load_motion_predictor
 from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past
-from mocap_ros.people import Person3D, PredictedPerson
-from mocap_ros.skeleton import Skeleton
+from mocap_ros.people import People, PredictedPeople
+from mocap_ros.skeleton import CORE_COUNT, Skeleton
 from mocap_ros.solvers.extremities import ExtremityEvidence, collect_evidence
 from mocap_ros.tracking.body_size import BodySize
 from mocap_ros.tracking.motion_filter import SHIFT
@@ -46,10 +46,10 @@ _AGO = np.array([0.0, *PAST_S])
 
 def predict_people(
     tracks: Sequence[Track], stamp_ns: int, upward: Array | None, sizes: Sequence[BodySize], skeleton: Skeleton
-) -> list[Person3D]:
+) -> People:
     """Return the people of P solved tracks at a time after their last detections; `upward` (3,), None if level."""
     if not tracks:
-        return []
+        return People.none(skeleton)
     ages = [(stamp_ns - t.stamps_ns[-1]) / NS_PER_S for t in tracks]
     times = np.array(ages)[:, None] + [0.0, VELOCITY_SPAN_S]
     _, ahead = _predict(tracks, times, upward, sizes)
@@ -78,10 +78,11 @@ def predict_ahead(
     times_s: Sequence[float],
     upward: Array | None,
     sizes: Sequence[BodySize],
-) -> list[list[PredictedPerson]]:
-    """Return T predictions for each of P tracks, at times in s after a frame; else as `predict_people`."""
+) -> list[PredictedPeople]:
+    """Return the people of P tracks at each of T times in s after a frame; else as `predict_people`."""
     if not tracks:
-        return []
+        nobody = np.zeros((0, CORE_COUNT, 3)), np.zeros((0, CORE_COUNT)), np.zeros((0, 3, 3))
+        return [PredictedPeople(ahead_s, (), *nobody) for ahead_s in times_s]
     ages = [(stamp_ns - track.stamps_ns[-1]) / NS_PER_S for track in tracks]
     times = np.array(ages)[:, None] + np.array(times_s)
     past, ahead = _predict(tracks, times, upward, sizes)
@@ -91,9 +92,9 @@ def predict_ahead(
     ratio = np.array([size.ratio for size in sizes])[:, None, None, None]
     joints, covariances = past.joints[:, None] + ahead.joints, covariances[:, None] + ahead.root_covariance
     predicted = ratio * joints, ratio[..., 0] * ahead.std, ratio**2 * covariances
+    ids = tuple(track.id for track in tracks)
     return [
-        [PredictedPerson(track.id, *then) for then in zip(*of_person, strict=True)]
-        for track, *of_person in zip(tracks, *predicted, strict=True)
+        PredictedPeople(ahead_s, ids, *(values[:, i] for values in predicted)) for i, ahead_s in enumerate(times_s)
     ]
 
 

@@ -35,7 +35,7 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.models.model_file import load_prior_lifter, load_velocity_correction
 from mocap_ros.models.upward_direction import Stances
-from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
+from mocap_ros.people import CameraVertical, People, PredictedPeople, TrackedFrame
 from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.solvers.image_roll import CameraSide, find_roll
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, let_base_poses_lead
@@ -116,11 +116,6 @@ class Tracker:
         self._limits_accelerations = refinement.pose_acceleration_weight > 0
         self._vertical = read_given_vertical(settings)
         read_body_heights(settings.body_heights)  # raises what is wrong with them
-        self.output_stamp_ns = 0  # ns, of the frame whose people `update` last returned; with a lag, an older one
-        self.backward_jump_s = 0.0  # s by which the last accepted stamp went back, so that tracking restarted
-        self.has_restarted = False  # whether the last accepted frame is the first after a start or restart
-        self.swapped_frames = 0  # so far, in which a person's left and right were swapped back
-        self.unusable_people = 0  # detections so far that were a part of a person, or of too few joints
         self.reset()
 
     @property
@@ -129,17 +124,8 @@ class Tracker:
         known = self._vertical
         return None if known is None else CameraVertical(known.direction, known.std, known.is_given)
 
-    @property
-    def is_floor_seen(self) -> bool:
-        """Whether anybody's feet fit a floor of known height, so that it shows their size."""
-        return any(t.floor_contact is not None for t in self.tracks)
-
-    def list_detector_faults(self) -> list[str]:
-        """Return what seems wrong with how people are detected, in words."""
-        return self._who.list_faults()
-
     def reset(self) -> None:
-        """Begin without people, names and stamps; the counters and a vertical that was given stay."""
+        """Begin without people, names and stamps; a vertical that was given stays."""
         self.tracks: list[Track] = []  # in the order in which people came
         self._leaving: list[Track] = []  # with a lag, tracks that have ended and are still to be shown
         self._who = Identities[Track](self.config.tracker)
@@ -161,7 +147,7 @@ class Tracker:
 
     def update(
         self, stamp_ns: int, people: Sequence[Person2D], intrinsics: Intrinsics, floor: Floor | None = None
-    ) -> tuple[Person3D, ...]:
+    ) -> TrackedFrame:
         """Track the people of a new frame.
 
         A stamp (ns) that is older than the newest by more than `tracker.restart_after` restarts the tracker. The
@@ -169,10 +155,10 @@ class Tracker:
         used where these hardly differ; the floor, if it is known, shows how tall people are. An error in a stage,
         which is a fault of the program, is raised; the people whom it concerns are begun anew by the next frame.
 
-        Returns the people in this frame, in the order of `people`, parts of one person joined, and then those who
-        are predicted because they were not detected, or with fewer than `tracker.min_joints` joints. With
-        `tracker.lag`, they are those of the frame `output_stamp_ns`, in the order in which they came, and none is
-        predicted. New people are tentative until they have been seen for a while, and are not predicted before.
+        Returns the people in this frame, in the order of `people`, parts of one person joined, and then those
+        who are predicted because they were not detected, or with fewer than `tracker.min_joints` joints. With
+        `tracker.lag`, they are those of an older frame, in the order in which they came, and none is predicted.
+        New people are tentative until they have been seen for a while, and are not predicted before.
 
         Raises:
             FrameDropped: The stamp repeats the newest or is a little older; the state has not changed.
@@ -187,8 +173,8 @@ class Tracker:
         self.run_deferred_work()
         if backward_jump_s > 0:
             self.reset()
-        self.backward_jump_s, self._at_work = backward_jump_s, ()
-        self.has_restarted = self._who.newest_ns is None
+        self._at_work = ()
+        has_restarted = self._who.newest_ns is None
         try:
             self._change_camera(intrinsics)
             self._use_floor(stamp_ns, floor)
@@ -197,27 +183,32 @@ class Tracker:
             self._lift(stamp_ns, tracks)
             self._initialise(stamp_ns, [t for t in tracks if t.solution is None])
             self._refine([t for t in tracks if t.has_unsolved_frame])
-            shown = self._choose_shown(stamp_ns, tracks)
-            output = self._make_people(*shown, floor) + self._predict_missing(stamp_ns)
+            shown_ns, shown, frames = self._choose_shown(stamp_ns, tracks)
+            seen = self._make_people(shown_ns, shown, frames, floor)
+            output = People.concatenate([seen, self._predict_missing(stamp_ns)])
         except Exception:
             self._forget_concerned()
             raise
         finally:
             self._who.end_frame(stamp_ns, has_people=bool(detections))
             self._is_work_pending = True
-        self.swapped_frames += sum(bool(np.count_nonzero(t.swap_filter.is_swapped[-1])) for t in tracks)
-        self.unusable_people += len(people) - len(tracks)
-        return tuple(output)
+        return TrackedFrame(
+            stamp_ns=shown_ns,
+            people=output,
+            vertical=self.vertical,
+            has_restarted=has_restarted,
+            backward_jump_s=backward_jump_s,
+            is_floor_seen=any(t.floor_contact is not None for t in self.tracks),
+            swapped=sum(bool(np.count_nonzero(t.swap_filter.is_swapped[-1])) for t in tracks),
+            unusable=len(people) - len(tracks),
+            faults=tuple(self._who.list_faults()),
+        )
 
-    def predict(self, times_s: Sequence[float]) -> list[list[PredictedPerson]]:
+    def predict(self, times_s: Sequence[float]) -> list[PredictedPeople]:
         """Return the people of the newest frame at times after it, none tentative; none with `tracker.lag`."""
         newest_ns = self._who.newest_ns
-        if newest_ns is None:
-            return [[] for _ in times_s]
-        tracks = self._list_known(newest_ns)
-        sizes = [*map(self._find_size, tracks)]
-        people = predict_ahead(tracks, newest_ns, times_s, self._upward, sizes)
-        return [[person[i] for person in people] for i in range(len(times_s))]
+        tracks = [] if newest_ns is None else self._list_known(newest_ns)
+        return predict_ahead(tracks, newest_ns or 0, times_s, self._upward, [*map(self._find_size, tracks)])
 
     def run_deferred_work(self) -> None:
         """Do the part of the checks and classifications that follows the last frame, if not done yet.
@@ -413,13 +404,13 @@ class Tracker:
         fixed_frames = min(first, 2 if self._limits_accelerations else 1)
         return first - fixed_frames, fixed_frames
 
-    def _choose_shown(self, stamp_ns: int, detected: list[Track]) -> tuple[list[Track], list[int]]:
-        """Choose the frame that is shown; return the people who were detected in it, and its index in each window.
+    def _choose_shown(self, stamp_ns: int, detected: list[Track]) -> tuple[int, list[Track], list[int]]:
+        """Choose the frame that is shown; return its stamp, who was detected in it, and its index in each window.
 
         It is this frame or, with `tracker.lag`, an older one (`track`); before one is old enough, the
         first frame since anybody was there, without its people.
         """
-        lag_s, self.output_stamp_ns = self.config.tracker.lag, stamp_ns
+        lag_s, shown_ns = self.config.tracker.lag, stamp_ns
         if lag_s > 0:
             if self._who.newest_person_ns is None:
                 self._waiting_ns, self._has_output_begun = [], False
@@ -428,21 +419,20 @@ class Tracker:
                 self._waiting_ns, lag_s, has_begun=self._has_output_begun
             )
             del self._waiting_ns[:first]
-            self.output_stamp_ns = self._waiting_ns[0]
-        shown_ns = self.output_stamp_ns
+            shown_ns = self._waiting_ns[0]
         self._leaving = [t for t in self._leaving if t.stamps_ns[-1] >= shown_ns]
         if lag_s == 0:
-            return detected, [t.newest for t in detected]
+            return shown_ns, detected, [t.newest for t in detected]
         if not self._has_output_begun:
-            return [], []
+            return shown_ns, [], []
         people = sorted((*self._leaving, *self.tracks), key=lambda t: t.first_ns)
         people = [t for t in people if shown_ns in t.stamps_ns]
-        return people, [t.stamps_ns.index(shown_ns) for t in people]
+        return shown_ns, people, [t.stamps_ns.index(shown_ns) for t in people]
 
-    def _make_people(self, tracks: list[Track], frames: list[int], floor: Floor | None) -> list[Person3D]:
+    def _make_people(self, shown_ns: int, tracks: list[Track], frames: list[int], floor: Floor | None) -> People:
         """Return the people who are shown, of the sizes that the floor, if it is known, shows."""
         if not tracks:
-            return []
+            return People.none(self._skeleton)
         self._at_work, shown, settings = tracks, Shown.of(tracks, frames), self.config.tracker
         is_steady = settings.steady_output and self._is_newest_shown
         motion, seen = follow_motion(shown, self._upward, is_steady=is_steady)
@@ -452,9 +442,15 @@ class Tracker:
         if floor is not None:
             for p, track in enumerate(tracks):
                 if track.intrinsics.is_focal_known and not track.is_tentative:
-                    known = motion.joints[p], motion.velocity[p], seen.weight[p]
-                    before, stamp_ns, height = track.floor_contact, self.output_stamp_ns, settings.body_height
-                    track.floor_contact = FloorContact.advance(before, stamp_ns, *known, floor, height)
+                    track.floor_contact = FloorContact.advance(
+                        track.floor_contact,
+                        shown_ns,
+                        motion.joints[p],
+                        motion.velocity[p],
+                        seen.weight[p],
+                        floor,
+                        settings.body_height,
+                    )
         sizes = [*map(self._find_size, tracks)]
         spread = describe_cores(shown, motion.joints, seen, sizes)
         return make_people(shown, motion, *spread, seen.weight, sizes, self._skeleton)
@@ -468,7 +464,7 @@ class Tracker:
         assumed = assume_size(settings, person_id, *known)
         return assumed if track.floor_contact is None else track.floor_contact.find_size(assumed)
 
-    def _predict_missing(self, stamp_ns: int) -> list[Person3D]:
+    def _predict_missing(self, stamp_ns: int) -> People:
         """Return the people who are predicted for this frame, stamp in ns; none with `tracker.lag`."""
         missing = [t for t in self._list_known(stamp_ns) if t.stamps_ns[-1] < stamp_ns]
         self._at_work = missing

@@ -13,7 +13,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from functools import lru_cache
 
 import numpy as np
@@ -24,10 +24,9 @@ from mocap_ros.geometry.level import Floor
 from mocap_ros.keypoints.identities import find_absence
 from mocap_ros.keypoints.validation import MIN_JUDGED_FRAMES, describe_rate
 from mocap_ros.messages.keypoints import KeypointsFrame
-from mocap_ros.people import Person3D
+from mocap_ros.people import TrackedFrame
 from mocap_ros.skeleton import CMU15, KNOWN_JOINTS, canonical_joint_names
 from mocap_ros.solvers.vertical import AUTO, NONE
-from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.units import NS_PER_S
 from mocap_ros.verdict.vertical_check import VerticalCheck
 
@@ -79,7 +78,6 @@ class InputChecks:
         self.rate_fault = ''  # why the stamps can be those of no camera, as of `MIN_JUDGED_FRAMES` of them
         self._has_keypoints = False  # whether any detection so far had some
         self._box_images = 0  # images so far with detections of people without any
-        self._unusable_count = 0  # as the tracker counted up to the last image
         self.reset()
 
     def reset(self) -> None:
@@ -106,8 +104,7 @@ class InputChecks:
         self,
         frame: KeypointsFrame,
         intrinsics: Intrinsics,
-        people: Sequence[Person3D],
-        tracker: Tracker,
+        tracked: TrackedFrame,
         config: Config,
         floor: tuple[Floor | None, str],
         fault: str = '',
@@ -128,7 +125,7 @@ class InputChecks:
         self._last_ns = stamp_ns
         found = (
             self.rate_fault,
-            self._check_vertical(people, tracker, config, has_floor=floor[0] is not None),
+            self._check_vertical(tracked, config, has_floor=floor[0] is not None),
             fault and f'people: {fault}',
             next(filter(None, (describe_misspelt_joint(p.joints) for p in frame.people)), ''),
             describe_unusable_distortion(intrinsics),
@@ -137,18 +134,17 @@ class InputChecks:
         self.warnings = tuple(filter(None, found))
         heights = floor[1], _check_camera_height(intrinsics, config.tracker, has_floor=floor[0] is not None)
         nominal = '' if other_camera else self._check_calibration(stamp_ns, intrinsics, config)
-        notes = [*heights, nominal, *tracker.list_detector_faults()] if frame.people else []
+        notes = [*heights, nominal, *tracked.faults] if frame.people else []
         self._has_keypoints |= bool(frame.people)
         self._box_images += bool(frame.without_keypoints)
         if self._box_images >= MIN_BOX_IMAGES and not self._has_keypoints:
             notes.append(WITHOUT_KEYPOINTS)
-        if people:
+        if len(tracked.people):
             self._unusable_ns = None
-        elif tracker.unusable_people != self._unusable_count:
+        elif tracked.unusable:
             self._unusable_ns = min(stamp_ns, self._unusable_ns or stamp_ns)
             if stamp_ns - self._unusable_ns > UNUSABLE_S * NS_PER_S:
                 notes.append(f'no usable detection for {UNUSABLE_S:g} s: {UNUSABLE}')
-        self._unusable_count = tracker.unusable_people
         return self._choose_new((*notes, *self.warnings))
 
     def _choose_new(self, found: Iterable[str]) -> list[str]:
@@ -174,14 +170,12 @@ class InputChecks:
             'camera are proportional; publish camera_info or set node.hfov'
         )
 
-    def _check_vertical(
-        self, people: Sequence[Person3D], tracker: Tracker, config: Config, *, has_floor: bool
-    ) -> str:
-        given, vertical = config.tracker.vertical, tracker.vertical
+    def _check_vertical(self, tracked: TrackedFrame, config: Config, *, has_floor: bool) -> str:
+        given, vertical = config.tracker.vertical, tracked.vertical
         is_parameter = given not in (AUTO, NONE)
         if vertical is None or not (is_parameter or (has_floor and given == AUTO)):
             return ''
-        angle_deg = self._vertical.advance(tracker.output_stamp_ns, people, vertical.direction)
+        angle_deg = self._vertical.advance(tracked.stamp_ns, tracked.people, vertical.direction)
         if angle_deg is None:
             return ''
         if is_parameter:

@@ -23,10 +23,9 @@ from mocap_ros.geometry.level import MAX_CERTAIN_STD
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import MAX_SHARE_OUTSIDE, PointPlaces
-from mocap_ros.messages.skeletons import RecordedPerson
 from mocap_ros.models.model_file import load_shipped_lifter
-from mocap_ros.people import CameraVertical, Person3D, PoseSequence
-from mocap_ros.skeleton import CMU15, CORE_COUNT, skeleton_from_joints
+from mocap_ros.people import CameraVertical, People, PoseSequence, TrackedFrame
+from mocap_ros.skeleton import CMU15, skeleton_from_joints
 from mocap_ros.solvers.vertical import read_given_vertical
 from mocap_ros.summary import Summary
 from mocap_ros.units import NS_PER_S
@@ -58,8 +57,6 @@ PLACES_MEMORY_S = 20.0  # s; live, about so long the places of people count, unl
 MEMORY_S = 5.0  # s; live, the residual is averaged over about this time, and after it points are judged anew
 MAX_REFUSED = 0.1  # 1, share of the messages of people; of more, the input is doubtful
 MAX_REFUSED_IN_TURN = 30  # messages, a second at 30 Hz; as many that no accepted one has followed yet, likewise
-
-AnyPerson3D = Person3D | RecordedPerson
 
 # What to say of a fault; `{given}` is the layout of the points.
 WORDS = {
@@ -229,36 +226,34 @@ class RunSummary:
         self,
         stamp_ns: int,
         detections: Sequence[Person2D],
-        people: Sequence[AnyPerson3D],
+        tracked: TrackedFrame,
         intrinsics: Intrinsics,
         focal_source: str,
-        vertical: CameraVertical | None,
         config: Config,
     ) -> None:
         """Add an image: what the detector saw, and the people who were reconstructed up to it."""
         self._frames += 1
-        self._focal, self._focal_source, self._vertical = intrinsics.focal, focal_source, vertical
+        self._focal, self._focal_source, self._vertical = intrinsics.focal, focal_source, tracked.vertical
         if stamp_ns < self._last_ns:  # a clock that was set, or a bag that begins again
             self.restart()
-        seen = [p for p in people if not p.tentative]
-        for name in (p.id for p in seen if p.id not in self._ids):
+        people = tracked.people.certain
+        for name in (i for i in people.ids if i not in self._ids):
             self._people += 1
             self._ids[name] = None
             if len(self._ids) > MAX_IDS:
                 del self._ids[next(iter(self._ids))]
-        fitted = [p for p in seen if not p.predicted and math.isfinite(p.residual)]
+        fitted = ~people.predicted & np.isfinite(people.reprojection_residual)
         fresh = 1 - math.exp(-min(max(stamp_ns - self._last_ns, 0) / NS_PER_S, 1.0) / MEMORY_S)
         is_due = not 0 <= stamp_ns - self._looked_ns < LOOK_S * NS_PER_S
         if is_due and detections and (size := intrinsics.image_size) is not None:
             points, score = (np.concatenate([getattr(d, k) for d in detections]) for k in ('points', 'score'))
-            self._look(stamp_ns, points, score, size, seen)
-        if fitted:
-            cores = np.array([p.joints[:CORE_COUNT] for p in fitted])
-            heights = CMU15.bone_lengths(cores) @ CMU15.stature_per_bone
-            sizes = zip(fitted, heights.tolist(), strict=True)
-            fits = [(p.residual, p.residual / p.scale / height, p.joints[0, 2]) for p, height in sizes]
+            self._look(stamp_ns, points, score, size, people)
+        if fitted.any():
+            heights = CMU15.bone_lengths(people.core[fitted]) @ CMU15.stature_per_bone
+            residuals, depths = people.reprojection_residual[fitted], people.joints[fitted, 0, 2]
+            fits = np.array([residuals, residuals / people.scale[fitted] / heights, depths])
             share = sum((d.score >= config.tracker.min_score).mean() for d in detections) / max(len(detections), 1)
-            mean = np.array([share, *np.mean(fits, axis=0)])
+            mean = np.array([share, *fits.mean(axis=1)])
             self._sums += mean
             self._counted += 1
             before = self._residual_share if math.isfinite(self._residual_share) else mean[2]
@@ -274,18 +269,16 @@ class RunSummary:
             self._refused += is_refused
             self._refused_in_turn = self._refused_in_turn + 1 if is_refused else 0
 
-    def _look(
-        self, stamp_ns: int, points: Array, score: Array, size: tuple[int, int], people: Sequence[AnyPerson3D]
-    ) -> None:
+    def _look(self, stamp_ns: int, points: Array, score: Array, size: tuple[int, int], people: People) -> None:
         """Look at where the points (N, 2) px of all people are, and where one of the people walks."""
         step_s = (stamp_ns - self._looked_ns) / NS_PER_S
         kept = math.exp(-step_s / PLACES_MEMORY_S) if 0 <= step_s < MEMORY_S else 0.0
         self._places.add(points, score, size, kept)
         self._size_grade, self._size_fault = judge_size(self._places)
         self._looked_ns = stamp_ns
-        if people:
-            walker = next((p for p in people if p.id == self._walk.person), people[0])
-            self._walk.add(walker.id, stamp_ns, walker.joints)
+        if len(people):
+            row = people.ids.index(self._walk.person) if self._walk.person in people.ids else 0
+            self._walk.add(people.ids[row], stamp_ns, people.joints[row])
 
     def _follow(
         self, stamp_ns: int, detections: Sequence[Person2D], intrinsics: Intrinsics, config: Config

@@ -17,13 +17,12 @@ seen; a wrong sign or axis is. So it is if all people lie.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.models.upward_direction import Stances
-from mocap_ros.people import Person3D
+from mocap_ros.people import People
 from mocap_ros.units import NS_PER_S
 
 LEAST_SHARE = 0.8  # 1; P: one person among several for whom it is not so speaks against it
@@ -41,10 +40,10 @@ class VerticalCheck:
         self._stamp_ns: int | None = None
         self._degrees_off = 0.0  # the sum of m with the angles as factors
 
-    def advance(self, stamp_ns: int, people: Sequence[Person3D], vertical: NDArray[np.float64]) -> float | None:
+    def advance(self, stamp_ns: int, people: People, vertical: NDArray[np.float64]) -> float | None:
         """Return the mean angle in degrees by which people contradict a vertical (3,); None if they do not."""
-        seen = [p.core for p in people if not (p.tentative or p.predicted)]
-        cosines = Stances.of(np.array(seen)).upward @ vertical if seen else np.zeros(0)
+        seen = people.core[~(people.tentative | people.predicted)]
+        cosines = Stances.of(seen).upward @ vertical
         angles = np.degrees(np.arccos(cosines[np.isfinite(cosines)].clip(-1, 1)))
         is_off = angles > MAX_ANGLE_DEG
         age_s = 0.0 if self._stamp_ns is None else (stamp_ns - self._stamp_ns) / NS_PER_S
