@@ -291,10 +291,11 @@ def track(view: View, model: BasePoses | str = 'auto', parameters: Parameters | 
     std, inferred = np.full(joints.shape[:2], np.nan), np.zeros(joints.shape[:2], bool)
     turns = np.full((view.frames, 26, 4), np.nan)
     for time_s, keypoints in zip(view.times, view.keypoints, strict=True):
-        for person in tracker.update(float(time_s), [keypoints], ids=['p']):
-            at = int(np.argmin(np.abs(view.times - tracker.output_time_s)))
-            joints[at], std[at], inferred[at] = person.joints, person.std, person.inferred
-            turns[at] = person.orientation
+        frame = tracker.update(float(time_s), [keypoints], ids=['p'])
+        for person in frame.people:
+            at = int(np.argmin(np.abs(view.times - frame.time_s)))
+            joints[at], std[at], inferred[at] = person.joints, person.joint_std, person.inferred
+            turns[at] = person.joint_orientation
     return TrackedSequence(joints, std, turns, inferred)
 
 

@@ -164,7 +164,7 @@ def track_scene(
     tracker = Tracker({ALL_MOTIONS: model}, with_values(Config(), parameters))
     camera, times = scene.view.intrinsics, scene.view.times
     for frame, person in list(enumerate(scene.view.list_people()))[::step]:
-        people = tracker.update(round(times[frame] * NS_PER_S) + 1, [person], camera, floor)
+        people = tracker.update(round(times[frame] * NS_PER_S) + 1, [person], camera, floor).people
         if people and not people[0].tentative:
             yield frame, tracker, people[0]
 

@@ -50,16 +50,24 @@ WHOLE = (
 LIVE = (
     *(
         'joints',
-        'std',
+        'joint_std',
         'inferred',
-        'orientation',
+        'joint_orientation',
         'turn_inferred',
-        'velocity',
-        'velocity_std',
+        'joint_velocity',
+        'joint_velocity_std',
         'scale',
         'rotation',
     ),
-    *('translation', 'residual', 'root_covariance', 'root_velocity_covariance', 'age', 'predicted', 'tentative'),
+    *(
+        'translation',
+        'reprojection_residual',
+        'root_covariance',
+        'root_velocity_covariance',
+        'age',
+        'predicted',
+        'tentative',
+    ),
 )
 
 
@@ -107,7 +115,7 @@ def run_live(name: str, sequences: Sequence[mocap_ros.KeypointSequence]) -> Numb
         tracker.update(
             time_s + 1.0,
             [s.keypoints[f] + [PEOPLE_OFFSET_PX * i, 0, 0] for i, s in enumerate(sequences)],
-        )
+        ).people
         for f, time_s in enumerate(first.timestamps)
     ]
     found: Numbers = {}

@@ -88,7 +88,7 @@ def list_demo() -> list[list[str]]:
     tracker = mocap_ros.Tracker(sequence.joint_names, image_size=size, camera_matrix=camera)
     joints = np.full((len(sequence), len(BODY26.joints), 3), np.nan)
     for frame, (time_s, keypoints) in enumerate(zip(sequence.timestamps, sequence.keypoints, strict=True)):
-        for person in tracker.update(float(time_s), [keypoints]):
+        for person in tracker.update(float(time_s), [keypoints]).people:
             joints[frame] = person.joints
     live = mocap_ros.evaluate(joints, sequence.truth, times=sequence.timestamps)
     whole = mocap_ros.evaluate(mocap_ros.reconstruct(sequence), sequence.truth)

@@ -99,20 +99,22 @@ def follow(scene: RobotScene, way: str, model: BasePoses, parameters: common.Par
             'place': person.root,
             'root': person.root - roots[frame],
             'depth_share': float(np.linalg.norm(person.root) / np.linalg.norm(roots[frame])) - 1,
-            'std': person.std[:CORE_COUNT],
+            'std': person.joint_std[:CORE_COUNT],
             'root_covariance': person.root_covariance,
-            'velocity': person.velocity[:CORE_COUNT] - speeds[frame],
+            'velocity': person.joint_velocity[:CORE_COUNT] - speeds[frame],
             'difference': difference - speeds[frame],
         }
         if way == 'height':
             future = look_ahead(truth, frame, TIMES_S)
-            ahead = [people[0] for people in tracker.predict(TIMES_S)]
+            ahead = tracker.predict(TIMES_S)
             record |= {
-                'predicted': np.array([p.joints[:CORE_COUNT] for p in ahead]) - future,
-                'predicted_std': np.array([p.std[:CORE_COUNT] for p in ahead]),
-                'predicted_covariance': np.array([p.root_covariance for p in ahead]),
+                'predicted': np.array([then.joints[0] for then in ahead]) - future,
+                'predicted_std': np.array([then.joint_std[0] for then in ahead]),
+                'predicted_covariance': np.array([then.root_covariance[0] for then in ahead]),
                 'still': joints - future,
-                'constant': joints + np.array(TIMES_S)[:, None, None] * person.velocity[:CORE_COUNT] - future,
+                'constant': joints
+                + np.array(TIMES_S)[:, None, None] * person.joint_velocity[:CORE_COUNT]
+                - future,
                 'inside': measure_inside(scene, frame, person) if frame % CAPSULE_STEP == 0 else None,
             }
         out.append(record)
@@ -121,7 +123,7 @@ def follow(scene: RobotScene, way: str, model: BasePoses, parameters: common.Par
 
 def measure_inside(scene: RobotScene, frame: int, person: Person3D) -> tuple[float, float]:
     """Return the share of the body in its capsules: with the root in its place, and as published."""
-    start, end, radius = compute_capsules(person.joints, person.std, person.skeleton)
+    start, end, radius = compute_capsules(person.joints, person.joint_std, person.skeleton)
     axis = end - start
 
     def find_share(points: Array) -> float:

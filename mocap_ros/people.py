@@ -304,7 +304,8 @@ class PredictedPeople(NamedTuple):
     root_covariance: Array  # (N, 3, 3) m^2, covariance of the root, midway between the hips; NaN if unknown
 
 
-class TrackedFrame(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class TrackedFrame:
     """What a tracker returns for a frame."""
 
     stamp_ns: int  # of the frame that is shown; with `tracker.lag`, of an older one than the newest

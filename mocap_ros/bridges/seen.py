@@ -28,7 +28,7 @@ from mocap_ros.skeleton import CORE_COUNT
 RELIABILITY_FADE_S = 1.0  # s; the reliability of a person who has not been seen for so long is a third
 FLESH_M = 0.1  # m; how far a body reaches beyond its joints: half a trunk's depth, a hand beyond its wrist
 
-NO_HEADER = Header(0, '')
+NO_HEADER = Header(0, '')  # ns and frame before the first message
 
 
 @dataclass(frozen=True, eq=False)

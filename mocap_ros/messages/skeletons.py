@@ -143,9 +143,12 @@ def _read_people(rows: Sequence[SimpleNamespace]) -> People:
         skeleton = keypoint_layout(names[0])
     count = len(skeleton.joints)
     for index, row in enumerate(rows):
-        joints, flags = len(row.joints), len(row.inferred)
-        if joints != count or flags not in (0, count):
-            raise InputError(f'people[{index}]: {joints} joints and {flags} flags, {skeleton.name} has {count}')
+        joints, flags, deviations = len(row.joints), len(row.inferred), len(row.joint_std)
+        if joints != count or {flags, deviations} - {0, count}:
+            raise InputError(
+                f'people[{index}]: {joints} joints, {flags} inferred and {deviations} joint_std; {skeleton.name} has '
+                f'{count}'
+            )
 
     def read(field: str, *shape: int) -> Array:
         values = (getattr(row, field) for row in rows)

@@ -181,16 +181,15 @@ def test_the_people_are_those_of_the_node_s_tracker(sequence: mocap_ros.Keypoint
     tracker = make_tracker()
     for frame, (time_s, stamp_ns) in enumerate(zip(sequence.timestamps, sequence.stamps_ns, strict=True)):
         expected = inside.update(stamp_ns, [sequence.person(frame)], sequence.intrinsics(0.75))
-        people = tracker.update(time_s, [sequence.keypoints[frame]])
-        assert isinstance(people, list)
-        assert len(people) == len(expected) == 1
-        np.testing.assert_array_equal(people[0].joints, expected[0].joints)
-        np.testing.assert_array_equal(people[0].std, expected[0].std)
-        assert people[0].id == expected[0].id
-    assert tracker.output_time_s == pytest.approx(sequence.timestamps[-1])
-    assert '40 frames to 1.300 s' in repr(tracker)
-    assert "'person_1'" in repr(people[0])
-    assert len(people[0].joint_names) == len(people[0].joints)
+        found = tracker.update(time_s, [sequence.keypoints[frame]])
+        assert found.people.ids == expected.people.ids == ('person_1',)
+        np.testing.assert_array_equal(found.people.joints, expected.people.joints)
+        np.testing.assert_array_equal(found.people.joint_std, expected.people.joint_std)
+    assert found.time_s == pytest.approx(sequence.timestamps[-1])
+    assert '40 frames' in repr(tracker)
+    (person,) = found.people
+    assert "'person_1'" in repr(person)
+    assert len(person.joint_names) == len(person.joints)
 
 
 def test_a_repeated_time_drops_the_frame(keypoints: np.ndarray) -> None:
@@ -200,7 +199,7 @@ def test_a_repeated_time_drops_the_frame(keypoints: np.ndarray) -> None:
         tracker.update(1.0, [keypoints])
     with pytest.raises(mocap_ros.FrameDropped, match=r'time_s: stamp .* is older'):
         tracker.update(0.9, [keypoints])
-    assert len(tracker.update(1.1, [keypoints])) == 1
+    assert len(tracker.update(1.1, [keypoints]).people) == 1
 
 
 @pytest.mark.parametrize(
@@ -221,7 +220,7 @@ def test_a_wrong_frame_changes_nothing(keypoints: np.ndarray, change: dict[str, 
     tracker = make_tracker()
     with pytest.raises(INPUT, match=f'^{place}'):
         tracker.update(**{'time_s': 0.0, 'people': [keypoints], **change})
-    assert len(tracker.update(0.0, [keypoints])) == 1
+    assert len(tracker.update(0.0, [keypoints]).people) == 1
 
 
 @pytest.mark.parametrize(

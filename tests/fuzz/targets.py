@@ -57,7 +57,7 @@ from mocap_ros.models.model_file import decode_base_poses, decode_lifter, load_b
 from mocap_ros.npz_file import write_npz
 from mocap_ros.recordings.load_keypoints import InputOptions, load_input
 from mocap_ros.skeleton import CMU15, keypoint_layout
-from tests.support.bodies import make_person_3d
+from tests.support.bodies import gather, make_person_3d
 from tests.support.camera_messages import camera_info, encode, encode_ros1_camera_info, make_transforms
 from tests.support.foreign_messages import create_blank_message, make_inputs
 from tests.support.input_files import Z_UP_TO_Y_UP, make_bvh, make_poses
@@ -259,7 +259,7 @@ def make_messages() -> list[bytes]:
     image.data = np.arange(12, dtype=np.uint8)
     Image.new('RGB', (8, 8)).save(jpeg, 'JPEG')
     compressed.format, compressed.data = 'jpeg', np.frombuffer(jpeg.getvalue(), np.uint8)
-    skeletons = encode_skeletons(header, [make_person_3d('a'), make_person_3d('b')])
+    skeletons = encode_skeletons(header, gather([make_person_3d('a'), make_person_3d('b')]))
     bodies = make_inputs(HRI_SKELETON, 0)
     by_type = {
         **{t: make_inputs(t, 0)[0][1] for t in (KEYPOINTS, YOLO_DETECTIONS, ZED_OBJECTS, OPENPOSE_POSES)},

@@ -182,10 +182,11 @@ def test_people_are_the_same_whole_and_live(
         assert np.ptp(steps) < 1, 'the same direction throughout'
     tracker, camera = Tracker(walk_model, Config()), Intrinsics.from_image_size(*SIZE, 0.75)
     for frame, (stamp_ns, seen) in enumerate(zip(stamps, people, strict=True)):
-        live = [p.id for p in tracker.update(stamp_ns, seen, camera) if not p.predicted]
+        tracked = tracker.update(stamp_ns, seen, camera)
+        live = [p.id for p in tracked.people if not p.predicted]
         by_person = {id(t.detection_by_frame.get(frame)): t.id for t in tracks}
         assert live == [by_person[id(p)] for p in seen]
-    assert tracker.list_detector_faults() == [*lines]
+    assert [*tracked.faults] == [*lines]
 
 
 def see_twice(f: int, ids: Sequence[str], rng: np.random.Generator) -> list[Person2D]:
@@ -219,9 +220,9 @@ def test_a_person_who_is_detected_twice_is_one_and_people_who_hug_are_two(
     assert [*lines] == faults
     tracker, camera = Tracker(walk_model, Config()), Intrinsics.from_image_size(*SIZE, 0.75)
     live = [tracker.update(stamp_ns, seen, camera) for stamp_ns, seen in zip(stamps, people, strict=True)]
-    assert len(live[4]) == 2
-    assert [len(shown) for shown in live[25:]] == [count] * (FRAMES - 25)
-    assert tracker.list_detector_faults() == faults
+    assert len(live[4].people) == 2
+    assert [len(frame.people) for frame in live[25:]] == [count] * (FRAMES - 25)
+    assert [*live[-1].faults] == faults
 
 
 ENTER_PROBABILITY, LEAVE_PROBABILITY = np.array([0.0005, 0.003, 0.003]), np.array([0.2, 0.55, 0.55])

@@ -37,7 +37,7 @@ from mocap_ros.messages.versions import compare_versions, make_converter
 from mocap_ros.ros import message_types
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.units import NS_PER_S
-from tests.support.bodies import make_person_3d, make_standing_person
+from tests.support.bodies import gather, make_person_3d, make_standing_person
 from tests.support.camera_messages import (
     camera_info,
     create_header,
@@ -270,12 +270,12 @@ def test_names_that_never_end_fill_no_memory() -> None:
 
 def test_transforms_of_people_are_known_by_their_names() -> None:
     people = [make_standing_person(i) for i in ('anna', 'b/ob')]
-    own = encode_transforms(Header(1, 'camera'), people, 'left_')
+    own = encode_transforms(Header(1, 'camera'), gather(people), 'left_')
     assert is_of_people_only(own, 'left_')
     assert not is_of_people_only(own, '')
-    nobody = encode_transforms(Header(1, 'camera'), [])
+    nobody = encode_transforms(Header(1, 'camera'), gather([]))
     assert is_of_people_only(nobody, 'left_')
-    world = encode_transforms(Header(1, 'camera'), [], 'left_', None, RigidTransform.identity())
+    world = encode_transforms(Header(1, 'camera'), gather([]), 'left_', None, RigidTransform.identity())
     assert is_of_people_only(world, 'left_')
     assert not is_of_people_only(world, '')
     assert not is_of_people_only(nobody[:-1], 'left_')
@@ -289,7 +289,7 @@ def test_transforms_of_people_are_known_by_their_names() -> None:
 def test_frames_of_robots_are_none_of_people_though_their_names_begin_as_those_do(child: str) -> None:
     robot = make_transforms(('base', child, 1, (0, 0, 1)))
     assert not is_of_people_only(robot, '')
-    message = decode(encode_transforms(Header(1, 'camera'), [make_standing_person('anna')]), TRANSFORMS)
+    message = decode(encode_transforms(Header(1, 'camera'), gather([make_standing_person('anna')])), TRANSFORMS)
     message.transforms += decode(robot, TRANSFORMS).transforms
     assert not is_of_people_only(encode(message, TRANSFORMS), '')
 
@@ -322,7 +322,7 @@ def test_skeletons_have_contacts_but_for_those_of_older_bags(tmp_path: Path, con
     assert 'contact' not in dict(older.fielddefs[MOCAP_ROS_MSGS + 'Skeleton3D'][1])
     assert compare_versions(typestore(), older, SKELETONS) == ([MOCAP_ROS_MSGS + 'Skeleton3D.contact'], [])
     person = replace(make_person_3d('anna'), contact=np.array(contact))
-    raw = encode_skeletons(Header(1, 'camera'), [person])
+    raw = encode_skeletons(Header(1, 'camera'), gather([person]))
     for name, store, expected in (('new', typestore(), contact), ('old', older, [np.nan, np.nan])):
         with Rosbag2Writer(tmp_path / name, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
             connection = writer.add_connection('/skeletons', SKELETONS, typestore=store)
@@ -343,7 +343,7 @@ def make_store(box: str, item: str = 'float64 x') -> Typestore:
 def test_markers_of_kilted_become_markers_of_foxy_with_the_same_content() -> None:
     foxy = get_typestore(Stores.ROS2_FOXY)
     people = [make_person_3d('a'), make_person_3d('b')]
-    raw = MarkerEncoder().encode_update(Header(123_000_000_456, 'camera'), people, lifetime_s=0.5)
+    raw = MarkerEncoder().encode_update(Header(123_000_000_456, 'camera'), gather(people), lifetime_s=0.5)
     converted = make_converter(typestore(), foxy, MARKERS)(raw)
     assert len(converted) < len(raw)
     assert len(converted) % CDR_ALIGNMENT_BYTES == 0

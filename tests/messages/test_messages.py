@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from mocap_ros.arrays import copy_with
 from mocap_ros.config import Config, NodeConfig, with_values
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rigid_transform import RigidTransform, parse_camera_pose
@@ -28,17 +29,16 @@ from mocap_ros.messages.skeletons import (
     PREDICTIONS,
     SKELETON_DEFINITION,
     SKELETONS,
-    PredictedFrame,
     encode_cameras,
     encode_predictions,
     encode_skeleton_definition,
     encode_skeletons,
 )
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
-from mocap_ros.people import Motion, MotionKind, Person3D, PredictedPerson
+from mocap_ros.people import Motion, MotionKind, Person3D, PredictedPeople, find_roots
 from mocap_ros.runtime.outputs import SWITCHED_OUTPUTS, OutputEncoder
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton, keypoint_layout
-from tests.support.bodies import STANDING, make_person_3d, make_standing_person
+from tests.support.bodies import STANDING, gather, make_person_3d, make_standing_person
 from tests.support.camera_messages import encode
 
 LIMITS = NodeConfig()
@@ -111,8 +111,8 @@ def test_invalid_keypoints_are_refused_by_field_and_person(case: str) -> None:
 
 def test_skeletons_and_cameras_hold_the_people() -> None:
     people = [make_person_3d('anna'), replace(make_person_3d('bob', 7.0), tentative=True)]
-    skeletons = decode(encode_skeletons(HEADER, people), SKELETONS)
-    cameras = decode(encode_cameras(HEADER, people), CAMERAS)
+    skeletons = decode(encode_skeletons(HEADER, gather(people)), SKELETONS)
+    cameras = decode(encode_cameras(HEADER, gather(people)), CAMERAS)
     assert (skeletons.header.stamp.sec, skeletons.header.stamp.nanosec) == (12, 345678901)
     assert skeletons.header.frame_id == cameras.header.frame_id == 'camera'
     assert cameras.ids == [p.id for p in skeletons.people] == ['anna', 'bob']
@@ -131,8 +131,8 @@ def test_skeletons_and_cameras_hold_the_people() -> None:
 
 
 def test_every_point_names_its_person_and_joint() -> None:
-    anna, bob = make_person_3d('anna'), replace(make_person_3d('bob', 7.0), std=np.linspace(0.1, 0.2, 15))
-    cloud = decode(encode_points(HEADER, [anna, bob]), POINTS)
+    anna, bob = make_person_3d('anna'), replace(make_person_3d('bob', 7.0), joint_std=np.linspace(0.1, 0.2, 15))
+    cloud = decode(encode_points(HEADER, gather([anna, bob])), POINTS)
     read = np.frombuffer(cloud.data.tobytes(), POINT_DTYPE)
     assert (cloud.width, cloud.height, cloud.row_step) == (30, 1, 30 * cloud.point_step)
     dtypes = POINT_DTYPE.fields
@@ -141,10 +141,10 @@ def test_every_point_names_its_person_and_joint() -> None:
     np.testing.assert_array_equal(read['person'], np.repeat([0, 1], 15))
     np.testing.assert_array_equal(read['joint'], np.tile(np.arange(15), 2))
     np.testing.assert_array_equal(read['inferred'], np.concatenate([anna.inferred, bob.inferred]))
-    np.testing.assert_allclose(read['std'], np.concatenate([anna.std, bob.std]), rtol=1e-6)
+    np.testing.assert_allclose(read['std'], np.concatenate([anna.joint_std, bob.joint_std]), rtol=1e-6)
     for axis, name in enumerate('xyz'):
         np.testing.assert_array_equal(read[name], np.concatenate([anna.joints, bob.joints])[:, axis])
-    assert decode(encode_points(HEADER, []), POINTS).width == 0
+    assert decode(encode_points(HEADER, gather([])), POINTS).width == 0
 
 
 def test_skeleton_definition_names_the_joints() -> None:
@@ -164,7 +164,9 @@ def decode_markers(raw: bytes) -> dict[tuple[str, int], Any]:
 
 def test_people_keep_number_and_colour_and_markers_of_others_are_deleted() -> None:
     encoder = MarkerEncoder()
-    first = decode_markers(encoder.encode_update(HEADER, [make_person_3d('anna'), make_person_3d('bob')], 0.5))
+    first = decode_markers(
+        encoder.encode_update(HEADER, gather([make_person_3d('anna'), make_person_3d('bob')]), 0.5)
+    )
     assert {(m.ns, m.type, m.action) for m in first.values()} == {('joints', 7, 0), ('bones', 5, 0)}
     assert first['joints', 0].lifetime.nanosec == 500_000_000
     assert repr(first['joints', 0].color) != repr(first['joints', 1].color)
@@ -172,13 +174,13 @@ def test_people_keep_number_and_colour_and_markers_of_others_are_deleted() -> No
     assert [c.a < 1 for c in joints.colors] == [i == 2 for i in range(15)]
     assert len(bones.points) == len(bones.colors) == 2 * len(CMU15.bones)
 
-    second = decode_markers(encoder.encode_update(HEADER, [make_person_3d('bob')], 0.5))
+    second = decode_markers(encoder.encode_update(HEADER, gather([make_person_3d('bob')]), 0.5))
     assert {key: m.action for key, m in second.items()} == {
         ('joints', 0): 2, ('bones', 0): 2, ('joints', 1): 0, ('bones', 1): 0,
     }  # fmt: skip
     assert repr(second['joints', 1].color) == repr(first['joints', 1].color)
-    assert {m.action for m in decode_markers(encoder.encode_update(HEADER, [], 0.5)).values()} == {2}
-    assert decode_markers(encoder.encode_update(HEADER, [], 0.5)) == {}
+    assert {m.action for m in decode_markers(encoder.encode_update(HEADER, gather([]), 0.5)).values()} == {2}
+    assert decode_markers(encoder.encode_update(HEADER, gather([]), 0.5)) == {}
     assert {m.action for m in decode_markers(encoder.encode_clear(HEADER)).values()} == {3}
 
 
@@ -191,9 +193,9 @@ def test_rclpy_reads_and_writes_the_same_bytes() -> None:
     people = [make_person_3d('anna'), replace(make_person_3d('bob'), tentative=True)]
     outputs = {
         KEYPOINTS: edit_keypoints(lambda _: None),
-        SKELETONS: encode_skeletons(HEADER, people),
-        CAMERAS: encode_cameras(HEADER, people),
-        MARKERS: MarkerEncoder().encode_update(HEADER, people, 0.5),
+        SKELETONS: encode_skeletons(HEADER, gather(people)),
+        CAMERAS: encode_cameras(HEADER, gather(people)),
+        MARKERS: MarkerEncoder().encode_update(HEADER, gather(people), 0.5),
         SKELETON_DEFINITION: encode_skeleton_definition(CMU15),
     }
     for msgtype, raw in outputs.items():
@@ -208,8 +210,10 @@ def xyz(point: Any) -> list[float]:
 def test_predictions_are_put_out_in_the_frame_of_the_outputs() -> None:
     camera = CameraPlacement('camera', parse_camera_pose('0 0 1.5 0 0 1.57', 'test'))
     header, covariance = Header(12_345_678_901, 'map'), np.diag([0.01, 0.04, 0.09])
-    person = PredictedPerson('anna', STANDING + [2.0, 2.0, 0.0], np.full(15, 0.1), covariance)
-    raw = encode_predictions(header, [PredictedFrame(0.2, []), PredictedFrame(0.4, [person])], camera)
+    joints = STANDING + [2.0, 2.0, 0.0]
+    person = PredictedPeople(0.4, ('anna',), joints[None], np.full((1, 15), 0.1), covariance[None])
+    nobody = PredictedPeople(0.2, (), joints[None][:0], np.zeros((0, 15)), covariance[None][:0])
+    raw = encode_predictions(header, [nobody, person], camera)
     message = decode(raw, PREDICTIONS)
     assert (message.header.frame_id, message.skeleton) == ('map', CMU15.name)
     soon, later = message.times
@@ -218,25 +222,25 @@ def test_predictions_are_put_out_in_the_frame_of_the_outputs() -> None:
     (anna,) = later.people
     pose = camera.pose
     assert pose is not None
-    np.testing.assert_allclose([xyz(p) for p in anna.joints], pose.apply(person.joints), atol=1e-12)
-    np.testing.assert_allclose(xyz(anna.root), pose.apply(person.root), atol=1e-12)
+    np.testing.assert_allclose([xyz(p) for p in anna.joints], pose.apply(joints), atol=1e-12)
+    np.testing.assert_allclose(xyz(anna.root), pose.apply(find_roots(joints)), atol=1e-12)
     np.testing.assert_allclose(anna.root_covariance.reshape(3, 3), pose.rotate_covariance(covariance))
     np.testing.assert_allclose(anna.joint_std, 0.1, rtol=1e-6)
     assert anna.id == 'anna'
     driving = camera._replace(before=parse_camera_pose('-0.1 0 1.5 0 0 1.57', 'test'), step_s=0.1)
-    raw = encode_predictions(header, [PredictedFrame(0.4, [person])], driving)
+    raw = encode_predictions(header, [person], driving)
     root = decode(raw, PREDICTIONS).times[0].people[0].root
     np.testing.assert_allclose(np.array(xyz(root)) - xyz(anna.root), [0.4, 0, 0], atol=1e-9)  # at 1 m/s along x
 
 
 def list_transforms(people: list[Person3D], frame: str = 'camera') -> list[Any]:
-    transforms: list[Any] = decode(encode_transforms(Header(1, frame), people), TRANSFORMS).transforms
+    transforms: list[Any] = decode(encode_transforms(Header(1, frame), gather(people)), TRANSFORMS).transforms
     return transforms
 
 
 def test_links_are_at_the_joints_and_turned_as_their_segments() -> None:
     turns = Rotation.random(15, np.random.default_rng(0))
-    person = replace(make_standing_person('anna'), orientation=turns.as_quat())
+    person = replace(make_standing_person('anna'), joint_orientation=turns.as_quat())
     body, *links = list_transforms([person])
     pose, *others = (read_transform(t.transform) for t in (body, *links))
     np.testing.assert_allclose(pose.translation, person.root, atol=1e-12)
@@ -260,7 +264,7 @@ def read_transform(transform: Any) -> RigidTransform:
 
 def test_people_without_scale_or_extent_and_images_without_frame_have_no_transforms() -> None:
     person = make_standing_person('anna')
-    assert list_transforms([replace(person, scale_known=False)]) == []
+    assert list_transforms([replace(person, is_scale_known=False)]) == []
     assert list_transforms([replace(person, joints=np.zeros((15, 3)))]) == []
     assert list_transforms([person], frame='') == []
     assert len(list_transforms([person])) == 15
@@ -278,23 +282,24 @@ def make_person(draw: st.DrawFn, skeleton: Skeleton) -> Person3D:
     return Person3D(
         id=draw(TEXTS),
         joints=joints + rng.normal(scale=0.1, size=(count, 3)) + [0, 0, 5],
-        std=rng.uniform(0.01, 0.1, count) * draw(st.sampled_from([1.0, np.nan])),
+        joint_std=rng.uniform(0.01, 0.1, count) * draw(st.sampled_from([1.0, np.nan])),
         inferred=rng.random(count) < draw(st.sampled_from([0.0, 0.3, 1.0])),
         scale=rng.uniform(100, 300),
         rotation=Rotation.from_rotvec(rng.normal(size=3)).as_matrix(),
         translation=rng.normal(size=2),
         motion=Motion(draw(st.sampled_from(MotionKind)), draw(TEXTS), 0.1, float('nan')),
-        residual=rng.uniform(0, 9),
-        scale_known=draw(st.booleans()),
+        reprojection_residual=rng.uniform(0, 9),
+        is_scale_known=True,
+        tentative=draw(st.booleans()),
         predicted=draw(st.booleans()),
-        velocity=rng.normal(size=(count, 3)),
-        velocity_std=rng.uniform(0.1, 1, count),
+        joint_velocity=rng.normal(size=(count, 3)),
+        joint_velocity_std=rng.uniform(0.1, 1, count),
         root_covariance=rng.normal(size=(3, 3)),
         root_velocity_covariance=rng.normal(size=(3, 3)),
         age=rng.uniform(0, 9),
         unseen_for=rng.uniform(0, 1),
         skeleton=skeleton,
-        orientation=Rotation.random(count, rng).as_quat(),
+        joint_orientation=Rotation.random(count, rng).as_quat(),
         turn_inferred=rng.random(count) < 0.5,
         contact=rng.random(2) * draw(st.sampled_from([1.0, np.nan])),
     )
@@ -309,14 +314,14 @@ def make_people(draw: st.DrawFn) -> list[Person3D]:
 
 @given(header=HEADERS, people=make_people(), later_ns=st.integers(0, 2**31 * 10**9 - 1))
 def test_all_outputs_are_as_the_library_writes_them(header: Header, people: list[Person3D], later_ns: int) -> None:
-    people = [replace(p, orientation=p.orientation * np.nan) if n else p for n, p in enumerate(people)]
+    people = [replace(p, joint_orientation=p.joint_orientation * np.nan) if n else p for n, p in enumerate(people)]
     node = with_values(Config(), {f'node.{field}': True for field in SWITCHED_OUTPUTS}).node
-    ahead = [PredictedPerson(p.id, p.joints[:15], p.std[:15], p.root_covariance) for p in people]
-    encoder = OutputEncoder()
+    is_scale_known, encoder = header.stamp_ns % 2 == 0, OutputEncoder()
     for stamp_ns, shown in ((header.stamp_ns, people), (later_ns, people), (later_ns, people[1:])):
-        frames = [PredictedFrame(0.2, ahead[: len(shown)]), PredictedFrame(0.5, [])]
-        known = frames if shown == people else []
-        for message in encoder.encode(header._replace(stamp_ns=stamp_ns), shown, node, predicted=known):
+        now = copy_with(gather(shown), is_scale_known=is_scale_known)
+        ahead = PredictedPeople(0.2, now.ids, now.core, now.joint_std[:, :15], now.root_covariance)
+        known = [ahead] if shown == people else []
+        for message in encoder.encode(header._replace(stamp_ns=stamp_ns), now, node, predicted=known):
             decoded = decode(message.data, message.type)
             assert encode(decoded, message.type) == message.data, message.topic
             check_plain(decode_plain(message.data, message.type), decoded)

@@ -599,7 +599,7 @@ def test_people_wait_for_the_first_calibration_unless_a_focal_length_is_given(
     assert all(result.verdict is Verdict.ACCEPTED for result in results)
     assert sum(bool(result.outputs) for result in results) == published
     assert any('CameraInfo came late' in result.reason for result in results) == is_restarted
-    assert len({person.scale_known for person in pipeline.people}) == (published > 0)
+    assert len({person.is_scale_known for person in pipeline.people}) == (published > 0)
 
 
 @pytest.mark.parametrize(
@@ -644,7 +644,7 @@ def read_message(keypoints: Array, stated: tuple[int, int] = SIZE, camera: tuple
 
 
 def read_array(keypoints: Array) -> Array:
-    (person,) = mocap_ros.Tracker('coco17', image_size=SIZE).update(0.0, keypoints[:1])
+    (person,) = mocap_ros.Tracker('coco17', image_size=SIZE).update(0.0, keypoints[:1]).people
     seen = dict(zip(person.joint_names, ~person.inferred, strict=True))
     return np.array([seen[joint] for joint in COCO17], float)
 

@@ -41,14 +41,14 @@ from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import BODY26, CMU15
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.scene import Scene, project_joints
-from tests.support.bodies import make_person_3d
+from tests.support.bodies import gather, make_person_3d
 from tests.support.camera_messages import encode
 from tests.support.input_files import FRAMES, Z_UP_TO_Y_UP, make_walker
 from tests.support.pipeline_inputs import FAST_CONFIG
 
 
 def make_person(name: str, height: float) -> Person3D:
-    return replace(make_person_3d(name), joints=np.full((15, 3), height), residual=height / 10)
+    return replace(make_person_3d(name), joints=np.full((15, 3), height), reprojection_residual=height / 10)
 
 
 def test_a_result_file_and_a_bag_hold_the_same(results: Path) -> None:
@@ -74,7 +74,9 @@ def test_the_person_with_most_skeletons_is_read_from_a_bag(tmp_path: Path) -> No
     with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
         for frame, people in enumerate(([b[0]], [a, b[1]], [], [b[2]])):
             stamp = 10**9 * (frame + 1) + 1
-            recorder.write('/skeletons', SKELETONS, encode_skeletons(Header(stamp, 'c'), people), stamp, stamp)
+            recorder.write(
+                '/skeletons', SKELETONS, encode_skeletons(Header(stamp, 'c'), gather(people)), stamp, stamp
+            )
     result = load_result(tmp_path / 'bag')
     assert result.id == 'b'
     assert result.times == pytest.approx([1, 2, 3, 4])
@@ -93,14 +95,14 @@ def test_the_person_with_most_skeletons_is_read_from_a_bag(tmp_path: Path) -> No
     ('name', 'joint_count', 'flag_count', 'message'),
     [
         ('body26', 26, 0, 'skeletons of several layouts: body26, cmu15'),
-        ('cmu15', 14, 0, r'people\[0\]: 14 joints and 0 flags, cmu15 has 15'),
-        ('cmu15', 15, 14, r'people\[0\]: 15 joints and 14 flags, cmu15 has 15'),
+        ('cmu15', 14, 0, r'people\[0\]: 14 joints, 0 inferred and 15 joint_std'),
+        ('cmu15', 15, 14, r'people\[0\]: 15 joints, 14 inferred and 15 joint_std'),
     ],
 )
 def test_skeletons_that_do_not_fit_together_are_refused(
     tmp_path: Path, name: str, joint_count: int, flag_count: int, message: str
 ) -> None:
-    arrays = [decode(encode_skeletons(Header(i, 'c'), [make_person('a', 1.0)]), SKELETONS) for i in (1, 2)]
+    arrays = [decode(encode_skeletons(Header(i, 'c'), gather([make_person('a', 1.0)])), SKELETONS) for i in (1, 2)]
     (skeleton,) = arrays[1].people
     skeleton.skeleton, skeleton.joints = name, (skeleton.joints * 2)[:joint_count]
     skeleton.inferred = np.zeros(flag_count, bool)
@@ -445,8 +447,8 @@ def appear(name: str, motion: Motion = WALK, residual: float = 2.0, is_predicted
 def test_times_motions_cadence_and_residual_are_added_up() -> None:
     log = AppearanceLog(absence_s=5, gap_s=4)
     for second, motion in enumerate([STRANGE, WALK, WALK, OTHER]):
-        log.add(second * NS_PER_S, [appear('ann', motion, residual=1.0 + second)])
-    log.add(4 * NS_PER_S, [appear('ann', OTHER, NAN, is_predicted=True)])
+        log.add(second * NS_PER_S, gather([appear('ann', motion, residual=1.0 + second)]))
+    log.add(4 * NS_PER_S, gather([appear('ann', OTHER, NAN, is_predicted=True)]))
     (ann,) = log.list_all()
     assert (ann.person, ann.from_ns, ann.to_ns) == ('ann', 0, 4 * NS_PER_S)
     assert ann.seconds == {'unknown': 0.0, 'periodic': 2.0, 'non_periodic': 2.0}
@@ -456,8 +458,8 @@ def test_times_motions_cadence_and_residual_are_added_up() -> None:
 def test_who_was_away_for_long_appears_anew() -> None:
     log = AppearanceLog(absence_s=5, gap_s=4)
     for second in (0, 4, 10, 11):
-        log.add(second * NS_PER_S, [appear('ann'), replace(appear('ghost'), tentative=True)])
-    log.add(12 * NS_PER_S, [appear('ben', STRANGE, NAN)])
+        log.add(second * NS_PER_S, gather([appear('ann'), replace(appear('ghost'), tentative=True)]))
+    log.add(12 * NS_PER_S, gather([appear('ben', STRANGE, NAN)]))
     assert log.list_all()[0].seconds['periodic'] == 4.0, 'the time away is no motion'
     spans = [(a.person, a.from_ns // NS_PER_S, a.to_ns // NS_PER_S) for a in log.list_all()]
     assert spans == [('ann', 0, 4), ('ann', 10, 11), ('ben', 12, 12)]

@@ -32,7 +32,7 @@ from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.ros.throttled_log import MAX_KINDS, MAX_REASONS, ThrottledLog
 from mocap_ros.runtime.outputs import OUTPUTS, SWITCHED_OUTPUTS
 from mocap_ros.runtime.pipeline import Pipeline
-from tests.support.bodies import make_person_3d
+from tests.support.bodies import gather, make_person_3d
 from tests.support.camera_messages import camera_info, encode, make_transforms
 from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import FAST_CONFIG, LineLog, encode_demo_frames, process, with_stamp
@@ -150,7 +150,9 @@ def test_foxglove_shows_fields_of_outputs_of_the_node() -> None:
     assert {topic.removeprefix('/') for topic in panels['3D!people']['topics']} <= OUTPUTS.keys()
     assert panels['DiagnosticSummary!node']['topicToRender'] == '/diagnostics'
     paths = [p['value'] for p in panels['Plot!residual']['paths']]
-    skeletons = decode(encode_skeletons(Header(1, 'camera'), [make_person_3d('anna')]), OUTPUTS['skeletons'])
+    skeletons = decode(
+        encode_skeletons(Header(1, 'camera'), gather([make_person_3d('anna')])), OUTPUTS['skeletons']
+    )
     for path in (*paths, panels['RawMessages!skeletons']['topicPath']):
         field = re.fullmatch(r'/skeletons\.people\[:\]\.(\w+)', path)
         assert field, path
@@ -336,7 +338,7 @@ def test_the_values_are_those_of_the_run() -> None:
         'input rate (Hz)': 50.5,  # 101 messages in the last 2 s
         'solve time p50 (ms)': 50.5,
         'solve time p99 (ms)': 99.0,
-        'residual (px)': run.pipeline.people[0].residual,
+        'residual (px)': run.pipeline.people[0].reprojection_residual,
         'age of newest frame (s)': 0.6,
     }
     assert found == pytest.approx(expected, abs=0.1, nan_ok=True)

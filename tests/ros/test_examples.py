@@ -37,7 +37,7 @@ from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.runtime.replay import replay
 from mocap_ros.skeleton import keypoint_layout
 from tests.support import foreign_packages
-from tests.support.bodies import STANDING, make_person_3d
+from tests.support.bodies import STANDING, gather, make_person_3d
 from tests.support.camera_messages import camera_info, encode
 from tests.support.paths import ROOT, load_module
 from tests.support.pipeline_inputs import read_messages
@@ -57,7 +57,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 def make_skeletons(ahead_m: float, left_m: float = 0.0, speed_m_s: float = 0.0, **fields: Any) -> bytes:
     """Return skeletons of a person who stands or moves ahead of the robot, along its x axis."""
-    message = decode(encode_skeletons(Header(10**9, 'base_link'), [make_person_3d('anna')]), SKELETONS)
+    message = decode(encode_skeletons(Header(10**9, 'base_link'), gather([make_person_3d('anna')])), SKELETONS)
     message.camera_frame_id = fields.pop('camera_frame_id', 'camera')
     (person,) = message.people
     vars(person).update({'tentative': False, 'unseen_for': 0.0, 'root_covariance': np.zeros(9), **fields})
@@ -185,7 +185,7 @@ def test_the_page_gets_the_newest_people_with_their_keypoints(start: StartProgra
         header = Header(second * 10**9, 'camera')
         keypoints.publish(encode_keypoints(header, (640, 480), [person]))
         time.sleep(0.05)
-        skeletons.publish(encode_skeletons(header, [make_person_3d('ann'), make_person_3d('bob', 1.0)]))
+        skeletons.publish(encode_skeletons(header, gather([make_person_3d('ann'), make_person_3d('bob', 1.0)])))
         connection.request('GET', '/frame?after=0')
         content = connection.getresponse().read()
         frame = json.loads(content) if content else {}
@@ -280,7 +280,7 @@ def test_what_cannot_be_published_is_logged_and_the_others_go_on(peer: Peer, sta
     peer.wait_until(lambda: peer.node.count_subscribers('/skeletons') == 2)
     wait_until_discovered(peer.node, peer.executor, 'mocap_bridge')
     skeletons.publish(b'no message')
-    skeletons.publish(encode_skeletons(Header(1, 'camera'), [make_person_3d('anna')]))
+    skeletons.publish(encode_skeletons(Header(1, 'camera'), gather([make_person_3d('anna')])))
     peer.wait_until(lambda: poses)
     missing, invalid = stop_node(bridge)
     assert 'people_msgs/msg/People' in missing
@@ -299,7 +299,7 @@ def test_bodies_of_ros4hri_have_topics_of_their_own(env: dict[str, str], peer: P
 
     def publish_until(people: list[Any], condition: Callable[[], object]) -> None:
         def is_reached() -> object:
-            skeletons.publish(encode_skeletons(Header(1, 'camera'), people))
+            skeletons.publish(encode_skeletons(Header(1, 'camera'), gather(people)))
             return condition()
 
         peer.wait_until(is_reached)

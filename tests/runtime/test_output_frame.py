@@ -32,7 +32,7 @@ from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.floor import ANKLE_M
 from mocap_ros.units import NS_PER_S
-from tests.support.bodies import make_person_3d
+from tests.support.bodies import gather, make_person_3d
 from tests.support.camera_messages import camera_info, make_transforms
 from tests.support.pipeline_inputs import (
     FAST_CONFIG,
@@ -380,10 +380,14 @@ def test_the_world_rests_on_the_floor(
     upward = np.array([0.0, 0.0, 1.0])
 
     def find_floor(frames: int, begin_s: float, heights: tuple[float, ...]) -> float:
-        people: list[Any] = [
-            replace(make_person_3d(str(i)), joints=UPRIGHT + [0, 0, h], contact=np.ones(2), scale_known=True)
-            for i, h in enumerate(heights)
-        ]
+        people = gather(
+            [
+                replace(
+                    make_person_3d(str(i)), joints=UPRIGHT + [0, 0, h], contact=np.ones(2), is_scale_known=True
+                )
+                for i, h in enumerate(heights)
+            ]
+        )
         for frame in range(frames):
             stamp_ns = START_NS + round((begin_s + frame / 30) * NS_PER_S)
             found = world.advance(stamp_ns, people, CameraVertical(upward, 0.05), camera, None)

@@ -4,15 +4,17 @@
 """Bodies and people in 3D: one that stands and swings all its limbs, people as the tracker returns them, and one
 that stands upright with hanging arms, as its segments' axes are defined by it; angles of directions."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mocap_ros.offline.keyframes.motion import assemble_poses, compute_limb_directions
-from mocap_ros.people import Motion, MotionKind, Person3D
-from mocap_ros.skeleton import CMU15
+from mocap_ros.people import Motion, MotionKind, People, Person3D
+from mocap_ros.skeleton import CMU15, Skeleton
 
 # m, a standing pose (15, 3) of `CMU15` in the camera's optical frame: x right, y down, z away
 STANDING = np.array(
@@ -38,20 +40,29 @@ def make_swinging_body(frames: int, fps: float = 30.0) -> tuple[np.ndarray, np.n
 
 
 def make_person_3d(person_id: str, x: float = 0.0) -> Person3D:
-    joints = np.arange(45.0).reshape(15, 3) + x
-    return Person3D(
-        id=person_id,
-        joints=joints,
-        std=np.full(15, np.nan),
-        inferred=np.arange(15) == 2,
-        scale=120.0,
-        rotation=Rotation.from_euler('zx', [30, 80], degrees=True).as_matrix(),
-        translation=np.array([320.0, 240.0]),
-        motion=Motion(MotionKind.UNKNOWN, 'all', 0.1, float('nan')),
-        residual=2.5,
-        scale_known=True,
-        predicted=False,
-    )
+    return People(
+        ids=(person_id,),
+        skeleton=CMU15,
+        joints=np.arange(45.0).reshape(1, 15, 3) + x,
+        inferred=np.arange(15)[None] == 2,
+        scale=np.array([120.0]),
+        rotation=Rotation.from_euler('zx', [30, 80], degrees=True).as_matrix()[None],
+        translation=np.array([[320.0, 240.0]]),
+        motion=(Motion(MotionKind.UNKNOWN, 'all', 0.1, float('nan')),),
+        reprojection_residual=np.array([2.5]),
+        is_scale_known=True,
+    )[0]
+
+
+def gather(people: Sequence[Person3D], skeleton: Skeleton = CMU15) -> People:
+    """Return people of one frame, who all have the same skeleton, as columns."""
+    if not people:
+        return People.none(skeleton)
+    first, rows = people[0], [vars(person) for person in people]
+    columns: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    ids, motion = tuple(columns.pop('id')), tuple(person.motion for person in people)
+    fixed: dict[str, Any] = {'skeleton': first.skeleton, 'is_scale_known': first.is_scale_known, 'motion': motion}
+    return People(ids=ids, **{**columns, **fixed})
 
 
 def make_standing_person(person_id: str) -> Person3D:

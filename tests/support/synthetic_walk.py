@@ -111,7 +111,7 @@ def change(track: Track, **values: Any) -> Track:
 
 def feed(tracker: Tracker, points: Array, start_ns: int = 0, camera: Intrinsics = CAMERA) -> list[Person3D]:
     """Track one person at points (F, J, 2) px; return the person of each frame."""
-    return [tracker.update(start_ns + f * STEP_NS, [see(p)], camera)[0] for f, p in enumerate(points)]
+    return [tracker.update(start_ns + f * STEP_NS, [see(p)], camera).people[0] for f, p in enumerate(points)]
 
 
 def track_walk(models: Mapping[str, BasePoses], config: Config, points: Array) -> Tracker:

@@ -94,7 +94,7 @@ def test_the_tracker_finds_back_to_the_right_solution(walk_model: BasePoses, wal
     track.solution = replace(track.solved, rotation=half_turn, theta=np.zeros_like(track.solved.theta))
     restarts, errors, truth = [], [], walk.poses(walk_model)
     for frame in range(FRAMES, FRAMES + 35):
-        (person,) = injected.update(frame * STEP_NS, [see(walk.points[frame])], CAMERA)
+        (person,) = injected.update(frame * STEP_NS, [see(walk.points[frame])], CAMERA).people
         restarts.append(track.schedule.pending_restarts)
         errors.append(mpjpe_mm(person.core[None], truth[[frame]]))
     assert max(restarts) > 0, 'the rise of the image noise was noticed'

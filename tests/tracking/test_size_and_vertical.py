@@ -23,12 +23,12 @@ from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
-from mocap_ros.people import CameraVertical, Person3D, PoseSequence
+from mocap_ros.people import CameraVertical, Person3D, PoseSequence, find_roots
 from mocap_ros.solvers.vertical import MAX_STD_DEG
 from mocap_ros.tracking.body_size import ANKLE_SHARE, ANKLES, BodySize, FloorContact, assume_size
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.verdict.vertical_check import LEAST_S, VerticalCheck
-from tests.support.bodies import STANDING, UPRIGHT, angles_deg, make_person_3d
+from tests.support.bodies import STANDING, UPRIGHT, angles_deg, gather, make_person_3d
 from tests.support.synthetic_walk import STEP_NS, make_sequence, make_walk, see
 
 HEIGHT_M = 1.7
@@ -50,9 +50,9 @@ def make_standing(ratio: float, distance: float = 4.0, lift: float = 0.0) -> Per
     return replace(
         make_person_3d('anna'),
         joints=joints,
-        std=np.full(15, 0.03),
-        velocity=np.zeros((15, 3)),
-        velocity_std=np.full(15, 0.3),
+        joint_std=np.full(15, 0.03),
+        joint_velocity=np.zeros((15, 3)),
+        joint_velocity_std=np.full(15, 0.3),
         root_velocity_covariance=np.eye(3),
     )
 
@@ -61,7 +61,7 @@ def advance(
     before: FloorContact | None, stamp_ns: int, person: Person3D, floor: Floor = LEVEL
 ) -> FloorContact | None:
     seen = np.where(person.inferred, 0.0, 1.0)
-    return FloorContact.advance(before, stamp_ns, person.joints, person.velocity, seen, floor, HEIGHT_M)
+    return FloorContact.advance(before, stamp_ns, person.joints, person.joint_velocity, seen, floor, HEIGHT_M)
 
 
 def contact_after(frames: int, person: Person3D, floor: Floor = LEVEL) -> FloorContact | None:
@@ -102,8 +102,10 @@ def test_the_longer_and_the_nearer_the_more_certain() -> None:
     'person',
     [
         make_standing(1.0, lift=0.5),  # on a step, a body would have to be 2.5 m tall
-        replace(make_standing(1.1), velocity=np.tile([0.0, -1.0, 0.0], (15, 1))),  # jumps
-        replace(make_standing(1.1), velocity=np.full((15, 3), np.nan)),  # not known whether the foot is still
+        replace(make_standing(1.1), joint_velocity=np.tile([0.0, -1.0, 0.0], (15, 1))),  # jumps
+        replace(
+            make_standing(1.1), joint_velocity=np.full((15, 3), np.nan)
+        ),  # not known whether the foot is still
         replace(make_standing(1.1), joints=make_standing(1.1).joints - [0, 3, 0]),  # above the camera
         replace(make_standing(1.1), inferred=np.ones(15, bool)),
     ],
@@ -131,11 +133,11 @@ def test_the_tracker_finds_people_of_their_own_size(walk_model: BasePoses, heigh
     for name, tracker, known in cases:
         tracker.reset()
         for frame, image in enumerate(CAMERA.project(joints)):
-            (person,) = tracker.update(frame * STEP_NS, [see(image)], CAMERA, known)
+            (person,) = tracker.update(frame * STEP_NS, [see(image)], CAMERA, known).people
         distances[name] = abs(np.log(person.root[2] / (joints[-1, 9, 2] + joints[-1, 12, 2]) * 2))
-        ((ahead,),) = tracker.predict((0.001,))
-        np.testing.assert_allclose(ahead.joints, person.core, atol=0.02)
-        (gap,) = tracker.update(59 * STEP_NS + 1_000_000, [], CAMERA, known)
+        (ahead,) = tracker.predict((0.001,))
+        np.testing.assert_allclose(ahead.joints[0], person.core, atol=0.02)
+        (gap,) = tracker.update(59 * STEP_NS + 1_000_000, [], CAMERA, known).people
         np.testing.assert_allclose(gap.joints, person.joints, atol=0.02)
     assert max(distances['floor'], distances['parameters']) < 0.6 * distances['nothing']
     assert tracker.vertical is None or math.degrees(tracker.vertical.std) > 1, 'that of the floor is forgotten'
@@ -160,12 +162,19 @@ def test_a_known_height_counts_from_when_the_detector_names_the_person() -> None
         tracker = Tracker(load_base_pose_models('all'), with_settings(Config(), {'tracker.body_heights': text}))
         for frame, name in enumerate(('', '', 'ann', '', 'ann_again')):
             seen = [sequence.person(frame, name)]
-            found.extend(tracker.update(frame * STEP_NS, seen, sequence.intrinsics(1.0)))
-            ((ahead,),) = tracker.predict((0.0,)) if frame > 1 else ((found[-1],),)
-            np.testing.assert_allclose(ahead.root, found[-1].root, atol=1e-6)
+            found.extend(tracker.update(frame * STEP_NS, seen, sequence.intrinsics(1.0)).people)
+            if frame > 1:
+                (ahead,) = tracker.predict((0.0,))
+                np.testing.assert_allclose(find_roots(ahead.joints[0]), found[-1].root, atol=1e-6)
     for before, after, ratio in zip(*people, (1, 1, 0.8, 0.8, 1), strict=True):
         assert (before.id, after.id) == ('person_1', 'person_1'), 'the name of a person is stable'
-        for name, power in (('joints', 1), ('std', 1), ('velocity', 1), ('velocity_std', 1), ('scale', -1)):
+        for name, power in (
+            ('joints', 1),
+            ('joint_std', 1),
+            ('joint_velocity', 1),
+            ('joint_velocity_std', 1),
+            ('scale', -1),
+        ):
             np.testing.assert_allclose(getattr(after, name), ratio**power * getattr(before, name), rtol=1e-6)
         covariance = ratio**2 * before.root_velocity_covariance
         np.testing.assert_allclose(after.root_velocity_covariance, covariance, rtol=1e-6)
@@ -196,7 +205,7 @@ def feed_demo(
 ) -> list[np.ndarray]:
     """Return the joints of one person in some frames of the demo."""
     given = [(sequence.stamps_ns[frame], [sequence.person(frame, 'ann')], camera) for frame in range(first, last)]
-    return [tracker.update(*frame)[-1].joints for frame in given]
+    return [tracker.update(*frame).people[-1].joints for frame in given]
 
 
 def reconstruct(vertical: str, frames: int = FRAMES, sequence: KeypointSequence = SEQUENCE) -> PoseSequence:
@@ -281,7 +290,7 @@ def make_leaning(angle_deg: float) -> Person3D:
 def advance_check(check: VerticalCheck, people: list[Person3D], seconds: float, first: int = 0) -> float | None:
     found = None
     for frame in range(first, first + round(seconds * 10)):
-        found = check.advance(frame * CHECK_STEP_NS, people, UP)
+        found = check.advance(frame * CHECK_STEP_NS, gather(people), UP)
     return found
 
 
@@ -307,7 +316,7 @@ def test_it_takes_a_while_and_who_stands_among_people_who_lie_confirms_it() -> N
 
 
 def test_it_holds_at_any_rate_and_begins_anew_with_the_stamps() -> None:
-    lying = [make_leaning(180)]
+    lying = gather([make_leaning(180)])
     for hz in (1, 2, 5, 200):
         check = VerticalCheck()
         assert [check.advance(i * 10**9 // hz, lying, UP) for i in range(10 * hz)][-1] is not None

@@ -19,7 +19,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.identities import TENTATIVE_FORGET_S
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.people import Person3D
+from mocap_ros.people import People, TrackedFrame
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.tracking.track import find_delayed_frame, find_oldest_needed_ns
 from mocap_ros.tracking.tracker import Tracker
@@ -52,7 +52,7 @@ def tracker(walk_model: BasePoses) -> Tracker:
     return make_tracker(walk_model)
 
 
-def describe(people: tuple[Person3D, ...]) -> list[tuple[str, str]]:
+def describe(people: People) -> list[tuple[str, str]]:
     return [(p.id, 'tentative' if p.tentative else 'predicted' if p.predicted else 'seen') for p in people]
 
 
@@ -71,18 +71,18 @@ def test_a_walk_is_reconstructed(walk_model: BasePoses, walk: Walk, tracker: Tra
 @pytest.mark.parametrize('lag', [0.0, 0.2])
 @pytest.mark.parametrize('event', ['reset', 'jump back', 'absence'])
 def test_a_tracker_begins_anew(walk_model: BasePoses, points: Array, event: str, lag: float) -> None:
-    def update(tracker: Tracker, stamp_ns: int, frame: int) -> list[dict[str, object]]:
+    def update(tracker: Tracker, stamp_ns: int, frame: int) -> TrackedFrame:
         seen = [see(points[frame]), see(points[frame] + APART), see(np.full((15, 2), 100.0))]  # a dot is no person
-        return [vars(person) for person in tracker.update(stamp_ns, seen, CAMERA)]
+        return tracker.update(stamp_ns, seen, CAMERA)
 
     values = {'lag': lag, 'restart_after': 0.25, 'forget_all_after': 3.0}
     used, new = make_tracker(walk_model, **values), make_tracker(walk_model, **values)
     for frame in range(20):
-        update(used, 10 * S + frame * STEP_NS, frame + 10)
+        assert update(used, 10 * S + frame * STEP_NS, frame + 10).unusable == 1
     newest, jump_s = 10 * S + 19 * STEP_NS, 0.0
     if event == 'reset':
         used.reset()
-        assert (used.tracks, used.unusable_people, used.predict((0.1,))) == ([], 20, [[]])
+        assert (used.tracks, [then.ids for then in used.predict((0.1,))]) == ([], [()])
         begin = 0
     elif event == 'jump back':
         with pytest.raises(FrameDropped, match='older'):
@@ -93,39 +93,39 @@ def test_a_tracker_begins_anew(walk_model: BasePoses, points: Array, event: str,
     else:
         begin = newest + 4 * S
         for stamp_ns in range(newest + STEP_NS, begin, STEP_NS):
-            assert used.update(stamp_ns, [], CAMERA) == () or stamp_ns < newest + S + STEP_NS
+            assert not len(used.update(stamp_ns, [], CAMERA).people) or stamp_ns < newest + S + STEP_NS
         new.update(stamp_ns, [], CAMERA)
         with pytest.raises(FrameDropped):
             used.update(stamp_ns - STEP_NS, [], CAMERA)
     for frame in range(20):
         found, expected = (update(tracker, begin + frame * STEP_NS, frame) for tracker in (used, new))
-        np.testing.assert_equal(found, expected)
-        assert used.backward_jump_s == pytest.approx(0 if frame else jump_s)
-    assert {person['id'] for person in found} == {'person_1', 'person_2'}
+        np.testing.assert_equal(vars(found.people), vars(expected.people))
+        assert found.backward_jump_s == pytest.approx(0 if frame else jump_s)
+    assert {*found.people.ids} == {'person_1', 'person_2'}
 
 
 def test_lost_people_are_predicted_and_later_forgotten(walk_model: BasePoses, points: Array) -> None:
     tracker = make_tracker(walk_model, predict_for=0.2)
-    assert tracker.update(0, [], CAMERA) == ()
+    assert not len(tracker.update(0, [], CAMERA).people)
     last = feed(tracker, points[:12] + 3.0 * np.arange(12)[:, None, None] * [1, 0], STEP_NS)[-1]
-    (gone,) = tracker.update(14 * STEP_NS, [], CAMERA)
+    (gone,) = tracker.update(14 * STEP_NS, [], CAMERA).people
     assert (gone.id, gone.predicted, last.predicted) == ('person_1', True, False)
     assert gone.inferred.all()
     few = see(points[12], score=np.arange(15) < 3)
-    assert tracker.update(15 * STEP_NS, [few], CAMERA)[0].predicted
-    assert tracker.update(12 * STEP_NS + S // 5, [], CAMERA)[0].predicted
-    assert tracker.update(12 * STEP_NS + S // 5 + 1, [], CAMERA) == ()
-    back = tracker.update(41 * STEP_NS, [see(points[13] + [36.0, 0])], CAMERA)
+    assert tracker.update(15 * STEP_NS, [few], CAMERA).people[0].predicted
+    assert tracker.update(12 * STEP_NS + S // 5, [], CAMERA).people[0].predicted
+    assert not len(tracker.update(12 * STEP_NS + S // 5 + 1, [], CAMERA).people)
+    back = tracker.update(41 * STEP_NS, [see(points[13] + [36.0, 0])], CAMERA).people
     assert describe(back) == [('person_1', 'seen')]
     tracker.update(100 * STEP_NS, [], CAMERA)
-    assert tracker.update(200 * STEP_NS, [see(points[2] + [900.0, 0])], CAMERA)[0].id == 'person_2'
+    assert tracker.update(200 * STEP_NS, [see(points[2] + [900.0, 0])], CAMERA).people[0].id == 'person_2'
 
 
 def test_outputs_belong_to_the_caller_and_deferred_work_keeps_them(walk_model: BasePoses, points: Array) -> None:
     lazy, eager = make_tracker(walk_model), make_tracker(walk_model)
     for frame in range(30):
         seen = [see(points[frame])]
-        (expected,), (found,) = (tracker.update(frame * STEP_NS, seen, CAMERA) for tracker in (lazy, eager))
+        expected, found = (tracker.update(frame * STEP_NS, seen, CAMERA).people for tracker in (lazy, eager))
         for field in fields(found):
             value, before = getattr(found, field.name), getattr(expected, field.name)
             if isinstance(value, np.ndarray):
@@ -138,9 +138,15 @@ def test_swapped_frames_are_undone_and_counted(walk_model: BasePoses, points: Ar
     plain, disturbed = make_tracker(walk_model), make_tracker(walk_model)
     swapped = points[:40].copy()
     swapped[[20, 21, 30]] = swapped[[20, 21, 30]][:, MIRROR]
-    for one, other in zip(feed(plain, points[:40]), feed(disturbed, swapped), strict=True):
-        np.testing.assert_array_equal(one.joints, other.joints)
-    assert (plain.swapped_frames, disturbed.swapped_frames) == (0, 3)
+    counts = [0, 0]
+    for frame, shown in enumerate(zip(points[:40], swapped, strict=True)):
+        one, other = (
+            tracker.update(frame * STEP_NS, [see(own)], CAMERA)
+            for tracker, own in zip((plain, disturbed), shown, strict=True)
+        )
+        np.testing.assert_array_equal(one.people.joints, other.people.joints)
+        counts = [counts[0] + one.swapped, counts[1] + other.swapped]
+    assert counts == [0, 3]
 
 
 @pytest.mark.parametrize(('lag', 'window', 'delay'), [(0.09, 2, 3), (0.22, 0.2, 7), (0.5, 2, 15), (2.0, 2, 60)])
@@ -155,8 +161,8 @@ def test_with_a_lag_every_visit_is_output_once_in_order_to_its_end(
         given.append(int(STEP_NS * (frame + 1) + jitter_ns[frame]))
         is_there = 5 <= frame < 25 or 30 <= frame < 60
         out = tracker.update(given[-1], [see(points[frame % 40])] if is_there else [], CAMERA)
-        stamps_ns.append(tracker.output_stamp_ns)
-        if out:
+        stamps_ns.append(out.stamp_ns)
+        if len(out.people):
             shown[given.index(stamps_ns[-1])] = frame
     assert stamps_ns == sorted(stamps_ns)
     assert list(shown) == [*range(5, 25), *range(30, 60)]
@@ -202,7 +208,7 @@ def test_hidden_joints_are_inferred_and_flagged(tracker: Tracker, points: Array)
     hidden = np.isin(np.arange(15), [3, 4])
     for frame, image in enumerate(points[:10]):
         seen = see(np.where(hidden[:, None], np.nan, image), score=~hidden)
-        (person,) = tracker.update(frame * STEP_NS, [seen], CAMERA)
+        (person,) = tracker.update(frame * STEP_NS, [seen], CAMERA).people
         np.testing.assert_array_equal(person.inferred[:CORE_COUNT], hidden)
         assert person.inferred[CORE_COUNT:].all()
         assert np.isfinite(person.joints).all()
@@ -220,7 +226,7 @@ def test_arbitrary_keypoints_give_finite_output(walk_model: BasePoses, data: st.
         for i in range(data.draw(st.integers(0, 3))):
             drawn, name = np.reshape(data.draw(numbers), (15, 2)), data.draw(names) if i == 0 else ''
             seen.append(see(drawn, name, data.draw(scores)))
-        for person in tracker.update(frame * STEP_NS, seen, CAMERA):
+        for person in tracker.update(frame * STEP_NS, seen, CAMERA).people:
             assert np.isfinite(person.joints).all()
             assert person.rotation @ person.rotation.T == pytest.approx(np.eye(3), abs=1e-6)
 
@@ -248,7 +254,7 @@ def test_a_fault_forgets_the_people_whom_it_concerns_and_the_stream_goes_on(
 ) -> None:
     def update(frame: int, intrinsics: Intrinsics) -> list[tuple[str, str]]:
         seen = [see(points[frame], 'bob'), see(points[frame] + APART, 'ann')]
-        return describe(tracker.update(frame * STEP_NS, seen, intrinsics))
+        return describe(tracker.update(frame * STEP_NS, seen, intrinsics).people)
 
     def fail(*_given: object, **_named: object) -> None:
         raise ZeroDivisionError('a fault')
@@ -272,7 +278,7 @@ def test_a_tentative_person_is_never_predicted_and_costs_no_deferred_work(tracke
     ghosts = 0
     for frame in range(12):
         seen = [see(points[frame])] + ([see(points[frame] + APART)] if frame == 6 else [])
-        people = describe(tracker.update(frame * STEP_NS, seen, CAMERA))
+        people = describe(tracker.update(frame * STEP_NS, seen, CAMERA).people)
         tracker.run_deferred_work()
         begun = tracker._deferred_work.begun
         assert begun is None or begun.track.id == 'person_1'
@@ -286,7 +292,7 @@ def test_a_tentative_person_is_never_predicted_and_costs_no_deferred_work(tracke
 
 def test_a_person_who_comes_back_while_the_track_is_kept_is_certain(tracker: Tracker, points: Array) -> None:
     def update(stamp_ns: int, *seen: Person2D) -> list[tuple[str, str]]:
-        return describe(tracker.update(stamp_ns, seen, CAMERA))
+        return describe(tracker.update(stamp_ns, seen, CAMERA).people)
 
     for frame in range(5):
         update(frame * STEP_NS, see(points[0], 'ann'))
@@ -313,15 +319,17 @@ def test_fragments_and_new_ids_make_no_people(tracker: Tracker, points: Array, n
         whole = UPPER if kind == 'broken' else 1.0
         return [see(person, first, whole), see(person + rng.normal(0, 1, (15, 2)), second, ~UPPER)]
 
-    detections = people = 0
+    detections = people = unusable = 0
     for frame in range(FRAMES):
         both = (points[frame], f'{name}1' if name else ''), (points[frame] + APART, f'{name}2' if name else '')
         seen = [d for body, own in both for d in (disturb(body, own) if frame else [see(body, own)])]
         order = rng.permutation(len(seen)) if frame else [0, 1]
-        published = describe(tracker.update(frame * STEP_NS, [seen[i] for i in order], CAMERA))
+        tracked = tracker.update(frame * STEP_NS, [seen[i] for i in order], CAMERA)
+        published = describe(tracked.people)
         expected = 'tentative' if frame < 2 else 'seen'
         names = (f'{name}1', f'{name}2') if name else ('person_1', 'person_2')
         assert sorted(published) == [(n, expected) for n in names], frame
         detections, people = detections + len(seen), people + len(published)
+        unusable += tracked.unusable
     assert detections > 1.1 * people
-    assert tracker.unusable_people == detections - people
+    assert unusable == detections - people
