@@ -145,10 +145,8 @@ def _read_people(rows: Sequence[SimpleNamespace]) -> People:
     for index, row in enumerate(rows):
         joints, flags, deviations = len(row.joints), len(row.inferred), len(row.joint_std)
         if joints != count or {flags, deviations} - {0, count}:
-            raise InputError(
-                f'people[{index}]: {joints} joints, {flags} inferred and {deviations} joint_std; {skeleton.name} has '
-                f'{count}'
-            )
+            lengths = f'{joints} joints, {flags} inferred and {deviations} joint_std'
+            raise InputError(f'people[{index}]: {lengths}; {skeleton.name} has {count}')
 
     def read(field: str, *shape: int) -> Array:
         values = (getattr(row, field) for row in rows)

@@ -95,8 +95,8 @@ def test_the_person_with_most_skeletons_is_read_from_a_bag(tmp_path: Path) -> No
     ('name', 'joint_count', 'flag_count', 'message'),
     [
         ('body26', 26, 0, 'skeletons of several layouts: body26, cmu15'),
-        ('cmu15', 14, 0, r'people\[0\]: 14 joints, 0 inferred and 15 joint_std'),
-        ('cmu15', 15, 14, r'people\[0\]: 15 joints, 14 inferred and 15 joint_std'),
+        ('cmu15', 14, 0, r'people\[0\]: 14 joints, 0 inferred and 0 joint_std'),
+        ('cmu15', 15, 14, r'people\[0\]: 15 joints, 14 inferred and 0 joint_std'),
     ],
 )
 def test_skeletons_that_do_not_fit_together_are_refused(
@@ -105,7 +105,7 @@ def test_skeletons_that_do_not_fit_together_are_refused(
     arrays = [decode(encode_skeletons(Header(i, 'c'), gather([make_person('a', 1.0)])), SKELETONS) for i in (1, 2)]
     (skeleton,) = arrays[1].people
     skeleton.skeleton, skeleton.joints = name, (skeleton.joints * 2)[:joint_count]
-    skeleton.inferred = np.zeros(flag_count, bool)
+    skeleton.inferred, skeleton.joint_std = np.zeros(flag_count, bool), np.zeros(0, np.float32)
     with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
         for i, array in enumerate(arrays):
             recorder.write('/skeletons', SKELETONS, encode(array, SKELETONS), i, i)
