@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -231,6 +232,7 @@ class People:
             object.__setattr__(self, 'motion', (_UNKNOWN_MOTION,) * len(self.ids))
 
     @staticmethod
+    @lru_cache(maxsize=10)  # skeletons
     def none(skeleton: Skeleton = CMU15) -> People:
         """Return nobody."""
         count = len(skeleton.joints)

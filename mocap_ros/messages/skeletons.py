@@ -10,7 +10,8 @@ t the translation and M = [s R_xy | t] the 2x4 camera matrix (Wandt et al., TPAM
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from itertools import repeat
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -25,7 +26,7 @@ from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, read_stamp
 from mocap_ros.messages.plain import decode_plain, encode_plain
-from mocap_ros.people import CameraVertical, Motion, MotionKind, People, Person3D, PredictedPeople, find_roots
+from mocap_ros.people import CameraVertical, Motion, MotionKind, People, PredictedPeople, find_roots
 from mocap_ros.skeleton import CMU15, Skeleton, keypoint_layout
 
 SKELETONS = MOCAP_ROS_MSGS + 'Skeleton3DArray'
@@ -42,17 +43,19 @@ def encode_skeletons(
     people: People,
     vertical: CameraVertical | None = None,
     camera: CameraPlacement | None = None,
+    cameras: Array | None = None,
 ) -> bytes:
     """Encode all people in an image as a Skeleton3DArray.
 
-    People and vertical are in the frame of the header; `camera` is None where that is the camera's.
+    People and vertical are in the frame of the header; `camera` is None where that is the camera's. `cameras` are
+    those of `compute_cameras`, where they are computed already.
     """
     direction, std = (None, math.nan) if vertical is None else (vertical.direction, vertical.std)
     placement = camera or CameraPlacement(header.frame_id)
     pose = placement.pose
     message = {
         'header': header,
-        'people': list(map(_list_fields, people, _compute_cameras(people))),
+        'people': _list_rows(people, compute_cameras(people) if cameras is None else cameras),
         'vertical': direction,
         'vertical_std': std,
         'camera_frame_id': placement.frame_id,
@@ -61,47 +64,51 @@ def encode_skeletons(
     return encode_plain(message, SKELETONS)
 
 
-def _list_fields(person: Person3D, camera: Array) -> dict[str, Any]:
-    motion = person.motion
-    return {
-        'id': person.id,
-        'skeleton': person.skeleton.name,
-        'joints': person.joints,
-        'joint_std': person.joint_std,
-        'inferred': person.inferred,
-        'camera': camera,
-        'motion': (motion.kind, motion.category, motion.residual, motion.cadence),
-        'reprojection_residual': person.reprojection_residual,
-        'scale_source': person.is_scale_known,
-        'predicted': person.predicted,
-        'tentative': person.tentative,
-        'joint_velocity': person.joint_velocity,
-        'joint_velocity_std': person.joint_velocity_std,
-        'root': person.root,
-        'root_covariance': person.root_covariance,
-        'root_velocity': person.root_velocity,
-        'root_velocity_covariance': person.root_velocity_covariance,
-        'age': person.age,
-        'unseen_for': person.unseen_for,
-        'joint_orientation': person.joint_orientation,
-        'turn_inferred': person.turn_inferred,
-        'contact': person.contact if np.isfinite(person.contact).any() else (),
+def _list_rows(people: People, cameras: Array) -> list[dict[str, Any]]:
+    columns: dict[str, Iterable[Any]] = {
+        'id': people.ids,
+        'skeleton': repeat(people.skeleton.name),
+        'joints': people.joints,
+        'joint_std': people.joint_std,
+        'inferred': people.inferred,
+        'camera': cameras,
+        'motion': [(m.kind, m.category, m.residual, m.cadence) for m in people.motion],
+        'reprojection_residual': people.reprojection_residual.tolist(),
+        'scale_source': repeat(people.is_scale_known),
+        'predicted': people.predicted.tolist(),
+        'tentative': people.tentative.tolist(),
+        'joint_velocity': people.joint_velocity,
+        'joint_velocity_std': people.joint_velocity_std,
+        'root': people.roots,
+        'root_covariance': people.root_covariance,
+        'root_velocity': people.root_velocities,
+        'root_velocity_covariance': people.root_velocity_covariance,
+        'age': people.age.tolist(),
+        'unseen_for': people.unseen_for.tolist(),
+        'joint_orientation': people.joint_orientation,
+        'turn_inferred': people.turn_inferred,
+        'contact': [feet if np.isfinite(feet).any() else () for feet in people.contact],
     }
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values())]  # noqa: B905 # some repeat
 
 
-def _compute_cameras(people: People) -> Array:
+def compute_cameras(people: People) -> Array:
     """Return the fields of WeakPerspectiveCameras (N, 15): scale, quaternion, translation and matrix."""
-    quaternions = [quaternion_from_rotation(rotation) for rotation in people.rotation]
-    matrices = np.concatenate(
-        [people.scale[:, None, None] * people.rotation[:, :2], people.translation[..., None]], axis=-1
-    )
-    cameras = people.scale[:, None], np.array(quaternions).reshape(-1, 4), people.translation
-    return np.concatenate([*cameras, matrices.reshape(-1, 8)], axis=1)
+    cameras = np.empty((len(people), 15))
+    cameras[:, 0], cameras[:, 5:7] = people.scale, people.translation
+    for camera, rotation in zip(cameras, people.rotation, strict=True):
+        camera[1:5] = quaternion_from_rotation(rotation)
+    matrices = cameras[:, 7:].reshape(-1, 2, 4)
+    matrices[..., :3] = people.scale[:, None, None] * people.rotation[:, :2]
+    matrices[..., 3] = people.translation
+    cameras[:, 7:] = matrices.reshape(-1, 8)
+    return cameras
 
 
-def encode_cameras(header: Header, people: People) -> bytes:
-    """Encode the cameras of all people in an image as a WeakPerspectiveCameraArray."""
-    return encode_plain({'header': header, 'ids': people.ids, 'cameras': _compute_cameras(people)}, CAMERAS)
+def encode_cameras(header: Header, people: People, cameras: Array | None = None) -> bytes:
+    """Encode the cameras of all people in an image as a WeakPerspectiveCameraArray, as `encode_skeletons` does."""
+    cameras = compute_cameras(people) if cameras is None else cameras
+    return encode_plain({'header': header, 'ids': people.ids, 'cameras': cameras}, CAMERAS)
 
 
 class ReceivedSkeletons(NamedTuple):

@@ -21,6 +21,7 @@ from mocap_ros.messages.skeletons import (
     PREDICTIONS,
     SKELETON_DEFINITION,
     SKELETONS,
+    compute_cameras,
     encode_cameras,
     encode_predictions,
     encode_skeleton_definition,
@@ -75,9 +76,10 @@ class OutputEncoder:
         node = node or NodeConfig()
         camera = camera or CameraPlacement(header.frame_id)
         placed, upward = camera.place(self._keep_order(people)), camera.place_vertical(vertical)
+        cameras = compute_cameras(placed)
         contents = [
-            encode_skeletons(header, placed, upward, camera),
-            encode_cameras(Header(header.stamp_ns, camera.frame_id), placed),
+            encode_skeletons(header, placed, upward, camera, cameras),
+            encode_cameras(Header(header.stamp_ns, camera.frame_id), placed, cameras),
             self._markers.encode_update(header, placed, node.marker_lifetime),
             encode_points(header, placed),
         ]

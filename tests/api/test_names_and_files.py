@@ -243,7 +243,8 @@ PUBLIC: dict[str, str] = {
     'Motion': 'cadence category kind residual',
     'Person3D': 'age contact core id inferred is_scale_known joint_names joint_orientation joint_std '
     'joint_velocity joint_velocity_std joints motion predicted reprojection_residual root root_covariance '
-    'root_velocity root_velocity_covariance rotation scale skeleton tentative translation turn_inferred unseen_for',
+    'root_velocity root_velocity_covariance rotation scale skeleton tentative translation turn_inferred '
+    'unseen_for',
     'PoseSequence': 'base_poses body_height cadence camera_height contact core cost floor_std id in_sight '
     'inferred intrinsics is_scale_known iterations joint_names joint_orientation joint_std joints message motion '
     'parents predicted recorded_ns reprojection_residual root_covariance rotation scale select sequence skeleton '
