@@ -29,6 +29,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_key
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.messages.transforms import TRANSFORMS
+from mocap_ros.people import People, TrackedFrame
 from mocap_ros.ros import input_queue
 from mocap_ros.ros.input_queue import InputQueue, ReceivedMessage
 from mocap_ros.ros.live import LiveRun
@@ -393,11 +394,11 @@ class FaultyTracker(Tracker):
 
     frames = 0
 
-    def update(self, *_: Any) -> Any:
+    def update(self, stamp_ns: int, *_: Any) -> TrackedFrame:
         self.frames += 1
         if self.frames % 3 == 0 or self.frames > 8:
             raise ZeroDivisionError('a fault of ours')
-        return []
+        return TrackedFrame(stamp_ns, People.none(), None)
 
     def reset(self) -> None:
         super().reset()
