@@ -151,7 +151,9 @@ def sample_histories(people, Py_ssize_t joints, Vector slots, double max_gap_s, 
     cdef Stack rotation, rays
     cdef Rows weight
     shape = sum([len(frames) for _, frames, _, _ in people]), slots.shape[0], joints
-    sampled, sampled_weight, cameras = np.zeros((*shape, 2)), np.zeros(shape), np.empty((shape[0], 3, 3))
+    sampled = np.zeros((*shape, 2))
+    sampled_weight = np.zeros(shape)
+    cameras = np.empty((shape[0], 3, 3))
     cdef double[:, :, :, ::1] out = sampled
     cdef double[:, :, ::1] out_weight = sampled_weight, camera = cameras
     for times, frames, rotation, groups in people:
@@ -292,7 +294,9 @@ cdef void apply_layer(
             count = 0
             for i in range(first, min(first + TILE, codes.shape[0])):  # those that are not 0 in at least one row
                 x, y = inputs[n, 0, i], inputs[n, 1, i]
-                used[count], factors[count], factors[TILE + count] = i, x * scales[i], y * scales[i]
+                used[count] = i
+                factors[count] = x * scales[i]
+                factors[TILE + count] = y * scales[i]
                 count += (x != 0) | (y != 0)  # without a branch, which no processor could predict
             while count % 8 > 0:
                 used[count] = 0
@@ -353,7 +357,8 @@ def lift(
     poses, deviations = np.empty((outputs.shape[0], joints, 3)), np.empty((outputs.shape[0], joints, 3))
     cdef double[:, :, ::1] out = poses, std = deviations
     for n in range(outputs.shape[0]):
-        seen, total = 0, 0.0
+        seen = 0
+        total = 0.0
         for j in range(core):
             seen += features[n, 0, 3 * j + 2] > 0
         for i in range(outputs.shape[2]):

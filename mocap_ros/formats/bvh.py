@@ -14,7 +14,7 @@ the rotations about the axes of the rotation channels, in the order of the chann
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -54,8 +54,6 @@ class BvhMotion:
 
     def compute_positions(self) -> Array:
         """Compute the positions (F, N, 3) of all nodes in the file's own frame and unit (forward kinematics)."""
-        from scipy.spatial.transform import Rotation
-
         frames = len(self.motion)
         position = np.zeros((frames, len(self.names), 3))
         rotation: list[Rotation] = []
@@ -63,14 +61,7 @@ class BvhMotion:
         for node, (parent, channels) in enumerate(zip(self.parents, self.channels, strict=True)):
             values = self.motion[:, first_column : first_column + len(channels)]
             first_column += len(channels)
-            translation = np.tile(self.offsets[node], (frames, 1))
-            local_rotation = Rotation.identity(frames)
-            for column, name in enumerate(channels):
-                if name in POSITION_CHANNELS:
-                    translation[:, POSITION_CHANNELS.index(name)] = values[:, column]
-                else:
-                    turn = Rotation.from_euler(name[0], values[:, [column]], degrees=True)
-                    local_rotation = local_rotation * turn
+            translation, local_rotation = compose_channels(self.offsets[node], channels, values)
             if parent < 0:
                 position[:, node] = translation
                 rotation.append(local_rotation)
@@ -90,6 +81,24 @@ class _Node:
     channels: tuple[str, ...] = ()
 
 
+def compose_channels(offset: Array, channels: Sequence[str], values: Array) -> tuple[Array, Rotation]:
+    """Return the translations (F, 3) and the rotations of a node by its offset (3,) and the values (F, C).
+
+    A position channel replaces its coordinate of the offset; each rotation is about the axes that those before it
+    have turned.
+    """
+    from scipy.spatial.transform import Rotation
+
+    translation = np.tile(offset, (len(values), 1))
+    rotation = Rotation.identity(len(values))
+    for name, column in zip(channels, values.T, strict=True):
+        if name in POSITION_CHANNELS:
+            translation[:, POSITION_CHANNELS.index(name)] = column
+        else:
+            rotation = rotation * Rotation.from_euler(name[0], column[:, None], degrees=True)
+    return translation, rotation
+
+
 def load_bvh(path: Path) -> BvhMotion:
     """Read a BVH file."""
     lines = iter(enumerate(read_text(path, 'replace').splitlines(keepends=True), 1))
@@ -98,7 +107,8 @@ def load_bvh(path: Path) -> BvhMotion:
         channels = tuple(node.channels for node in nodes)
         frame_time, motion = _read_motion(lines, sum(map(len, channels)))
         check_position_count(len(motion), len(nodes))
-    names, parents = tuple(node.name for node in nodes), tuple(node.parent for node in nodes)
+    names = tuple(node.name for node in nodes)
+    parents = tuple(node.parent for node in nodes)
     return BvhMotion(names, parents, np.array([node.offset for node in nodes]), channels, frame_time, motion)
 
 
@@ -121,7 +131,8 @@ def _read_hierarchy(lines: Iterator[tuple[int, str]]) -> list[_Node]:
 
 def _read_hierarchy_line(key: str, words: list[str], nodes: list[_Node], open_nodes: list[int]) -> None:
     if key in ('ROOT', 'JOINT', 'END'):
-        name, parent = ' '.join(words), open_nodes[-1] if open_nodes else -1
+        name = ' '.join(words)
+        parent = open_nodes[-1] if open_nodes else -1
         is_misplaced = (parent < 0) != (key == 'ROOT')
         if is_misplaced or len(nodes) >= MAX_NODES or len(name) > MAX_NAME_CHARACTERS:
             raise ValueError
@@ -150,7 +161,8 @@ def _read_motion(lines: Iterator[tuple[int, str]], columns: int) -> tuple[float,
                 value_by_label[' '.join(label.split()).lower()] = float(value)
         if 'frame time' in value_by_label:
             break
-    frames, frame_time = value_by_label.get('frames', 0.0), value_by_label.get('frame time', 0.0)
+    frames = value_by_label.get('frames', 0.0)
+    frame_time = value_by_label.get('frame time', 0.0)
     values = ''.join(line for _, line in lines)
     if not (frames >= 1 and 0 < frame_time < np.inf and values.strip()):
         raise InputError('MOTION: no frames')

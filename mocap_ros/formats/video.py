@@ -282,7 +282,8 @@ def write_video(path: Path, images: Iterable[tuple[float, NDArray[np.uint8]]]) -
     except ImportError:
         raise MocapError(f'{path}: a film needs PyAV: {tell_installation("video")}') from None
     codec = next(name for name in FILM_CODECS if name in av.codecs_available)
-    start_s, newest = 0.0, -1
+    start_s = 0.0
+    newest = -1
     stream: Any = None
     try:
         with av.open(str(path), 'w', format='mp4') as container:
@@ -290,12 +291,14 @@ def write_video(path: Path, images: Iterable[tuple[float, NDArray[np.uint8]]]) -
                 if stream is None:
                     stream = container.add_stream(codec, rate=30)
                     stream.height, stream.width = (side // 2 * 2 for side in image.shape[:2])
-                    stream.pix_fmt, start_s = 'yuv420p', time_s
+                    stream.pix_fmt = 'yuv420p'
+                    start_s = time_s
                     stream.time_base = stream.codec_context.time_base = FILM_TICK
                 even = np.ascontiguousarray(image[: stream.height, : stream.width])
                 frame = av.VideoFrame.from_ndarray(even, format='rgb24')
                 newest = max(round((time_s - start_s) / FILM_TICK), newest + 1)
-                frame.pts, frame.time_base = newest, FILM_TICK
+                frame.pts = newest
+                frame.time_base = FILM_TICK
                 container.mux(stream.encode(frame))
             if stream is not None:
                 container.mux(stream.encode(None))

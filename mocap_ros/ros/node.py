@@ -93,7 +93,9 @@ class MocapNode(ManagedNode):
         self._outputs.destroy()
         for service in self._provided_services:
             self.destroy_service(service)
-        self._provided_services, self._pipeline, self._inputs = [], None, None
+        self._provided_services = []
+        self._pipeline = None
+        self._inputs = None
 
     def start_run(self) -> None:
         """Publish the names of the joints, subscribe to the inputs and process them."""
@@ -105,8 +107,15 @@ class MocapNode(ManagedNode):
         relative_names = [*(s.value for s in Source), *OUTPUTS, *switched, *LATCHED_OUTPUTS]
         names = {name: self.resolve_topic_name(name) for name in relative_names}
         names['journal'] = self.resolve_topic_name('~/journal')
-        context = self._outputs.publish, self.get_logger(), self._find_offered_qos, self._versions
-        self._run = LiveRun(self._pipeline, self._inputs.types, names, *context)
+        self._run = LiveRun(
+            self._pipeline,
+            self._inputs.types,
+            names,
+            self._outputs.publish,
+            self.get_logger(),
+            self._find_offered_qos,
+            self._versions,
+        )
         self._run.start()
         self._inputs.subscribe(self._run)
         outputs = (*OUTPUTS, *switched, *LATCHED_OUTPUTS)
@@ -131,7 +140,8 @@ class MocapNode(ManagedNode):
             self._camera_search.advance('')
             for timer in self._run_timers:
                 self.destroy_timer(timer)
-            self._run_timers, self._reporter = [], None
+            self._run_timers = []
+            self._reporter = None
         finally:
             if run is not None:
                 run.stop()
@@ -164,7 +174,8 @@ class MocapNode(ManagedNode):
         if self._run is None:
             response.message = 'the node is not active'
         else:
-            response.success, response.message = True, self._run.reset()
+            response.success = True
+            response.message = self._run.reset()
         return response
 
     def _on_record(self, request: Any, response: Any) -> Any:

@@ -161,7 +161,8 @@ def find_fastest_precision(settings: TrainingSettings) -> str:
 
 
 def _time_steps(settings: TrainingSettings) -> float:
-    network, features = LifterNetwork(settings.width, settings.blocks), torch.zeros(settings.batch, FEATURE_COUNT)
+    network = LifterNetwork(settings.width, settings.blocks)
+    features = torch.zeros(settings.batch, FEATURE_COUNT)
     begin = 0.0
     for step in range(1 + TIMED_STEPS):
         if step == 1:

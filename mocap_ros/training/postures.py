@@ -331,7 +331,8 @@ def _place_hands(vectors: Array, places: Integers, random: RandomArrays) -> Arra
     bend = HAND_BEND_STD * random.normal(count, 2, 1, 3)
     is_flat = _IS_FLAT[places][..., None, None]
     hand = normalise(np.where(is_flat, turn(_FINGERS[places][:, :, None]), normalise(forearm)) + bend)
-    out, is_placed = vectors.copy(), (places > 0)[:, None, :, None]
+    out = vectors.copy()
+    is_placed = (places > 0)[:, None, :, None]
     for own, bones in ((_ELBOW, elbow), (_WRIST, forearm), (_HAND, hand * lengths[2])):
         out[:, :, own] = np.where(is_placed, np.swapaxes(bones, 1, 2), out[:, :, own])
     return out

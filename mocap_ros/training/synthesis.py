@@ -167,14 +167,16 @@ class ExampleSynthesiser:
         vectors = vectors * factor[:, None, _SAME_FACTOR, None]
         donor = np.roll(vectors, 1, axis=0)
         for limb, share in BORROWED_LIMB_SHARES.items():
-            own, joints = np.flatnonzero(random.chance(count, share)), limb_indices(limb)
+            own = np.flatnonzero(random.chance(count, share))
+            joints = limb_indices(limb)
             limbs, given = vectors[own][:, :, joints], donor[own][:, :, joints]
             lengths, given_lengths = (np.linalg.norm(v[:, :1], axis=-1, keepdims=True) for v in (limbs, given))
             has_bone = given_lengths > MIN_BONE_LENGTH_M  # of a trial that lacks it there is nothing to borrow
             borrowed = given * lengths / np.maximum(given_lengths, MIN_BONE_LENGTH_M)
             vectors[own[:, None], :, joints] = np.moveaxis(np.where(has_bone, borrowed, limbs), 2, 1)
         for limb in LIMBS:
-            chosen, joints = np.flatnonzero(random.chance(count, ROTATED_LIMB_SHARE)), limb_indices(limb)
+            chosen = np.flatnonzero(random.chance(count, ROTATED_LIMB_SHARE))
+            joints = limb_indices(limb)
             rotation = rotations_from_vectors(np.float32(LIMB_ROTATION_STD_RAD) * random.normal(len(chosen), 3))
             rotated = rotate_points(vectors[chosen][:, :, joints], rotation[:, None])
             vectors[chosen[:, None], :, joints] = np.moveaxis(rotated, 2, 1)
@@ -217,7 +219,8 @@ class ExampleSynthesiser:
 
     def _draw_verticals(self, rotation: Array) -> Array64:
         """Return what the lifter gets of the vertical (N, 3); rotations (N, 3, 3) from body to camera."""
-        random, count = self.random, len(rotation)
+        random = self.random
+        count = len(rotation)
         std = random.log_uniform(VERTICAL_STD_RANGE_RAD, count)
         error = rotations_from_vectors(std[:, None].astype(np.float32) * random.normal(count, 3))
         seen = (error @ rotation[:, :, 2, None])[..., 0].astype(float)
