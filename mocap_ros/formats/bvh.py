@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,6 +52,14 @@ class BvhMotion:
     frame_time: float  # time between frames in s
     motion: Array  # (F, C) values of all channels, in the file's unit of length and in degrees
 
+    @staticmethod
+    def from_nodes(nodes: Sequence[Node], frame_time: float, motion: Array) -> BvhMotion:
+        """Return the motion of nodes, parents first; the other arguments are the attributes."""
+        names = tuple(node.name for node in nodes)
+        parents = tuple(node.parent for node in nodes)
+        channels = tuple(node.channels for node in nodes)
+        return BvhMotion(names, parents, np.array([node.offset for node in nodes]), channels, frame_time, motion)
+
     def compute_positions(self) -> Array:
         """Compute the positions (F, N, 3) of all nodes in the file's own frame and unit (forward kinematics)."""
         frames = len(self.motion)
@@ -72,12 +80,12 @@ class BvhMotion:
 
 
 @dataclass
-class _Node:
-    """A node while it is read; the attributes are those of `BvhMotion`."""
+class Node:
+    """A node of a hierarchy; the attributes are those of `BvhMotion`."""
 
     name: str
     parent: int
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    offset: Array = field(default_factory=lambda: np.zeros(3))
     channels: tuple[str, ...] = ()
 
 
@@ -104,16 +112,13 @@ def load_bvh(path: Path) -> BvhMotion:
     lines = iter(enumerate(read_text(path, 'replace').splitlines(keepends=True), 1))
     with naming(path):
         nodes = _read_hierarchy(lines)
-        channels = tuple(node.channels for node in nodes)
-        frame_time, motion = _read_motion(lines, sum(map(len, channels)))
+        frame_time, motion = _read_motion(lines, sum(len(node.channels) for node in nodes))
         check_position_count(len(motion), len(nodes))
-    names = tuple(node.name for node in nodes)
-    parents = tuple(node.parent for node in nodes)
-    return BvhMotion(names, parents, np.array([node.offset for node in nodes]), channels, frame_time, motion)
+    return BvhMotion.from_nodes(nodes, frame_time, motion)
 
 
-def _read_hierarchy(lines: Iterator[tuple[int, str]]) -> list[_Node]:
-    nodes: list[_Node] = []
+def _read_hierarchy(lines: Iterator[tuple[int, str]]) -> list[Node]:
+    nodes: list[Node] = []
     open_nodes: list[int] = []  # whose closing brace has not been read, outermost first
     for number, line in lines:
         key, *words = line.replace('{', ' ').split() or ['']
@@ -129,7 +134,7 @@ def _read_hierarchy(lines: Iterator[tuple[int, str]]) -> list[_Node]:
     return nodes
 
 
-def _read_hierarchy_line(key: str, words: list[str], nodes: list[_Node], open_nodes: list[int]) -> None:
+def _read_hierarchy_line(key: str, words: list[str], nodes: list[Node], open_nodes: list[int]) -> None:
     if key in ('ROOT', 'JOINT', 'END'):
         name = ' '.join(words)
         parent = open_nodes[-1] if open_nodes else -1
@@ -137,10 +142,10 @@ def _read_hierarchy_line(key: str, words: list[str], nodes: list[_Node], open_no
         if is_misplaced or len(nodes) >= MAX_NODES or len(name) > MAX_NAME_CHARACTERS:
             raise ValueError
         open_nodes.append(len(nodes))
-        nodes.append(_Node(nodes[parent].name + END_SUFFIX if key == 'END' else name, parent))
+        nodes.append(Node(nodes[parent].name + END_SUFFIX if key == 'END' else name, parent))
     elif key == 'OFFSET':
         x, y, z = (float(word) for word in words)
-        nodes[open_nodes[-1]].offset = (x, y, z)
+        nodes[open_nodes[-1]].offset = np.array([x, y, z])
     elif key == 'CHANNELS':
         nodes[open_nodes[-1]].channels = tuple(CHANNEL_BY_LOWER_CASE[word.lower()] for word in words[1:])
         if int(words[0]) != len(words) - 1:

@@ -57,6 +57,14 @@ class VideoFacts(NamedTuple):
     focal_px: float | None  # px, focal length in images of that size; None where it is not stated
 
 
+def _import_av(path: Path, what: str) -> Any:
+    try:
+        import av
+    except ImportError:
+        raise MocapError(f'{path}: {what} needs PyAV: {tell_installation("video")}') from None
+    return av
+
+
 def find_camera(name: str) -> Path | None:
     """Return the device of a camera that is named by its number or its path, None if it is no camera's name."""
     path = Path(CAMERA_DEVICE.format(name)) if name.isdecimal() and not Path(name).exists() else Path(name)
@@ -78,10 +86,7 @@ class VideoReader:
     """
 
     def __init__(self, path: Path, *, is_camera: bool = False) -> None:
-        try:
-            import av
-        except ImportError:
-            raise MocapError(f'{path}: a video needs PyAV: {tell_installation("video")}') from None
+        av = _import_av(path, 'a video')
         self._path = path
         self._errors = (av.FFmpegError, ValueError)
         self.left_out = 0
@@ -277,10 +282,7 @@ def _describe(error: Exception) -> str:
 
 def write_video(path: Path, images: Iterable[tuple[float, NDArray[np.uint8]]]) -> None:
     """Write an .mp4 of times in s and images (H, W, 3), red, green and blue, all of the size of the first."""
-    try:
-        import av
-    except ImportError:
-        raise MocapError(f'{path}: a film needs PyAV: {tell_installation("video")}') from None
+    av = _import_av(path, 'a film')
     codec = next(name for name in FILM_CODECS if name in av.codecs_available)
     start_s = 0.0
     newest = -1

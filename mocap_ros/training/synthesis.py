@@ -30,6 +30,7 @@ from mocap_ros.models.lifter_input import (
 from mocap_ros.skeleton import BODY26, CORE_COUNT
 from mocap_ros.training.detector_errors import JOINT_ROWS, OFFSET_STD_M, DetectorErrors
 from mocap_ros.training.example_arrays import (
+    AGO,
     Array,
     Array64,
     Bools,
@@ -200,8 +201,7 @@ class ExampleSynthesiser:
     def _draw_cameras(self, count: int) -> Array:
         """Return rotations (N, T, 3, 3) from the body frame to the camera's optical frame; some turn slowly."""
         random = self.random
-        ago = HISTORY_SLOTS_S.astype(np.float32)
-        turning_time = random.choose(count, TURNING_SHARE, 1, 0, axes=1) * ago
+        turning_time = random.choose(count, TURNING_SHARE, 1, 0, axes=1) * AGO
         heading = random.uniform(-np.pi, np.pi, count, 1)
         heading = heading + HEADING_RATE_STD * random.normal(count, 1) * turning_time
         mean, std = COMMON_ELEVATION_DEG
@@ -239,7 +239,7 @@ class ExampleSynthesiser:
         is_orthographic = random.chance(count, ORTHOGRAPHIC_SHARE, axes=1)
         newest_distance = random.uniform(*DISTANCE_RANGE_M, count, 1)
         speed = random.choose(count, APPROACH_SHARE, APPROACH_SPEED_STD, 0, axes=1) * random.normal(count, 1)
-        distance = newest_distance + speed * HISTORY_SLOTS_S.astype(np.float32)
+        distance = newest_distance + speed * AGO
         distance = np.maximum(distance, np.float32(MIN_DISTANCE_M))[..., None]
         off_axis = random.choose(count, OFF_AXIS_SHARE, OFF_AXIS_STD, NEAR_AXIS_STD, axes=1)
         aside = off_axis * newest_distance * random.normal(count, 2)

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from mocap_ros.arrays import Array
-from mocap_ros.formats.bvh import END_SUFFIX, POSITION_CHANNELS, ROTATION_CHANNELS, BvhMotion
+from mocap_ros.formats.bvh import END_SUFFIX, POSITION_CHANNELS, ROTATION_CHANNELS, BvhMotion, Node
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 
@@ -136,8 +136,8 @@ def build_armature(joints: Array, fps: float, orientation: Array | None = None) 
     chest = joints[:, [index['pelvis'], index['neck']]].mean(axis=1, keepdims=True)
     joints = np.concatenate([joints, chest], axis=1)
     bone_by_name = {bone.name: bone for bone in bones}
-    names, parents, offsets = [], [], []
-    channels: list[tuple[str, ...]] = []
+    number = {bone.name: i for i, bone in enumerate(bones)}
+    nodes: list[Node] = []
     columns = [joints[:, index['pelvis']] * CM_PER_M]
     global_rotation: dict[str, Rotation] = {}
     end_offset: dict[str, Array] = {}  # m, from the start to the end of a bone in the T-pose
@@ -169,19 +169,13 @@ def build_armature(joints: Array, fps: float, orientation: Array | None = None) 
         global_rotation[bone.name] = rotation
         end_offset[bone.name] = length * np.array(bone.rest)
         columns.append(_compute_channel_angles(parent_rotation.inv() * rotation))
-        names.append(bone.name)
-        parents.append(names.index(bone.parent) if parent else -1)
-        offsets.append(offset * CM_PER_M)
-        channels.append(ROTATION_CHANNELS if parent else POSITION_CHANNELS + ROTATION_CHANNELS)
+        channels = ROTATION_CHANNELS if parent else POSITION_CHANNELS + ROTATION_CHANNELS
+        nodes.append(Node(bone.name, number.get(bone.parent, -1), offset * CM_PER_M, channels))
     for bone in bones:
         has_children = any(child.parent == bone.name for child in bones)
         if not has_children:
-            names.append(bone.name + END_SUFFIX)
-            parents.append(names.index(bone.name))
-            offsets.append(end_offset[bone.name] * CM_PER_M)
-            channels.append(())
-    motion = np.hstack(columns)
-    return BvhMotion(tuple(names), tuple(parents), np.array(offsets), tuple(channels), 1 / fps, motion)
+            nodes.append(Node(bone.name + END_SUFFIX, number[bone.name], end_offset[bone.name] * CM_PER_M))
+    return BvhMotion.from_nodes(nodes, 1 / fps, np.hstack(columns))
 
 
 def _compute_channel_angles(rotation: Rotation) -> Array:
