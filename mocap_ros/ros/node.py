@@ -32,6 +32,7 @@ from mocap_ros.units import NS_PER_S
 
 DIAGNOSTICS_TOPIC = '/diagnostics'
 RECORDING_PARAMETER = 'recorder.enabled'  # switched by the service ~/record, too
+NOT_ACTIVE = 'the node is not active'  # answer of its services
 # ns; the seconds of a stamp are int32, and with use_sim_time anyone sets the time
 MAX_STAMP_NS = (2**31 - 1) * NS_PER_S
 DIAGNOSTICS_PERIOD_S = 1.0  # s; the usual period of /diagnostics
@@ -171,17 +172,14 @@ class MocapNode(ManagedNode):
         return {p.name: p.value for p in changed if p.name in names}
 
     def _on_reset(self, _: Any, response: Any) -> Any:
-        if self._run is None:
-            response.message = 'the node is not active'
-        else:
-            response.success = True
-            response.message = self._run.reset()
+        response.success = self._run is not None
+        response.message = self._run.reset() if self._run else NOT_ACTIVE
         return response
 
     def _on_record(self, request: Any, response: Any) -> Any:
         """Answer a call of ~/record; the message of a success is the folder of the bag."""
         if self._run is None:
-            response.message = 'the node is not active'
+            response.message = NOT_ACTIVE
             return response
         try:
             folder = self._run.start_recording() if request.data else self._run.finish_recording()

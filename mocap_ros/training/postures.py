@@ -291,7 +291,8 @@ def _bend(vectors: Array, kinds: Integers, body: Array, is_moving: Bools, random
     upper, lower = point(thigh, thigh_out), point(shank, shank_out)
     # the axis of the knee, which is that of the body where the leg is straight
     hinge = np.cross(lower, upper) + np.array([0, -0.15, 0], np.float32)
-    ahead, c, s = normalise(np.cross(hinge, lower)), np.cos(toes)[..., None], np.sin(toes)[..., None]
+    ahead = normalise(np.cross(hinge, lower))
+    c, s = np.cos(toes)[..., None], np.sin(toes)[..., None]
     sole, down = c * ahead + s * lower, c * lower - s * ahead
     toe, heel = normalise(sole + 0.36 * down), normalise(down - 0.64 * sole)
     for joints, direction in ((_KNEE, upper), (_ANKLE, lower), (_TOE, toe), (_HEEL, heel)):
