@@ -294,9 +294,7 @@ cdef void apply_layer(
             count = 0
             for i in range(first, min(first + TILE, codes.shape[0])):  # those that are not 0 in at least one row
                 x, y = inputs[n, 0, i], inputs[n, 1, i]
-                used[count] = i
-                factors[count] = x * scales[i]
-                factors[TILE + count] = y * scales[i]
+                used[count], factors[count], factors[TILE + count] = i, x * scales[i], y * scales[i]
                 count += (x != 0) | (y != 0)  # without a branch, which no processor could predict
             while count % 8 > 0:
                 used[count] = 0
