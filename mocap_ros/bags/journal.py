@@ -115,12 +115,15 @@ class Journal:
 
         Times are those of receipt and of sending, and `repeat_keys` those that `make_repeat_keys` gives.
         """
-        self._input_ns = times_ns[0]
+        received_ns, sent_ns = times_ns
+        self._input_ns = received_ns
         before = self.make_lost_records()
         self._input_count += 1
         entry = Entry(INPUT, self._input_count, verdict, reason, topic)
-        message = RecordedMessage(topic, msgtype, raw, *times_ns, repeat_keys, may_begin_file=not before)
-        return [*(r._replace(may_begin_file=True) for r in before), message, self._make_record(entry, times_ns[0])]
+        message = RecordedMessage(
+            topic, msgtype, raw, received_ns, sent_ns, repeat_keys, may_begin_file=not before
+        )
+        return [*(r._replace(may_begin_file=True) for r in before), message, self._make_record(entry, received_ns)]
 
     def make_lost_records(self) -> list[RecordedMessage]:
         """Return the message that says how many inputs were lost since the last recorded one, if any were."""

@@ -120,7 +120,8 @@ class McapScan:
                 start = _find_chunk(file, search_start, self._size)
                 self._report_gap(self.position, start)
                 continue
-            search_start, end = start + 1, start + len(data)
+            search_start = start + 1
+            end = start + len(data)
             try:
                 record = parse_record(data)
                 parts = _unpack(record, data)
@@ -128,7 +129,8 @@ class McapScan:
                 kind = Opcode(data[0]).name.lower().replace('_', ' ')
                 reason = ' '.join(str(error).split()) or 'a length in it is damaged'
                 self.losses.append(f'the {kind} record at byte {start} cannot be read: {reason}')
-                record, parts = None, []
+                record = None
+                parts = []
             if isinstance(record, DataEnd):
                 return
             for part in parts:
@@ -207,7 +209,8 @@ def read_chunk(file: BinaryIO, start: int, channels: Collection[int]) -> list[tu
     chunk = parse_record(data) if data else None
     if not isinstance(chunk, Chunk):
         raise ValueError(f'there is no whole chunk at byte {start}')
-    records, messages = _unpack_chunk(chunk), []
+    records = _unpack_chunk(chunk)
+    messages = []
     for opcode, begin, end in _split_records(records):
         if opcode == Opcode.MESSAGE:
             _, _, channel, _, time_ns, _ = MESSAGE_START.unpack_from(records, begin)

@@ -191,7 +191,9 @@ class Bag:
 
     def _make_converter(self, connection: Connection) -> Convert:
         """Return the converter of a topic's messages; types unknown to this package stay as they are."""
-        recorded_type, definition, is_ros1 = connection.msgtype, connection.msgdef, self._is_ros1
+        recorded_type = connection.msgtype
+        definition = connection.msgdef
+        is_ros1 = self._is_ros1
         msgtype = self._types[connection.id]
         own_hash = typestore().hash_rihs01(msgtype) if msgtype in typestore().types else ''
         if not is_ros1 and (not own_hash or connection.digest == own_hash):
@@ -264,7 +266,8 @@ def _find_known_type(connection: Connection) -> str:
 
     A type of an unknown package that has the name and the definition of a type of keypoints is that type.
     """
-    msgtype, text = find_current_type(connection.msgtype), connection.msgdef.data
+    msgtype = find_current_type(connection.msgtype)
+    text = connection.msgdef.data
     package, _, name = msgtype.partition('/')
     if msgtype in typestore().types or not text or len(text) > MAX_DEFINITION_CHARACTERS:
         return msgtype

@@ -68,7 +68,8 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
     if path.is_dir() and out.parent.resolve() == path.resolve():
         raise RecordingError(f'{out}: {path} is a bag; write beside it, not into it')
     remove_partial(out)
-    partial_bag, report = choose_partial_path(out), RecoveryReport()
+    partial_bag = choose_partial_path(out)
+    report = RecoveryReport()
     sizes = {file: file.stat().st_size if file.is_file() else 0 for file in files}
     with Recorder(partial_bag, NO_LIMITS, name=out.name) as recorder:
         try:
@@ -138,7 +139,8 @@ class _FileCopy:
         A file that is compressed as a whole is unpacked into a temporary folder in `folder`, as far as possible. A
         database with a write-ahead log is copied there, where SQLite adds the log to it.
         """
-        file, log = self._name, find_database_log(self._name)
+        file = self._name
+        log = find_database_log(self._name)
         has_log = file.suffix == '.db3' and log.is_file() and log.stat().st_size > 0
         if file.suffix != PACKED_SUFFIX and not has_log:
             yield file
@@ -186,16 +188,21 @@ class _FileCopy:
 
             def describe() -> Topic:
                 qos = channel.metadata.get('offered_qos_profiles', '')
-                type_hash, text = channel.metadata.get('topic_type_hash', ''), schema.data.decode(errors='replace')
+                type_hash = channel.metadata.get('topic_type_hash', '')
+                text = schema.data.decode(errors='replace')
                 return Topic(channel.topic, schema.name, text, schema.encoding, type_hash, _convert_qos(qos))
 
-            times_ns = message.log_time, message.publish_time
-            self._write(RecordedMessage(channel.topic, schema.name, message.data, *times_ns, None), describe)
+            record = RecordedMessage(
+                channel.topic, schema.name, message.data, message.log_time, message.publish_time, repeat_keys=None
+            )
+            self._write(record, describe)
 
     def _copy_sqlite(self, file: Path, size: int) -> Iterator[int]:
         with closing(SqliteStorage(file)) as storage:
             for number, (connection, time_ns, data) in self._read_database(storage):
-                message = RecordedMessage(connection.topic, connection.msgtype, data, time_ns, time_ns, None)
+                message = RecordedMessage(
+                    connection.topic, connection.msgtype, data, time_ns, time_ns, repeat_keys=None
+                )
                 self._write(message, partial(_describe_connection, connection))
                 yield size * number // max(storage.message_count, number)
 
@@ -246,7 +253,8 @@ def _read_pieces(file: Path) -> Iterator[bytes]:
 
 
 def _describe_connection(connection: Connection) -> Topic:
-    definition, encoding = connection.msgdef.data, ENCODINGS.get(connection.msgdef.format, '')
+    definition = connection.msgdef.data
+    encoding = ENCODINGS.get(connection.msgdef.format, '')
     qos = _convert_qos(getattr(connection.ext, 'offered_qos_profiles', []))
     return Topic(connection.topic, connection.msgtype, definition, encoding, connection.digest, qos)
 

@@ -49,6 +49,7 @@ FORMATS = {
     'ros2idl': MessageDefinitionFormat.IDL,
     'omgidl': MessageDefinitionFormat.IDL,
 }
+NO_DEFINITION = MessageDefinition(MessageDefinitionFormat.NONE, '')
 
 Messages = Generator[tuple[Connection, int, bytes], None, None]
 
@@ -84,23 +85,30 @@ class McapStorage:
         chunks = [r for r in records if isinstance(r, ChunkIndex)]
         found = next((r for r in records if isinstance(r, Statistics)), None)
         if found and found.chunk_count == len(chunks) and channels.keys() >= found.channel_message_counts.keys():
-            self._chunks, counts = chunks, found.channel_message_counts
+            self._chunks = chunks
+            counts = found.channel_message_counts
             times_ns = [found.message_start_time, found.message_end_time] * bool(found.message_count)
         else:
-            counts, times_ns = Counter(), []
+            counts = Counter()
+            times_ns = []
             for schema, channel, message in self._scan():
                 channels[channel.id] = channel, schema
                 counts[channel.id] += 1
                 times_ns = [min([*times_ns, message.log_time]), max([*times_ns, message.log_time])]
         self.duration = times_ns[1] - times_ns[0] + 1 if times_ns else 0
         for channel, schema in channels.values():
-            msgtype, definition = '', MessageDefinition(MessageDefinitionFormat.NONE, '')
-            if schema is not None:
-                msgtype, definition = schema.name, _define(schema.encoding, schema.data.decode())
             qos = _parse_qos(channel.metadata.get('offered_qos_profiles', ''))
-            ext = ConnectionExtRosbag2(channel.message_encoding, qos)
-            about = definition, '', counts.get(channel.id, 0), ext, self
-            self.connections.append(Connection(channel.id, channel.topic, msgtype, *about))
+            connection = Connection(
+                id=channel.id,
+                topic=channel.topic,
+                msgtype=schema.name if schema else '',
+                msgdef=_define(schema.encoding, schema.data.decode()) if schema else NO_DEFINITION,
+                digest='',
+                msgcount=counts.get(channel.id, 0),
+                ext=ConnectionExtRosbag2(channel.message_encoding, qos),
+                owner=self,
+            )
+            self.connections.append(connection)
 
     def close(self) -> None:
         """Close the file."""
@@ -110,7 +118,9 @@ class McapStorage:
         self, connections: Collection[Connection], start: int | None = None, stop: int | None = None
     ) -> Messages:
         """Yield connection, log time in ns and data of messages, from `start` to before `stop` in ns."""
-        wanted, first, end = {c.id: c for c in connections}, start or 0, 2**64 if stop is None else stop
+        wanted = {c.id: c for c in connections}
+        first = start or 0
+        end = 2**64 if stop is None else stop
         chunks = [
             self._read_chunk(chunk, wanted, first, end)
             for chunk in self._chunks
@@ -179,11 +189,18 @@ class SqliteStorage:
         counts = dict(map(tuple, database.execute('SELECT topic_id, count(*) FROM messages GROUP BY topic_id')))
         for row in database.execute('SELECT id, name, type, serialization_format, * FROM topics ORDER BY id'):
             topic = {name.lower(): str(row[name]) for name in row.keys()}  # noqa: SIM118
-            qos = _parse_qos(topic.get('offered_qos_profiles', ''))  # since Foxy; the hash since Iron
-            ext = ConnectionExtRosbag2(topic['serialization_format'], qos)
-            definition = defined.get(topic['type'], MessageDefinition(MessageDefinitionFormat.NONE, ''))
-            about = definition, topic.get('type_description_hash', ''), counts.get(row['id'], 0), ext, self
-            self.connections.append(Connection(row['id'], topic['name'], topic['type'], *about))
+            qos = _parse_qos(topic.get('offered_qos_profiles', ''))  # since Foxy
+            connection = Connection(
+                id=row['id'],
+                topic=topic['name'],
+                msgtype=topic['type'],
+                msgdef=defined.get(topic['type'], NO_DEFINITION),
+                digest=topic.get('type_description_hash', ''),  # since Iron
+                msgcount=counts.get(row['id'], 0),
+                ext=ConnectionExtRosbag2(topic['serialization_format'], qos),
+                owner=self,
+            )
+            self.connections.append(connection)
         columns = 'CAST(max(timestamp) AS INTEGER) - CAST(min(timestamp) AS INTEGER) + 1, count(*)'
         ((duration, self.message_count),) = database.execute(f'SELECT {columns} FROM messages')  # noqa: S608
         self.duration = duration or 0
@@ -203,8 +220,8 @@ class SqliteStorage:
             f'SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({topics}) '  # noqa: S608
             "AND timestamp >= ? AND timestamp < ? AND typeof(data) = 'blob' ORDER BY timestamp"
         )
-        limits_ns = start or 0, 2**63 - 1 if stop is None else stop
-        for topic_id, time_ns, data in self._database.execute(query, (*wanted, *limits_ns)):
+        end = 2**63 - 1 if stop is None else stop
+        for topic_id, time_ns, data in self._database.execute(query, (*wanted, start or 0, end)):
             yield wanted[topic_id], time_ns, data
 
 
@@ -287,8 +304,7 @@ def describe_error(error: Exception) -> str:
 
 def _define(encoding: str, text: str) -> MessageDefinition:
     """Return the definition of a type; none where rosbag2 has found none and states the language `unknown`."""
-    language = FORMATS.get(encoding, MessageDefinitionFormat.NONE)
-    return MessageDefinition(language, text if encoding in FORMATS else '')
+    return MessageDefinition(FORMATS[encoding], text) if encoding in FORMATS else NO_DEFINITION
 
 
 @lru_cache(MAX_QOS_TEXTS)

@@ -43,7 +43,8 @@ TRANSFORM_SOURCES = (Source.TRANSFORMS, Source.STATIC_TRANSFORMS)  # the sources
 
 def list_input_types(keypoints_type: str) -> dict[Source, str]:
     """Return the types of keypoints and CameraInfo, given the former as in the parameter `node.input_type`."""
-    camera, current_type = {Source.CAMERA_INFO: CAMERA_INFO}, find_current_type(keypoints_type)
+    camera = {Source.CAMERA_INFO: CAMERA_INFO}
+    current_type = find_current_type(keypoints_type)
     if current_type == HRI_SKELETON:
         return {Source.TRACKED_BODIES: HRI_IDS, Source.BODY: HRI_SKELETON, **camera}
     if current_type not in KEYPOINT_TYPES:

@@ -55,7 +55,8 @@ def read_unpacked(file: Path) -> Iterator[bytes]:
 
 
 def _unpack_stream(packed: BinaryIO, compression: str, limit_bytes: int) -> Iterator[bytes]:
-    unpacked, rest_bytes = _OPEN[compression](packed), limit_bytes
+    unpacked = _OPEN[compression](packed)
+    rest_bytes = limit_bytes
     while True:
         try:
             piece = unpacked.read1(PIECE_BYTES)

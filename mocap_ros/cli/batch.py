@@ -56,7 +56,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(
             '--workers and --memory are for this machine; the workers of a --scheduler have their own'
         )
-    is_replay, changes = args.work == 'replay', parse_changes(args)
+    is_replay = args.work == 'replay'
+    changes = parse_changes(args)
     if is_replay:
         changes |= read_lens_parameters(args)
     options = ReplayOptions(load_config_file(args), args.topic, args.camera_info, changes=changes)
@@ -64,7 +65,9 @@ def run(args: argparse.Namespace) -> int:
     own_folders = [settings.out / name for name in (RESULTS, RECORDS, UNFINISHED)]
     key = settings.compute_key()
     recordings = find_recordings(args.source, print_note, only_bags=is_replay, leave_out=own_folders)
-    start, outcomes, has_failed = time.monotonic(), [], False
+    start = time.monotonic()
+    outcomes = []
+    has_failed = False
     with (
         connect(args.scheduler, args.workers, args.memory) as client,
         make_bar(desc='batch', total=len(recordings)) as bar,

@@ -76,7 +76,8 @@ def run(args: argparse.Namespace) -> int:
     else:
         detections = _detect_until_interrupted(camera, args, limit_and_show)
     if output.suffix == BAG_SUFFIX:
-        lines, times = list(detections.notes), np.array([stamp / NS_PER_S for stamp in detections.stamps_ns])
+        lines = list(detections.notes)
+        times = np.array([stamp / NS_PER_S for stamp in detections.stamps_ns])
         with replace_output(output, *sources) as unfinished:
             save_detections(unfinished, detections)
         what = f'{len({p.id for people in detections.people for p in people})} people'
@@ -105,9 +106,15 @@ def _detect_until_interrupted(camera: Path, args: argparse.Namespace, limit_and_
             with suppress(KeyboardInterrupt):
                 yield from limit_and_show(stop_at_interrupt(images), count)
 
-        options = args.model, args.max_people, show_until_interrupted
-        is_interrupted = lambda: stop_at_interrupt.is_requested  # noqa: E731
-        found.append(detect_in_video(camera, *options, is_camera=True, is_interrupted=is_interrupted))
+        detections = detect_in_video(
+            camera,
+            args.model,
+            args.max_people,
+            show_until_interrupted,
+            is_camera=True,
+            is_interrupted=lambda: stop_at_interrupt.is_requested,
+        )
+        found.append(detections)
     if not found:
         raise KeyboardInterrupt
     return found[0]

@@ -90,8 +90,9 @@ def add_options(parser: argparse.ArgumentParser, options: Options) -> None:
     """Add options and arguments to a command."""
     groups: dict[str, argparse._MutuallyExclusiveGroup] = {}
     for form, entry in options.items():
-        description, given = (entry, {}) if isinstance(entry, str) else entry
-        settings, (*names, value) = {**given, 'help': description}, form.split()
+        description, settings = option(entry) if isinstance(entry, str) else entry
+        settings = {**settings, 'help': description}
+        *names, value = form.split()
         target: argparse._ActionsContainer = parser
         if group := settings.pop('group', ''):
             target = groups[group] = groups.get(group) or parser.add_mutually_exclusive_group()

@@ -106,7 +106,8 @@ def _replay_one(path: Path, out: Path, options: ReplayOptions, *, is_strict: boo
             f'{path}: {result.unrecorded_inputs} inputs are missing because the disk was too slow for the '
             'recorder; the results after the first missing input differ from the live ones'
         )
-    counts, seconds = result.counters, time.monotonic() - start
+    counts = result.counters
+    seconds = time.monotonic() - start
     print_result(
         f'{out}: {counts.accepted} messages of people accepted, {counts.dropped.total()} dropped, '
         f'{counts.invalid} invalid, {seconds:.1f} s'

@@ -99,7 +99,8 @@ class ShareBar:
         self._description = description
         self._bar: tqdm[Any] | None = None
         self._total_s = math.inf  # s, of the whole computation, as the last report has it
-        self._is_done, self._ticker = threading.Event(), threading.Thread(target=self._tick, daemon=True)
+        self._is_done = threading.Event()
+        self._ticker = threading.Thread(target=self._tick, daemon=True)
 
     def __enter__(self) -> Report:
         """Return the function that gets the share, 0 to 1."""

@@ -154,7 +154,8 @@ def _train_lifter(args: argparse.Namespace, sources: Sequence[Path]) -> None:
     torch.set_num_threads(1)
     trials, shares, provenance = _load_trials(args)
     provenance['without_subjects'] = args.without_subject
-    steps, path = args.steps or DEFAULT_STEPS, args.checkpoint
+    steps = args.steps or DEFAULT_STEPS
+    path = args.checkpoint
     start = None if args.start_from is None else model_file.load_lifter(args.start_from)
     settings = training.TrainingSettings(steps=steps, seed=args.seed or 0, without=tuple(args.without or ()))
     if start is not None:

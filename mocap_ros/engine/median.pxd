@@ -7,7 +7,8 @@ cdef inline double find_median(double* values, Py_ssize_t n) noexcept nogil:
     cdef Py_ssize_t i, position
     cdef double value
     for i in range(1, n):
-        value, position = values[i], i
+        value = values[i]
+        position = i
         while position > 0 and values[position - 1] > value:
             values[position] = values[position - 1]
             position -= 1

@@ -14,8 +14,8 @@ the rotations about the axes of the rotation channels, in the order of the chann
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,10 +52,16 @@ class BvhMotion:
     frame_time: float  # time between frames in s
     motion: Array  # (F, C) values of all channels, in the file's unit of length and in degrees
 
+    @staticmethod
+    def from_nodes(nodes: Sequence[Node], frame_time: float, motion: Array) -> BvhMotion:
+        """Return the motion of nodes, parents first; the other arguments are the attributes."""
+        names = tuple(node.name for node in nodes)
+        parents = tuple(node.parent for node in nodes)
+        channels = tuple(node.channels for node in nodes)
+        return BvhMotion(names, parents, np.array([node.offset for node in nodes]), channels, frame_time, motion)
+
     def compute_positions(self) -> Array:
         """Compute the positions (F, N, 3) of all nodes in the file's own frame and unit (forward kinematics)."""
-        from scipy.spatial.transform import Rotation
-
         frames = len(self.motion)
         position = np.zeros((frames, len(self.names), 3))
         rotation: list[Rotation] = []
@@ -63,14 +69,7 @@ class BvhMotion:
         for node, (parent, channels) in enumerate(zip(self.parents, self.channels, strict=True)):
             values = self.motion[:, first_column : first_column + len(channels)]
             first_column += len(channels)
-            translation = np.tile(self.offsets[node], (frames, 1))
-            local_rotation = Rotation.identity(frames)
-            for column, name in enumerate(channels):
-                if name in POSITION_CHANNELS:
-                    translation[:, POSITION_CHANNELS.index(name)] = values[:, column]
-                else:
-                    turn = Rotation.from_euler(name[0], values[:, [column]], degrees=True)
-                    local_rotation = local_rotation * turn
+            translation, local_rotation = compose_channels(self.offsets[node], channels, values)
             if parent < 0:
                 position[:, node] = translation
                 rotation.append(local_rotation)
@@ -81,13 +80,31 @@ class BvhMotion:
 
 
 @dataclass
-class _Node:
-    """A node while it is read; the attributes are those of `BvhMotion`."""
+class Node:
+    """A node of a hierarchy; the attributes are those of `BvhMotion`."""
 
     name: str
     parent: int
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    offset: Array = field(default_factory=lambda: np.zeros(3))
     channels: tuple[str, ...] = ()
+
+
+def compose_channels(offset: Array, channels: Sequence[str], values: Array) -> tuple[Array, Rotation]:
+    """Return the translations (F, 3) and the rotations of a node by its offset (3,) and the values (F, C).
+
+    A position channel replaces its coordinate of the offset; each rotation is about the axes that those before it
+    have turned.
+    """
+    from scipy.spatial.transform import Rotation
+
+    translation = np.tile(offset, (len(values), 1))
+    rotation = Rotation.identity(len(values))
+    for name, column in zip(channels, values.T, strict=True):
+        if name in POSITION_CHANNELS:
+            translation[:, POSITION_CHANNELS.index(name)] = column
+        else:
+            rotation = rotation * Rotation.from_euler(name[0], column[:, None], degrees=True)
+    return translation, rotation
 
 
 def load_bvh(path: Path) -> BvhMotion:
@@ -95,15 +112,13 @@ def load_bvh(path: Path) -> BvhMotion:
     lines = iter(enumerate(read_text(path, 'replace').splitlines(keepends=True), 1))
     with naming(path):
         nodes = _read_hierarchy(lines)
-        channels = tuple(node.channels for node in nodes)
-        frame_time, motion = _read_motion(lines, sum(map(len, channels)))
+        frame_time, motion = _read_motion(lines, sum(len(node.channels) for node in nodes))
         check_position_count(len(motion), len(nodes))
-    names, parents = tuple(node.name for node in nodes), tuple(node.parent for node in nodes)
-    return BvhMotion(names, parents, np.array([node.offset for node in nodes]), channels, frame_time, motion)
+    return BvhMotion.from_nodes(nodes, frame_time, motion)
 
 
-def _read_hierarchy(lines: Iterator[tuple[int, str]]) -> list[_Node]:
-    nodes: list[_Node] = []
+def _read_hierarchy(lines: Iterator[tuple[int, str]]) -> list[Node]:
+    nodes: list[Node] = []
     open_nodes: list[int] = []  # whose closing brace has not been read, outermost first
     for number, line in lines:
         key, *words = line.replace('{', ' ').split() or ['']
@@ -119,17 +134,18 @@ def _read_hierarchy(lines: Iterator[tuple[int, str]]) -> list[_Node]:
     return nodes
 
 
-def _read_hierarchy_line(key: str, words: list[str], nodes: list[_Node], open_nodes: list[int]) -> None:
+def _read_hierarchy_line(key: str, words: list[str], nodes: list[Node], open_nodes: list[int]) -> None:
     if key in ('ROOT', 'JOINT', 'END'):
-        name, parent = ' '.join(words), open_nodes[-1] if open_nodes else -1
+        name = ' '.join(words)
+        parent = open_nodes[-1] if open_nodes else -1
         is_misplaced = (parent < 0) != (key == 'ROOT')
         if is_misplaced or len(nodes) >= MAX_NODES or len(name) > MAX_NAME_CHARACTERS:
             raise ValueError
         open_nodes.append(len(nodes))
-        nodes.append(_Node(nodes[parent].name + END_SUFFIX if key == 'END' else name, parent))
+        nodes.append(Node(nodes[parent].name + END_SUFFIX if key == 'END' else name, parent))
     elif key == 'OFFSET':
         x, y, z = (float(word) for word in words)
-        nodes[open_nodes[-1]].offset = (x, y, z)
+        nodes[open_nodes[-1]].offset = np.array([x, y, z])
     elif key == 'CHANNELS':
         nodes[open_nodes[-1]].channels = tuple(CHANNEL_BY_LOWER_CASE[word.lower()] for word in words[1:])
         if int(words[0]) != len(words) - 1:
@@ -150,7 +166,8 @@ def _read_motion(lines: Iterator[tuple[int, str]], columns: int) -> tuple[float,
                 value_by_label[' '.join(label.split()).lower()] = float(value)
         if 'frame time' in value_by_label:
             break
-    frames, frame_time = value_by_label.get('frames', 0.0), value_by_label.get('frame time', 0.0)
+    frames = value_by_label.get('frames', 0.0)
+    frame_time = value_by_label.get('frame time', 0.0)
     values = ''.join(line for _, line in lines)
     if not (frames >= 1 and 0 < frame_time < np.inf and values.strip()):
         raise InputError('MOTION: no frames')

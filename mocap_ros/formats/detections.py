@@ -139,7 +139,8 @@ def arrange_frames(people_by_image: Mapping[Any, Sequence[Person2D]], video: Vid
     order = order_images(people_by_image)
     notes = [order.note] if order.note else []
     if order.stamps_ns:
-        stamps, images = list(order.stamps_ns.values()), [people_by_image[name] for name in order.stamps_ns]
+        stamps = list(order.stamps_ns.values())
+        images = [people_by_image[name] for name in order.stamps_ns]
         if video.fps is not None:
             notes.append('the names of the images are times; --fps is not used')
     else:
@@ -187,14 +188,16 @@ def associate_people(
     Detections with fewer than `min_joints` joints are left out, and parts of a person are joined. Returns the
     tracks in the order of their first frame, and lines on what was left out.
     """
-    who, known, tracks = Identities[FollowedPerson](settings), list[FollowedPerson](), dict[str, PersonTrack]()
-    unusable, faults = 0, dict[str, None]()
+    who = Identities[FollowedPerson](settings)
+    known = list[FollowedPerson]()
+    tracks = dict[str, PersonTrack]()
+    unusable = 0
+    faults = dict[str, None]()
     size = resolve_image_size(stated=detections.image_size, keypoints=_stack_keypoints(detections))
     camera = detections.intrinsics or Intrinsics.from_image_size(*size, settings.nominal_focal_length)
     for frame, (stamp_ns, found_people) in enumerate(zip(detections.stamps_ns, detections.people, strict=True)):
         people = [person.hide_border(size) for person in found_people]
-        limits = settings.min_score, settings.min_joints
-        converted = Detection.from_people(people, camera, *limits)
+        converted = Detection.from_people(people, camera, settings.min_score, settings.min_joints)
         seen = [(p, d) for p, d in zip(people, converted, strict=True) if d is not None]
         unusable += len(people) - len(seen)
         for lost in who.find_lost(stamp_ns, known):
@@ -204,10 +207,12 @@ def associate_people(
                 joined = tracks.pop(lost.id).detection_by_frame | whole.detection_by_frame
                 whole.detection_by_frame = dict(sorted(joined.items()))
         if who.is_everybody_gone(stamp_ns):
-            who, known = who.restart(), []
+            who = who.restart()
+            known = []
         matches = who.match(stamp_ns, known, [d for _, d in seen])
         known = [person for person in known if person not in matches.replaced]
-        names, is_tentative = {person.id for person in known}, who.is_first_tentative(stamp_ns)
+        names = {person.id for person in known}
+        is_tentative = who.is_first_tentative(stamp_ns)
         for detection, found, members in zip(matches.detections, matches.tracks, matches.members, strict=True):
             person = found or FollowedPerson(who.name(stamp_ns, detection, names), stamp_ns, is_tentative)
             if found is None:

@@ -96,7 +96,8 @@ def load_json_folder(folder: Path, video: Video) -> Detections:
         raise InputError(f'{folder}: no *.json in it')
     if len(paths) == 1 and not paths[0].name.endswith(FILE_SUFFIX) and not _is_frame(read_json(paths[0])):
         return load_json_file(paths[0], video)
-    found, sizes = _Found(), set[ImageSize]()  # px
+    found = _Found()
+    sizes = set[ImageSize]()  # px
     for path in paths:
         content = read_json(path)
         with naming(path):
@@ -135,10 +136,12 @@ def _arrange(found: _Found, video: Video, size: ImageSize | None) -> Detections:
     factor = 1 / VISIBLE if _are_visibilities(everybody) else 1.0
     has_points = False
     for entry, keypoints, own_names in found.entries:
-        values, names = keypoints.values, own_names
+        values = keypoints.values
+        names = own_names
         has_points = has_points or bool((values[:, :2] > 0).any())
         if placement and keypoints.labels:
-            values, names = placement.place(keypoints), placement.joints
+            values = placement.place(keypoints)
+            names = placement.joints
         with naming(entry.place):
             person = create_person(values * [1.0, 1.0, factor], video.layout, _read_id(entry.content), names)
         if (person.score > 0).any():
@@ -169,11 +172,16 @@ def _describe_absence(found: _Found, *, has_points: bool) -> str:
     return 'no person is seen in any frame'
 
 
+def _find_key(content: Any, keys: Iterable[str]) -> str:
+    """Return the first of the keys that content has, else an empty text."""
+    return next((key for key in keys if key in content), '')
+
+
 def _is_frame(content: Any) -> bool:
     if isinstance(content, dict):
-        return any(key in content for key in ('people', 'bodies', 'instances'))
+        return not content.keys().isdisjoint(('people', 'bodies', 'instances'))
     return isinstance(content, list) and all(
-        isinstance(p, dict) and any(k in p for k in KEYPOINT_KEYS) and not {'image_id', 'frame_id'} & p.keys()
+        isinstance(p, dict) and _find_key(p, KEYPOINT_KEYS) and not {'image_id', 'frame_id'} & p.keys()
         for p in content
     )
 
@@ -183,7 +191,7 @@ def _iterate_people(image: ImageName, place: str, content: Any) -> Iterator[_Ent
     key = ''
     if isinstance(content, dict):
         _refuse_landmarks(content)
-        key = next((key for key in PEOPLE_KEYS if key in content), '')
+        key = _find_key(content, PEOPLE_KEYS)
         content = content.get(key)
     if not isinstance(content, list):
         raise InputError(f'{place}{": " if place else ""}no list of people; not a frame of OpenPose or MMPose')
@@ -200,7 +208,7 @@ def _iterate_entries(
     """Yield all people in a file, and add all its frames to `frames`."""
     key = ''
     if isinstance(content, dict):
-        key = next((key for key in LIST_KEYS if key in content), '')
+        key = _find_key(content, LIST_KEYS)
         if not key:
             yield from _iterate_mapping(content, frames)
             return
@@ -212,11 +220,13 @@ def _iterate_entries(
         people: Any = None
         with naming(place, 'expected image_id and keypoints, or frame_id and instances'):
             if isinstance(entry, list):
-                image, people = _parse_image_name(index), entry
-            elif people_key := next((k for k in PEOPLE_KEYS if k in entry), ''):
+                image = _parse_image_name(index)
+                people = entry
+            elif people_key := _find_key(entry, PEOPLE_KEYS):
                 number = entry.get('frame_id')
                 image = _parse_image_name(index if number is None else int(number))
-                place, people = f'{place}.{people_key}', list(entry[people_key])
+                place = f'{place}.{people_key}'
+                people = list(entry[people_key])
             else:
                 _refuse_landmarks(entry)
                 image = entry['image_id']
@@ -271,16 +281,17 @@ def _add_people(found: _Found, entries: Iterable[_Entry], categories: _Categorie
         _refuse_landmarks(person[0] if isinstance(person, list) and person else person)
         if not isinstance(person, dict):
             raise InputError(f'{entry.place}: expected a person with keypoints')
-        key = next((key for key in KEYPOINT_KEYS if key in person), None)
-        category, name = person.get('category_id'), _read_class(person, PERSON_CLASS)
+        key = _find_key(person, KEYPOINT_KEYS)
+        category = person.get('category_id')
+        name = _read_class(person, PERSON_CLASS)
         if not is_person_class(name) or (has_people and name != PERSON_CLASS) or category in others:
             found.others += 1
-        elif key is None and 'people[' in entry.place:
+        elif not key and 'people[' in entry.place:
             raise InputError(f'{entry.place}: no {KEYPOINT_KEYS[1]}')
-        elif key is None or _has_no_keypoints(person[key]):
+        elif not key or _has_no_keypoints(person[key]):
             found.without_keypoints += 1
         else:
-            score = next((person[k] for k in SCORE_KEYS if k in person), 1.0)
+            score = person.get(_find_key(person, SCORE_KEYS), 1.0)
             if isinstance(score, (int, float)) and score < MIN_PERSON_SCORE:
                 continue
             with naming(entry.place, EXPECTED_KEYPOINTS):
@@ -302,7 +313,7 @@ def _refuse_landmarks(entry: Any) -> None:
     if not isinstance(entry, dict):
         return
     is_landmark = {'x', 'y'} <= entry.keys() and not {'width', 'w', 'keypoints'} & entry.keys()
-    if is_landmark or any(key in entry for key in LANDMARK_KEYS):
+    if is_landmark or _find_key(entry, LANDMARK_KEYS):
         raise InputError(
             'landmarks of MediaPipe, whose x and y are shares of the width and height of the image; expected '
             'keypoints in px: write each person as {"image_id": frame, "keypoints": [x * width, y * height, '
@@ -326,7 +337,8 @@ def _read_images(content: Any) -> tuple[dict[Any, ImageName], ImageSize | None]:
     entries = content.get('images', []) if isinstance(content, dict) else []
     name_by_image: dict[Any, ImageName] = {}
     with naming('image', EXPECTED_SIZE):
-        sizes, names = _read_sizes(content), set()
+        sizes = _read_sizes(content)
+        names = set()
     with naming('images', 'expected a list'):
         entries = list(entries)
     for index, image in enumerate(entries):
@@ -386,7 +398,7 @@ def _read_names(names: Any) -> Names:
 
 
 def _read_id(content: Mapping[str, Any]) -> str:
-    value = next((content[key] for key in ID_KEYS if key in content), None)
+    value = content.get(_find_key(content, ID_KEYS))
     if 'person_id' in content and value is content['person_id']:  # of OpenPose, which writes [-1] without tracking
         is_id = isinstance(value, list) and len(value) == 1 and isinstance(value[0], int) and value[0] >= 0
         return str(value[0]) if is_id else ''

@@ -82,7 +82,8 @@ class Placement(NamedTuple):
 
 def read_keypoints(person: Mapping[str, Any], key: str) -> JsonKeypoints:
     """Read the keypoints that a person has as `key`; one of `MALFORMED` where the content has another shape."""
-    raw, columns = person[key], dict[str, Any]()
+    raw = person[key]
+    columns = dict[str, Any]()
     if isinstance(raw, dict) and 'x' not in raw:
         raw = [{**_name_numbers(point), 'name': name} for name, point in raw.items()]
     if isinstance(raw, dict):

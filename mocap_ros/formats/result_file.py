@@ -90,21 +90,24 @@ def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
         times = arrays.read_numbers('timestamps', (None,))
         if not len(times) or not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
             raise InputError('timestamps: expected increasing times in s')
-        names, frames = arrays.read_joint_names('joint_names'), len(times)
+        names = arrays.read_joint_names('joint_names')
+        frames = len(times)
         skeleton = skeleton_from_joints(names)
         if not skeleton.name:
             raise InputError(f'joint_names: {", ".join(names)}: not those of a known skeleton')
         joints = arrays.read_numbers('joints3d', (frames, len(names), 3))
         if np.isinf(joints).any():
             raise InputError('joints3d: not finite')
-        sequence, is_scale_known = None, False
+        sequence = None
+        is_scale_known = False
         if 'keypoint_names' in arrays:
             named = {INPUT_KEYS[key]: array_by_key[key] for key in INPUT_KEYS if key in array_by_key}
             sequence = validate_sequence(named)
         intrinsics = _find_intrinsics(arrays, sequence, joints)
         if 'scale_known' in arrays:
             is_scale_known = bool(arrays.read_flags('scale_known', ()))
-        world, floor_std = np.full((4, 4), np.nan), np.nan
+        world = np.full((4, 4), np.nan)
+        floor_std = np.nan
         if 'floor_std' in arrays:
             world = arrays.read_numbers('world_from_camera', (4, 4))
             floor_std = float(arrays.read_numbers('floor_std', ()))

@@ -58,8 +58,9 @@ def make_camera_arrays(sequence: KeypointSequence) -> tuple[Array | None, Array 
         return sequence.camera_matrix, sequence.distortion
     if calibration.distortion.model == FISHEYE:
         return None, None
-    matrix = np.array([[0.0, 0.0, calibration.center[0]], [0.0, 0.0, calibration.center[1]], [0.0, 0.0, 1.0]])
-    matrix[[0, 1], [0, 1]] = calibration.focal_lengths
+    fx, fy = calibration.focal_lengths
+    cx, cy = calibration.center
+    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     coefficients = calibration.distortion.coefficients
     return matrix, np.array(coefficients) if coefficients else None
 
@@ -175,7 +176,8 @@ def check_timestamps(timestamps: Array) -> None:
     """Check that timestamps (F,) in s can be those of a video."""
     invalid = ~(np.abs(timestamps) < MAX_TIMESTAMP_S) | (timestamps < 0)
     if invalid.any():
-        frame, steps = int(invalid.argmax()), np.diff(timestamps[np.isfinite(timestamps)])
+        frame = int(invalid.argmax())
+        steps = np.diff(timestamps[np.isfinite(timestamps)])
         fault = describe_step(float(np.median(steps))) if len(steps) else ''
         raise InputError(f'timestamps: frame {frame}: {timestamps[frame]:g} s{fault and "; "}{fault}')
     if (np.diff(timestamps) > 0).all() and (fault := describe_rate(timestamps)):
@@ -189,6 +191,8 @@ def check_timestamps(timestamps: Array) -> None:
 
 def find_longest_gap(times: Array) -> tuple[float, float]:
     """Return the longest step between times (F,) in s, and the time before it; 0 s if there is no step."""
+    if len(times) < 2:
+        return 0.0, 0.0
     steps = np.diff(times)
-    longest = int(steps.argmax()) if len(steps) else -1
-    return (float(steps[longest]), float(times[longest])) if len(steps) else (0.0, 0.0)
+    longest = int(steps.argmax())
+    return float(steps[longest]), float(times[longest])

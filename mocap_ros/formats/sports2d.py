@@ -40,7 +40,8 @@ def load_pixel_files(path: Path, video: Video) -> Detections:
                     continue
                 with naming(f'line {number}', expected + quote_line(line)):
                     row = np.array([float(text or 'nan') for text in line.split('\t')[1 : 3 * len(names) + 2]])
-                    stamp_ns, points = round(row[0] * NS_PER_S), row[1:].reshape(len(names), 3)
+                    stamp_ns = round(row[0] * NS_PER_S)
+                    points = row[1:].reshape(len(names), 3)
                 if (np.nan_to_num(points[:, 2]) != 0).any():
                     raise InputError('3D markers; of Sports2D the files VIDEO_Sports2D_px_person00.trc are read')
                 points[:, 2] = np.isfinite(points[:, :2]).all(axis=1)

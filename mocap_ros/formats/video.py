@@ -57,6 +57,14 @@ class VideoFacts(NamedTuple):
     focal_px: float | None  # px, focal length in images of that size; None where it is not stated
 
 
+def _import_av(path: Path, what: str) -> Any:
+    try:
+        import av
+    except ImportError:
+        raise MocapError(f'{path}: {what} needs PyAV: {tell_installation("video")}') from None
+    return av
+
+
 def find_camera(name: str) -> Path | None:
     """Return the device of a camera that is named by its number or its path, None if it is no camera's name."""
     path = Path(CAMERA_DEVICE.format(name)) if name.isdecimal() and not Path(name).exists() else Path(name)
@@ -78,10 +86,7 @@ class VideoReader:
     """
 
     def __init__(self, path: Path, *, is_camera: bool = False) -> None:
-        try:
-            import av
-        except ImportError:
-            raise MocapError(f'{path}: a video needs PyAV: {tell_installation("video")}') from None
+        av = _import_av(path, 'a video')
         self._path = path
         self._errors = (av.FFmpegError, ValueError)
         self.left_out = 0
@@ -277,12 +282,10 @@ def _describe(error: Exception) -> str:
 
 def write_video(path: Path, images: Iterable[tuple[float, NDArray[np.uint8]]]) -> None:
     """Write an .mp4 of times in s and images (H, W, 3), red, green and blue, all of the size of the first."""
-    try:
-        import av
-    except ImportError:
-        raise MocapError(f'{path}: a film needs PyAV: {tell_installation("video")}') from None
+    av = _import_av(path, 'a film')
     codec = next(name for name in FILM_CODECS if name in av.codecs_available)
-    start_s, newest = 0.0, -1
+    start_s = 0.0
+    newest = -1
     stream: Any = None
     try:
         with av.open(str(path), 'w', format='mp4') as container:
@@ -290,12 +293,14 @@ def write_video(path: Path, images: Iterable[tuple[float, NDArray[np.uint8]]]) -
                 if stream is None:
                     stream = container.add_stream(codec, rate=30)
                     stream.height, stream.width = (side // 2 * 2 for side in image.shape[:2])
-                    stream.pix_fmt, start_s = 'yuv420p', time_s
+                    stream.pix_fmt = 'yuv420p'
+                    start_s = time_s
                     stream.time_base = stream.codec_context.time_base = FILM_TICK
                 even = np.ascontiguousarray(image[: stream.height, : stream.width])
                 frame = av.VideoFrame.from_ndarray(even, format='rgb24')
                 newest = max(round((time_s - start_s) / FILM_TICK), newest + 1)
-                frame.pts, frame.time_base = newest, FILM_TICK
+                frame.pts = newest
+                frame.time_base = FILM_TICK
                 container.mux(stream.encode(frame))
             if stream is not None:
                 container.mux(stream.encode(None))

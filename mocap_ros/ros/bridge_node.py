@@ -87,7 +87,8 @@ class BridgeNode(ManagedNode):
         if self._timer is not None:
             self.destroy_timer(self._timer)
             self._publish(self._bridge.clear())
-        self._subscriptions_in_use, self._timer = [], None
+        self._subscriptions_in_use = []
+        self._timer = None
 
     def _subscribe(self, silence: SilenceMonitor, feed: Callable[[bytes], list[OutputMessage]]) -> Any:
         topic = self.resolve_topic_name(silence.name)

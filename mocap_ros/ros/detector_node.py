@@ -46,7 +46,8 @@ class DetectorNode(Node):
         self._versions = MessageVersions()
         self._versions.add_input(self._type)
         self._versions.add_output(KEYPOINTS)
-        published, events = load_interface_class(KEYPOINTS), warn_of_subscribers(self, KEYPOINTS_TOPIC)
+        published = load_interface_class(KEYPOINTS)
+        events = warn_of_subscribers(self, KEYPOINTS_TOPIC)
         self._publisher = self.create_publisher(published, KEYPOINTS_TOPIC, OUTPUT_QOS, event_callbacks=events)
         subscribe(self, self._type, IMAGE_TOPIC, self._take_image, NEWEST_QOS)
         self.get_logger().info(

@@ -64,7 +64,9 @@ class DiagnosticsReporter:
     """Encoder of the periodic diagnostic status of the run of a node of this name."""
 
     def __init__(self, name: str, pipeline: Pipeline, statistics: RunStatistics) -> None:
-        self._name, self._pipeline, self._statistics = name, pipeline, statistics
+        self._name = name
+        self._pipeline = pipeline
+        self._statistics = statistics
         self._previous = self._count()  # an earlier run may have counted, too
 
     def encode_status(self, recorder: str, now_ns: int, recorder_fault: str = '') -> bytes:
@@ -74,8 +76,11 @@ class DiagnosticsReporter:
         """
         pipeline, statistics = self._pipeline, self._statistics
         counts = self._count()
-        new, self._previous = counts - self._previous, counts  # negative differences, after a reset, are left out
-        reason, statistics.reason = make_printable_line(statistics.reason, MAX_LINE_LENGTH), ''
+        # negative differences, after a reset, are left out
+        new = counts - self._previous
+        self._previous = counts
+        reason = make_printable_line(statistics.reason, MAX_LINE_LENGTH)
+        statistics.reason = ''
         people = pipeline.people if new['accepted'] else ()  # else they are of an earlier second
         residuals = [p.reprojection_residual for p in people if math.isfinite(p.reprojection_residual)]
         newest_ns = pipeline.header.stamp_ns  # 0 before the first frame, and after a reset
@@ -120,7 +125,8 @@ class DiagnosticsReporter:
         return encode_plain({'header': Header(now_ns, ''), 'status': [status]}, DIAGNOSTICS)
 
     def _count(self) -> Counter[str]:
-        counters, statistics = self._pipeline.counters, self._statistics
+        counters = self._pipeline.counters
+        statistics = self._statistics
         own = {'received': statistics.received, 'removed': statistics.removed, 'accepted': counters.accepted}
         others = {'unusable': self._pipeline.unusable_people, 'invalid': counters.invalid}
         return Counter(own | others | counters.dropped)

@@ -73,7 +73,8 @@ def build_parser(name: str) -> argparse.ArgumentParser:
 
 def remove_ros_arguments(arguments: Sequence[str]) -> list[str]:
     """Return the arguments that are not between `--ros-args` and `--`."""
-    remaining, is_for_ros = [], False
+    remaining = []
+    is_for_ros = False
     for argument in arguments:
         if argument == '--ros-args' or (is_for_ros and argument == '--'):
             is_for_ros = argument == '--ros-args'

@@ -84,7 +84,8 @@ class InputQueue:
             state.waiting_bytes += len(raw)
             self._waiting_bytes += len(raw)
             if source is Source.BODY:
-                stamp_ns, newest_ns = read_stamp_ns(raw), self._newest_body_ns
+                stamp_ns = read_stamp_ns(raw)
+                newest_ns = self._newest_body_ns
                 if stamp_ns > newest_ns or stamp_ns < newest_ns - RESTART_NS:  # time itself has gone back
                     self._newest_body_ns = stamp_ns
             if state.waiting > MAX_WAITING:
@@ -161,7 +162,8 @@ class InputQueue:
         self._removed[topic] += 1
 
     def _take(self, key: tuple[str, int]) -> ReceivedMessage:
-        message, state = self._waiting.pop(key), self._topics[key[0]]
+        message = self._waiting.pop(key)
+        state = self._topics[key[0]]
         state.left += 1
         state.waiting_bytes -= len(message.raw)
         self._waiting_bytes -= len(message.raw)

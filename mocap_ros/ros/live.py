@@ -56,10 +56,17 @@ class LiveRun:
         find_offered_qos: FindOfferedQos = lambda _: (),
         versions: MessageVersions | None = None,
     ) -> None:
-        self._pipeline, self._types, self._names, self._publish = pipeline, input_types, names, publish
-        self._versions, self._find_offered_qos = versions or MessageVersions(), find_offered_qos
-        self._logger, self._throttled_log, self._tracebacks = logger, ThrottledLog(logger), TracebackLog(logger)
-        self.statistics, self.queue = RunStatistics(), InputQueue()
+        self._pipeline = pipeline
+        self._types = input_types
+        self._names = names
+        self._publish = publish
+        self._versions = versions or MessageVersions()
+        self._find_offered_qos = find_offered_qos
+        self._logger = logger
+        self._throttled_log = ThrottledLog(logger)
+        self._tracebacks = TracebackLog(logger)
+        self.statistics = RunStatistics()
+        self.queue = InputQueue()
         self._recording: Recording | None = None
         self._finisher = ThreadPoolExecutor(1, 'mocap recording')  # waits for the disk when a recording ends
         self._start_failure = ''  # why none could be started although recorder.enabled is set
@@ -156,11 +163,13 @@ class LiveRun:
         with self._pipeline_lock:
             if self._running:
                 raise RecordingError(f'a recording to {self._running.folder} is already running')
-            now_ns, first_ns = self._now_ns(), self.queue.find_first_receipt_ns()
+            now_ns = self._now_ns()
+            first_ns = self.queue.find_first_receipt_ns()
             start_ns = now_ns if first_ns is None else min(now_ns, first_ns - 1)  # before all that waits
-            context = self._names, self._logger, self._find_offered_qos, self._versions
             try:
-                self._recording = recording = Recording(self._pipeline, start_ns, *context)
+                self._recording = recording = Recording(
+                    self._pipeline, start_ns, self._names, self._logger, self._find_offered_qos, self._versions
+                )
             except RecordingError as error:
                 self._start_failure = str(error) if self._pipeline.config.recorder.enabled else ''
                 raise
@@ -174,7 +183,9 @@ class LiveRun:
         If the disk is slow, the recording is finished after the return, and its end is logged.
         """
         with self._pipeline_lock:
-            recording, self._recording, self._start_failure = self._running, None, ''
+            recording = self._running
+            self._recording = None
+            self._start_failure = ''
         if recording is None:
             return None
         ending = self._finisher.submit(recording.finish)

@@ -52,7 +52,9 @@ class Recording:
         find_offered_qos: FindOfferedQos,
         versions: MessageVersions,
     ) -> None:
-        self._names, self._logger, self._versions = names, logger, versions
+        self._names = names
+        self._logger = logger
+        self._versions = versions
         self._find_offered_qos = find_offered_qos
         self._journal = Journal(names['journal'])
         self._declared = {names[topic] for topic in LATCHED_OUTPUTS}  # topics that are in the bag
@@ -60,7 +62,8 @@ class Recording:
         attachments = provenance_attachments(pipeline.config, pipeline.models)
         first_records = self._make_first_records(pipeline, start_ns)
         self._recorder = start_recorder(start_ns, pipeline.config.recorder, attachments, versions.definitions)
-        self.folder, self.failure = self._recorder.folder, ''
+        self.folder = self._recorder.folder
+        self.failure = ''
         self._put(first_records)
 
     @property
@@ -100,7 +103,8 @@ class Recording:
         except RecordingError as error:
             self._logger.error(f'{error}; the recording has ended')
             raise
-        line, missing = f'the recording to {self.folder} is finished', self._recorder.refused_count
+        line = f'the recording to {self.folder} is finished'
+        missing = self._recorder.refused_count
         if missing:
             line += f', but {missing} inputs are missing in it, as the disk was too slow; record to a faster disk'
         self._logger.info(line)
@@ -112,7 +116,8 @@ class Recording:
 
         Returns False if the disk is too slow to write them; the journal then notes that the input is missing.
         """
-        content, is_accepted = self._versions.read(msgtype, message.raw), result.verdict is Verdict.ACCEPTED
+        content = self._versions.read(msgtype, message.raw)
+        is_accepted = result.verdict is Verdict.ACCEPTED
         repeat_keys = make_repeat_keys(message.source, content, is_accepted=is_accepted)
         records: list[RecordedMessage | Topic] = [
             *self._declare_input(message.source, message.topic, msgtype),
@@ -160,8 +165,10 @@ class Recording:
         for source, messages in known.items():
             msgtype = CAMERA_INFO if source is Source.CAMERA_INFO else TRANSFORMS
             for content in messages:
-                topic, times_ns = self._names[source.value], (start_ns, start_ns)
-                raw, keys = self._versions.write(msgtype, content), make_repeat_keys(source, content)
+                topic = self._names[source.value]
+                times_ns = (start_ns, start_ns)
+                raw = self._versions.write(msgtype, content)
+                keys = make_repeat_keys(source, content)
                 records += self._declare_input(source, topic, msgtype)
                 records += self._journal.make_input_records(
                     topic, msgtype, raw, times_ns, Verdict.ACCEPTED, repeat_keys=keys

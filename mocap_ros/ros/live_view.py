@@ -41,10 +41,13 @@ class LiveView(Node):
 
     def __init__(self, port: int, namespace: str, announce: Callable[[str], None]) -> None:
         super().__init__('mocap_view', namespace=namespace)
-        self._versions, self._limits = MessageVersions(), NodeConfig()
+        self._versions = MessageVersions()
+        self._limits = NodeConfig()
         self._topic = self.resolve_topic_name('skeletons')
         self._scene = LiveScene('Live', self._topic)
-        self._port, self._announce, self._serving = port, announce, ExitStack()
+        self._port = port
+        self._announce = announce
+        self._serving = ExitStack()
         self._keypoints: dict[int, KeypointsFrame] = {}  # by stamp in ns
         self._camera: CameraInfo | None = None
         self._size = (640, 480)

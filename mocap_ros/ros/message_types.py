@@ -123,7 +123,9 @@ def _split_array(description: str) -> tuple[str, str]:
     """Return element type and brackets, in .msg syntax, of `sequence<double, 3>`, `float[3]`, `string<8>`, ..."""
     brackets = ''
     if sequence := re.fullmatch(r'sequence<(.+?)(?:, (\d+))?>', description):
-        description, brackets = sequence[1], f'[<={sequence[2]}]' if sequence[2] else '[]'
+        description = sequence[1]
+        brackets = f'[<={sequence[2]}]' if sequence[2] else '[]'
     elif array := re.fullmatch(r'(.+)\[(\d+)\]', description):
-        description, brackets = array[1], f'[{array[2]}]'
+        description = array[1]
+        brackets = f'[{array[2]}]'
     return re.sub(r'^(w?string)<(\d+)>$', r'\1<=\2', description), brackets

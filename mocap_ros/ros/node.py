@@ -32,6 +32,7 @@ from mocap_ros.units import NS_PER_S
 
 DIAGNOSTICS_TOPIC = '/diagnostics'
 RECORDING_PARAMETER = 'recorder.enabled'  # switched by the service ~/record, too
+NOT_ACTIVE = 'the node is not active'  # answer of its services
 # ns; the seconds of a stamp are int32, and with use_sim_time anyone sets the time
 MAX_STAMP_NS = (2**31 - 1) * NS_PER_S
 DIAGNOSTICS_PERIOD_S = 1.0  # s; the usual period of /diagnostics
@@ -93,7 +94,9 @@ class MocapNode(ManagedNode):
         self._outputs.destroy()
         for service in self._provided_services:
             self.destroy_service(service)
-        self._provided_services, self._pipeline, self._inputs = [], None, None
+        self._provided_services = []
+        self._pipeline = None
+        self._inputs = None
 
     def start_run(self) -> None:
         """Publish the names of the joints, subscribe to the inputs and process them."""
@@ -105,8 +108,15 @@ class MocapNode(ManagedNode):
         relative_names = [*(s.value for s in Source), *OUTPUTS, *switched, *LATCHED_OUTPUTS]
         names = {name: self.resolve_topic_name(name) for name in relative_names}
         names['journal'] = self.resolve_topic_name('~/journal')
-        context = self._outputs.publish, self.get_logger(), self._find_offered_qos, self._versions
-        self._run = LiveRun(self._pipeline, self._inputs.types, names, *context)
+        self._run = LiveRun(
+            self._pipeline,
+            self._inputs.types,
+            names,
+            self._outputs.publish,
+            self.get_logger(),
+            self._find_offered_qos,
+            self._versions,
+        )
         self._run.start()
         self._inputs.subscribe(self._run)
         outputs = (*OUTPUTS, *switched, *LATCHED_OUTPUTS)
@@ -131,7 +141,8 @@ class MocapNode(ManagedNode):
             self._camera_search.advance('')
             for timer in self._run_timers:
                 self.destroy_timer(timer)
-            self._run_timers, self._reporter = [], None
+            self._run_timers = []
+            self._reporter = None
         finally:
             if run is not None:
                 run.stop()
@@ -161,16 +172,14 @@ class MocapNode(ManagedNode):
         return {p.name: p.value for p in changed if p.name in names}
 
     def _on_reset(self, _: Any, response: Any) -> Any:
-        if self._run is None:
-            response.message = 'the node is not active'
-        else:
-            response.success, response.message = True, self._run.reset()
+        response.success = self._run is not None
+        response.message = self._run.reset() if self._run else NOT_ACTIVE
         return response
 
     def _on_record(self, request: Any, response: Any) -> Any:
         """Answer a call of ~/record; the message of a success is the folder of the bag."""
         if self._run is None:
-            response.message = 'the node is not active'
+            response.message = NOT_ACTIVE
             return response
         try:
             folder = self._run.start_recording() if request.data else self._run.finish_recording()

@@ -129,11 +129,13 @@ class ClockMonitor:
     """Observer of the time of a node, which stands still where `use_sim_time` is set and nothing sends /clock."""
 
     def __init__(self, node: Node) -> None:
-        self._node, self._moved_s = node, time.monotonic()
+        self._node = node
+        self._moved_s = time.monotonic()
 
     def check(self) -> None:
         """Log a warning once the time has been 0 for `MAX_STANDSTILL_S`."""
-        clock, now_s = self._node.get_clock(), time.monotonic()
+        clock = self._node.get_clock()
+        now_s = time.monotonic()
         if not clock.ros_time_is_active or clock.now().nanoseconds:
             self._moved_s = now_s
         elif now_s - self._moved_s > MAX_STANDSTILL_S:
@@ -159,7 +161,8 @@ def run_node(arguments: Sequence[str], node_class: Callable[[], Any]) -> None:
     _initialise_rclpy(arguments)
     with ExitStack() as stack:
         stack.callback(rclpy.shutdown)
-        executor, node = SingleThreadedExecutor(), create_node(node_class)
+        executor = SingleThreadedExecutor()
+        node = create_node(node_class)
         tracebacks = TracebackLog(node.get_logger())
         executor.add_node(node)
         for end in (node.destroy_node, executor.shutdown, node.close):  # called last to first

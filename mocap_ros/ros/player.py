@@ -63,8 +63,11 @@ class Player:
     def __init__(
         self, playback: Playback, rate: float, wait_s: float = 10.0, clock_hz: float = 0.0, *, loop: bool = False
     ) -> None:
-        self._playback, self._loop = playback, loop
-        self._rate, self._wait_s, self._clock_hz = rate, wait_s, clock_hz
+        self._playback = playback
+        self._loop = loop
+        self._rate = rate
+        self._wait_s = wait_s
+        self._clock_hz = clock_hz
         self._publishers: dict[int, Any] = {}  # by index of the topic in the playback
         self._versions = MessageVersions()
         self._clock: Any = None  # publisher of /clock
@@ -132,7 +135,8 @@ class Player:
         time.sleep(SETTLE_SECONDS)
 
     def _publish_once(self, messages: Iterable[PlaybackMessage]) -> None:
-        start, first_ns = time.monotonic(), -1
+        start = time.monotonic()
+        first_ns = -1
         for message in messages:
             first_ns = message.due_ns if first_ns < 0 else first_ns
             elapsed_s = (message.due_ns - first_ns) / NS_PER_S / self._rate

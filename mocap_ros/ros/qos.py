@@ -63,7 +63,8 @@ def choose_playback_profile(recorded: Sequence[Qos], msgtype: str = '') -> QoSPr
     and volatile, which every subscriber accepts that does not ask for transient-local durability. Static
     transforms are all kept for late subscribers, as they came from several publishers, each of which kept its own.
     """
-    durability, is_transform = {q.durability.name for q in recorded}, msgtype == TRANSFORMS
+    durability = {q.durability.name for q in recorded}
+    is_transform = msgtype == TRANSFORMS
     is_latched = durability == {LATCHED.name} or (is_transform and LATCHED.name in durability)
     is_best_effort = {q.reliability.name for q in recorded} == {BEST_EFFORT.name}
     keeps_all = is_transform or not is_latched

@@ -76,7 +76,9 @@ class InputSubscriptions:
     def __init__(
         self, node: Node, input_type: str, versions: MessageVersions, get_limits: Callable[[], NodeConfig]
     ) -> None:
-        self._node, self._versions, self._get_limits = node, versions, get_limits
+        self._node = node
+        self._versions = versions
+        self._get_limits = get_limits
         self.types = list_input_types(input_type)
         for msgtype in self.types.values():
             versions.add_input(msgtype)
@@ -112,15 +114,20 @@ class InputSubscriptions:
         """Destroy all subscriptions."""
         for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
-        self._subscriptions, self._body_topics, self._run = {}, set(), None
+        self._subscriptions = {}
+        self._body_topics = set()
+        self._run = None
 
     def _subscribe_to(self, source: Source, name: str) -> Any:
         topic = self._node.resolve_topic_name(name)
-        message_class, lost_messages = load_interface_class(self.types[source]), LostMessages()
+        message_class = load_interface_class(self.types[source])
+        lost_messages = LostMessages()
 
         def take_all(raw: bytes, info: Any) -> None:
             """Take a message, and all others that wait; the executor alone takes one each time that it wakes."""
-            taken, count, deadline_s = (raw, info), 0, time.monotonic() + MAX_TAKE_S
+            taken = (raw, info)
+            count = 0
+            deadline_s = time.monotonic() + MAX_TAKE_S
             while taken is not None:
                 raw, info = taken
                 if source in PEOPLE_SOURCES and self._run:
@@ -135,7 +142,8 @@ class InputSubscriptions:
                 self._follow_bodies(raw)
 
         # rclpy declares parameters for overrides, which would stay behind for every body that leaves
-        qos, overridable = QOS_BY_SOURCE.get(source, INPUT_QOS), source is not Source.BODY
+        qos = QOS_BY_SOURCE.get(source, INPUT_QOS)
+        overridable = source is not Source.BODY
         subscription = subscribe(self._node, self.types[source], name, take_all, qos, overridable=overridable)
         return subscription
 

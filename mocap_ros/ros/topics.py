@@ -67,7 +67,8 @@ def warn_of_subscribers(node: Node, name: str) -> PublisherEventCallbacks:
 
 def _warn_once(node: Node, name: str, line: str) -> Callable[[Any], None]:
     """Return a handler of rclpy's events of incompatible QoS, which logs each policy once."""
-    topic, logged = node.resolve_topic_name(name), set[str]()
+    topic = node.resolve_topic_name(name)
+    logged = set[str]()
 
     def warn(event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
@@ -83,7 +84,8 @@ class Publishers(dict[str, Any]):
 
     def __init__(self, node: LifecycleNode, versions: MessageVersions) -> None:
         super().__init__()
-        self._node, self._versions = node, versions
+        self._node = node
+        self._versions = versions
 
     def add(self, topic: str, msgtype: str, qos: QoSProfile, *, is_active: bool = False) -> None:
         """Create a publisher; `is_active` says that the node is active already."""
@@ -131,13 +133,16 @@ class CameraInfoSearch:
     """Looks for the CameraInfo of a camera on the topics to which the node is not subscribed."""
 
     def __init__(self, node: Node) -> None:
-        self._node, self._frame_id, self._is_found = node, '', False
+        self._node = node
+        self._frame_id = ''
+        self._is_found = False
         self._subscriptions: dict[str, Any] = {}  # by topic
 
     def advance(self, frame_id: str) -> None:
         """Look for the CameraInfo of a `frame_id`, once, and log where it is; an empty one ends the search."""
         if frame_id != self._frame_id:
-            self._frame_id, self._is_found = frame_id, False
+            self._frame_id = frame_id
+            self._is_found = False
         if self._is_found or not frame_id:
             for subscription in filter(None, self._subscriptions.values()):
                 self._node.destroy_subscription(subscription)
@@ -148,8 +153,9 @@ class CameraInfoSearch:
             if types == [CAMERA_INFO] and topic not in (own, *self._subscriptions):
                 self._subscriptions[topic] = None
                 with suppress(RuntimeError):  # SROS2 may forbid it
-                    how = partial(self._take, topic), NEWEST_QOS
-                    self._subscriptions[topic] = subscribe(self._node, CAMERA_INFO, topic, *how, overridable=False)
+                    self._subscriptions[topic] = subscribe(
+                        self._node, CAMERA_INFO, topic, partial(self._take, topic), NEWEST_QOS, overridable=False
+                    )
 
     def _take(self, topic: str, raw: bytes) -> None:
         frame_id = read_frame_id(raw)
@@ -165,13 +171,17 @@ class SilenceMonitor:
     """Observer of the time since the last message of a topic; `advice` is for if no other topic has its type."""
 
     def __init__(self, node: Node, name: str, msgtype: str, advice: str = START_DETECTOR) -> None:
-        self._node, self.name, self.type, self._advice = node, name, msgtype, advice
+        self._node = node
+        self.name = name
+        self.type = msgtype
+        self._advice = advice
         self.restart()
 
     def restart(self, *, has_input: bool = False) -> None:
         """Measure from now on: the node is active, or a message has arrived."""
         self._since_s = time.monotonic()
-        self._has_input, self._has_warned = has_input, False
+        self._has_input = has_input
+        self._has_warned = False
 
     @property
     def silence_s(self) -> float:

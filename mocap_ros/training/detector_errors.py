@@ -26,7 +26,7 @@ from mocap_ros.engine import rays as engine
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.models.lifter_input import HISTORY_SLOTS_S, JOINT_COUNT, MAX_INTERPOLATION_GAP_S, MIRROR_PERMUTATION
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
-from mocap_ros.training.example_arrays import Array, Bools, RandomArrays, read_table
+from mocap_ros.training.example_arrays import AGO, Array, Bools, RandomArrays, read_table
 from mocap_ros.training.postures import FACE, FEET, HANDS, joint_indices, limb_indices
 
 # Confidence scores.
@@ -128,7 +128,6 @@ _HIDDEN_LIMBS = ('larm', 'rarm', 'lleg', 'rleg', 'legs', 'arms', 'lfoot', 'rfoot
 _MIDLINE = joint_indices('head', 'neck', 'pelvis')
 _FACE = joint_indices(*FACE)
 
-_AGO = HISTORY_SLOTS_S.astype(np.float32)  # s, of each slot
 _SLOT_INTERVALS_S = np.diff(HISTORY_SLOTS_S).astype(np.float32)  # s from each slot to the next older one
 _HAS_TWIN = np.arange(JOINT_COUNT) != MIRROR_PERMUTATION
 _COLUMNS = read_table(JOINTS)
@@ -197,7 +196,7 @@ class DetectorErrors:
         score = score + frame_std * random.normal(count, slots, JOINT_COUNT)
         is_dim = self._draw_dim(depth)
         newest, oldest = random.uniform(0, 1, 2, count, 1, JOINT_COUNT) * good
-        score = np.where(is_dim, newest + _AGO[:, None] / _AGO[-1] * (oldest - newest), score)
+        score = np.where(is_dim, newest + AGO[:, None] / AGO[-1] * (oldest - newest), score)
         score = np.clip(score, np.float32(MIN_SCORE), np.float32(1))
         exponent = random.uniform(0, MAX_SCORE_EXPONENT, count, 1, 1)
         factor = np.exp(JOINT_NOISE_LOG_STD * random.normal(count, 1, JOINT_COUNT)) * _ERROR_FACTOR

@@ -14,11 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.models.lifter_input import HISTORY_SLOTS_S
 from mocap_ros.skeleton import BODY26
 
 Array = NDArray[np.float32]
 Array64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+
+AGO: Array = HISTORY_SLOTS_S.astype(np.float32)  # (T,) s, of each slot
 
 
 def read_table(text: str) -> dict[str, list[str]]:

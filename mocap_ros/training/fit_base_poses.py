@@ -82,13 +82,14 @@ def _check_trial(trial: Array, skeleton: Skeleton, label: object) -> None:
         raise ModelError(f'trial {label} has shape {trial.shape}, expected (frames, {len(skeleton.joints)}, 3)')
     if not np.isfinite(trial).all():
         raise ModelError(f'trial {label} holds numbers that are not finite')
+    if not len(trial):
+        return
     low, high = STATURE_RANGE_M
-    if len(trial) and np.abs(trial - trial[:, :1]).max() > 2 * high:
+    if np.abs(trial - trial[:, :1]).max() > 2 * high:
         raise ModelError(f'trial {label}: joints more than {2 * high:g} m apart; m expected')
-    if len(trial) and not low <= estimate_stature(trial, skeleton) <= high:
-        raise ModelError(
-            f'trial {label}: a body {estimate_stature(trial, skeleton):.3g} m tall, expected {low} to {high} m'
-        )
+    stature = estimate_stature(trial, skeleton)
+    if not low <= stature <= high:
+        raise ModelError(f'trial {label}: a body {stature:.3g} m tall, expected {low} to {high} m')
 
 
 def fit_base_poses(

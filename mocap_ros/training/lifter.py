@@ -134,7 +134,8 @@ def compute_loss(out: Tensor, batch: ExampleBatch, uncertainty: float) -> tuple[
     rotationally symmetric counterpart in the image; the errors e enter it without gradient, so that it trains the
     standard deviations only.
     """
-    newest, target = torch.from_numpy(batch.newest), torch.from_numpy(batch.target)
+    newest = torch.from_numpy(batch.newest)
+    target = torch.from_numpy(batch.target)
     pose = out[:, : 3 * JOINT_COUNT].reshape(-1, JOINT_COUNT, 3)
     pose = torch.cat([pose[..., :2] + newest, pose[..., 2:]], dim=-1)
     error = pose - pose[:, :CORE_COUNT].mean(dim=1, keepdim=True) - target
@@ -161,7 +162,8 @@ def find_fastest_precision(settings: TrainingSettings) -> str:
 
 
 def _time_steps(settings: TrainingSettings) -> float:
-    network, features = LifterNetwork(settings.width, settings.blocks), torch.zeros(settings.batch, FEATURE_COUNT)
+    network = LifterNetwork(settings.width, settings.blocks)
+    features = torch.zeros(settings.batch, FEATURE_COUNT)
     begin = 0.0
     for step in range(1 + TIMED_STEPS):
         if step == 1:

@@ -61,7 +61,8 @@ class MotionLibrary:
         parents = np.array([max(p, 0) for p in BODY26.parents])
         root = BODY26.parents.index(-1)
         parents[root] = root
-        vectors, is_complete, first_frame, probability, count = [], [], [], [], 0
+        vectors, is_complete, first_frame, probability = [], [], [], []
+        count = 0
         for trial, trial_share in zip(trials, shares, strict=True):
             for speed, share in SPEED_SHARES.items():
                 position = np.arange(0, len(trial) - 1 + TIME_TOLERANCE_FRAMES, abs(speed))

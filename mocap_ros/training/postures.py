@@ -21,9 +21,9 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.models.lifter_input import HISTORY_SLOTS_S
 from mocap_ros.skeleton import BODY26, CORE_COUNT
 from mocap_ros.training.example_arrays import (
+    AGO,
     Array,
     Bools,
     RandomArrays,
@@ -228,7 +228,6 @@ _UPPER = [*joint_indices('head', 'neck', 'lshoulder', 'rshoulder', *FACE), *limb
 _SHOULDERS, _ELBOW, _WRIST, _HAND, _KNEE, _ANKLE, _TOE, _HEEL = (
     _sides(j) for j in ('shoulder', 'elbow', 'wrist', 'hand', 'knee', 'ankle', 'toe', 'heel')
 )
-_AGO = HISTORY_SLOTS_S.astype(np.float32)
 
 
 def take_postures(vectors: Array, random: RandomArrays, without: Collection[str] = ()) -> Array:
@@ -269,7 +268,7 @@ def _draw_angles(ranges: Array, random: RandomArrays, is_moving: Bools) -> Array
     share = np.where(is_symmetric, share[:, :1], share)
     newest = ranges[..., 0] + share * np.ptp(ranges, axis=-1) + SIDE_STD_RAD * random.normal(*share.shape)
     rate = np.float32(RATE_STD_RAD_S) * random.normal(*share.shape, 1) * is_moving
-    return np.asarray(newest[..., None] - rate * _AGO)
+    return np.asarray(newest[..., None] - rate * AGO)
 
 
 def _bend(vectors: Array, kinds: Integers, body: Array, is_moving: Bools, random: RandomArrays) -> Array:
@@ -292,7 +291,8 @@ def _bend(vectors: Array, kinds: Integers, body: Array, is_moving: Bools, random
     upper, lower = point(thigh, thigh_out), point(shank, shank_out)
     # the axis of the knee, which is that of the body where the leg is straight
     hinge = np.cross(lower, upper) + np.array([0, -0.15, 0], np.float32)
-    ahead, c, s = normalise(np.cross(hinge, lower)), np.cos(toes)[..., None], np.sin(toes)[..., None]
+    ahead = normalise(np.cross(hinge, lower))
+    c, s = np.cos(toes)[..., None], np.sin(toes)[..., None]
     sole, down = c * ahead + s * lower, c * lower - s * ahead
     toe, heel = normalise(sole + 0.36 * down), normalise(down - 0.64 * sole)
     for joints, direction in ((_KNEE, upper), (_ANKLE, lower), (_TOE, toe), (_HEEL, heel)):
@@ -317,7 +317,7 @@ def _place_hands(vectors: Array, places: Integers, random: RandomArrays) -> Arra
     ranges = _OFFSETS[places]
     offset = ranges[..., 0] + random.uniform(0, 1, count, 2, 3) * np.ptp(ranges, axis=-1)
     speed = random.choose(count, MOVING_SHARE, HAND_SPEED_STD, 0, axes=3) * random.normal(count, 2, 1, 3)
-    offset = offset[:, :, None] - speed * _AGO[:, None]
+    offset = offset[:, :, None] - speed * AGO[:, None]
     anchors = joints[np.arange(count)[:, None], :, _ANCHORS[places][:, [0, 1], [0, 1]]]
     to_wrist = anchors + turn(offset) * (upper + lower) - np.swapaxes(joints[:, :, _SHOULDERS], 1, 2)
     reach = np.linalg.norm(to_wrist, axis=-1, keepdims=True)
@@ -331,7 +331,8 @@ def _place_hands(vectors: Array, places: Integers, random: RandomArrays) -> Arra
     bend = HAND_BEND_STD * random.normal(count, 2, 1, 3)
     is_flat = _IS_FLAT[places][..., None, None]
     hand = normalise(np.where(is_flat, turn(_FINGERS[places][:, :, None]), normalise(forearm)) + bend)
-    out, is_placed = vectors.copy(), (places > 0)[:, None, :, None]
+    out = vectors.copy()
+    is_placed = (places > 0)[:, None, :, None]
     for own, bones in ((_ELBOW, elbow), (_WRIST, forearm), (_HAND, hand * lengths[2])):
         out[:, :, own] = np.where(is_placed, np.swapaxes(bones, 1, 2), out[:, :, own])
     return out

@@ -30,6 +30,7 @@ from mocap_ros.models.lifter_input import (
 from mocap_ros.skeleton import BODY26, CORE_COUNT
 from mocap_ros.training.detector_errors import JOINT_ROWS, OFFSET_STD_M, DetectorErrors
 from mocap_ros.training.example_arrays import (
+    AGO,
     Array,
     Array64,
     Bools,
@@ -167,14 +168,16 @@ class ExampleSynthesiser:
         vectors = vectors * factor[:, None, _SAME_FACTOR, None]
         donor = np.roll(vectors, 1, axis=0)
         for limb, share in BORROWED_LIMB_SHARES.items():
-            own, joints = np.flatnonzero(random.chance(count, share)), limb_indices(limb)
+            own = np.flatnonzero(random.chance(count, share))
+            joints = limb_indices(limb)
             limbs, given = vectors[own][:, :, joints], donor[own][:, :, joints]
             lengths, given_lengths = (np.linalg.norm(v[:, :1], axis=-1, keepdims=True) for v in (limbs, given))
             has_bone = given_lengths > MIN_BONE_LENGTH_M  # of a trial that lacks it there is nothing to borrow
             borrowed = given * lengths / np.maximum(given_lengths, MIN_BONE_LENGTH_M)
             vectors[own[:, None], :, joints] = np.moveaxis(np.where(has_bone, borrowed, limbs), 2, 1)
         for limb in LIMBS:
-            chosen, joints = np.flatnonzero(random.chance(count, ROTATED_LIMB_SHARE)), limb_indices(limb)
+            chosen = np.flatnonzero(random.chance(count, ROTATED_LIMB_SHARE))
+            joints = limb_indices(limb)
             rotation = rotations_from_vectors(np.float32(LIMB_ROTATION_STD_RAD) * random.normal(len(chosen), 3))
             rotated = rotate_points(vectors[chosen][:, :, joints], rotation[:, None])
             vectors[chosen[:, None], :, joints] = np.moveaxis(rotated, 2, 1)
@@ -198,8 +201,7 @@ class ExampleSynthesiser:
     def _draw_cameras(self, count: int) -> Array:
         """Return rotations (N, T, 3, 3) from the body frame to the camera's optical frame; some turn slowly."""
         random = self.random
-        ago = HISTORY_SLOTS_S.astype(np.float32)
-        turning_time = random.choose(count, TURNING_SHARE, 1, 0, axes=1) * ago
+        turning_time = random.choose(count, TURNING_SHARE, 1, 0, axes=1) * AGO
         heading = random.uniform(-np.pi, np.pi, count, 1)
         heading = heading + HEADING_RATE_STD * random.normal(count, 1) * turning_time
         mean, std = COMMON_ELEVATION_DEG
@@ -217,7 +219,8 @@ class ExampleSynthesiser:
 
     def _draw_verticals(self, rotation: Array) -> Array64:
         """Return what the lifter gets of the vertical (N, 3); rotations (N, 3, 3) from body to camera."""
-        random, count = self.random, len(rotation)
+        random = self.random
+        count = len(rotation)
         std = random.log_uniform(VERTICAL_STD_RANGE_RAD, count)
         error = rotations_from_vectors(std[:, None].astype(np.float32) * random.normal(count, 3))
         seen = (error @ rotation[:, :, 2, None])[..., 0].astype(float)
@@ -236,7 +239,7 @@ class ExampleSynthesiser:
         is_orthographic = random.chance(count, ORTHOGRAPHIC_SHARE, axes=1)
         newest_distance = random.uniform(*DISTANCE_RANGE_M, count, 1)
         speed = random.choose(count, APPROACH_SHARE, APPROACH_SPEED_STD, 0, axes=1) * random.normal(count, 1)
-        distance = newest_distance + speed * HISTORY_SLOTS_S.astype(np.float32)
+        distance = newest_distance + speed * AGO
         distance = np.maximum(distance, np.float32(MIN_DISTANCE_M))[..., None]
         off_axis = random.choose(count, OFF_AXIS_SHARE, OFF_AXIS_STD, NEAR_AXIS_STD, axes=1)
         aside = off_axis * newest_distance * random.normal(count, 2)

@@ -508,7 +508,7 @@ PLACES = 'recovery.RecordedMessage', 'reader.BagMessage', 'storages.Connection'
 def test_a_fault_of_the_program_is_not_taken_for_damage(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, storage: StoragePlugin, place: str
 ) -> None:
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise KeyError('fault')
 
     def read_and_recover() -> None:

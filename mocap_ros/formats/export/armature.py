@@ -23,12 +23,12 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from mocap_ros.arrays import Array
-from mocap_ros.formats.bvh import END_SUFFIX, POSITION_CHANNELS, ROTATION_CHANNELS, BvhMotion
+from mocap_ros.formats.bvh import END_SUFFIX, POSITION_CHANNELS, ROTATION_CHANNELS, BvhMotion, Node
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 
@@ -64,6 +64,31 @@ class _Bone(NamedTuple):
 
 CHEST = 'chest'  # no joint of the model: the middle between pelvis and neck
 
+# Name of a side in the names of bones, its letter in those of joints, and where it is in the T-pose.
+_SIDES = (('Left', 'l', LEFT), ('Right', 'r', RIGHT))
+
+
+def _list_arm(side: str, letter: str, out: Direction) -> tuple[_Bone, ...]:
+    shoulder, elbow, wrist = letter + 'shoulder', letter + 'elbow', letter + 'wrist'
+    return (
+        _Bone(f'{side}Shoulder', 'Neck', 'neck', shoulder, out),
+        _Bone(f'{side}Arm', f'{side}Shoulder', shoulder, elbow, out, shoulder),
+        _Bone(f'{side}ForeArm', f'{side}Arm', elbow, wrist, out, elbow),
+        _Bone(f'{side}Hand', f'{side}ForeArm', wrist, '', out),
+    )
+
+
+def _list_leg(side: str, letter: str, out: Direction) -> tuple[_Bone, ...]:
+    hip, knee, ankle = letter + 'hip', letter + 'knee', letter + 'ankle'
+    return (
+        _Bone(f'{letter.upper()}HipJoint', 'Hips', 'pelvis', hip, out),
+        _Bone(f'{side}UpLeg', f'{letter.upper()}HipJoint', hip, knee, DOWN, hip),
+        _Bone(f'{side}Leg', f'{side}UpLeg', knee, ankle, DOWN, knee),
+        _Bone(f'{side}Foot', f'{side}Leg', ankle, '', FORWARD),
+        _Bone(f'{side}Toe', f'{side}Foot', letter + 'toe', '', FORWARD),  # where toes are known
+    )
+
+
 # The bones, parents first.
 BONES = (
     _Bone('Hips', '', 'pelvis'),
@@ -71,37 +96,17 @@ BONES = (
     _Bone('Spine2', 'Spine', CHEST, 'neck', UP, 'neck'),
     _Bone('Neck', 'Spine2', 'neck'),
     _Bone('Head', 'Neck', 'neck', 'head', UP, 'head'),
-    _Bone('LeftShoulder', 'Neck', 'neck', 'lshoulder', LEFT),
-    _Bone('LeftArm', 'LeftShoulder', 'lshoulder', 'lelbow', LEFT, 'lshoulder'),
-    _Bone('LeftForeArm', 'LeftArm', 'lelbow', 'lwrist', LEFT, 'lelbow'),
-    _Bone('LeftHand', 'LeftForeArm', 'lwrist', '', LEFT),
-    _Bone('RightShoulder', 'Neck', 'neck', 'rshoulder', RIGHT),
-    _Bone('RightArm', 'RightShoulder', 'rshoulder', 'relbow', RIGHT, 'rshoulder'),
-    _Bone('RightForeArm', 'RightArm', 'relbow', 'rwrist', RIGHT, 'relbow'),
-    _Bone('RightHand', 'RightForeArm', 'rwrist', '', RIGHT),
-    _Bone('LHipJoint', 'Hips', 'pelvis', 'lhip', LEFT),
-    _Bone('LeftUpLeg', 'LHipJoint', 'lhip', 'lknee', DOWN, 'lhip'),
-    _Bone('LeftLeg', 'LeftUpLeg', 'lknee', 'lankle', DOWN, 'lknee'),
-    _Bone('LeftFoot', 'LeftLeg', 'lankle', '', FORWARD),
-    _Bone('LeftToe', 'LeftFoot', 'ltoe', '', FORWARD),  # where toes are known
-    _Bone('RHipJoint', 'Hips', 'pelvis', 'rhip', RIGHT),
-    _Bone('RightUpLeg', 'RHipJoint', 'rhip', 'rknee', DOWN, 'rhip'),
-    _Bone('RightLeg', 'RightUpLeg', 'rknee', 'rankle', DOWN, 'rknee'),
-    _Bone('RightFoot', 'RightLeg', 'rankle', '', FORWARD),
-    _Bone('RightToe', 'RightFoot', 'rtoe', '', FORWARD),  # where toes are known
+    *(bone for side in _SIDES for bone in _list_arm(*side)),
+    *(bone for side in _SIDES for bone in _list_leg(*side)),
 )
 
-# The bones that reach to hands and toes, where these are known.
+# What changes of the bones that reach to hands and toes, where these are known.
 TOE_DROP_RAD = 0.262  # rad, 15 degrees; by so much the line from ankle to toe drops where a foot stands flat
 _TOE_REST: Direction = (0.0, -math.sin(TOE_DROP_RAD), math.cos(TOE_DROP_RAD))
-_OUTER_BONES = {
-    bone.name: bone
-    for bone in (
-        _Bone('LeftHand', 'LeftForeArm', 'lwrist', 'lhand', LEFT, 'lwrist'),
-        _Bone('RightHand', 'RightForeArm', 'rwrist', 'rhand', RIGHT, 'rwrist'),
-        _Bone('LeftFoot', 'LeftLeg', 'lankle', 'ltoe', _TOE_REST, 'lankle'),
-        _Bone('RightFoot', 'RightLeg', 'rankle', 'rtoe', _TOE_REST, 'rankle'),
-    )
+_OUTER_ENDS: dict[str, dict[str, Any]] = {
+    f'{side}{bone}': {'end': letter + end, 'rest': rest, 'segment': letter + segment}
+    for side, letter, out in _SIDES
+    for bone, end, rest, segment in (('Hand', 'hand', out, 'wrist'), ('Foot', 'toe', _TOE_REST, 'ankle'))
 }
 
 # Axes forward, left and up of the segments in the T-pose, in columns; those of an arm by its bones' rest
@@ -125,13 +130,14 @@ def build_armature(joints: Array, fps: float, orientation: Array | None = None) 
 
     has_extremities = joints.shape[1] > CORE_COUNT
     index = {name: i for i, name in enumerate((*(BODY26 if has_extremities else CMU15).joints, CHEST))}
-    outer = _OUTER_BONES if has_extremities else {}
-    bones = [outer.get(bone.name, bone) for bone in BONES if bone.start in index]
+    bones = [bone for bone in BONES if bone.start in index]
+    if has_extremities:
+        bones = [bone._replace(**_OUTER_ENDS.get(bone.name, {})) for bone in bones]
     chest = joints[:, [index['pelvis'], index['neck']]].mean(axis=1, keepdims=True)
     joints = np.concatenate([joints, chest], axis=1)
     bone_by_name = {bone.name: bone for bone in bones}
-    names, parents, offsets = [], [], []
-    channels: list[tuple[str, ...]] = []
+    number = {bone.name: i for i, bone in enumerate(bones)}
+    nodes: list[Node] = []
     columns = [joints[:, index['pelvis']] * CM_PER_M]
     global_rotation: dict[str, Rotation] = {}
     end_offset: dict[str, Array] = {}  # m, from the start to the end of a bone in the T-pose
@@ -163,19 +169,13 @@ def build_armature(joints: Array, fps: float, orientation: Array | None = None) 
         global_rotation[bone.name] = rotation
         end_offset[bone.name] = length * np.array(bone.rest)
         columns.append(_compute_channel_angles(parent_rotation.inv() * rotation))
-        names.append(bone.name)
-        parents.append(names.index(bone.parent) if parent else -1)
-        offsets.append(offset * CM_PER_M)
-        channels.append(ROTATION_CHANNELS if parent else POSITION_CHANNELS + ROTATION_CHANNELS)
+        channels = ROTATION_CHANNELS if parent else POSITION_CHANNELS + ROTATION_CHANNELS
+        nodes.append(Node(bone.name, number.get(bone.parent, -1), offset * CM_PER_M, channels))
     for bone in bones:
         has_children = any(child.parent == bone.name for child in bones)
         if not has_children:
-            names.append(bone.name + END_SUFFIX)
-            parents.append(names.index(bone.name))
-            offsets.append(end_offset[bone.name] * CM_PER_M)
-            channels.append(())
-    motion = np.hstack(columns)
-    return BvhMotion(tuple(names), tuple(parents), np.array(offsets), tuple(channels), 1 / fps, motion)
+            nodes.append(Node(bone.name + END_SUFFIX, number[bone.name], end_offset[bone.name] * CM_PER_M))
+    return BvhMotion.from_nodes(nodes, 1 / fps, np.hstack(columns))
 
 
 def _compute_channel_angles(rotation: Rotation) -> Array:

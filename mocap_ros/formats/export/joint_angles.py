@@ -196,7 +196,8 @@ def _follow_sign(plane: ComplexArray, unusual: Array) -> Array:
     """
     weight = np.abs(plane)
     direction = plane / np.maximum(weight, TINY)
-    cost, came_from = unusual[0], np.zeros((len(plane), 2), int)
+    cost = unusual[0]
+    came_from = np.zeros((len(plane), 2), int)
     for frame in range(1, len(plane)):
         cosine = float((direction[frame] * direction[frame - 1].conj()).real)
         scale = weight[frame] * weight[frame - 1] + SWITCH_COST

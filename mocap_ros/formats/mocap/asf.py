@@ -20,14 +20,18 @@ import numpy as np
 
 from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError, naming
+from mocap_ros.formats.bvh import compose_channels
 from mocap_ros.formats.text_files import check_position_count, quote_line, read_text
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 ROOT = 'root'  # name of the root in both files
-ROTATIONS = ('rx', 'ry', 'rz')  # degrees of freedom of a bone
-TRANSLATIONS = ('tx', 'ty', 'tz')  # degrees of freedom of the root
+# Channel of a BVH file by the degree of freedom, of which the root alone has translations
+CHANNELS = {
+    **{f'r{axis}': f'{axis.upper()}rotation' for axis in 'xyz'},
+    **{f't{axis}': f'{axis.upper()}position' for axis in 'xyz'},
+}
 ZEROS = ['0', '0', '0']
 MAX_BONES = 2000  # guards the time that the hierarchy takes; the CMU database has 31
 MAX_SKELETON_BYTES = 1 << 20  # guards the memory that bones take; the CMU database's skeletons have 10 kB
@@ -36,7 +40,7 @@ MAX_SKELETON_BYTES = 1 << 20  # guards the memory that bones take; the CMU datab
 class _Bone(NamedTuple):
     offset: Array  # (3,) vector from the start to the end of the bone in the rest pose; position of the root
     axes: Rotation  # rotation of the axes about which the bone rotates
-    freedom: tuple[str, ...]  # names of the degrees of freedom, in the order of their values in the motion
+    channels: tuple[str, ...]  # channels of the degrees of freedom, in the order of their values in the motion
 
 
 def load_amc(motion: Path, skeleton: Path) -> dict[str, Array]:
@@ -45,23 +49,16 @@ def load_amc(motion: Path, skeleton: Path) -> dict[str, Array]:
     Returns the positions (F, 3) of the end of each bone and of `root`, by name, in the skeleton's frame (y up) and
     in its unit of length.
     """
-    from scipy.spatial.transform import Rotation
-
     bones, parents = _read_skeleton(skeleton)
     values = _read_motion(motion, bones)
-    frames = len(values[ROOT])
     position: dict[str, Array] = {}
     rotation: dict[str, Rotation] = {}
     for name, parent in parents.items():
-        offset, axes, all_freedom = bones[name]
-        translation, rotations = np.zeros((frames, 3)), Rotation.identity(frames)
-        for column, freedom in enumerate(all_freedom):
-            if freedom in TRANSLATIONS:
-                translation[:, TRANSLATIONS.index(freedom)] = values[name][:, column]
-            else:
-                turn = Rotation.from_euler(freedom[1], values[name][:, [column]], degrees=True)
-                rotations = turn * rotations
-        local = axes * rotations * axes.inv()
+        offset, axes, channels = bones[name]
+        translation, turns = compose_channels(
+            np.zeros(3), channels[::-1], values[name][:, ::-1]
+        )  # about fixed axes
+        local = axes * turns * axes.inv()
         if parent:
             rotation[name] = rotation[parent] * local
             position[name] = position[parent] + rotation[name].apply(offset)
@@ -77,7 +74,8 @@ def _read_skeleton(path: Path) -> tuple[dict[str, _Bone], dict[str, str]]:
     parents: dict[str, str] = {}
     root: dict[str, list[str]] = {}  # the words of each line of a section, by the line's first word
     fields: dict[str, list[str]] = {}
-    section, in_degrees = '', True
+    section = ''
+    in_degrees = True
     for number, line in enumerate(read_text(path, 'replace', MAX_SKELETON_BYTES).splitlines(), 1):
         key, *words = line.split('#')[0].split() or ['']
         with naming(f'{path}: line {number}: {quote_line(line)}', 'not valid in an ASF file'):
@@ -90,7 +88,7 @@ def _read_skeleton(path: Path) -> tuple[dict[str, _Bone], dict[str, str]]:
             elif section == ':bonedata' and key == 'end':
                 offset = _parse_vector(fields['direction']) * float(fields['length'][0])
                 axes = _parse_axes(fields.get('axis', [*ZEROS, 'xyz']), in_degrees)
-                bones[fields['name'][0]] = _Bone(offset, axes, _parse_freedom(fields.get('dof', [])))
+                bones[fields['name'][0]] = _Bone(offset, axes, _parse_channels(fields.get('dof', [])))
                 fields = {}
             elif section == ':bonedata':
                 fields[key] = words
@@ -98,7 +96,7 @@ def _read_skeleton(path: Path) -> tuple[dict[str, _Bone], dict[str, str]]:
                 parents.update(dict.fromkeys(words, key))
     with naming(f'{path}: :root', 'no valid root; not an ASF file'):
         axes = _parse_axes([*root.get('orientation', ZEROS), 'xyz'], in_degrees)
-        bones[ROOT] = _Bone(_parse_vector(root.get('position', ZEROS)), axes, _parse_freedom(root['order']))
+        bones[ROOT] = _Bone(_parse_vector(root.get('position', ZEROS)), axes, _parse_channels(root['order']))
     with naming(path):
         return bones, _order_bones(bones, parents)
 
@@ -119,11 +117,8 @@ def _parse_axes(words: list[str], in_degrees: bool) -> Rotation:
     return Rotation.from_euler(order, [by_axis[axis] for axis in order], degrees=in_degrees)
 
 
-def _parse_freedom(words: list[str]) -> tuple[str, ...]:
-    freedom = tuple(word.lower() for word in words)
-    if not set(freedom) <= {*ROTATIONS, *TRANSLATIONS}:
-        raise ValueError
-    return freedom
+def _parse_channels(freedom: list[str]) -> tuple[str, ...]:
+    return tuple(CHANNELS[word.lower()] for word in freedom)
 
 
 def _order_bones(bones: dict[str, _Bone], parents: dict[str, str]) -> dict[str, str]:
@@ -146,7 +141,7 @@ def _order_bones(bones: dict[str, _Bone], parents: dict[str, str]) -> dict[str, 
 
 def _read_motion(path: Path, bones: dict[str, _Bone]) -> dict[str, Array]:
     """Read the values (F, degrees of freedom) of each bone; zeros for bones that are not in the file."""
-    rows: dict[str, list[list[float]]] = {name: [] for name, bone in bones.items() if bone.freedom}
+    rows: dict[str, list[list[float]]] = {name: [] for name, bone in bones.items() if bone.channels}
     frames = 0
     for number, line in enumerate(read_text(path, 'replace').splitlines(), 1):
         key, *words = line.split('#')[0].split() or ['']
@@ -158,7 +153,7 @@ def _read_motion(path: Path, bones: dict[str, _Bone]) -> dict[str, Array]:
             if not words:
                 frames = _start_frame(int(key), frames, rows)
                 check_position_count(frames, len(bones))
-            elif key not in rows or len(words) != len(bones[key].freedom) or len(rows[key]) != frames - 1:
+            elif key not in rows or len(words) != len(bones[key].channels) or len(rows[key]) != frames - 1:
                 raise ValueError
             else:
                 rows[key].append([float(word) for word in words])
@@ -169,7 +164,9 @@ def _read_motion(path: Path, bones: dict[str, _Bone]) -> dict[str, Array]:
             raise InputError(f'{path}: line {number}: {quoted} is not AMC, or of another skeleton') from None
     if not frames:
         raise InputError(f'{path}: no frames; not an AMC file')
-    return {name: _build_array(f'{path}: {name}', rows.get(name, []), frames) for name in bones}
+    return {
+        name: _build_array(f'{path}: {name}', bone, rows.get(name, []), frames) for name, bone in bones.items()
+    }
 
 
 def _start_frame(number: int, frames: int, rows: dict[str, list[list[float]]]) -> int:
@@ -179,9 +176,9 @@ def _start_frame(number: int, frames: int, rows: dict[str, list[list[float]]]) -
     return frames + 1
 
 
-def _build_array(place: str, rows: list[list[float]], frames: int) -> Array:
+def _build_array(place: str, bone: _Bone, rows: list[list[float]], frames: int) -> Array:
     if not rows:
-        return np.zeros((frames, len(ROTATIONS) + len(TRANSLATIONS)))
+        return np.zeros((frames, len(bone.channels)))
     array = np.array(rows, np.float64)
     if len(array) != frames or not np.isfinite(array).all():
         raise InputError(f'{place}: a frame is cut off, or holds numbers that are not finite')

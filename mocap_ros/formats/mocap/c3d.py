@@ -43,7 +43,8 @@ def load_c3d(path: Path) -> tuple[dict[str, Array], float | None]:
     if not path.is_file():
         raise InputError(f'{path}: no such file')
     size = path.stat().st_size
-    memory, seconds = MEMORY_BYTES + MEMORY_PER_FILE_BYTE * size, TIME_S + size // BYTES_PER_S
+    memory = MEMORY_BYTES + MEMORY_PER_FILE_BYTE * size
+    seconds = TIME_S + size // BYTES_PER_S
     result = subprocess.run(  # noqa: S603, the program is the package's own
         [sys.executable, str(READER), str(path.resolve()), str(memory), str(seconds)],
         stdin=subprocess.DEVNULL,
@@ -59,7 +60,9 @@ def load_c3d(path: Path) -> tuple[dict[str, Array], float | None]:
             reason = f'its reader ended by {signal.Signals(-result.returncode).name}'
         raise InputError(f'{path}: not a C3D file ({reason})')
     with np.load(io.BytesIO(result.stdout), allow_pickle=False) as archive:
-        points, labels, unit = archive['points'], archive['labels'].tolist(), str(archive['unit'])
+        points = archive['points']
+        labels = archive['labels'].tolist()
+        unit = str(archive['unit'])
     bare = {label: label.rpartition(':')[2].strip() for label in labels}
     subjects = Counter(bare.values())
     names = [bare[label] if subjects[bare[label]] == 1 else label.strip() for label in labels]
