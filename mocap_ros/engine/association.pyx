@@ -99,14 +99,11 @@ def expect_people(
     cdef double[:, :, ::1] out = arrays[0]
     cdef double[:, ::1] out_weight = arrays[1]
     for p in range(len(people)):
-        points = people[p].rays
-        weight = people[p].weight
-        stamps_ns = people[p].stamps_ns
+        points, weight, stamps_ns = people[p].rays, people[p].weight, people[p].stamps_ns
         first = last = len(stamps_ns) - 1
         while first > 0 and measure_span(stamps_ns[first - 1], stamps_ns[last]) <= max_moved_s:
             first -= 1
-        span_s = measure_span(stamps_ns[first], stamps_ns[last])
-        shared = 0
+        span_s, shared = measure_span(stamps_ns[first], stamps_ns[last]), 0
         x = y = 0
         for j in range(joints):
             if weight[first, j] > 0 and weight[last, j] > 0:
@@ -199,21 +196,16 @@ def choose_pairs(const double[:, :] costs not None):
             if not isfinite(cost[i, j]):
                 raise ValueError('a cost is not finite')
     for row in range(1, rows + 1):
-        row_of[0] = row
-        column = 0
+        row_of[0], column = row, 0
         for j in range(columns + 1):
-            shortest[j] = INFINITY
-            is_passed[j] = 0
+            shortest[j], is_passed[j] = INFINITY, 0
         while row_of[column] > 0:
-            i = row_of[column]
-            least = INFINITY
-            is_passed[column] = 1
+            i, least, is_passed[column] = row_of[column], INFINITY, 1
             for j in range(1, columns + 1):
                 if is_passed[j]:
                     continue
                 if cost[i - 1, j - 1] - u[i] - v[j] < shortest[j]:
-                    shortest[j] = cost[i - 1, j - 1] - u[i] - v[j]
-                    before[j] = column
+                    shortest[j], before[j] = cost[i - 1, j - 1] - u[i] - v[j], column
                 if shortest[j] < least:
                     least, following = shortest[j], j
             for j in range(columns + 1):

@@ -51,19 +51,14 @@ cdef class Batch:
 
     def __init__(self, counts, Py_ssize_t components, bint has_lifted):
         cdef Py_ssize_t frames = sum(counts)
-        self.frames = np.zeros(frames, MEASURED)
-        self.sequences = np.zeros(len(counts), SEQUENCE)
+        self.frames, self.sequences = np.zeros(frames, MEASURED), np.zeros(len(counts), SEQUENCE)
         self.has_lifted = has_lifted
         self.sequences['count'], self.sequences['start'] = counts, np.cumsum(counts) - counts
         self.sequences['noise_ratio'] = 1
-        self.theta = np.empty((frames, components))
-        self.rotation = np.empty((frames, 3, 3))
+        self.theta, self.rotation = np.empty((frames, components)), np.empty((frames, 3, 3))
         self.log_scale = np.empty(frames)
-        self.measured = self.frames
-        self.of_sequence = self.sequences
-        self.weights = self.theta
-        self.rotations = self.rotation
-        self.logs = self.log_scale
+        self.measured, self.of_sequence = self.frames, self.sequences
+        self.weights, self.rotations, self.logs = self.theta, self.rotation, self.log_scale
 
     cdef void measure(
         self, Py_ssize_t p, const double[:] times, const double[:, :, :] points, const double[:, :] score,
@@ -79,17 +74,10 @@ cdef class Batch:
         cdef Py_ssize_t t, j, i
         cdef double total, value, deviation
         for t in range(s.count):
-            m = &self.measured[s.start + t]
-            total = 0
-            m.time = times[t]
-            m.focal = focal
-            m.is_free = True
-            m.centroid[0] = 0
-            m.centroid[1] = 0
+            m, total = &self.measured[s.start + t], 0
+            m.time, m.focal, m.is_free, m.centroid[0], m.centroid[1] = times[t], focal, True, 0, 0
             for j in range(JOINTS):
-                m.score[j] = score[t, j]
-                m.image[j][0] = 0
-                m.image[j][1] = 0
+                m.score[j], m.image[j][0], m.image[j][1] = score[t, j], 0, 0
                 if m.score[j] > 0:
                     rotate_ray(camera, points[t, j, 0], points[t, j, 1], factor, m.image[j])
                     total += m.score[j]
@@ -103,8 +91,7 @@ cdef class Batch:
             for i in range(2):
                 m.centroid[i] /= max(total, MIN_TOTAL_WEIGHT)
         value = max(times[s.count - 1] - times[0], MIN_STEP_S)
-        s.motion_share = max(LASTING_S * (s.count - 1) / value, 1)
-        s.earlier_frames = 0
+        s.motion_share, s.earlier_frames = max(LASTING_S * (s.count - 1) / value, 1), 0
 
     cdef Path follow(self, Py_ssize_t p) noexcept nogil:
         """Return the image points of a sequence."""
@@ -120,8 +107,7 @@ cdef class Batch:
         cdef const double[:, :, ::1] lifted = None
         cdef const double[:, :, :] std = None
         if self.has_lifted:
-            lifted = np.ascontiguousarray(window.lifted.joints)
-            std = window.lifted.std
+            lifted, std = np.ascontiguousarray(window.lifted.joints), window.lifted.std
         self.of_sequence[p].unit = unit
         self.measure(
             p, window.times, window.points, window.weight, identity, 1 / unit, window.focal / unit, lifted, std

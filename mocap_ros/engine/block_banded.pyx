@@ -29,8 +29,7 @@ cdef bint factorise_pivot(int rows, int stride, int column, double* tile) noexce
     cdef double value
     cdef double* row
     for k in range(TILE_ROWS):
-        row = tile + k * stride
-        value = 0
+        row, value = tile + k * stride, 0
         if k < rows:
             if not row[column + k] > 0:
                 return False
@@ -63,11 +62,9 @@ cdef bint factorise_blocks(System* s) noexcept nogil:
             for x in range(D + 2):  # B_t,t+x, then the right sides
                 if s.frames - t <= x <= D:
                     continue
-                start = i // TILE_COLUMNS * TILE_COLUMNS if x == 0 else 0
-                end = s.right if x > D else size
+                start, end = i // TILE_COLUMNS * TILE_COLUMNS if x == 0 else 0, s.right if x > D else size
                 for j from start <= j < end by TILE_COLUMNS:
-                    first = find_first_row(s, x, j)
-                    target = x * size + j
+                    first, target = find_first_row(s, x, j), x * size + j
                     if first >= i + TILE_ROWS:
                         break
                     out = rows + i * s.stride + target
@@ -106,8 +103,7 @@ cdef void solve_backward(System* s, double* out) noexcept nogil:
     for t in range(s.frames - 1, -1, -1):
         x = out + t * size
         for i in range(n - 1, -1, -1):
-            row = s.rows + (t * pad_rows(n) + i) * s.stride
-            value = x[i]
+            row, value = s.rows + (t * pad_rows(n) + i) * s.stride, x[i]
             for j in range(i + 1, i // TILE_COLUMNS * TILE_COLUMNS + TILE_COLUMNS):
                 value -= row[j] * x[j]
             j = i // TILE_COLUMNS * TILE_COLUMNS + TILE_COLUMNS

@@ -92,7 +92,7 @@ cdef struct Sums:  # halves of the derivatives of a sum of squares by turn, disp
 
 cdef void write_axes(const double* left, const double* up, double* out) noexcept nogil:
     """Write the axes forward, left and up, in columns, of two vectors; `out` stays where they are parallel."""
-    cdef double[3] x, y, z
+    cdef double[3] x
     cdef double up_length = sqrt(dot(up, up)), length
     cdef int i
     cross(left, up, x)
@@ -100,13 +100,11 @@ cdef void write_axes(const double* left, const double* up, double* out) noexcept
     if not length > MIN_LENGTH_M * MIN_LENGTH_M or not up_length > MIN_LENGTH_M:
         return
     for i in range(3):
-        x[i] /= length
-        z[i] = up[i] / up_length
-    cross(z, x, y)
+        out[3 * i], out[3 * i + 2] = x[i] / length, up[i] / up_length
     for i in range(3):
-        out[3 * i] = x[i]
-        out[3 * i + 1] = y[i]
-        out[3 * i + 2] = z[i]
+        out[3 * i + 1] = (
+            out[3 * ((i + 1) % 3) + 2] * out[3 * ((i + 2) % 3)] - out[3 * ((i + 2) % 3) + 2] * out[3 * ((i + 1) % 3)]
+        )
 
 
 cdef inline void find_unit(const double* a, const double* b, double* out) noexcept nogil:
@@ -352,13 +350,9 @@ def collect_evidence(Stack core, windows, frames):
     out_lifted[...] = NAN
     out_std[...] = NAN
     for p in range(people):
-        window = windows[p]
-        frame = frames[p]
-        depth = 0
+        window, frame, depth = windows[p], frames[p], 0
         if window.lifted is not None:
-            turn = window.virtual_camera.rotation
-            lifted = window.lifted.joints
-            std = window.lifted.std
+            turn, lifted, std = window.virtual_camera.rotation, window.lifted.joints, window.lifted.std
             if turn.ndim == 3:  # a virtual camera for each frame, or one for all
                 turn = turn[frame]
             camera = turn
@@ -368,8 +362,7 @@ def collect_evidence(Stack core, windows, frames):
             for j in range(CORE + POINTS):
                 for i in range(3):
                     out_lifted[p, j, i], out_std[p, j, i] = depth * lifted[frame, j, i], depth * std[frame, j, i]
-        rays = window.rays
-        weight = window.weight
+        rays, weight = window.rays, window.weight
         memcpy(&out_rays[p, 0, 0], &rays[frame, 0, 0], 2 * CORE * sizeof(double))
         memcpy(&out_weight[p, 0], &weight[frame, 0], CORE * sizeof(double))
         if window.extremities is not None:
@@ -401,12 +394,8 @@ cdef class Body:
             limbs, bends, part_segments, part_of, size_of
         )
         self.point_counts = [list(part_of).count(part) for part in range(PARTS)]
-        self.head_rest = np.ravel(head_rest)
-        self.end_rest = [np.ravel(rest) for rest in end_rest]
-        self.template = template
-        self.rest_std = rest_std
-        self.rest_memory_s = rest_memory_s
-        self.size_std = size_std
+        self.head_rest, self.end_rest = np.ravel(head_rest), [np.ravel(rest) for rest in end_rest]
+        self.template, self.rest_std, self.rest_memory_s, self.size_std = template, rest_std, rest_memory_s, size_std
 
     cdef void turn_limb(self, State* state, const double* joints, int limb, double step_s) noexcept nogil:
         """Turn the three segments of a limb; that of its parent is of this frame already."""
@@ -618,15 +607,12 @@ cdef class Body:
         cdef double size, squared, trace, quadratic
         memset(is_part_known, 0, sizeof(is_part_known))
         for p in range(POINTS):
-            part = self.part_of[p]
-            offset = state.offsets[p]
-            kind = self.size_of[part]
-            covariance = state.covariances[part]
+            part, offset = self.part_of[p], state.offsets[p]
+            kind, covariance = self.size_of[part], state.covariances[part]
             size = stature * exp(state.sizes[kind][0])
             transform(state.turns[part], self.template[p], offset)
             offset[0], offset[1], offset[2] = size * offset[0], size * offset[1], size * offset[2]
-            squared = dot(offset, offset)
-            trace = covariance[0] + covariance[4] + covariance[8]
+            squared, trace = dot(offset, offset), covariance[0] + covariance[4] + covariance[8]
             transform(covariance, offset, product)
             quadratic = dot(offset, product)
             state.offset_std[p] = sqrt(
@@ -701,18 +687,14 @@ cdef class Body:
         cdef double[:, ::1] out_std = arrays[1], out_velocity_std = arrays[3], middles = arrays[6]
         cdef unsigned char[:, ::1] is_inferred = arrays[5].view(np.uint8)
         for n in range(people):
-            state = <State*> &states[n, 0]
-            size = sizes[n]
+            state, size = <State*> &states[n, 0], sizes[n]
             for k in range(9):
                 (&root_covariance[n, 0, 0])[k] *= size * size
                 (&root_velocity_covariance[n, 0, 0])[k] *= size * size
             for j in range(count):
-                k = 0
-                anchor = j
-                share = 0  # core joints have no offsets
+                k, anchor, share = 0, j, 0  # core joints have no offsets
                 if j >= CORE:
-                    k = j - CORE
-                    share = 1
+                    k, share = j - CORE, 1
                     anchor = self.part_segments[self.part_of[k]]
                 for i in range(3):
                     out_joints[n, j, i] = size * (joints[n, anchor, i] + share * state.offsets[k][i])
@@ -739,8 +721,7 @@ cdef class Body:
         cdef Vector noise = evidence[5]
         cdef State state
         cdef Evidence seen
-        states = np.empty((count, start.shape[0]))
-        predicted = np.empty((2, count, PARTS, 9))
+        states, predicted = np.empty((count, start.shape[0])), np.empty((2, count, PARTS, 9))
         cdef double[:, ::1] out = states
         cdef double[:, :, :, ::1] out_predicted = predicted
         memcpy(&state, &start[0], sizeof(state))

@@ -90,23 +90,11 @@ cdef Model choose_model(double noise, bint is_live):
     model.leg_across = 0.004 + 0.1 * noise  # with more, feet slide less and knees are worse
     model.slip = 0.09 * sqrt(1 + (0.007 / noise) * (0.007 / noise))  # with less, errors of contacts add up
     if is_live:
-        model.error_s = 0.7
-        model.leg_s = 0.1
-        model.acceleration_along = 4.0
-        model.acceleration_across = 7.0
-        model.leg_tilt = model.leg_across
-        model.pace = INFINITY
-        model.roll = 0.3
-        model.fast = 0.3
+        model.error_s, model.leg_s, model.acceleration_along, model.acceleration_across = 0.7, 0.1, 4.0, 7.0
+        model.leg_tilt, model.pace, model.roll, model.fast = model.leg_across, INFINITY, 0.3, 0.3
     else:  # accelerations of people who walk
-        model.error_s = 0.5
-        model.leg_s = 0.2
-        model.acceleration_along = 2.0
-        model.acceleration_across = 3.5
-        model.leg_tilt = 0.02 + 0.6 * noise
-        model.pace = 1.2
-        model.roll = 0.05
-        model.fast = 0.1
+        model.error_s, model.leg_s, model.acceleration_along, model.acceleration_across = 0.5, 0.2, 2.0, 3.5
+        model.leg_tilt, model.pace, model.roll, model.fast = 0.02 + 0.6 * noise, 1.2, 0.05, 0.1
     return model
 
 
@@ -166,20 +154,15 @@ cdef void add_frame(
     for i in range(ALL):
         a[i * ALL + i] += MIN_INFORMATION
     for i in range(3):
-        sight[i] = root[i] / distance
-        r[i] = 0
+        sight[i], r[i] = root[i] / distance, 0
     # errors of the root and of the legs fade: c_t - kept c_(t-1)
-    at[0] = TWO
-    at[1] = OWN
-    by[0] = 1
+    at[0], at[1], by[0] = TWO, OWN, 1
     kept = exp(-step_s / model.error_s) if before.frames > 0 else 0
-    by[1] = -kept
-    h = sqrt(1 - kept * kept)
+    by[1], h = -kept, sqrt(1 - kept * kept)
     write_precision(sight, h * model.along * fmax(distance / FAR_M, 1.0), h * model.across, m)
     add_term(a, b, 2, at, by, m, r)
     kept = exp(-step_s / model.leg_s) if before.frames > 0 else 0
-    by[1] = -kept
-    h = sqrt(1 - kept * kept)
+    by[1], h = -kept, sqrt(1 - kept * kept)
     for f in range(FEET):
         write_precision(tilts + 3 * f, h * model.leg_tilt, h * model.leg_across, m)
         at[0], at[1] = TWO + 3 + 3 * f, OWN + 3 + 3 * f
@@ -187,8 +170,7 @@ cdef void add_frame(
     if before.frames > 1:  # acceleration of the root
         at[0], at[1], at[2] = 0, OWN, TWO
         by[0], by[2] = 1 / before.step_s, 1 / step_s
-        by[1] = -by[0] - by[2]
-        h = sqrt(BASE_STEP_S * (before.step_s + step_s) / 2)
+        by[1], h = -by[0] - by[2], sqrt(BASE_STEP_S * (before.step_s + step_s) / 2)
         for i in range(3):
             r[i] = (root[i] - before.root[i]) / step_s - before.velocity[i]
         squared = dot(before.velocity, before.velocity) / (model.pace * model.pace)
@@ -360,34 +342,23 @@ cdef void follow_points(
         reach_s = fmax(reach_s, 2.5 * (times[start + count] - times[start]) / count + ROUNDING_S)
         step_s = fmin(step_s, times[max(t, 1)] - times[max(t, 1) - 1])
     for k in range(POINTS):
-        at = legs[k // 2, ANKLE]
-        height = 0
+        at, height = legs[k // 2, ANKLE], 0
         for i in range(3):
             height += upward[i] * (core[at, i] + feet[k, i])
-        heights[k] = height
-        depths[k] = core[at, 2] + feet[k, 2]
-        lowest = fmin(lowest, height)
+        heights[k], depths[k], lowest = height, core[at, 2] + feet[k, 2], fmin(lowest, height)
     for k in range(POINTS):
         if is_ankle[k]:
-            seen = rays
-            score = weight
-            at = legs[k // 2, ANKLE]
-            feet[k, 0] = feet[k, 1] = feet[k, 2] = 0
+            seen, score, at = rays, weight, legs[k // 2, ANKLE]
+            feet[k, 0], feet[k, 1], feet[k, 2] = 0, 0, 0
         else:
-            seen = other_rays
-            score = other_weight
-            at = others[k]
-        count = 0
-        x = y = sum_1 = sum_2 = sum_x = sum_y = 0
-        s = t
+            seen, score, at = other_rays, other_weight, others[k]
+        count, sum_1, sum_2, x, y, sum_x, sum_y, s = 0, 0, 0, 0, 0, 0, 0, t
         while s > 0 and times[t] - times[s - 1] <= reach_s:
             s -= 1
         while s < frames and times[s] - times[t] <= reach_s:
             if score[s, at] > 0:
                 ago = times[s] - times[t]
-                count += 1
-                sum_1 += ago
-                sum_2 += ago * ago
+                count, sum_1, sum_2 = count + 1, sum_1 + ago, sum_2 + ago * ago
                 sum_x, sum_y = sum_x + seen[s, at, 0], sum_y + seen[s, at, 1]
                 x, y = x + ago * seen[s, at, 0], y + ago * seen[s, at, 1]
             s += 1
@@ -433,8 +404,7 @@ def find_contacts(
         memcpy(&out[t, 0], odds, sizeof(odds))
     for t in range(frames - 1, -1, -1):
         for k in range(POINTS):
-            odds[k] = out[t, k] + after[k]
-            is_seen = not isnan(evidence[t, k])
+            odds[k], is_seen = out[t, k] + after[k], not isnan(evidence[t, k])
             out[t, k] = 1 / (1 + exp(-odds[k])) if is_seen or fabs(odds[k]) >= FORGOTTEN else NAN
             if t > 0:
                 after[k] = hold(after[k] + (evidence[t, k] if is_seen else 0), times[t] - times[t - 1])
@@ -457,9 +427,7 @@ def follow_contacts(
     cdef const double[:, :, :] other_rays
     cdef const double[:, :] other_weight
     for p in range(footings.shape[0]):
-        own = <Memory*> &footings[p, 0]
-        window = windows[p]
-        frame = frames[p]
+        own, window, frame = <Memory*> &footings[p, 0], windows[p], frames[p]
         if times[p] <= own.time_s:
             continue
         other_rays, other_weight = (None, None) if window.extremities is None else window.extremities
@@ -498,9 +466,7 @@ def advance(
     cdef Py_ssize_t p
     cdef int i
     for p in range(footings.shape[0]):
-        own = <Memory*> &footings[p, 0]
-        squared = 0
-        known = 0
+        own, squared, known = <Memory*> &footings[p, 0], 0, 0
         if times[p] <= own.time_s:
             if times[p] == own.time_s:
                 memcpy(&core[p, 0, 0], own.core, sizeof(own.core))
@@ -534,8 +500,7 @@ def smooth(double noise, Vector times, Stack core, Stack feet, Rows contact, con
     cdef Model model = choose_model(noise, False)
     cdef double step_s
     cdef double[ALL] u
-    result = np.array(core)
-    unknowns = np.zeros((frames + 2, OWN))
+    result, unknowns = np.array(core), np.zeros((frames + 2, OWN))
     cdef double[:, :, ::1] out = result, factors = np.empty((frames, ALL, ALL))
     cdef double[:, ::1] rights = np.empty((frames, ALL)), found = unknowns, roots = np.empty((frames, 3))
     cdef double[:, ::1] points = np.empty((frames, POINTS * 3)), tilts = np.empty((frames, FEET * 3))

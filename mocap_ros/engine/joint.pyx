@@ -97,11 +97,9 @@ cdef bint end_trial(Search* search, bint is_definite, double cost, double tolera
     cdef double before = search.cost
     search.iterations += 1
     if is_better:
-        search.cost = cost
-        search.is_outdated = True
+        search.cost, search.is_outdated = cost, True
     if is_better and before - cost <= tolerance * cost:
-        search.status = CONVERGED
-        search.is_done = True
+        search.status, search.is_done = CONVERGED, True
     elif search.damping > MAX_DAMPING:
         search.status = NO_LOWER_STEP if is_definite and isfinite(before) else SINGULAR
         search.is_done = True
@@ -165,22 +163,15 @@ cdef class JointProblem:
         cdef int largest = max(batch.sequences['count'])
         if len(terms) > MAX_TERMS:
             raise ValueError(f'an objective has at most {MAX_TERMS} terms')
-        self.batch = batch
-        self.terms = terms
-        self.term_count = len(terms)
+        self.batch, self.terms, self.term_count = batch, terms, len(terms)
         for i in range(self.term_count):
             self.term_pointers[i] = <void*> <Term> terms[i]
             D = max(D, (<Term> terms[i]).order)
         self.reprojection = terms[0] if isinstance(terms[0], Reprojection) else None
-        self.sequences = P
-        self.components = components
-        self.unknowns = n
-        self.distances = D
-        self.basis = arrays.components[:, :components].copy()
-        self.mean = model.mean
+        self.sequences, self.components, self.unknowns, self.distances = P, components, n, D
+        self.basis, self.mean = arrays.components[:, :components].copy(), model.mean
         self.parents, self.children = arrays.parents, arrays.children
-        self.frames = np.zeros(N, FRAME)
-        self.searches = np.zeros(P, SEARCH)
+        self.frames, self.searches = np.zeros(N, FRAME), np.zeros(P, SEARCH)
         self.current, self.search = self.frames, self.searches
         self.trial, self.linearised = np.zeros(N, FRAME), np.zeros(N, FRAME)
         cdef int rows = pad_rows(n), size = pad_columns(n), width = pad_columns(n + 3), right = pad_columns(BONES + 1)
@@ -193,10 +184,8 @@ cdef class JointProblem:
         self.jacobian[:, :components] = self.basis
         self.system = np.zeros((largest, rows, (1 + D) * size + right))
         self.alone = np.zeros((rows, size + pad_columns(3 * JOINTS)))
-        self.products = np.zeros((right, right))
-        self.means = np.zeros(right)
-        self.step = np.zeros((largest, size))
-        self.slopes = np.empty((largest, FEATURES, CAMERA))
+        self.products, self.means = np.zeros((right, right)), np.zeros(right)
+        self.step, self.slopes = np.zeros((largest, size)), np.empty((largest, FEATURES, CAMERA))
         self.by_translation = np.zeros((2, width))
 
     @property
@@ -268,8 +257,7 @@ cdef class JointProblem:
         cdef double factor
         memset(out, 0, FEATURES * CAMERA * sizeof(double))
         for i in range(12):
-            c = i % 3
-            factor = f.scale if i < 6 else 1
+            c, factor = i % 3, f.scale if i < 6 else 1
             if i % 6 < 3:  # of the first image axis
                 out[1], out[2] = factor * f.rotation[2][c], -factor * f.rotation[1][c]
             else:
@@ -353,8 +341,7 @@ cdef class JointProblem:
         system = System(end - start, n, D, CAMERA, right, stride, &self.system[0, 0, 0])
         for t in range(start, end):
             for i in range(n):
-                row = &self.system[t - start, i, 0]
-                j = i // TILE_COLUMNS * TILE_COLUMNS
+                row, j = &self.system[t - start, i, 0], i // TILE_COLUMNS * TILE_COLUMNS
                 memcpy(row + j, &self.equations[t, i, j], (n - j) * sizeof(double))
                 memset(row + size, 0, D * size * sizeof(double))
                 row[i] += self.search[p].damping * row[i] + MIN_DIAGONAL
@@ -404,8 +391,7 @@ cdef class JointProblem:
         for t in range(s.start, s.start + s.count):
             if not self.batch.measured[t].is_free:
                 continue
-            after = &self.trial[t]
-            step = &self.step[row, 0]
+            after, step = &self.trial[t], &self.step[row, 0]
             for i in range(K):
                 after.features[i] -= step[i]
             for i in range(3):
@@ -488,11 +474,7 @@ cdef class JointProblem:
         cdef double[::1] out = self.measure_residual()
         for p in range(self.sequences):
             of = self.select(p, &self.linearised[0])
-            count = of.sequence.count
-            first = 0
-            coordinates = 0
-            counted = 0
-            absorbed = 0
+            count, first, coordinates, counted, absorbed = of.sequence.count, 0, 0, 0, 0
             for t in range(count):
                 for j in range(JOINTS):
                     coordinates += 2 * (of.known[t].score[j] > 0)
@@ -545,10 +527,8 @@ cdef class JointProblem:
         """
         cdef int p, i
         cdef double c
-        self.frames['features'][:, : self.components] = theta
-        self.frames['rotation'] = rotation
-        self.frames['log_scale'] = log_scale
-        self.frames['translation'] = translation
+        self.frames['features'][:, : self.components], self.frames['rotation'] = theta, rotation
+        self.frames['log_scale'], self.frames['translation'] = log_scale, translation
         with nogil:
             for p in range(self.sequences):
                 c = 0

@@ -112,8 +112,7 @@ cdef void add_label_cost(
                 continue
             age = time_s - joints[path, j, 4]
             if age != known_age:  # most joints were seen in the same frame
-                known_age = age
-                horizon = TAU_S * (1 - exp(-age / TAU_S))
+                known_age, horizon = age, TAU_S * (1 - exp(-age / TAU_S))
             for label in range(2):
                 source = mirror[j] if label else j
                 if weight[source] > 0:
@@ -188,8 +187,7 @@ def continue_paths(
             for p in range(PARTS):
                 total += label_cost[path][p][is_swapped(state, p)]
             if total < cost[state]:
-                cost[state] = total
-                predecessor = path
+                cost[state], predecessor = total, path
         for bit in range(PARTS):
             cost[state] += has_bit(state, bit) * attachment[bit] * share
         best = state if cost[state] < cost[best] else best
@@ -208,8 +206,7 @@ def continue_paths(
                 continue
             age = max(time_s - path_joints[predecessor, before, 4], MIN_STEP_S)
             if age != known_age:  # most joints were seen in the same frame
-                known_age = age
-                blend = 1 - exp(-age / TAU_S)
+                known_age, blend = age, 1 - exp(-age / TAU_S)
             squared = 0
             for d in range(2):
                 moved[d] = points[source, d] - path_joints[predecessor, before, d]

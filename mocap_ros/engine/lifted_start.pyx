@@ -68,10 +68,7 @@ cdef class PoseFit:
     """
 
     def __init__(self, model, arrays, int alternations):
-        self.basis = arrays.components
-        self.mean = model.mean
-        self.std = model.std
-        self.alternations = alternations
+        self.basis, self.mean, self.std, self.alternations = arrays.components, model.mean, model.std, alternations
 
     cdef void fit(
         self, const double* joints, double variance, double* theta, double* scale, double* rotation
@@ -86,8 +83,7 @@ cdef class PoseFit:
             memcpy(pose, &self.mean[0, 0], sizeof(pose))
             multiply_vector(3 * JOINTS, K, 1, &self.basis[0, 0], theta, 1, pose)
             memset(products, 0, sizeof(products))
-            squares = 0
-            along = 0
+            squares, along = 0, 0
             for i in range(3 * JOINTS):
                 squares += pose[i] * pose[i]
                 for j in range(3):
@@ -110,9 +106,7 @@ cdef class PoseFit:
     def fit_all(self, Stack joints, Vector variances):
         """Return weights (F, K), scales (F,) and rotations (F, 3, 3) of lifted poses (F, J, 3)."""
         cdef Py_ssize_t t, frames = joints.shape[0]
-        theta = np.zeros((frames, len(self.std)))
-        scale = np.empty(frames)
-        rotation = np.empty((frames, 3, 3))
+        theta, scale, rotation = np.zeros((frames, len(self.std))), np.empty(frames), np.empty((frames, 3, 3))
         cdef double[:, ::1] weights = theta
         cdef double[::1] scales = scale
         cdef double[:, :, ::1] rotations = rotation

@@ -151,9 +151,7 @@ def sample_histories(people, Py_ssize_t joints, Vector slots, double max_gap_s, 
     cdef Stack rotation, rays
     cdef Rows weight
     shape = sum([len(frames) for _, frames, _, _ in people]), slots.shape[0], joints
-    sampled = np.zeros((*shape, 2))
-    sampled_weight = np.zeros(shape)
-    cameras = np.empty((shape[0], 3, 3))
+    sampled, sampled_weight, cameras = np.zeros((*shape, 2)), np.zeros(shape), np.empty((shape[0], 3, 3))
     cdef double[:, :, :, ::1] out = sampled
     cdef double[:, :, ::1] out_weight = sampled_weight, camera = cameras
     for times, frames, rotation, groups in people:
@@ -355,8 +353,7 @@ def lift(
     poses, deviations = np.empty((outputs.shape[0], joints, 3)), np.empty((outputs.shape[0], joints, 3))
     cdef double[:, :, ::1] out = poses, std = deviations
     for n in range(outputs.shape[0]):
-        seen = 0
-        total = 0.0
+        seen, total = 0, 0.0
         for j in range(core):
             seen += features[n, 0, 3 * j + 2] > 0
         for i in range(outputs.shape[2]):

@@ -7,8 +7,7 @@ cdef inline double find_median(double* values, Py_ssize_t n) noexcept nogil:
     cdef Py_ssize_t i, position
     cdef double value
     for i in range(1, n):
-        value = values[i]
-        position = i
+        value, position = values[i], i
         while position > 0 and values[position - 1] > value:
             values[position] = values[position - 1]
             position -= 1

@@ -117,22 +117,16 @@ def sample_joints(Vector ago, frames, windows, solutions):
     cdef double[::1] after
     cdef double* before
     result = np.empty((len(frames), ago.shape[0], *solutions[0].model.mean.shape))
-    out = result
-    values = 3 * result.shape[2]
+    out, values = result, 3 * result.shape[2]
     out[...] = NAN
     after = np.empty(values)
     for p in range(out.shape[0]):
-        solution = solutions[p]
-        frame = frames[p]
-        times = windows[p].times
+        solution, frame, times = solutions[p], frames[p], windows[p].times
         theta, rotation, roots = solution.theta, solution.rotation, solution.roots
         mean, components = solution.model.mean, solution.model.components
-        size = 1 / <double> solution.stature_ratio
-        count = theta.shape[1]
+        size, count = 1 / <double> solution.stature_ratio, theta.shape[1]
         for n in range(ago.shape[0]):
-            wanted = times[frame] - ago[n]
-            before = &out[p, n, 0, 0]
-            first = frame
+            wanted, before, first = times[frame] - ago[n], &out[p, n, 0, 0], frame
             if not wanted >= times[0] - ROUNDING_S:
                 continue
             wanted = max(wanted, times[0])
@@ -167,8 +161,7 @@ cdef void write_difference(const double* times, double* out) noexcept nogil:
 cdef void begin_filter(double* state, const double* points, Py_ssize_t count) noexcept nogil:
     cdef Py_ssize_t k
     for k in range(3 * count):
-        state[3 * count * X + k] = points[k]
-        state[3 * count * V + k] = 0.0
+        state[3 * count * X + k], state[3 * count * V + k] = points[k], 0.0
         state[3 * count * SECOND + k] = SQUARES * square(INITIAL_JITTER_M)
         state[3 * count * SPEED + k] = square(INITIAL_SPEED_M_S) / 3
         state[3 * count * VARIANCE + k] = square(INITIAL_SPEED_M_S)
@@ -194,8 +187,7 @@ cdef void advance_filter(
         write_difference(times, coefficients)
     for p in range(points):
         spring = &CENTRE if p == points - 1 else &JOINT
-        squared_speed = square(spring.speed_floor)
-        second = 0.0
+        squared_speed, second = square(spring.speed_floor), 0.0
         for c in range(3):
             at = 3 * p + c
             if has_difference:
@@ -280,9 +272,7 @@ def filter_motion(
         if is_steady:
             filter_person(own, times[p], &located[p, 0, 0], image_noise[p])
         if own.times[2] != times[p]:
-            velocity[p] = NAN
-            std[p] = NAN
-            covariance[p] = NAN
+            velocity[p], std[p], covariance[p] = NAN, NAN, NAN
             continue
         for j in range(JOINTS):
             variance = 0
@@ -403,9 +393,7 @@ def correct_velocity(
                 out[i] = 0
                 for a in range(3):
                     out[i] += axes[p, i, a] * (said[j, a] + said[count, a])
-            along = dot(out, sight)
-            most_along = 0.0
-            most_across = 0.0
+            along, most_along, most_across = dot(out, sight), 0.0, 0.0
             for k in range(LIMIT_FIRST, LIMIT_LAST):
                 for i in range(3):
                     apart[i] = (joints[p, j, i] - earlier[p, k, j, i]) / spans[k] - velocity[p, j, i]
@@ -459,15 +447,13 @@ def describe_cores(Rows posterior, evidence, Stack joints, Rows sizes, Rows shif
     cdef double length, variance, deep
     cdef double[3] root
     cdef const double* lifted
-    result = np.empty((posterior.shape[0], posterior.shape[1]))
-    covariances = np.empty((posterior.shape[0], 3, 3))
+    result, covariances = np.empty((posterior.shape[0], posterior.shape[1])), np.empty((posterior.shape[0], 3, 3))
     cdef double[:, ::1] std = result
     cdef double[:, :, ::1] covariance = covariances
     for p in range(std.shape[0]):
         count = 0
         for j in range(std.shape[1]):
-            is_seen = weight[p, j] > 0
-            lifted = &lifted_std[p, j, 0]
+            is_seen, lifted = weight[p, j] > 0, &lifted_std[p, j, 0]
             count += is_seen
             length = sqrt(dot(lifted, lifted))
             if not isfinite(length):

@@ -42,8 +42,7 @@ cdef class StepSolver:
     def __init__(self, int frames, int unknowns):
         cdef int right = pad_columns(unknowns + 1)
         self.rows = np.zeros((frames, CAMERA, (1 + COUPLED) * pad_columns(CAMERA) + right))
-        self.bordered = np.empty((unknowns + 1, unknowns + 1))
-        self.remaining = np.zeros((frames, pad_columns(CAMERA)))
+        self.bordered, self.remaining = np.empty((unknowns + 1, unknowns + 1)), np.zeros((frames, pad_columns(CAMERA)))
         self.x = np.zeros(right)
 
     def solve(
@@ -274,8 +273,7 @@ def measure_repetition(const double[::1] times, const double[:, ::1] theta, doub
     cdef double spread = 0, least = INFINITY, change, mean, difference
     if known * cadence < 1:
         return NAN
-    count = <int> ceil((NEWEST_S + cycle) / SAMPLE_STEP_S)
-    newest = <int> (NEWEST_S / SAMPLE_STEP_S) + 1
+    count, newest = <int> ceil((NEWEST_S + cycle) / SAMPLE_STEP_S), <int> (NEWEST_S / SAMPLE_STEP_S) + 1
     cdef double[:, ::1] poses = np.empty((count, K))
     cdef double[::1] before = np.empty(K)
     for i in range(count):
@@ -288,8 +286,7 @@ def measure_repetition(const double[::1] times, const double[:, ::1] theta, doub
         for i in range(count):
             spread += (poses[i, k] - mean) * (poses[i, k] - mean)
     for s in range(STRETCHES):
-        cycle = shortest + (longest - shortest) * s / (STRETCHES - 1)
-        change = 0
+        cycle, change = shortest + (longest - shortest) * s / (STRETCHES - 1), 0
         for i in range(newest):
             interpolate(times, theta, end - i * SAMPLE_STEP_S - cycle, &before[0])
             for k in range(K):

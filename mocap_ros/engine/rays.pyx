@@ -154,10 +154,8 @@ def map_joints(Stack points, Rows score, Stack weights, Rows score_factor):
     `points` any unit; `score` 0 for keypoints that were not seen; `weights` (A, J, S) W; `score_factor` (A, J)
     factors on the least score.
     """
-    frames = points.shape[0]
-    joints = score_factor.shape[1]
-    mapped = np.empty((frames, joints, points.shape[2]))
-    mapped_score = np.empty((frames, joints))
+    frames, joints = points.shape[0], score_factor.shape[1]
+    mapped, mapped_score = np.empty((frames, joints, points.shape[2])), np.empty((frames, joints))
     map_frames(points, score, weights, score_factor, mapped, mapped_score)
     return mapped, mapped_score
 

@@ -147,32 +147,21 @@ def finish_newest(
     cdef double[3] towards
     finished = []
     for p in range(len(solutions)):
-        s = &batch.of_sequence[p]
-        solution = solutions[p]
-        lifted_std = None
-        camera = observed[p].virtual_camera.rotation
-        focal = observed[p].virtual_camera.intrinsics.focal
+        s, solution, lifted_std = &batch.of_sequence[p], solutions[p], None
+        camera, focal = observed[p].virtual_camera.rotation, observed[p].virtual_camera.intrinsics.focal
         if observed[p].lifted is not None:
             lifted_std = observed[p].lifted.std
-        theta = solution.theta
-        rotation = solution.rotation
-        roots = solution.roots
-        lengths = solution.bone_lengths
-        residuals = solution.frame_residuals
+        theta, rotation, roots = solution.theta, solution.rotation, solution.roots
+        lengths, residuals = solution.bone_lengths, solution.frame_residuals
         frames = theta.shape[0] + 1
-        first = frames - s.count
-        stature = 0
-        squares = 0
-        seen_frames = 0
+        first, stature, squares, seen_frames = frames - s.count, 0, 0, 0
         kept = first + fixed_frames[p]
         arrays = [np.empty((frames, *shape)) for shape in ((K,), (3, 3), (3,), (BONES,), ())]
         new_theta, new_rotation, new_roots, new_lengths, new_residuals = arrays
         new_theta[:kept], new_rotation[:kept], new_roots[:kept] = theta[:kept], rotation[:kept], roots[:kept]
         new_lengths[:kept], new_residuals[:first] = lengths[:kept], residuals[:first]
         for n in range(first, frames):
-            t = s.start + n - first
-            seen = 0
-            total = 0
+            t, seen, total = s.start + n - first, 0, 0
             f = &states[t]
             for j in range(JOINTS):
                 if batch.measured[t].score[j] > 0:
@@ -202,8 +191,7 @@ def finish_newest(
                     hidden = depth * max(lifted_std[n, parents[i], 2], lifted_std[n, children[i], 2])
                     hidden = hidden_share * hidden * hidden if isfinite(hidden) else 0
                 stature += sqrt(new_lengths[n, i] * new_lengths[n, i] + hidden) * stature_per_bone[i] / frames
-        radius = 0
-        f = &states[s.start + s.count - 1]
+        radius, f = 0, &states[s.start + s.count - 1]
         for j in range(JOINTS):
             radius += (f.joints[j][0] * f.joints[j][0] + f.joints[j][1] * f.joints[j][1]) / JOINTS
         finished.append((*arrays, stature, sqrt(squares / seen_frames / radius) if seen_frames > 0 else NAN))

@@ -154,8 +154,7 @@ cdef class LiftedPoses(Term):
     cdef readonly double weight, robust_scale
 
     def __init__(self, double weight, double robust_scale):
-        self.weight = weight
-        self.robust_scale = robust_scale
+        self.weight, self.robust_scale = weight, robust_scale
 
     cdef inline double find_square(self, Motion* of, int t, int j) noexcept nogil:
         cdef int i
@@ -203,9 +202,7 @@ cdef class BoneLengths(Term):
     cdef double[BONES] mean
 
     def __init__(self, double weight, arrays, int components):
-        self.weight = weight
-        self.parents = arrays.parents
-        self.children = arrays.children
+        self.weight, self.parents, self.children = weight, arrays.parents, arrays.children
         self.changes = arrays.bones[:, :components].copy()
 
     cdef void begin(self, Motion* of) noexcept nogil:
@@ -427,10 +424,7 @@ cdef class Acceleration(FiniteDifference):
 
     def __init__(self, weight, double typical=1, activity=None):
         super().__init__(weight)
-        self.order = 2
-        self.typical = typical
-        self.activity = activity
-        self.squares = activity
+        self.order, self.typical, self.activity, self.squares = 2, typical, activity, activity
 
     cdef void write_factors(self, Motion* of, int t, double* c) noexcept nogil:
         cdef double a = 1 / max(of.known[t + 1].time - of.known[t].time, MIN_STEP_S)

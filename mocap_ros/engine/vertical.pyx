@@ -11,7 +11,7 @@ from libc.math cimport NAN, acos, atan2, cos, isfinite, sin, sqrt
 
 import numpy as np
 
-from mocap_ros.engine.geometry cimport Rows, Stack, Vector, cross, dot, square, subtract
+from mocap_ros.engine.geometry cimport Rows, Stack, Vector, dot
 
 
 cdef double DEGREE = 3.14159265358979323846 / 180
@@ -59,7 +59,7 @@ def add_frame(
         certain += discounted * stands
         for i in range(3):
             out[i] += share * upward[p, i]
-    norm = sqrt(dot(&out[0], &out[0]))
+    norm = sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2])
     for i in range(3):
         out[i] = out[i] / norm if norm > 0 else direction[i]
     return result, weight, certain, seen, upright, askew
@@ -82,15 +82,14 @@ def turn_poses(
     for t in range(joints.shape[0]):
         s = min(t, vertical.shape[0] - 1)
         for j in range(3):
-            u[j] = dot(&cameras[t, j, 0], &upward[t, 0])
-            v[j] = dot(&cameras[t, j, 0], &vertical[s, 0])
+            u[j], v[j] = dot(&cameras[t, j, 0], &upward[t, 0]), dot(&cameras[t, j, 0], &vertical[s, 0])
         angle = atan2(u[1] * v[2] - u[2] * v[1], u[1] * v[1] + u[2] * v[2])
         spread = radius = 0
         for j in range(core):
-            spread += square(std[t, j, 2])
-            radius += square(joints[t, j, 1]) + square(joints[t, j, 2])
-        lean = square(LEAN_PER_DEPTH) * spread / max(radius, 1e-300)
-        spread = lean + square(BALANCE_STD_DEG * DEGREE) + square(vertical_std[s])
+            spread += std[t, j, 2] * std[t, j, 2]
+            radius += joints[t, j, 1] * joints[t, j, 1] + joints[t, j, 2] * joints[t, j, 2]
+        lean = LEAN_PER_DEPTH * LEAN_PER_DEPTH * spread / max(radius, 1e-300)
+        spread = lean + (BALANCE_STD_DEG * DEGREE) * (BALANCE_STD_DEG * DEGREE) + vertical_std[s] * vertical_std[s]
         turn = angle / (MAX_TURN_DEG * DEGREE)
         stands = acos(min(max(dot(u, v), -1.0), 1.0)) / DEGREE
         stands = standing[t] * fall(stands, level_deg, last_level_deg)
@@ -102,6 +101,10 @@ def turn_poses(
             out[t, j, 1] = cosine * joints[t, j, 1] - sine * joints[t, j, 2]
             out[t, j, 2] = sine * joints[t, j, 1] + cosine * joints[t, j, 2]
     return result
+
+
+cdef inline void subtract(const double[:, ::1] pose, Py_ssize_t a, Py_ssize_t b, double* out) noexcept nogil:
+    out[0], out[1], out[2] = pose[a, 0] - pose[b, 0], pose[a, 1] - pose[b, 1], pose[a, 2] - pose[b, 2]
 
 
 def find_stances(
@@ -119,8 +122,7 @@ def find_stances(
     cdef int i, over
     cdef double size, length, cosine, of_knee, straighter = 0
     cdef double[3] lever, bone, across, ahead, hips, trunk, thigh, shank
-    upward = np.empty((joints.shape[0], 3))
-    standing = np.empty(joints.shape[0])
+    upward, standing = np.empty((joints.shape[0], 3)), np.empty(joints.shape[0])
     cdef double[:, ::1] out = upward
     cdef double[::1] share = standing
     for n in range(joints.shape[0]):
@@ -128,17 +130,18 @@ def find_stances(
             lever[i] = -(joints[n, sides[0, 3], i] + joints[n, sides[1, 3], i]) / 2
             for j in range(masses.shape[0]):
                 lever[i] += masses[j] * joints[n, j, i]
-        subtract(&joints[n, neck, 0], &joints[n, pelvis, 0], trunk)
+        subtract(joints[n], neck, pelvis, trunk)
         size = sqrt(dot(trunk, trunk))
         for s in range(2):
             for j in range(1, 3):
-                subtract(&joints[n, sides[s, j], 0], &joints[n, sides[s, j + 1], 0], bone)
+                subtract(joints[n], sides[s, j], sides[s, j + 1], bone)
                 size += sqrt(dot(bone, bone)) / 2
-        subtract(&joints[n, sides[0, 1], 0], &joints[n, sides[1, 1], 0], hips)
-        subtract(&joints[n, sides[0, 0], 0], &joints[n, sides[1, 0], 0], across)
+        subtract(joints[n], sides[0, 1], sides[1, 1], hips)
+        subtract(joints[n], sides[0, 0], sides[1, 0], across)
         for i in range(3):
             across[i] += hips[i]
-        cross(across, lever, ahead)
+        for i in range(3):
+            ahead[i] = across[(i + 1) % 3] * lever[(i + 2) % 3] - across[(i + 2) % 3] * lever[(i + 1) % 3]
         length = support_ahead * size / max(sqrt(dot(ahead, ahead)), min_length)
         for i in range(3):
             lever[i] -= length * ahead[i]
@@ -150,10 +153,10 @@ def find_stances(
                 out[n, i] += lever[j] / length * cameras[s, j, i]
         over = 0
         for s in range(2):
-            subtract(&joints[n, hands[s], 0], &joints[n, head, 0], bone)
+            subtract(joints[n], hands[s], head, bone)
             over += dot(bone, trunk) > hanging_share * dot(trunk, trunk)
-            subtract(&joints[n, sides[s, 1], 0], &joints[n, sides[s, 2], 0], thigh)
-            subtract(&joints[n, sides[s, 2], 0], &joints[n, sides[s, 3], 0], shank)
+            subtract(joints[n], sides[s, 1], sides[s, 2], thigh)
+            subtract(joints[n], sides[s, 2], sides[s, 3], shank)
             cosine = dot(trunk, thigh) / max(sqrt(dot(trunk, trunk)) * sqrt(dot(thigh, thigh)), min_length)
             of_knee = dot(thigh, shank) / max(sqrt(dot(thigh, thigh)) * sqrt(dot(shank, shank)), min_length)
             cosine = of_knee if of_knee < cosine else cosine
