@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mocap_ros.arrays import Array
-from mocap_ros.bags.journal import Verdict
+from mocap_ros.bags.journal import Acceptance
 from mocap_ros.config import Config
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import MAX_CERTAIN_STD
@@ -266,10 +266,10 @@ class RunSummary:
         self._last_ns = stamp_ns
         self._follow(stamp_ns, detections, intrinsics, config)
 
-    def count(self, verdict: Verdict) -> None:
+    def count(self, acceptance: Acceptance) -> None:
         """Count a message of people; those skipped for a backlog say nothing about the input."""
-        if verdict is not Verdict.BACKLOG:
-            is_refused = verdict is not Verdict.ACCEPTED
+        if acceptance is not Acceptance.BACKLOG:
+            is_refused = acceptance is not Acceptance.ACCEPTED
             self._messages += 1
             self._refused += is_refused
             self._refused_in_turn = self._refused_in_turn + 1 if is_refused else 0

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocap_ros.bags.journal import JOURNAL, RESET, Entry, Verdict, encode_entry
+from mocap_ros.bags.journal import JOURNAL, RESET, Acceptance, Entry, encode_entry
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source, list_input_types, make_body_topic
@@ -63,7 +63,7 @@ def test_every_input_type_gives_the_same_people_live_and_from_a_bag(msgtype: str
     pipeline, reference = Pipeline(make_config(msgtype)), Pipeline(make_config(KEYPOINTS))
     inputs = [i for frame in range(FRAMES) for i in make_inputs(msgtype, frame)]
     results = feed_all(pipeline, inputs)
-    assert [o.reason for o in results if o.verdict is not Verdict.ACCEPTED] == []
+    assert [o.reason for o in results if o.acceptance is not Acceptance.ACCEPTED] == []
     skeletons = decode_skeletons(results)
     expected = decode_skeletons(feed_all(reference, [i for f in range(FRAMES) for i in make_inputs(KEYPOINTS, f)]))
     assert [len(s.people) for s in skeletons] == [2] * FRAMES
@@ -122,9 +122,9 @@ def test_images_are_complete_when_all_tracked_bodies_have_arrived() -> None:
 
     assert pipeline.feed(Source.TRACKED_BODIES, encode_ids(0, 'b0', 'b1'), HRI_IDS_TOPIC).outputs == ()
     assert feed_body(first, 0).outputs == ()
-    assert feed_body(first, 0).verdict is Verdict.DROPPED  # the body repeats in the image
+    assert feed_body(first, 0).acceptance is Acceptance.DROPPED  # the body repeats in the image
     assert feed_body(first, 1).outputs[0].stamp_ns == make_header(0).stamp_ns  # the next image ends it without b1
-    assert feed_body(second, 0).verdict is Verdict.DROPPED  # the image has ended
+    assert feed_body(second, 0).acceptance is Acceptance.DROPPED  # the image has ended
     assert feed_body(second, 1).outputs[0].stamp_ns == make_header(1).stamp_ns  # complete at once
     assert pipeline.feed(Source.TRACKED_BODIES, encode_ids(2, 'b1'), HRI_IDS_TOPIC).outputs == ()
     assert feed_body(second, 2).outputs[0].stamp_ns == make_header(2).stamp_ns
