@@ -223,7 +223,7 @@ def _judge(read: _Messages, detections: Detections, intrinsics: Intrinsics, conf
         std, shown = array.vertical_std, seen.get(array.stamp_ns, ())
         vertical = CameraVertical(array.vertical, std, is_given=std < MAX_GIVEN_STD) if std > 0 else None
         read.summary.add(array.stamp_ns, shown, array.people, intrinsics, source, vertical, config)
-        read.summary.advance_judgement(config)
+        read.summary.advance_judgement()
     return read.summary.summarise()
 
 

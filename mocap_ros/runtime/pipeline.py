@@ -19,6 +19,7 @@ from mocap_ros.bags.journal import Acceptance
 from mocap_ros.bags.topics import PEOPLE_SOURCES, TRANSFORM_SOURCES, Source
 from mocap_ros.config import Config
 from mocap_ros.errors import ConfigError, FrameDropped, InputError
+from mocap_ros.findings import find_worst
 from mocap_ros.formats.detections import Video
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_image_size
@@ -37,7 +38,7 @@ from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.runtime.run_memory import NOTHING, RunMemory
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.units import NS_PER_S
-from mocap_ros.verdict.input_checks import InputChecks
+from mocap_ros.verdict.input_faults import InputChecks
 from mocap_ros.verdict.summary import RunSummary
 
 TRACKER_GROUPS = 'solver', 'classifier', 'tracker'  # fields of `Config` that a tracker reads when it is made
@@ -192,7 +193,7 @@ class Pipeline:
         """Do the work that can wait until the outputs of `feed` are published; return an error's traceback."""
         try:
             self._tracker.run_deferred_work()
-            self.summary.advance_judgement(self.config)
+            self.summary.advance_judgement()
         except Exception:
             return traceback.format_exc()
         return ''
@@ -264,7 +265,7 @@ class Pipeline:
         """Track the people of an image; the result of an accepted image has one message for each of `OUTPUTS`."""
         config, tracker, stamp_ns = self.config, self._tracker, frame.header.stamp_ns
         faults = self.checks.add_stamp(stamp_ns)
-        self.summary.rate_fault = self.checks.rate_fault or self.summary.rate_fault
+        self.summary.rate = find_worst(self.checks.rate, self.summary.rate)
         try:
             if is_stamp_missing(stamp_ns, self.header.stamp_ns):
                 raise FrameDropped(MISSING_STAMP)
@@ -294,11 +295,11 @@ class Pipeline:
             outputs = self._outputs.encode(
                 header, people, config.node, placement, tracker.vertical, predicted, known_m
             )
-            seen = frame.people, people
-            self.summary.add(stamp_ns, *seen, intrinsics, focal_source, tracker.vertical, config)
+            self.summary.add(stamp_ns, frame.people, people, intrinsics, focal_source, tracker.vertical, config)
             other_camera = self._camera.describe_other(frame.header.frame_id) if focal_source == NOMINAL else ''
-            known = tracker, config, floor, self.summary.reason, other_camera
-            faults += self.checks.advance(frame, intrinsics, people, *known)
+            faults += self.checks.advance(
+                frame, intrinsics, people, tracker, config, floor, self.summary.finding, other_camera
+            )
         except Exception as error:
             if isinstance(error, FrameDropped) and stamp_ns == self.header.stamp_ns == 0:
                 error = FrameDropped(MISSING_STAMP)

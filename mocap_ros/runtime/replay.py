@@ -29,6 +29,7 @@ from mocap_ros.bags.topics import (
 )
 from mocap_ros.config import Config, Value, settings, values, with_values
 from mocap_ros.errors import ConfigError, InputError, RecordingError, name_errors
+from mocap_ros.findings import find_kind
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.models.model_file import AUTO, PRIORS, list_shipped_base_poses
@@ -38,7 +39,6 @@ from mocap_ros.runtime.pipeline import Counters, Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
 from mocap_ros.runtime.run_memory import RunMemory
 from mocap_ros.summary import Summary
-from mocap_ros.verdict.input_checks import find_kind
 
 JOURNAL_TOPIC = '/mocap_replay/journal'  # ends as the journal of a live run, so that a replay can be replayed
 INPUT_TYPE_PARAMETER = 'node.input_type'  # set to the type of the bag's keypoints, whatever the parameters say

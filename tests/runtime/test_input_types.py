@@ -19,6 +19,7 @@ from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source, list_input_types, make_body_topic
 from mocap_ros.config import RecorderConfig, with_values
 from mocap_ros.errors import InputError, RecordingError
+from mocap_ros.findings import SOUND
 from mocap_ros.formats.detections import Video
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -35,7 +36,7 @@ from mocap_ros.runtime.input_camera import SILENCE_S, InputCamera
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import KEYPOINT_LAYOUTS, keypoint_layout
-from mocap_ros.verdict.input_checks import MIN_BOX_IMAGES, UNUSABLE_S, describe_misspelt_joint
+from mocap_ros.verdict.input_faults import MIN_BOX_IMAGES, UNUSABLE_S, find_misspelt_joint
 from tests.support.camera_messages import camera_info, encode
 from tests.support.foreign_messages import (
     BASE_CONFIG,
@@ -301,11 +302,11 @@ def test_a_mistake_is_kept_until_mended(stream: list[bytes], edit: Callable[[Any
     assert pipeline.summary.summarise().grade in ('doubtful', 'wrong')
     later = [with_stamp(raw, round((10 + i * STEP_S) * 1e9)) for i, raw in enumerate(2 * stream)]
     assert [r for r in list_reasons(pipeline, later) if r] == []
-    assert pipeline.checks.warnings == ()
+    assert pipeline.checks.warnings == []
     pipeline.reset()
     assert sum(map(bool, list_reasons(pipeline, wrong))) == 1, 'a reset forgets what was reported'
     pipeline.reset()
-    assert pipeline.checks.warnings == ()
+    assert pipeline.checks.warnings == []
 
 
 def test_other_names_or_another_order_of_the_same_joints_do_not_restart_the_judgement(stream: list[bytes]) -> None:
@@ -399,12 +400,12 @@ def test_a_bad_lens_is_told(
 def test_misspelt_joints_that_are_missing_are_described(wrong: str, right: str, meant: str) -> None:
     names = tuple(wrong if j == right else j for j in SPELT_OUT)
     expected = f'joint_names: {wrong!r} is no known joint and is ignored; is it {meant!r}?' if meant else ''
-    assert describe_misspelt_joint(names) == expected
-    assert describe_misspelt_joint((*names, right)) == '', 'an extra joint beside the right one'
+    assert find_misspelt_joint(names).words == expected
+    assert find_misspelt_joint((*names, right)) == SOUND, 'an extra joint beside the right one'
 
 
 def test_no_layout_has_misspelt_joints() -> None:
-    assert not any(describe_misspelt_joint(layout.joints) for layout in KEYPOINT_LAYOUTS.values())
+    assert not any(find_misspelt_joint(layout.joints).words for layout in KEYPOINT_LAYOUTS.values())
 
 
 PERIOD_S = 1 / 30
