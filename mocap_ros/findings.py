@@ -96,7 +96,7 @@ class Fault(Enum):
     )
     OTHER = '{words}'  # that another part of the program found, and says
 
-    def found(self, grade: Grade, **values: object) -> Finding:
+    def found(self, grade: Grade = Grade.DOUBTFUL, **values: object) -> Finding:
         """Return the finding of this fault, with the values of its sentence."""
         return Finding(grade, self, self.describe(**values))
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,19 +34,12 @@ MIN_JUDGED_FRAMES = 30  # frames; fewer at long intervals may be single pictures
 UNITS = 'seconds', 'milliseconds', 'microseconds', 'nanoseconds'  # each a thousandth of the one before
 
 
-class OtherSize(NamedTuple):
-    """Another size of images than the one that is said: its sides, and the fault if it is the right one."""
-
-    own: float  # 1, factor of the same side
-    other: float  # 1, factor of the other side, which is added
-    fault: Fault
-
-
-OTHER_SIZES = (
-    OtherSize(0.0, 1.0, Fault.SIZE_TRANSPOSED),
-    OtherSize(0.5, 0.0, Fault.SIZE_SMALLER),
-    OtherSize(1.5, 0.0, Fault.SIZE_LARGER),
-)
+# Other sizes of images, by the fault if they are the right ones: factors of the side itself and of the other one
+OTHER_SIZES = {
+    Fault.SIZE_TRANSPOSED: (0.0, 1.0),
+    Fault.SIZE_SMALLER: (0.5, 0.0),
+    Fault.SIZE_LARGER: (1.5, 0.0),
+}
 
 
 @dataclass(frozen=True)
@@ -186,8 +178,8 @@ class PointPlaces:
         is_beyond = outside > MIN_SHARE_BEYOND
         evidence = (own - np.array(others)) / 2 + [0.0, 0.0, BEYOND_EVIDENCE if is_beyond else -math.inf]
         evidence = np.where(is_held[1:], evidence, -math.inf)
-        likeliest = OTHER_SIZES[evidence.argmax()]
-        return self._find(likeliest.fault, Grade.DOUBTFUL) if evidence.max() >= MIN_EVIDENCE else SOUND
+        likeliest = [*OTHER_SIZES][evidence.argmax()]
+        return self._find(likeliest, Grade.DOUBTFUL) if evidence.max() >= MIN_EVIDENCE else SOUND
 
     def _find(self, fault: Fault, grade: Grade) -> Finding:
         width, height = self._size
@@ -195,7 +187,7 @@ class PointPlaces:
 
     def _list_others(self) -> list[tuple[float, float]]:
         width, height = self._size
-        return [(o.own * width + o.other * height, o.own * height + o.other * width) for o in OTHER_SIZES]
+        return [(x * width + y * height, x * height + y * width) for x, y in OTHER_SIZES.values()]
 
 
 def check_places(points: Array, score: Array, image_size: tuple[int, int]) -> str:

@@ -109,11 +109,6 @@ def evaluate(
     missing; None if none are.
     """
     check_truth(truth)
-    _check_shape('joints', joints, len(truth), len(skeleton.joints), 3)
-    _check_shape('residual', residual, len(truth))
-    _check_shape('joints3d', truth, len(truth), len(truth_names), 3)
-    if keypoint_scores is not None:
-        _check_shape('keypoint_scores', keypoint_scores, len(truth), len(keypoint_names))
     limbs_only = keypoint_scores is not None
     is_known = np.asarray(np.isfinite(truth).all(axis=-1))
     known_names = tuple(n if is_known[:, i].any() else '' for i, n in enumerate(truth_names))
@@ -150,26 +145,20 @@ def check_truth(truth: Array) -> None:
 
 
 def measure_person_size(joints: Array) -> float:
-    """Return the median longest side (m) of the box around joints (F, J, 3), 0 if no frame is complete."""
+    """Return the median longest side (m) of the box around joints (F, J, 3), NaN if no frame is complete."""
     complete = joints[np.isfinite(joints).all(axis=(1, 2))]
-    return float(np.median(np.ptp(complete, axis=1).max(axis=-1))) if len(complete) else 0.0
+    return float(np.median(np.ptp(complete, axis=1).max(axis=-1))) if len(complete) else math.nan
 
 
 def check_person_size(field: str, joints: Array) -> None:
     """Raise an InputError if the complete frames of joints (F, J, 3) in m show a single point."""
-    is_any_complete = np.isfinite(joints).all(axis=(1, 2)).any()
-    if is_any_complete and measure_person_size(joints) < MIN_PERSON_SIZE_M:
+    if measure_person_size(joints) < MIN_PERSON_SIZE_M:
         raise InputError(f'{field}: all joints at one point')
 
 
 def estimate_frame_rate(times: Array) -> float:
     """Return the frames a second by the median time (s) between frames (F,), or NaN for a single frame."""
     return 1 / float(np.median(np.diff(times))) if len(times) > 1 else math.nan
-
-
-def _check_shape(field: str, array: Array, *expected: int) -> None:
-    if array.shape != expected:
-        raise InputError(f'{field}: shape {array.shape}, expected {expected}')
 
 
 def match_joints(

@@ -162,7 +162,7 @@ class InputChecks:
             points._replace(words=f'people: {points.words}') if points.grade is not Grade.GOOD else SOUND,
             find_worst(SOUND, *(find_misspelt_joint(p.joints) for p in frame.people)),
             find_unusable_distortion(intrinsics),
-            Fault.OTHER.found(Grade.DOUBTFUL, words=other_camera),
+            Fault.OTHER.found(words=other_camera),
         ]
         self.findings = [finding for finding in found if finding.words]
         return self._choose_new(self.findings)
@@ -215,8 +215,8 @@ class InputChecks:
         if angle_deg is None:
             return SOUND
         if is_parameter:
-            return Fault.VERTICAL.found(Grade.DOUBTFUL, given=given, angle_deg=angle_deg)
-        return Fault.FLOOR.found(Grade.DOUBTFUL, frame=config.node.output_frame, angle_deg=angle_deg)
+            return Fault.VERTICAL.found(given=given, angle_deg=angle_deg)
+        return Fault.FLOOR.found(frame=config.node.output_frame, angle_deg=angle_deg)
 
 
 def _check_camera_height(intrinsics: Intrinsics, tracker: TrackerConfig, *, has_floor: bool) -> Finding:
@@ -233,7 +233,7 @@ def find_unusable_distortion(intrinsics: Intrinsics) -> Finding:
     if intrinsics.image_size is None or not intrinsics.distortion.coefficients:
         return SOUND
     share = _measure_distorted_share(intrinsics, intrinsics.image_size)
-    return Fault.DISTORTION.found(Grade.DOUBTFUL, share=share) if share > MAX_DISTORTED_SHARE else SOUND
+    return Fault.DISTORTION.found(share=share) if share > MAX_DISTORTED_SHARE else SOUND
 
 
 @lru_cache(maxsize=MAX_CACHED_LENSES)
@@ -260,5 +260,5 @@ def find_misspelt_joint(joints: tuple[str, ...]) -> Finding:
             word = re.sub('[^a-z]', '', name.lower().replace('left', 'l').replace('right', 'r'))
             same_side = [j for j in missing if j[0] == word[:1]]
             for meant in difflib.get_close_matches(word, same_side, 1, MIN_LIKENESS):
-                return Fault.MISSPELT.found(Grade.DOUBTFUL, name=name, meant=meant)
+                return Fault.MISSPELT.found(name=name, meant=meant)
     return SOUND

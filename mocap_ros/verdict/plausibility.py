@@ -32,6 +32,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
 from mocap_ros.findings import SIZE_ADVICE, SOUND, Fault, Finding, Grade
@@ -81,8 +82,6 @@ MIN_WALKED_M, MAX_BACKWARDS_SHARE = 0.7, 0.4
 LOOK_S = 0.1  # s, from look to look at where people walk
 MAX_GAP_SHARE = 0.25  # 1; longest step from image to image, of `WALK_S`
 MIN_STRIDE_M = 0.2  # m; by which the ankles of people who walk move against each other, along their way
-
-
 NOT_JUDGED = Fault.UNKNOWN.found(Grade.GOOD, stretch_s=STRETCH_S, images=MIN_FRAMES, joints=MIN_SEEN_JOINTS)
 
 
@@ -117,8 +116,13 @@ def list_readings(stretch: Stretch) -> list[Reading]:
     layouts = [s.name for s in KEYPOINT_LAYOUTS.values() if len(s.joints) == len(names) and s.joints != names]
     sided = [i for i, name in enumerate(canonical_joint_names(names)) if name in SIDED_JOINTS]
     is_seen = stretch.keypoints[..., 2] > 0
-    shown = is_seen[is_seen.sum(axis=1) >= MIN_SEEN_JOINTS][:, sided].mean(axis=0).sum() / len(SIDED_JOINTS)
+    shown = is_seen[is_showing(is_seen)][:, sided].mean(axis=0).sum() / len(SIDED_JOINTS)
     return [GIVEN, *TURNED, *(MIRRORED if shown >= MIN_SIDED_SHARE else ()), *map(Reading, layouts)]
+
+
+def is_showing(is_seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return (F,) whether enough of the joints (F, J) are seen for a frame to count."""
+    return np.asarray(is_seen.sum(axis=1) >= MIN_SEEN_JOINTS)
 
 
 def hide_unsure(keypoints: Array, min_score: float) -> Array:
@@ -131,8 +135,7 @@ def make_stretch(
     keypoints: Array, names: tuple[str, ...], times: Array, intrinsics: Intrinsics, vertical: Array | None = None
 ) -> Stretch | None:
     """Return keypoints (F, J, 3), x and y in px and the score, as a stretch; None if too little was seen."""
-    seen = (keypoints[..., 2] > 0).sum(axis=1) >= MIN_SEEN_JOINTS
-    if seen.sum() < MIN_FRAMES:
+    if is_showing(keypoints[..., 2] > 0).sum() < MIN_FRAMES:
         return None
     rays = intrinsics.pixels_to_rays(np.nan_to_num(keypoints[..., :2]))
     return Stretch(np.concatenate([rays, keypoints[..., 2:]], axis=-1), names, times, vertical)
@@ -142,10 +145,10 @@ def cut_stretches(
     keypoints: Array, names: tuple[str, ...], times: Array, intrinsics: Intrinsics, vertical: Array | None = None
 ) -> list[Stretch]:
     """Return stretches of a recording of one person; arguments as of `make_stretch`."""
-    seen = np.flatnonzero((keypoints[..., 2] > 0).sum(axis=1) >= MIN_SEEN_JOINTS)
-    if not len(seen):
+    shown_s = times[is_showing(keypoints[..., 2] > 0)]
+    if not len(shown_s):
         return []
-    starts = np.linspace(times[seen[0]], max(times[seen[-1]] - STRETCH_S, times[seen[0]]), MAX_STRETCHES)
+    starts = np.linspace(shown_s[0], max(shown_s[-1] - STRETCH_S, shown_s[0]), MAX_STRETCHES)
     cuts = {tuple(np.searchsorted(times, [s, s + STRETCH_S]).tolist()) for s in starts}
     found = [make_stretch(keypoints[a:b], names, times[a:b], intrinsics, vertical) for a, b in sorted(cuts)]
     return [stretch for stretch in found if stretch is not None]
@@ -175,7 +178,7 @@ def _measure(stretch: Stretch, reading: Reading, vertical: Array | None = None) 
     core, weight, _, extremities = convert_to_rays(points, stretch.keypoints[..., 2], names, UNIT_CAMERA, 0.0)
     camera = VirtualCamera.look_at_person(core, weight, stretch.times, VIEW_SMOOTHING_S, UNIT_CAMERA)
     body, body_weight = join_body(core, weight, extremities)
-    frames = np.flatnonzero((weight > 0).sum(axis=1) >= MIN_SEEN_JOINTS)
+    frames = np.flatnonzero(is_showing(weight > 0))
     if not len(frames):
         return math.inf
     frames = frames[np.unique(np.linspace(len(frames) // 2, len(frames) - 1, LIFTED_FRAMES).astype(int))]

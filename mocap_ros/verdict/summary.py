@@ -71,14 +71,33 @@ class Fit(NamedTuple):
     distance_m: float  # m, along the optical axis
 
 
+class CameraBasis(NamedTuple):
+    """What is known of the camera."""
+
+    focal_px: float
+    focal_source: str  # as in `Summary`
+    vertical_std: float  # rad; NaN where no vertical is known
+    is_vertical_given: bool
+
+    def describe_vertical(self) -> str:
+        """Return how the vertical is known, as in `Summary`."""
+        if self.is_vertical_given:
+            return 'given'
+        if not math.isfinite(self.vertical_std):
+            return 'none'
+        return 'found' if self.vertical_std <= MAX_CERTAIN_STD else 'uncertain'
+
+
+NO_CAMERA = CameraBasis(math.nan, '', math.nan, is_vertical_given=False)
+
+
 class Basis:
     """What people rest on, over the images or the whole sequences that were added so far."""
 
     def __init__(self) -> None:
         self.people = self.frames = 0
         self.seen_joints = SeenJoints()
-        self.focal_px, self.focal_source = math.nan, ''
-        self.vertical_std, self.is_vertical_given = math.nan, False  # rad
+        self.camera = NO_CAMERA
         self._fits, self._weight = np.zeros(3), 0.0
 
     def add_fit(self, fit: Fit, weight: float = 1.0) -> None:
@@ -102,21 +121,14 @@ class Basis:
             residual_px=fit.residual_px,
             residual_share=fit.residual_share,
             distance_m=fit.distance_m,
-            focal_px=self.focal_px,
-            focal_source=self.focal_source,
-            vertical=self._describe_vertical(),
-            vertical_std_deg=math.degrees(self.vertical_std),
+            focal_px=self.camera.focal_px,
+            focal_source=self.camera.focal_source,
+            vertical=self.camera.describe_vertical(),
+            vertical_std_deg=math.degrees(self.camera.vertical_std),
             grade='not judged' if worst.fault is Fault.UNKNOWN else worst.grade.word,
             reason='; '.join(finding.words for finding in faults),
             unseen=self.seen_joints.name_unseen(),
         )
-
-    def _describe_vertical(self) -> str:
-        if self.is_vertical_given:
-            return 'given'
-        if not math.isfinite(self.vertical_std):
-            return 'none'
-        return 'found' if self.vertical_std <= MAX_CERTAIN_STD else 'uncertain'
 
 
 def summarise(people: Sequence[PoseSequence], config: Config) -> Summary:
@@ -149,13 +161,12 @@ def summarise(people: Sequence[PoseSequence], config: Config) -> Summary:
     sequence, intrinsics = sequences[0], people[0].intrinsics
     is_known, (width, height) = intrinsics.is_focal_known, sequence.image_size
     basis.people, basis.frames = len(sequences), len(set().union(*(s.stamps_ns for s in sequences)))
-    basis.focal_px = intrinsics.focal
-    basis.focal_source = sequence.focal_source or ('known' if is_known else 'nominal')
-    basis.is_vertical_given = given is not None
-    basis.vertical_std = float(np.average(vertical_stds, weights=[len(s) for s in sequences]))
+    source = sequence.focal_source or ('known' if is_known else 'nominal')
+    vertical_std = float(np.average(vertical_stds, weights=[len(s) for s in sequences]))
+    basis.camera = CameraBasis(intrinsics.focal, source, vertical_std, given is not None)
     size = judge_size(places)
     if sequence.is_size_assumed and not is_known and size.grade is Grade.GOOD:
-        size = Fault.SIZE_ASSUMED.found(Grade.DOUBTFUL, width=width, height=height)
+        size = Fault.SIZE_ASSUMED.found(width=width, height=height)
     share = basis.fit.residual_share
     return basis.summarise(
         judge(average(measured), share, sequence.joint_names, size, is_backwards=walk.is_backwards)
@@ -173,25 +184,30 @@ def name_alike(person: Person2D, last: Person2D | None) -> Person2D:
         return own
     order = [joints.index(name) for name in last.joints]
     ordered = Person2D(person.id, last.joints, person.points[order], person.score[order])
-    return min(ordered, own, key=lambda p: _measure_change(last, p))
+
+    def measure_change(person: Person2D) -> float:
+        steps = _find_steps(last, person)
+        return _measure_length(steps - steps.mean(axis=0)) if len(steps) else math.inf
+
+    return min(ordered, own, key=measure_change)
 
 
-def _measure_change(last: Person2D, person: Person2D) -> float:
-    """Return the median distance in px of the points of two people, column by column, about their middles."""
-    moved = (person.points - last.points)[(last.score > 0) & (person.score > 0)]
-    return float(np.median(np.linalg.norm(moved - moved.mean(axis=0), axis=1))) if len(moved) else math.inf
+def _find_steps(last: Person2D, person: Person2D) -> Array:
+    """Return the steps (K, 2) px from the points of a person to those of another that both have, by column."""
+    return (person.points - last.points)[(last.score > 0) & (person.score > 0)]
+
+
+def _measure_length(steps: Array) -> float:
+    """Return the median length of steps (K, 2); infinite if there are none."""
+    return float(np.median(np.linalg.norm(steps, axis=1))) if len(steps) else math.inf
 
 
 def find_same_person(last: Person2D, detections: Sequence[Person2D]) -> Person2D | None:
     """Return the detection whose points are nearest to those of a person in the image before; None if far."""
-    size = float(np.ptp(last.points[last.score > 0], axis=0).max())
-    nearest: tuple[Person2D | None, float] = None, MAX_STEP * size
-    for person in detections:
-        shared = (last.score > 0) & (person.score > 0) if person.joints == last.joints else np.zeros(0, bool)
-        if shared.any():
-            distance = float(np.median(np.linalg.norm((person.points - last.points)[shared], axis=1)))
-            nearest = min(nearest, (person, distance), key=lambda found: found[1])
-    return nearest[0]
+    alike = [person for person in detections if person.joints == last.joints]
+    nearest = min(alike, key=lambda person: _measure_length(_find_steps(last, person)), default=None)
+    farthest = MAX_STEP * float(np.ptp(last.points[last.score > 0], axis=0).max())
+    return nearest if nearest and _measure_length(_find_steps(last, nearest)) < farthest else None
 
 
 class RunSummary:
@@ -238,9 +254,8 @@ class RunSummary:
         """Add an image: what the detector saw, and the people who were reconstructed up to it."""
         basis, min_score = self._basis, config.tracker.min_score
         basis.frames += 1
-        basis.focal_px, basis.focal_source = intrinsics.focal, focal_source
-        basis.vertical_std = vertical.std if vertical else math.nan
-        basis.is_vertical_given = vertical is not None and vertical.is_given
+        std, is_given = (vertical.std, vertical.is_given) if vertical else (math.nan, False)
+        basis.camera = CameraBasis(intrinsics.focal, focal_source, std, is_given)
         if stamp_ns < self._last_ns:  # a clock that was set, or a bag that begins again
             self.restart()
         certain = [p for p in people if not p.tentative]
@@ -351,7 +366,7 @@ class RunSummary:
     def _judge_refusals(self) -> Finding:
         """Return whether the input is doubtful for the messages that were refused."""
         if MAX_REFUSED_IN_TURN < self._refused_in_turn < self._messages:
-            return Fault.REFUSED_LAST.found(Grade.DOUBTFUL, refused=self._refused_in_turn)
+            return Fault.REFUSED_LAST.found(refused=self._refused_in_turn)
         if self._refused <= MAX_REFUSED * self._messages:
             return SOUND
         grade = Grade.WRONG if self._refused == self._messages else Grade.DOUBTFUL
