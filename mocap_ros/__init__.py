@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     )
     from mocap_ros.keypoints.keypoint_sequence import GroundTruth, KeypointSequence
     from mocap_ros.people import Motion, MotionKind, Person3D, PoseSequence
-    from mocap_ros.verdict.errors_of_result import Evaluation
+    from mocap_ros.verdict.accuracy import Evaluation
 
 __all__ = [
     'BasePoses',
@@ -81,7 +81,7 @@ _MODULES = {
         'RecordingError',
         'SkeletonError',
     ),
-    'mocap_ros.verdict.errors_of_result': ('Evaluation',),
+    'mocap_ros.verdict.accuracy': ('Evaluation',),
     'mocap_ros.keypoints.keypoint_sequence': ('GroundTruth', 'KeypointSequence'),
     'mocap_ros.people': ('Motion', 'MotionKind', 'Person3D', 'PoseSequence'),
 }

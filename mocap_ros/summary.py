@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-WRONG = 'wrong'  # the grade of an input that is wrong, so that the result is
+from mocap_ros.findings import Grade
 
 
 @dataclass(frozen=True)
@@ -30,17 +30,20 @@ class Summary:
     vertical_std_deg: float  # degrees, standard deviation of the vertical; NaN if there is none
     grade: str  # `good`, `doubtful` or `wrong`; `not judged` if too little was seen
     reason: str = ''  # why the grade is not good, in words
+    unseen: str = ''  # parts of the body that were hardly ever seen, such as `hips and legs`; often empty
 
     @property
     def is_wrong(self) -> bool:
         """Whether the input is wrong, so that the result is."""
-        return self.grade == WRONG
+        return self.grade == Grade.WRONG.word
 
     def __str__(self) -> str:
         parts = [f'{self.grade}: {self.reason}' if self.reason else self.grade]
         parts.append(f'{self.people} {"person" if self.people == 1 else "people"} in {self.frames} frames')
         if math.isfinite(self.seen):
             parts.append(f'{self.seen:.0%} of the points seen')
+        if self.unseen:
+            parts.append(f'{self.unseen} never seen')
         if math.isfinite(self.residual_px):
             parts.append(f'residual {self.residual_px:.1f} px ({self.residual_share:.1%} of the body height)')
         if math.isfinite(self.focal_px):
@@ -64,7 +67,7 @@ class StoredSummary(NamedTuple):
     @property
     def is_wrong(self) -> bool:
         """Whether the input is wrong, so that the result is."""
-        return self.grade == WRONG
+        return self.grade == Grade.WRONG.word
 
     def __str__(self) -> str:
         return self.line

@@ -18,7 +18,7 @@ from mocap_ros.formats.sequence_file import MAX_COORDINATE_M, check_timestamps
 from mocap_ros.keypoints.keypoint_sequence import GroundTruth
 from mocap_ros.people import PoseSequence
 from mocap_ros.skeleton import BODY26, CMU15, canonical_joint_names
-from mocap_ros.verdict import errors_of_result as evaluation
+from mocap_ros.verdict import accuracy
 
 
 def evaluate(
@@ -28,7 +28,7 @@ def evaluate(
     truth_names: Sequence[str] | str = 'cmu15',
     times: ArrayLike | None = None,
     limbs_only: bool = False,
-) -> evaluation.Evaluation:
+) -> accuracy.Evaluation:
     """Compare 3D joints with the truth over the joints that both have.
 
     Joints of the truth that are known in no frame are left out, then frames in which another joint is unknown.
@@ -69,7 +69,7 @@ def evaluate(
         skeleton = BODY26 if joints.shape[1:2] == (len(BODY26.joints),) else CMU15
         predicted = read_numbers('joints', joints, (None, len(skeleton.joints), 3))
         _check_unit('joints', predicted)
-        collapsed = np.ptp(predicted, axis=1).max(axis=-1) < evaluation.MIN_PERSON_SIZE_M
+        collapsed = np.ptp(predicted, axis=1).max(axis=-1) < accuracy.MIN_PERSON_SIZE_M
         if collapsed.any():
             frame = int(collapsed.argmax())
             raise InputError(
@@ -90,13 +90,13 @@ def evaluate(
     true_joints = read_numbers('truth', truth, (len(predicted), len(true_names), 3))
     _check_unit('truth', true_joints)
     with rename_errors({'joints3d': 'truth', 'joints3d_names': names_argument}):
-        return evaluation.evaluate(
+        return accuracy.evaluate(
             predicted,
             skeleton,
             residual,
             true_joints,
             true_names,
-            evaluation.estimate_frame_rate(frame_times),
+            accuracy.estimate_frame_rate(frame_times),
             names,
             scores if limbs_only else None,
             frame_times if len(frame_times) == len(predicted) else None,
@@ -109,6 +109,6 @@ def _check_unit(argument: str, joints: Array) -> None:
     if too_far.any():
         frame, joint, _ = np.argwhere(too_far)[0]
         raise InputError(f'{argument}: frame {frame}: joint {joint} is more than {MAX_COORDINATE_M:g} m away')
-    if evaluation.measure_person_size(joints) > evaluation.MAX_PERSON_SIZE_M:
-        size = f'a person of more than {evaluation.MAX_PERSON_SIZE_M:g} m'
+    if accuracy.measure_person_size(joints) > accuracy.MAX_PERSON_SIZE_M:
+        size = f'a person of more than {accuracy.MAX_PERSON_SIZE_M:g} m'
         raise InputError(f'{argument}: {size}; looks like mm, m expected')

@@ -45,7 +45,7 @@ PARAMETERS = 'parameters'
 LOST = 'lost'
 
 
-class Verdict(IntEnum):
+class Acceptance(IntEnum):
     """What became of an input; the values are the levels of DiagnosticStatus."""
 
     ACCEPTED = 0  # the tracker used the input
@@ -60,7 +60,7 @@ class Entry:
 
     kind: str
     number: int  # number of the input; for other kinds, number of the last input before the event
-    verdict: Verdict = Verdict.ACCEPTED
+    acceptance: Acceptance = Acceptance.ACCEPTED
     reason: str = ''  # why the input was not accepted, or what is to be said of an accepted one; usually empty
     topic: str = ''  # of the input; empty for other kinds
     # Values by name: of the parameters, or what is kept at a reset; for `lost`, the number of lost inputs
@@ -71,7 +71,7 @@ def encode_entry(entry: Entry) -> bytes:
     """Encode a journal entry as CDR of DiagnosticStatus."""
     values = {'input': entry.number, **entry.parameters}
     texts = [(key, json.dumps(value)) for key, value in values.items()]
-    return encode_plain((int(entry.verdict), entry.kind, entry.reason, entry.topic, texts), JOURNAL)
+    return encode_plain((int(entry.acceptance), entry.kind, entry.reason, entry.topic, texts), JOURNAL)
 
 
 def decode_entry(raw: bytes) -> Entry:
@@ -80,11 +80,11 @@ def decode_entry(raw: bytes) -> Entry:
     try:
         values = {v.key: json.loads(v.value) for v in message.values}
         number = int(values.pop('input'))
-        verdict = Verdict(message.level)
+        acceptance = Acceptance(message.level)
         int(values.get(LOST, 0))
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
         raise InputError('the message is not a journal entry') from None
-    return Entry(message.name, number, verdict, message.message, message.hardware_id, values)
+    return Entry(message.name, number, acceptance, message.message, message.hardware_id, values)
 
 
 class Journal:
@@ -103,7 +103,7 @@ class Journal:
         msgtype: str,
         raw: bytes,
         times_ns: tuple[int, int],
-        verdict: Verdict,
+        acceptance: Acceptance,
         reason: str = '',
         repeat_keys: frozenset[str] | None = frozenset(),
     ) -> list[RecordedMessage]:
@@ -119,7 +119,7 @@ class Journal:
         self._input_ns = received_ns
         before = self.make_lost_records()
         self._input_count += 1
-        entry = Entry(INPUT, self._input_count, verdict, reason, topic)
+        entry = Entry(INPUT, self._input_count, acceptance, reason, topic)
         message = RecordedMessage(
             topic, msgtype, raw, received_ns, sent_ns, repeat_keys, may_begin_file=not before
         )
@@ -205,7 +205,7 @@ def read_run(bag: Bag) -> RecordedRun:
         elif entry.kind == INPUT:
             inputs = inputs or [(entry, message.time_ns)]
             entries[entry.topic, message.time_ns] += 1
-            if entry.verdict is Verdict.BACKLOG:
+            if entry.acceptance is Acceptance.BACKLOG:
                 skipped.append(entry.number)
         elif entry != parameters:
             events.append(entry)

@@ -31,7 +31,7 @@ from mocap_ros.recordings.build_scene import build_scene, select_true_joints
 from mocap_ros.recordings.load_keypoints import load_sequence_file
 from mocap_ros.recordings.load_results import load_recording
 from mocap_ros.recordings.playback import Playback
-from mocap_ros.verdict import metrics
+from mocap_ros.verdict import accuracy
 from mocap_ros.viewing import plots
 from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.scene import Scene
@@ -155,7 +155,7 @@ def describe_errors(scene: Scene, sequence: KeypointSequence, truth: GroundTruth
     joints = np.full((len(sequence), len(scene.skeleton.joints), 3), np.nan)
     joints[np.searchsorted(sequence.stamps_ns, scene.stamps_ns)] = scene.to_plot_data().joints
     common = [scene.skeleton.index(name) for name in truth.joint_names]
-    errors = metrics.compute_errors(joints[:, common], truth.joints, fps=30.0)
+    errors = accuracy.compute_errors(joints[:, common], truth.joints, fps=30.0)
     empty_frames = int((~(sequence.keypoints[..., 2] > 0).any(axis=1)).sum())
     reconstructed_frames = errors['frames'] - errors['failed_frames']
     return (

@@ -30,14 +30,14 @@ from mocap_ros.recordings.load_keypoints import load_sequence_file
 from mocap_ros.recordings.load_results import load_result
 from mocap_ros.recordings.reconstruct import ReconstructionOptions, reconstruct
 from mocap_ros.summary import Summary
-from mocap_ros.verdict.coverage import SHARES, compute_coverage
-from mocap_ros.verdict.errors_of_result import (
+from mocap_ros.verdict.accuracy import (
     MAX_PERSON_SIZE_M,
     check_truth,
     estimate_frame_rate,
     evaluate,
     measure_person_size,
 )
+from mocap_ros.verdict.coverage import SHARES, compute_coverage
 
 # Columns of the table: key of the record, title, unit and number format.
 COLUMNS = (

@@ -49,7 +49,7 @@ OPTIONS: Options = {
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay the bags, and print the number of messages by verdict."""
+    """Replay the bags, and print the number of messages by what became of them."""
     changes = parse_changes(args) | read_lens_parameters(args)
     options = ReplayOptions(load_config_file(args), args.topic, args.camera_info, changes=changes)
     jobs = _choose_outputs(args.bags, args.output)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from mocap_ros.arrays import Array
 from mocap_ros.engine import rays as engine
 from mocap_ros.errors import InputError
+from mocap_ros.findings import SOUND, Fault, Finding, Grade
 
 NORMALISED_RANGE = -0.5, 1.5  # shares of the image; a normalised point may lie outside the image by half of it
 MAX_METRES = 10.0  # m; joints of a person in 3D are within it, of whom some coordinates are negative
@@ -22,9 +23,6 @@ MAX_COORDINATE_PX = 1e6  # px; far outside any image
 BORDER_PX = 0.5  # px; whole pixels and float32 are off by less
 MAX_SHARE_OUTSIDE = 0.5  # share of the points; with more of them outside the image, its size is probably wrong
 MIN_SHARE_HELD = 0.95  # share of the points that an image must hold to be the right one; a few may be outliers
-TRANSPOSED = 'width and height look transposed'
-# Other sizes of images: factors of the side itself and of the other one
-OTHER_SIZES = ((0.0, 1.0), (0.5, 0.0), (1.5, 0.0))
 MIDDLE, SPREAD = np.array([0.5, 0.47]), np.array([0.17, 0.12])  # 1; of positions of people, in width and height
 MIN_EVIDENCE = 2.5  # 1, log likelihood; people who stay in a corner for a whole recording are rare
 BEYOND_EVIDENCE = 1.5  # 1, of points beyond the image, which detectors give of people whom it cuts off
@@ -36,8 +34,16 @@ MIN_JUDGED_FRAMES = 30  # frames; fewer at long intervals may be single pictures
 UNITS = 'seconds', 'milliseconds', 'microseconds', 'nanoseconds'  # each a thousandth of the one before
 
 
+# Other sizes of images, by the fault if they are the right ones: factors of the side itself and of the other one
+OTHER_SIZES = {
+    Fault.SIZE_TRANSPOSED: (0.0, 1.0),
+    Fault.SIZE_SMALLER: (0.5, 0.0),
+    Fault.SIZE_LARGER: (1.5, 0.0),
+}
+
+
 @dataclass(frozen=True)
-class Fault:
+class UnusableValue:
     """The first keypoint value that cannot be used."""
 
     field: str  # `x`, `y` or `score`
@@ -45,7 +51,7 @@ class Fault:
     what: str  # the value, and what was expected instead
 
 
-def _find_first_fault(points: Array, score: Array) -> Fault | None:
+def _find_unusable_value(points: Array, score: Array) -> UnusableValue | None:
     for field, is_faulty, values, expected in (
         ('x', np.abs(points[..., 0]) > MAX_COORDINATE_PX, points[..., 0], 'a finite number of px'),
         ('y', np.abs(points[..., 1]) > MAX_COORDINATE_PX, points[..., 1], 'a finite number of px'),
@@ -53,11 +59,11 @@ def _find_first_fault(points: Array, score: Array) -> Fault | None:
     ):
         if is_faulty.any():
             index = tuple(int(i) for i in np.argwhere(is_faulty)[0])
-            return Fault(field, index, f'{values[index]:g}, expected {expected}')
+            return UnusableValue(field, index, f'{values[index]:g}, expected {expected}')
     return None
 
 
-def mark_unseen(points: Array, score: Array) -> tuple[Array, Array, Fault | None]:
+def mark_unseen(points: Array, score: Array) -> tuple[Array, Array, UnusableValue | None]:
     """Mark joints that were not seen, by NaN in points (..., J, 2) px and 0 in scores (..., J).
 
     So are points of NaN, (0, 0) or (-1, -1) and scores of 0, less or NaN. Scores of which some are below -1 and
@@ -68,7 +74,7 @@ def mark_unseen(points: Array, score: Array) -> tuple[Array, Array, Fault | None
     shape = math.prod(score.shape[:-1]), score.shape[-1]
     people = np.asarray(points, float).reshape(*shape, 2), np.asarray(score, float).reshape(shape)
     seen_points, seen_score, is_faulty = engine.mark_unseen(*people, MAX_COORDINATE_PX)
-    fault = _find_first_fault(points, score) if is_faulty else None
+    fault = _find_unusable_value(points, score) if is_faulty else None
     return seen_points.reshape(points.shape), seen_score.reshape(score.shape), fault
 
 
@@ -95,9 +101,9 @@ def describe_other_unit(points: Array, score: Array, image_width: int) -> str:
         return ''
     low, high = NORMALISED_RANGE
     if ((seen >= low) & (seen <= high)).all():
-        return 'looks normalised; px expected: multiply x by the width of the image and y by its height'
+        return Fault.NORMALISED.value
     if (seen < low).any():
-        return 'looks like 3D joints in m; 2D keypoints in px expected'
+        return Fault.METRES.value
     return ''
 
 
@@ -115,9 +121,9 @@ def describe_step(step_s: float, longest_s: float = MAX_STEP_S) -> str:
         return ''
     if step_s > longest_s:
         unit = next((unit for n, unit in enumerate(UNITS) if step_s <= MAX_STEP_S * 1000**n), UNITS[-1])
-        return f'one image every {step_s:.3g} s by the stamps: looks like {unit} taken for seconds'
+        return Fault.RATE_LOW.describe(step_s=step_s, unit=unit)
     unit = next((unit for n, unit in enumerate(UNITS[::-1]) if step_s * 1000**n >= MIN_STEP_S), UNITS[0])
-    return f'{1 / step_s:.0f} images/s by the stamps: looks like {unit} taken for nanoseconds'
+    return Fault.RATE_HIGH.describe(rate=1 / step_s, unit=unit)
 
 
 def measure_distance(mean: Array, size: tuple[float, float]) -> float:
@@ -158,30 +164,30 @@ class PointPlaces:
         """The share of the points that lie outside the image; 0 if there are too few."""
         return 1 - float(self._inside[0]) / self._count if self._count >= MIN_JUDGED_POINTS else 0.0
 
-    def describe_fault(self) -> str:
-        """Describe in a clause that most points lie outside, or that the size is another; usually empty."""
-        (width, height), held = self._size, self._inside / max(self._count, 1) >= MIN_SHARE_HELD
+    def judge(self) -> Finding:
+        """Return whether most points lie outside, so that the size is wrong, or as in an image of another size."""
+        is_held = self._inside / max(self._count, 1) >= MIN_SHARE_HELD
         outside = self.share_outside
-        beyond = f'{outside:.0%} of the seen keypoints lie outside {width} x {height} px'
         if outside > MAX_SHARE_OUTSIDE:
-            return f'{beyond}, but inside {height} x {width} px: {TRANSPOSED}' if held[1] else beyond
+            fault = Fault.SIZE_TRANSPOSED_OUTSIDE if is_held[1] else Fault.SIZE_OUTSIDE
+            return self._find(fault, Grade.WRONG)
         if self._count < MIN_JUDGED_POINTS:
-            return ''
+            return SOUND
         mean = self._sum / self._count
         own, *others = (measure_distance(mean, size) for size in (self._size, *self._list_others()))
         is_beyond = outside > MIN_SHARE_BEYOND
         evidence = (own - np.array(others)) / 2 + [0.0, 0.0, BEYOND_EVIDENCE if is_beyond else -math.inf]
-        evidence = np.where(held[1:], evidence, -math.inf)
-        texts = (
-            f'the points lie as in an image of {height} x {width} px: {TRANSPOSED}',
-            f'all points lie in the upper left quarter of {width} x {height} px: the images look smaller',
-            f'{beyond}, and the others towards its lower right corner: the images look larger',
-        )
-        return texts[evidence.argmax()] if evidence.max() >= MIN_EVIDENCE else ''
+        evidence = np.where(is_held[1:], evidence, -math.inf)
+        likeliest = [*OTHER_SIZES][evidence.argmax()]
+        return self._find(likeliest, Grade.DOUBTFUL) if evidence.max() >= MIN_EVIDENCE else SOUND
+
+    def _find(self, fault: Fault, grade: Grade) -> Finding:
+        width, height = self._size
+        return fault.found(grade, outside=self.share_outside, width=width, height=height)
 
     def _list_others(self) -> list[tuple[float, float]]:
         width, height = self._size
-        return [(x * width + y * height, x * height + y * width) for x, y in OTHER_SIZES]
+        return [(x * width + y * height, x * height + y * width) for x, y in OTHER_SIZES.values()]
 
 
 def check_places(points: Array, score: Array, image_size: tuple[int, int]) -> str:
@@ -192,9 +198,7 @@ def check_places(points: Array, score: Array, image_size: tuple[int, int]) -> st
     """
     places = PointPlaces()
     places.add(points, score, image_size)
-    if places.share_outside <= MAX_SHARE_OUTSIDE:
-        return ''
-    fault = places.describe_fault()
-    if TRANSPOSED in fault:
-        raise InputError(fault)
-    return fault
+    finding = places.judge()
+    if finding.fault is Fault.SIZE_TRANSPOSED_OUTSIDE:
+        raise InputError(finding.words)
+    return finding.words if finding.grade is Grade.WRONG else ''

@@ -21,6 +21,7 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.topics import Source, find_people_topics, find_people_type
 from mocap_ros.config import NodeConfig, TrackerConfig
 from mocap_ros.errors import FrameDropped, InputError, naming
+from mocap_ros.findings import Fault
 from mocap_ros.formats.detections import Detections, Video, arrange_people, associate_people, select_person
 from mocap_ros.formats.detector_json import load_json_file, load_json_folder
 from mocap_ros.formats.sequence_file import find_longest_gap, load_sequence
@@ -43,7 +44,7 @@ from mocap_ros.recordings.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, In
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.input_camera import FROM_VIDEO, GIVEN, find_turns
 from mocap_ros.units import NS_PER_S
-from mocap_ros.verdict.input_checks import WITHOUT_KEYPOINTS, describe_misspelt_joint, describe_unusable_distortion
+from mocap_ros.verdict.input_faults import find_misspelt_joint, find_unusable_distortion
 
 RESTART_S = 1.0  # s; messages are at most so late, and an older one begins a new run of the clock
 MIN_RUN_SHARE = 0.1  # 1; share of the images that the longest run of the clock must have
@@ -166,9 +167,9 @@ def _finish(
             sequences = [replace(s, camera_matrix=matrix, focal_source=source) for s in sequences]
     unused = 'has a calibrated camera; --hfov and --focal are not used' if focal is not None and is_known else ''
     # Any focal length will do, because only cameras that are known have a distortion.
-    lens = describe_unusable_distortion(sequences[0].intrinsics(1.0))
+    lens = find_unusable_distortion(sequences[0].intrinsics(1.0)).words
     gaps = map(_describe_gap, sequences)
-    misspelt = describe_misspelt_joint(sequences[0].joint_names)
+    misspelt = find_misspelt_joint(sequences[0].joint_names).words
     lines = (*lines, misspelt, outside and f'image size: {outside}', unused, lens, *gaps)
     return sequences, [f'{path}: {line}' for line in lines if line]
 
@@ -245,7 +246,7 @@ def load_bag(
         raise InputError(f'{path}: {reasons[0] if reasons else "no keypoints"}')
     reasons += [f'{next(iter(topics))}: {reason}' for reason in _leave_out_others(frames)]
     if not any(frame.people for frame in frames.values()) and any(f.without_keypoints for f in frames.values()):
-        raise InputError(f'{path}: {WITHOUT_KEYPOINTS}')
+        raise InputError(f'{path}: {Fault.NO_KEYPOINTS.describe()}')
     stamps = sorted(frames)
     last = frames[stamps[-1]]
     skipped = f'{len(reasons)} messages left out; {reasons[0]}' if reasons else ''

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mocap_ros.bags.journal import JOURNAL, RESET, Verdict, decode_entry
+from mocap_ros.bags.journal import JOURNAL, RESET, Acceptance, decode_entry
 from mocap_ros.bags.reader import Bag, is_bag
 from mocap_ros.bags.topics import PEOPLE_TYPES
 from mocap_ros.config import Config
@@ -174,10 +174,10 @@ def _read_messages(path: Path, report: Report) -> _Messages:
                 entry = decode_entry(message.raw)
                 if entry.kind == RESET:
                     read.restarts.add(len(read.skeletons))
-                if entry.verdict is not Verdict.ACCEPTED:
+                if entry.acceptance is not Acceptance.ACCEPTED:
                     read.drops.append(Drop(newest_ns, entry.reason))
                 if bag.topics.get(entry.topic) in PEOPLE_TYPES:
-                    read.summary.count(entry.verdict)
+                    read.summary.count(entry.acceptance)
             except (InputError, SkeletonError) as error:
                 read.faults.append(f'{message.topic}: {error}')
     return read
@@ -217,7 +217,7 @@ def _judge(read: _Messages, detections: Detections, intrinsics: Intrinsics, conf
         vertical = CameraVertical(array.vertical, std, is_given=std < MAX_GIVEN_STD) if std > 0 else None
         tracked = TrackedFrame(stamp_ns, array.people, vertical)
         read.summary.add(stamp_ns, seen.get(stamp_ns, ()), tracked, intrinsics, source, config)
-        read.summary.advance_judgement(config)
+        read.summary.advance_judgement()
     return read.summary.summarise()
 
 

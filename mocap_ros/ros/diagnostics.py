@@ -13,12 +13,12 @@ from enum import IntEnum
 import numpy as np
 
 from mocap_ros.errors import make_printable_line
+from mocap_ros.findings import UNUSABLE
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.ros.throttled_log import MAX_LINE_LENGTH
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.units import NS_PER_S
-from mocap_ros.verdict.input_checks import UNUSABLE
 
 DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'  # message type
 MAX_REMEMBERED_FRAMES = 300  # frames; 10 s at 30 Hz, enough for a 99th percentile

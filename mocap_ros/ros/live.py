@@ -20,7 +20,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from mocap_ros.bags.journal import Verdict
+from mocap_ros.bags.journal import Acceptance
 from mocap_ros.bags.topics import PEOPLE_SOURCES, Source
 from mocap_ros.config import Config
 from mocap_ros.errors import RecordingError
@@ -276,11 +276,14 @@ class LiveRun:
         if result.error_traceback:
             self._tracebacks.report(result.error_traceback)
         if result.reason:
-            is_error = result.verdict is Verdict.INVALID or bool(result.error_traceback)
+            is_error = result.acceptance is Acceptance.INVALID or bool(result.error_traceback)
             self._throttled_log.report(topic, number, result.reason, is_error=is_error)
-            if result.verdict in (Verdict.INVALID, Verdict.DROPPED):  # the number of skipped ones says why
+            if result.acceptance in (
+                Acceptance.INVALID,
+                Acceptance.DROPPED,
+            ):  # the number of skipped ones says why
                 self.statistics.reason = f'{topic}: {result.reason}'
-        if result.verdict is Verdict.ACCEPTED and message.source in PEOPLE_SOURCES and result.outputs:
+        if result.acceptance is Acceptance.ACCEPTED and message.source in PEOPLE_SOURCES and result.outputs:
             self._note_accepted(topic)
         recording = self._recording
         if recording and not recording.write_input(message, self._types[message.source], result, published_ns):

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from mocap_ros.bags.background import start_recorder
-from mocap_ros.bags.journal import Journal, Verdict
+from mocap_ros.bags.journal import Acceptance, Journal
 from mocap_ros.bags.recorder import RecordedMessage
 from mocap_ros.bags.rosbag2 import Topic, make_topic
 from mocap_ros.bags.topics import Source, make_repeat_keys
@@ -117,16 +117,22 @@ class Recording:
         Returns False if the disk is too slow to write them; the journal then notes that the input is missing.
         """
         content = self._versions.read(msgtype, message.raw)
-        is_accepted = result.verdict is Verdict.ACCEPTED
+        is_accepted = result.acceptance is Acceptance.ACCEPTED
         repeat_keys = make_repeat_keys(message.source, content, is_accepted=is_accepted)
         records: list[RecordedMessage | Topic] = [
             *self._declare_input(message.source, message.topic, msgtype),
             *self._journal.make_input_records(
-                message.topic, msgtype, message.raw, message.times_ns, result.verdict, result.reason, repeat_keys
+                message.topic,
+                msgtype,
+                message.raw,
+                message.times_ns,
+                result.acceptance,
+                result.reason,
+                repeat_keys,
             ),
             *(self._make_output_record(output, published_ns) for output in result.outputs),
         ]
-        is_unused = result.verdict is Verdict.BACKLOG or not result.was_decoded
+        is_unused = result.acceptance is Acceptance.BACKLOG or not result.was_decoded
         if self._put(records, even_if_full=False, share=UNUSED_SHARE if is_unused else 1.0):
             return True
         self._journal.mark_last_input_lost()
@@ -171,7 +177,7 @@ class Recording:
                 keys = make_repeat_keys(source, content)
                 records += self._declare_input(source, topic, msgtype)
                 records += self._journal.make_input_records(
-                    topic, msgtype, raw, times_ns, Verdict.ACCEPTED, repeat_keys=keys
+                    topic, msgtype, raw, times_ns, Acceptance.ACCEPTED, repeat_keys=keys
                 )
         return records
 

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from mocap_ros.bags.topics import BODY_SUFFIX
 from mocap_ros.errors import make_printable_line
-from mocap_ros.verdict.input_checks import find_kind
+from mocap_ros.findings import find_kind
 
 MAX_KINDS = 30  # kinds of lines; guards log and memory against senders of ever new kinds of errors
 MAX_REASONS = 5  # reasons of a kind that are logged at once; whoever mends one number after another sees each

@@ -15,10 +15,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from mocap_ros.bags.journal import Verdict
+from mocap_ros.bags.journal import Acceptance
 from mocap_ros.bags.topics import PEOPLE_SOURCES, TRANSFORM_SOURCES, Source
 from mocap_ros.config import Config
 from mocap_ros.errors import ConfigError, FrameDropped, InputError
+from mocap_ros.findings import find_worst
 from mocap_ros.formats.detections import Video
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_image_size
@@ -37,7 +38,7 @@ from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.runtime.run_memory import NOTHING, RunMemory
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.units import NS_PER_S
-from mocap_ros.verdict.input_checks import InputChecks
+from mocap_ros.verdict.input_faults import InputChecks
 from mocap_ros.verdict.summary import RunSummary
 
 TRACKER_GROUPS = 'solver', 'classifier', 'tracker'  # fields of `Config` that a tracker reads when it is made
@@ -54,7 +55,7 @@ BACKLOG_REASON = (
 class ProcessingResult:
     """The result of processing one input message, or one of the images that the message completed."""
 
-    verdict: Verdict  # whether the input was accepted; the worst verdict of several images
+    acceptance: Acceptance  # whether the input was accepted; the worst of several images
     reason: str = ''  # why the input was not accepted, or what is to be said of an accepted input; usually empty
     outputs: tuple[OutputMessage, ...] = ()  # messages to publish and to record, from every accepted image
     error_traceback: str = ''  # traceback of an internal error; usually empty
@@ -65,18 +66,18 @@ class ProcessingResult:
     def of_error(cls, error: Exception, *, was_decoded: bool) -> ProcessingResult:
         """Return the result of a message or an image whose processing raised this error."""
         if isinstance(error, InputError | FrameDropped):
-            verdict = Verdict.INVALID if isinstance(error, InputError) else Verdict.DROPPED
-            return cls(verdict, str(error), was_decoded=was_decoded)
+            acceptance = Acceptance.INVALID if isinstance(error, InputError) else Acceptance.DROPPED
+            return cls(acceptance, str(error), was_decoded=was_decoded)
         reason = f'internal error: {type(error).__name__}: {error}'
-        return cls(Verdict.DROPPED, reason, (), ''.join(traceback.format_exception(error)), was_decoded)
+        return cls(Acceptance.DROPPED, reason, (), ''.join(traceback.format_exception(error)), was_decoded)
 
     @classmethod
     def merge(cls, results: Sequence[ProcessingResult]) -> ProcessingResult:
         """Return the result of a message that completed several images, or none."""
         if not results:
-            return cls(Verdict.ACCEPTED)
+            return cls(Acceptance.ACCEPTED)
         return cls(
-            max(r.verdict for r in results),
+            max(r.acceptance for r in results),
             '; '.join(r.reason for r in results if r.reason),
             tuple(output for r in results for output in r.outputs),
             '\n'.join(r.error_traceback for r in results if r.error_traceback),
@@ -86,7 +87,7 @@ class ProcessingResult:
 
 @dataclass
 class Counters:
-    """Numbers of input messages so far, by verdict."""
+    """Numbers of input messages so far, by what became of them."""
 
     accepted: int = 0  # messages of people that were accepted
     invalid: int = 0  # messages that could not be used
@@ -100,7 +101,7 @@ class Pipeline:
     Tests and benchmarks pass base poses and a tracker of their own.
 
     Attributes:
-        counters: Numbers of inputs by verdict, since the pipeline was created.
+        counters: Numbers of inputs by what became of them, since the pipeline was created.
         header: Header of the last accepted image.
         output_header: Header of the outputs of that image, in whose frame the people are published.
         people: People in the outputs of the last accepted image, in the camera's optical frame.
@@ -172,7 +173,7 @@ class Pipeline:
         else:
             has_image, result = bool(frames), ProcessingResult.merge([*map(self._process_frame, frames)])
             if source is Source.CAMERA_INFO:
-                result = ProcessingResult(Verdict.ACCEPTED, self._take_camera_note())
+                result = ProcessingResult(Acceptance.ACCEPTED, self._take_camera_note())
         self._count(source, result)
         if has_image:
             self._consecutive_errors = self._consecutive_errors + 1 if result.error_traceback else 0
@@ -184,7 +185,7 @@ class Pipeline:
         """Do the work that can wait until the outputs of `feed` are published; return an error's traceback."""
         try:
             self._tracker.run_deferred_work()
-            self.summary.advance_judgement(self.config)
+            self.summary.advance_judgement()
         except Exception:
             return traceback.format_exc()
         return ''
@@ -192,7 +193,7 @@ class Pipeline:
     def note_backlog(self) -> ProcessingResult:
         """Count an input that is skipped because newer inputs are waiting, and return its result."""
         self.counters.dropped['backlog'] += 1
-        return ProcessingResult(Verdict.BACKLOG, BACKLOG_REASON)
+        return ProcessingResult(Acceptance.BACKLOG, BACKLOG_REASON)
 
     def set_camera_info(self, raw: bytes, topic: str = '') -> None:
         """Use a sensor_msgs/CameraInfo for all following images, as `InputCamera.add_calibration` does."""
@@ -255,7 +256,7 @@ class Pipeline:
         """Track the people of an image; the result of an accepted image has one message for each of `OUTPUTS`."""
         config, tracker, stamp_ns = self.config, self._tracker, frame.header.stamp_ns
         faults = self.checks.add_stamp(stamp_ns)
-        self.summary.rate_fault = self.checks.rate_fault or self.summary.rate_fault
+        self.summary.rate = find_worst(self.checks.rate, self.summary.rate)
         try:
             if is_stamp_missing(stamp_ns, self.header.stamp_ns):
                 raise FrameDropped(MISSING_STAMP)
@@ -268,7 +269,7 @@ class Pipeline:
                 and focal_source == NOMINAL
                 and self._wait.is_waiting(stamp_ns, config.node.camera_info_wait)
             ):
-                return ProcessingResult(Verdict.ACCEPTED, '; '.join(faults))
+                return ProcessingResult(Acceptance.ACCEPTED, '; '.join(faults))
             restart = restart or self._wait.find_restart(focal_source)
             floor = self._output_frame.find_floor(frame.header, intrinsics, config)
             if restart:
@@ -289,7 +290,7 @@ class Pipeline:
             self.summary.add(stamp_ns, frame.people, tracked, intrinsics, focal_source, config)
             other_camera = self._camera.describe_other(frame.header.frame_id) if focal_source == NOMINAL else ''
             faults += self.checks.advance(
-                frame, intrinsics, tracked, config, floor, self.summary.reason, other_camera
+                frame, intrinsics, tracked, config, floor, self.summary.finding, other_camera
             )
         except Exception as error:
             if isinstance(error, FrameDropped) and stamp_ns == self.header.stamp_ns == 0:
@@ -304,7 +305,7 @@ class Pipeline:
             reason = f'a gap of {gap_s:.1f} s before this stamp: no images for so long, or the clock was set'
         if back_s := tracked.backward_jump_s:
             reason = f'the stamp went back by {back_s:.1f} s, so tracking was restarted'
-        return ProcessingResult(Verdict.ACCEPTED, '; '.join(filter(None, (restart, reason, *faults))), outputs)
+        return ProcessingResult(Acceptance.ACCEPTED, '; '.join(filter(None, (restart, reason, *faults))), outputs)
 
     def _find_size(self, frame_id: str, stated: ImageSize = UNKNOWN_SIZE) -> ImageSize:
         """Return the size of an image, by the CameraInfo of another camera only where nothing else says it."""
@@ -338,13 +339,13 @@ class Pipeline:
     def _count(self, source: Source, result: ProcessingResult) -> None:
         if result.error_traceback:
             self.counters.dropped['internal error'] += 1
-        elif result.verdict is Verdict.DROPPED:
+        elif result.acceptance is Acceptance.DROPPED:
             self.counters.dropped['stamp'] += 1
-        elif result.verdict is Verdict.INVALID:
+        elif result.acceptance is Acceptance.INVALID:
             self.counters.invalid += 1
         if source in PEOPLE_SOURCES:
-            self.summary.count(result.verdict)
-            self.counters.accepted += bool(result.outputs) or result.verdict is Verdict.ACCEPTED
+            self.summary.count(result.acceptance)
+            self.counters.accepted += bool(result.outputs) or result.acceptance is Acceptance.ACCEPTED
 
 
 def _check_lens(config: Config) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 from rosbags.rosbag2.metadata import dump_qos_v9
 
-from mocap_ros.bags.journal import PARAMETERS, RESET, Journal, Verdict, read_run
+from mocap_ros.bags.journal import PARAMETERS, RESET, Acceptance, Journal, read_run
 from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import Recorder, choose_partial_path
 from mocap_ros.bags.rosbag2 import make_topic
@@ -29,6 +29,7 @@ from mocap_ros.bags.topics import (
 )
 from mocap_ros.config import Config, Value, settings, values, with_values
 from mocap_ros.errors import ConfigError, InputError, RecordingError, name_errors
+from mocap_ros.findings import find_kind
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.models.model_file import AUTO, PRIORS, list_shipped_base_poses
@@ -38,7 +39,6 @@ from mocap_ros.runtime.pipeline import Counters, Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
 from mocap_ros.runtime.run_memory import RunMemory
 from mocap_ros.summary import Summary
-from mocap_ros.verdict.input_checks import find_kind
 
 JOURNAL_TOPIC = '/mocap_replay/journal'  # ends as the journal of a live run, so that a replay can be replayed
 INPUT_TYPE_PARAMETER = 'node.input_type'  # set to the type of the bag's keypoints, whatever the parameters say
@@ -66,7 +66,7 @@ class ReplayOptions:
 class ReplayResult:
     """Summary of a replay."""
 
-    counters: Counters  # numbers of keypoint messages by verdict
+    counters: Counters  # numbers of keypoint messages by what became of them
     summary: Summary  # what the people rest on
     # Place of the first message that was not accepted, and the reason; empty if there is none
     first_rejection: str
@@ -233,9 +233,9 @@ class _Replay:
             qos: Any = dump_qos_v9(self._bag.qos[topic])
             is_static = source is Source.STATIC_TRANSFORMS
             self._recorder.add_topic(make_topic(topic, message.type, latched=is_static, qos=qos))
-        keys = make_repeat_keys(source, message.raw, is_accepted=result.verdict is Verdict.ACCEPTED)
+        keys = make_repeat_keys(source, message.raw, is_accepted=result.acceptance is Acceptance.ACCEPTED)
         stored = topic, message.type, message.raw, (now_ns, now_ns)
-        for record in self._journal.make_input_records(*stored, result.verdict, result.reason, keys):
+        for record in self._journal.make_input_records(*stored, result.acceptance, result.reason, keys):
             self._recorder.write(*record)
         for output in result.outputs:
             self._write(output, now_ns)
@@ -247,7 +247,7 @@ class _Replay:
         if result.outputs:
             self._appearances.add(result.outputs[-1].stamp_ns, self._pipeline.people)
         line = f'{self._bag.path}: {message.topic}: input {number} of the bag: {result.reason}'
-        if result.verdict is not Verdict.ACCEPTED:
+        if result.acceptance is not Acceptance.ACCEPTED:
             self._first_rejection = self._first_rejection or line
         elif result.reason:
             self._notes.setdefault(find_kind(result.reason), line)

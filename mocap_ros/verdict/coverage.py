@@ -18,7 +18,7 @@ from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
 from mocap_ros.models.joint_std import compute_joint_covariance
 from mocap_ros.skeleton import Skeleton
-from mocap_ros.verdict import metrics
+from mocap_ros.verdict.accuracy import match_joints
 
 SHARES = (0.68, 0.95)  # p: as many errors are within one and two standard deviations of one dimension
 HIPS = ('lhip', 'rhip')  # between which the root is
@@ -33,7 +33,7 @@ def compute_coverage(
     3) are in m in the camera's optical frame, `std` (F, J) m, `root_covariance` (F, 3, 3) m^2; NaN where unknown.
     """
     try:
-        own, others = metrics.match_joints(skeleton.joints, truth_names, limbs_only=False)
+        own, others = match_joints(skeleton.joints, truth_names, limbs_only=False)
     except InputError:
         return {}
     error = joints[:, own] - truth[:, others]

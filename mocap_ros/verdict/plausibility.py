@@ -29,18 +29,27 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from enum import Enum, IntEnum
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
+from mocap_ros.findings import SIZE_ADVICE, SOUND, Fault, Finding, Grade
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.keypoints.rays import convert_to_rays, join_body
-from mocap_ros.models.lifter import Lifter
+from mocap_ros.keypoints.validation import PointPlaces
 from mocap_ros.models.lifter_input import sample_histories
-from mocap_ros.skeleton import CMU15, CORE_COUNT, KEYPOINT_LAYOUTS, canonical_joint_names, keypoint_layout
+from mocap_ros.models.model_file import load_shipped_lifter
+from mocap_ros.skeleton import (
+    CMU15,
+    CORE_COUNT,
+    KEYPOINT_LAYOUTS,
+    canonical_joint_names,
+    keypoint_layout,
+    skeleton_from_joints,
+)
 from mocap_ros.solvers.vertical import GIVEN_STD_DEG
 from mocap_ros.units import NS_PER_S
 
@@ -73,36 +82,7 @@ MIN_WALKED_M, MAX_BACKWARDS_SHARE = 0.7, 0.4
 LOOK_S = 0.1  # s, from look to look at where people walk
 MAX_GAP_SHARE = 0.25  # 1; longest step from image to image, of `WALK_S`
 MIN_STRIDE_M = 0.2  # m; by which the ankles of people who walk move against each other, along their way
-
-
-class Grade(IntEnum):
-    """How sound the input of a reconstruction is."""
-
-    GOOD = 0
-    DOUBTFUL = 1
-    WRONG = 2
-
-
-class Fault(Enum):
-    """What is wrong with keypoints."""
-
-    NONE = ''
-    UNKNOWN = 'unknown'  # too little was seen to be judged
-    SIZE = 'size'  # the size of the image is another
-    LAYOUT = 'layout'  # another known layout fits
-    MISFIT = 'misfit'  # no known layout fits, or the fit is bad
-    AXES = 'axes'  # x and y are exchanged
-    Y_UP = 'y up'  # y points upwards
-    MIRRORED = 'mirrored'  # left and right are exchanged
-    TURNED = 'turned'  # people lie on their side, or are upside down
-
-
-class Judgement(NamedTuple):
-    """A grade, why it is not good, and the layout that fits instead of the given one, if there is any."""
-
-    grade: Grade
-    fault: Fault = Fault.NONE
-    layout: str = ''
+NOT_JUDGED = Fault.UNKNOWN.found(Grade.GOOD, stretch_s=STRETCH_S, images=MIN_FRAMES, joints=MIN_SEEN_JOINTS)
 
 
 class Reading(NamedTuple):
@@ -123,7 +103,7 @@ MIRRORED = {Reading(turns=turns, is_mirrored=True): fault for turns, fault in en
 class Stretch(NamedTuple):
     """Keypoints of one person in some frames."""
 
-    keypoints: Array  # (F, J, 3) rays and scores
+    keypoints: Array  # (F, J, 3) rays and scores; 0 where not seen
     names: tuple[str, ...]  # (J,) names of the joints
     times: Array  # (F,) s
     # (3,) unit vector upwards in the camera's optical frame, or None where none is given
@@ -136,16 +116,26 @@ def list_readings(stretch: Stretch) -> list[Reading]:
     layouts = [s.name for s in KEYPOINT_LAYOUTS.values() if len(s.joints) == len(names) and s.joints != names]
     sided = [i for i, name in enumerate(canonical_joint_names(names)) if name in SIDED_JOINTS]
     is_seen = stretch.keypoints[..., 2] > 0
-    shown = is_seen[is_seen.sum(axis=1) >= MIN_SEEN_JOINTS][:, sided].mean(axis=0).sum() / len(SIDED_JOINTS)
+    shown = is_seen[is_showing(is_seen)][:, sided].mean(axis=0).sum() / len(SIDED_JOINTS)
     return [GIVEN, *TURNED, *(MIRRORED if shown >= MIN_SIDED_SHARE else ()), *map(Reading, layouts)]
+
+
+def is_showing(is_seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return (F,) whether enough of the joints (F, J) are seen for a frame to count."""
+    return np.asarray(is_seen.sum(axis=1) >= MIN_SEEN_JOINTS)
+
+
+def hide_unsure(keypoints: Array, min_score: float) -> Array:
+    """Return keypoints (F, J, 3) whose scores are 0 where they are below `min_score`."""
+    x, y, score = np.moveaxis(keypoints, -1, 0)
+    return np.stack([x, y, np.where(score >= min_score, score, 0.0)], axis=-1)
 
 
 def make_stretch(
     keypoints: Array, names: tuple[str, ...], times: Array, intrinsics: Intrinsics, vertical: Array | None = None
 ) -> Stretch | None:
     """Return keypoints (F, J, 3), x and y in px and the score, as a stretch; None if too little was seen."""
-    seen = (keypoints[..., 2] > 0).sum(axis=1) >= MIN_SEEN_JOINTS
-    if seen.sum() < MIN_FRAMES:
+    if is_showing(keypoints[..., 2] > 0).sum() < MIN_FRAMES:
         return None
     rays = intrinsics.pixels_to_rays(np.nan_to_num(keypoints[..., :2]))
     return Stretch(np.concatenate([rays, keypoints[..., 2:]], axis=-1), names, times, vertical)
@@ -155,50 +145,51 @@ def cut_stretches(
     keypoints: Array, names: tuple[str, ...], times: Array, intrinsics: Intrinsics, vertical: Array | None = None
 ) -> list[Stretch]:
     """Return stretches of a recording of one person; arguments as of `make_stretch`."""
-    seen = np.flatnonzero((keypoints[..., 2] > 0).sum(axis=1) >= MIN_SEEN_JOINTS)
-    if not len(seen):
+    shown_s = times[is_showing(keypoints[..., 2] > 0)]
+    if not len(shown_s):
         return []
-    starts = np.linspace(times[seen[0]], max(times[seen[-1]] - STRETCH_S, times[seen[0]]), MAX_STRETCHES)
+    starts = np.linspace(shown_s[0], max(shown_s[-1] - STRETCH_S, shown_s[0]), MAX_STRETCHES)
     cuts = {tuple(np.searchsorted(times, [s, s + STRETCH_S]).tolist()) for s in starts}
     found = [make_stretch(keypoints[a:b], names, times[a:b], intrinsics, vertical) for a, b in sorted(cuts)]
     return [stretch for stretch in found if stretch is not None]
 
 
-def measure_uncertainty(stretch: Stretch, reading: Reading, lifter: Lifter, score: float) -> float:
+def measure_all(stretch: Stretch) -> dict[Reading, float]:
+    """Return u of every reading."""
+    return {reading: measure_uncertainty(stretch, reading) for reading in list_readings(stretch)}
+
+
+def measure_uncertainty(stretch: Stretch, reading: Reading) -> float:
     """Return u of a reading (formula of the module); infinite where the lifter has no pose.
 
-    Mirrored points are compared with those as given under the vertical, if one is given. Points count as seen from
-    `score` on.
+    Mirrored points are compared with those as given under the vertical, if one is given.
     """
     if reading != MIRROR_IMAGE or stretch.vertical is None:
-        return _measure(stretch, reading, lifter, score)
-    given, mirrored = (_measure(stretch, r, lifter, score, stretch.vertical) for r in (GIVEN, reading))
-    return _measure(stretch, GIVEN, lifter, score) + mirrored - given
+        return _measure(stretch, reading)
+    given, mirrored = (_measure(stretch, r, stretch.vertical) for r in (GIVEN, reading))
+    return _measure(stretch, GIVEN) + mirrored - given
 
 
-def _measure(
-    stretch: Stretch, reading: Reading, lifter: Lifter, score: float, vertical: Array | None = None
-) -> float:
-    points, names = stretch.keypoints[..., :2], stretch.names
+def _measure(stretch: Stretch, reading: Reading, vertical: Array | None = None) -> float:
     upright_turns = 0 if stretch.vertical is None else count_upright_turns(stretch.vertical)
     side = [-1.0 if reading.is_mirrored else 1.0, 1.0]
-    points = _turn(_turn(points, upright_turns) * side, reading.turns)
-    names = keypoint_layout(reading.layout).joints if reading.layout else names
-    given = points, stretch.keypoints[..., 2], names, UNIT_CAMERA, score
-    core, weight, _, extremities = convert_to_rays(*given)
+    points = _turn(_turn(stretch.keypoints[..., :2], upright_turns) * side, reading.turns)
+    names = keypoint_layout(reading.layout).joints if reading.layout else stretch.names
+    core, weight, _, extremities = convert_to_rays(points, stretch.keypoints[..., 2], names, UNIT_CAMERA, 0.0)
     camera = VirtualCamera.look_at_person(core, weight, stretch.times, VIEW_SMOOTHING_S, UNIT_CAMERA)
     body, body_weight = join_body(core, weight, extremities)
-    frames = np.flatnonzero((weight > 0).sum(axis=1) >= MIN_SEEN_JOINTS)
+    frames = np.flatnonzero(is_showing(weight > 0))
     if not len(frames):
         return math.inf
     frames = frames[np.unique(np.linspace(len(frames) // 2, len(frames) - 1, LIFTED_FRAMES).astype(int))]
     view = camera.view_rays(body, body_weight, 1.0)
-    under: tuple[Array, ...] = ()
+    upward, std = None, np.full(len(frames), math.radians(GIVEN_STD_DEG))
     if vertical is not None:
         turned = np.append(_turn(vertical[:2], upright_turns) * side, vertical[2])
         seen = camera.select_frames(frames).to_virtual_camera(np.tile(turned, (len(frames), 1, 1)))[:, 0]
-        under = np.ascontiguousarray(seen), np.full(len(frames), math.radians(GIVEN_STD_DEG))
-    poses = lifter.lift(*sample_histories(view, body_weight, stretch.times, frames), 1.0, *under)
+        upward = np.ascontiguousarray(seen)
+    sampled, sampled_weight = sample_histories(view, body_weight, stretch.times, frames)
+    poses = load_shipped_lifter().lift(sampled, sampled_weight, 1.0, upward, std)
     radius = np.linalg.norm(poses.joints[:, :CORE_COUNT], axis=-1).mean(axis=1)
     known = np.isfinite(radius)
     if not known.any():
@@ -264,47 +255,58 @@ class Walk:
 def judge(
     uncertainty: Mapping[Reading, float],
     residual_share: float,
-    size: Grade = Grade.GOOD,
+    names: Sequence[str],
+    size: Finding = SOUND,
     *,
     is_backwards: bool = False,
-) -> Judgement:
+) -> Finding:
     """Judge the input of a reconstruction by u of every reading of `list_readings`; empty if too little was seen.
 
-    `residual_share` is the reprojection error over the body height in the image, NaN if unknown; `size` says
-    whether the points lie where they do in an image of that size, and `is_backwards` whether people seem to walk
-    backwards.
+    `residual_share` is the reprojection error over the body height in the image, NaN if unknown; the points have
+    these joint names, `size` says whether they lie where they do in an image of that size, and `is_backwards`
+    whether people seem to walk backwards.
     """
-    if size is Grade.WRONG:
-        return Judgement(size, Fault.SIZE)
+    if size.grade is Grade.WRONG:
+        return size
     if not uncertainty:
-        fit = _grade_fit(residual_share, is_uncertain=False)
-        return Judgement(fit, Fault.MISFIT if fit else Fault.UNKNOWN)
+        return _judge_fit(residual_share, names, is_uncertain=False) or NOT_JUDGED
     given, upright = min(uncertainty[reading] for reading in (GIVEN, *TURNED)), uncertainty[GIVEN]
     layouts = [reading for reading in uncertainty if reading.layout]
     if layouts and given > MIN_LAYOUT_UNCERTAINTY:
         best = min(layouts, key=uncertainty.__getitem__)
         if uncertainty[best] < min(given - LAYOUT_MARGIN, MAX_UNCERTAINTY):
-            return Judgement(Grade.WRONG, Fault.LAYOUT, best.layout)
+            return Fault.LAYOUT.found(Grade.WRONG, layout=best.layout, given=_name_layout(names))
     mirrors = [reading for reading in MIRRORED if reading in uncertainty]
     mirrored = min(mirrors, key=uncertainty.__getitem__, default=GIVEN)
     mirrored_u = uncertainty[mirrored]
-    if fit := _grade_fit(residual_share, is_uncertain=min(given, mirrored_u) > MAX_UNCERTAINTY):
-        return Judgement(fit, Fault.MISFIT)
+    if misfit := _judge_fit(residual_share, names, is_uncertain=min(given, mirrored_u) > MAX_UNCERTAINTY):
+        return misfit
     is_turned = min(given, mirrored_u) < upright - TURN_MARGIN and (given < upright or mirrored.turns > 0)
     if is_turned and MIRRORED.get(mirrored) in (Fault.Y_UP, Fault.AXES) and mirrored_u < given - AXES_MARGIN:
-        return Judgement(Grade.WRONG, MIRRORED[mirrored])
+        return MIRRORED[mirrored].found(Grade.WRONG)
     excess = given - uncertainty.get(MIRROR_IMAGE, math.inf)
     if excess > (BACKWARDS_MARGIN if is_backwards else MIRROR_MARGIN):
-        return Judgement(Grade.WRONG if excess > MIRROR_MARGIN else Grade.DOUBTFUL, Fault.MIRRORED)
+        return Fault.MIRRORED.found(Grade.WRONG if excess > MIRROR_MARGIN else Grade.DOUBTFUL)
     if is_turned:  # people may lie, but are seldom upside down
         best = min((GIVEN, *TURNED, *mirrors), key=uncertainty.__getitem__)
-        return Judgement(Grade.WRONG if best.turns == UPSIDE_DOWN else Grade.DOUBTFUL, Fault.TURNED)
-    return Judgement(Grade.GOOD) if size is Grade.GOOD else Judgement(size, Fault.SIZE)
+        return Fault.TURNED.found(Grade.WRONG if best.turns == UPSIDE_DOWN else Grade.DOUBTFUL)
+    return size
 
 
-def _grade_fit(residual_share: float, *, is_uncertain: bool) -> Grade:
+def judge_size(places: PointPlaces) -> Finding:
+    """Return whether points lie where they do in an image of that size."""
+    finding = places.judge()
+    return finding._replace(words=f'{finding.words}; {SIZE_ADVICE}') if finding.words else finding
+
+
+def _judge_fit(residual_share: float, names: Sequence[str], *, is_uncertain: bool) -> Finding | None:
     doubtful, wrong = (NEAR_SHARE, FAR_SHARE) if is_uncertain else (FAR_SHARE, WRONG_SHARE)
-    return Grade(int(residual_share > doubtful) + int(residual_share > wrong))
+    grade = Grade(int(residual_share > doubtful) + int(residual_share > wrong))
+    return Fault.MISFIT.found(grade, given=_name_layout(names)) if grade else None
+
+
+def _name_layout(names: Sequence[str]) -> str:
+    return skeleton_from_joints(tuple(names)).name or 'the given joints'
 
 
 def average(parts: Sequence[Mapping[Reading, float]]) -> dict[Reading, float]:

@@ -28,7 +28,7 @@ from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.recordings.save_results import SUFFIXES
 from mocap_ros.skeleton import BODY26
-from mocap_ros.verdict.errors_of_result import evaluate
+from mocap_ros.verdict.accuracy import evaluate
 from tests.support.input_files import flatten_keypoints
 from tests.support.paths import ROOT
 

@@ -19,7 +19,7 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mocap_ros.bags.journal import Entry, Verdict, decode_entry, encode_entry
+from mocap_ros.bags.journal import Acceptance, Entry, decode_entry, encode_entry
 from mocap_ros.bags.mcap_file import Attachment
 from mocap_ros.bags.mcap_scan import MAGIC
 from mocap_ros.bags.reader import Bag
@@ -207,7 +207,7 @@ def test_an_unknown_type_is_refused() -> None:
 
 def test_journal_entries_round_trip() -> None:
     parameters: dict[str, Value] = {'a.components': 20, 'tracker.model': 'all', 'a.tolerance': 1e-05, 'x': True}
-    backlog = Entry('input', 3, Verdict.BACKLOG, 'late', '/keypoints')
+    backlog = Entry('input', 3, Acceptance.BACKLOG, 'late', '/keypoints')
     for entry in (backlog, Entry('parameters', 0, parameters=parameters)):
         assert decode_entry(encode_entry(entry)) == entry
 

@@ -28,7 +28,7 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from mocap_ros.bags.journal import Entry, Verdict, decode_entry, encode_entry
+from mocap_ros.bags.journal import Acceptance, Entry, decode_entry, encode_entry
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.recovery import recover
@@ -270,7 +270,7 @@ def make_messages() -> list[bytes]:
         SKELETONS: skeletons,
         IMAGE: encode(image, IMAGE),
         COMPRESSED_IMAGE: encode(compressed, COMPRESSED_IMAGE),
-        'journal': encode_entry(Entry('input', 3, Verdict.DROPPED, 'late', '/keypoints', {'tracker.lag': 0.2})),
+        'journal': encode_entry(Entry('input', 3, Acceptance.DROPPED, 'late', '/keypoints', {'tracker.lag': 0.2})),
     }
     return [bytes([number]) + by_type[name] for number, (name, _) in enumerate(MESSAGE_READERS)]
 

@@ -20,7 +20,7 @@ import pytest
 
 import mocap_ros
 from mocap_ros.arrays import Array
-from mocap_ros.bags.journal import Verdict
+from mocap_ros.bags.journal import Acceptance
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source
@@ -490,11 +490,11 @@ def test_bad_input_is_counted_and_changes_nothing(stream: list[bytes]) -> None:
     for i, raw in enumerate(stream[:6]):
         outputs = process(disturbed, raw)
         assert [o.data for o in process(clean, raw)] == [o.data for o in outputs]
-        again = reject(disturbed, raw, Verdict.DROPPED)
+        again = reject(disturbed, raw, Acceptance.DROPPED)
         assert ('repeats' if i else 'header.stamp is not set') in again
-        assert 'not a mocap_ros_msgs' in reject(disturbed, raw[:50], Verdict.INVALID)
+        assert 'not a mocap_ros_msgs' in reject(disturbed, raw[:50], Acceptance.INVALID)
         if i:
-            assert 'older' in reject(disturbed, stream[i - 1], Verdict.DROPPED)
+            assert 'older' in reject(disturbed, stream[i - 1], Acceptance.DROPPED)
     counters = disturbed.counters
     assert (counters.accepted, counters.invalid, counters.dropped['stamp']) == (6, 6, 11)
 
@@ -517,7 +517,7 @@ def test_a_camera_info_that_does_not_fit_is_rejected(stream: list[bytes]) -> Non
         pipeline.set_camera_info(camera_info(0, 0, focal=0))
     assert pipeline.camera_info is None
     pipeline.set_camera_info(camera_info(width=1280))
-    reason = reject(pipeline, stream[0], Verdict.INVALID)
+    reason = reject(pipeline, stream[0], Acceptance.INVALID)
     assert 'CameraInfo is for 1280 x 480 px' in reason
 
 
@@ -596,7 +596,7 @@ def test_people_wait_for_the_first_calibration_unless_a_focal_length_is_given(
         if number == came_at:
             pipeline.set_camera_info(camera_info())
         results.append(pipeline.feed(Source.KEYPOINTS, raw))
-    assert all(result.verdict is Verdict.ACCEPTED for result in results)
+    assert all(result.acceptance is Acceptance.ACCEPTED for result in results)
     assert sum(bool(result.outputs) for result in results) == published
     assert any('CameraInfo came late' in result.reason for result in results) == is_restarted
     assert len({person.is_scale_known for person in pipeline.people}) == (published > 0)
@@ -609,7 +609,7 @@ def test_stamps_that_stand_still_are_told_while_waiting(stream: list[bytes], sta
     pipeline = Pipeline(with_values(FAST_CONFIG, {'node.camera_info_wait': 1.0}))
     assert process(pipeline, with_stamp(stream[0], stamp_ns)) == ()
     for raw in stream[1:]:
-        assert reason in reject(pipeline, with_stamp(raw, stamp_ns), Verdict.DROPPED)
+        assert reason in reject(pipeline, with_stamp(raw, stamp_ns), Acceptance.DROPPED)
     assert process(pipeline, with_stamp(stream[0], stamp_ns + 1_000_000_000))
 
 

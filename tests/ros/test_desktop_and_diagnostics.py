@@ -22,6 +22,7 @@ from mocap_ros.bags.topics import Source
 from mocap_ros.bridges.bridge import CONSUMERS
 from mocap_ros.config import Config, RecorderConfig, values, with_values
 from mocap_ros.errors import ConfigError
+from mocap_ros.findings import Fault, Grade
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.keypoints import KEYPOINTS
@@ -272,7 +273,8 @@ def see_too_little(run: Run) -> None:
 
 def warn_of_input(run: Run) -> None:
     run.process()
-    run.pipeline.checks.warnings = ('people: most points lie outside the image',)
+    words = 'people: most points lie outside the image'
+    run.pipeline.checks.findings = [Fault.OTHER.found(Grade.DOUBTFUL, words=words)]
 
 
 PROBLEMS = [

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocap_ros.bags.journal import JOURNAL, Verdict, read_run
+from mocap_ros.bags.journal import JOURNAL, Acceptance, read_run
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.rosbag2 import make_topic
@@ -417,9 +417,9 @@ def test_an_internal_error_costs_its_frame_and_is_logged_once(tmp_path: Path, st
     assert len(dropped) == 1
     bag = find_bag(tmp_path)
     with Bag(bag) as opened:
-        verdicts = [decode(m.raw, JOURNAL).level for m in opened.messages(['/mocap_node/journal'])]
-    assert verdicts[2::2] == [0, 0, 1, 0, 0, 1, 0, 0, 1, 1, 1, 0, 0, 1]
-    assert not any(verdicts[1::2])
+        levels = [decode(m.raw, JOURNAL).level for m in opened.messages(['/mocap_node/journal'])]
+    assert levels[2::2] == [0, 0, 1, 0, 0, 1, 0, 0, 1, 1, 1, 0, 0, 1]
+    assert not any(levels[1::2])
 
 
 @pytest.mark.parametrize(
@@ -449,14 +449,14 @@ def test_a_split_recording_is_read_by_file(tmp_path: Path, stream: list[bytes], 
         message = ReceivedMessage(source, topic, 1, raw, (now_ns, now_ns))
         assert recording.write_input(message, msgtype, result, now_ns + 5_000_000)
 
-    accepted, skipped = ProcessingResult(Verdict.ACCEPTED), ProcessingResult(Verdict.BACKLOG)
+    accepted, skipped = ProcessingResult(Acceptance.ACCEPTED), ProcessingResult(Acceptance.BACKLOG)
     static = [make_transforms((*frames, 0, (1, 0, 0))) for frames in (('map', 'base'), ('base', 'arm'))]
     record('/camera_info', CAMERA_INFO, camera_info(), 0, accepted)
     for raw in static:
         record('/tf_static', TRANSFORMS, raw, 0, accepted)
-    record('/camera_info', CAMERA_INFO, b'', 0, ProcessingResult(Verdict.INVALID))
+    record('/camera_info', CAMERA_INFO, b'', 0, ProcessingResult(Acceptance.INVALID))
     output = OutputMessage('skeletons', OUTPUTS['skeletons'], START_NS, b'')
-    with_output = ProcessingResult(Verdict.ACCEPTED, outputs=(output,))
+    with_output = ProcessingResult(Acceptance.ACCEPTED, outputs=(output,))
     for i in range(90):
         raw = with_stamp(stream[0], START_NS + i)
         record('/keypoints', KEYPOINTS, raw, 33 * (i + 1), skipped if i == 80 else with_output)

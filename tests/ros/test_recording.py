@@ -25,7 +25,7 @@ from rosbags.rosbag2.metadata import parse_qos
 pytest.importorskip('rclpy')
 pytest.importorskip('mocap_ros_msgs')
 
-from mocap_ros.bags.journal import INPUT, Verdict, decode_entry
+from mocap_ros.bags.journal import INPUT, Acceptance, decode_entry
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.rosbag2 import make_topic
@@ -143,10 +143,10 @@ def test_a_bag_is_complete_when_the_node_is_interrupted(peer: Peer, start_node: 
         later_markers = markers[-len(skeletons) - 1 :]  # the recording starts after a first deletion
         assert [m.raw for m in bag.messages(['/markers'])] == later_markers
         entries = [decode_entry(m.raw) for m in bag.messages(['/mocap_node/journal'])]
-        verdicts = [entry.verdict for entry in entries if entry.kind == INPUT]
-        assert len(verdicts) == bag.count(['/keypoints']) <= 60
-    assert len(skeletons) == verdicts.count(Verdict.ACCEPTED)
-    assert {*verdicts} <= {Verdict.ACCEPTED, Verdict.BACKLOG}
+        acceptances = [entry.acceptance for entry in entries if entry.kind == INPUT]
+        assert len(acceptances) == bag.count(['/keypoints']) <= 60
+    assert len(skeletons) == acceptances.count(Acceptance.ACCEPTED)
+    assert {*acceptances} <= {Acceptance.ACCEPTED, Acceptance.BACKLOG}
 
 
 @pytest.mark.parametrize(

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocap_ros.bags.journal import JOURNAL, RESET, Entry, Verdict, encode_entry
+from mocap_ros.bags.journal import JOURNAL, RESET, Acceptance, Entry, encode_entry
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source, list_input_types, make_body_topic
 from mocap_ros.config import RecorderConfig, with_values
 from mocap_ros.errors import InputError, RecordingError
+from mocap_ros.findings import SOUND
 from mocap_ros.formats.detections import Video
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -35,7 +36,7 @@ from mocap_ros.runtime.input_camera import SILENCE_S, InputCamera
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import KEYPOINT_LAYOUTS, keypoint_layout
-from mocap_ros.verdict.input_checks import MIN_BOX_IMAGES, UNUSABLE_S, describe_misspelt_joint
+from mocap_ros.verdict.input_faults import MIN_BOX_IMAGES, UNUSABLE_S, find_misspelt_joint
 from tests.support.camera_messages import camera_info, encode
 from tests.support.foreign_messages import (
     BASE_CONFIG,
@@ -63,7 +64,7 @@ def test_every_input_type_gives_the_same_people_live_and_from_a_bag(msgtype: str
     pipeline, reference = Pipeline(make_config(msgtype)), Pipeline(make_config(KEYPOINTS))
     inputs = [i for frame in range(FRAMES) for i in make_inputs(msgtype, frame)]
     results = feed_all(pipeline, inputs)
-    assert [o.reason for o in results if o.verdict is not Verdict.ACCEPTED] == []
+    assert [o.reason for o in results if o.acceptance is not Acceptance.ACCEPTED] == []
     skeletons = decode_skeletons(results)
     expected = decode_skeletons(feed_all(reference, [i for f in range(FRAMES) for i in make_inputs(KEYPOINTS, f)]))
     assert [len(s.people) for s in skeletons] == [2] * FRAMES
@@ -122,9 +123,9 @@ def test_images_are_complete_when_all_tracked_bodies_have_arrived() -> None:
 
     assert pipeline.feed(Source.TRACKED_BODIES, encode_ids(0, 'b0', 'b1'), HRI_IDS_TOPIC).outputs == ()
     assert feed_body(first, 0).outputs == ()
-    assert feed_body(first, 0).verdict is Verdict.DROPPED  # the body repeats in the image
+    assert feed_body(first, 0).acceptance is Acceptance.DROPPED  # the body repeats in the image
     assert feed_body(first, 1).outputs[0].stamp_ns == make_header(0).stamp_ns  # the next image ends it without b1
-    assert feed_body(second, 0).verdict is Verdict.DROPPED  # the image has ended
+    assert feed_body(second, 0).acceptance is Acceptance.DROPPED  # the image has ended
     assert feed_body(second, 1).outputs[0].stamp_ns == make_header(1).stamp_ns  # complete at once
     assert pipeline.feed(Source.TRACKED_BODIES, encode_ids(2, 'b1'), HRI_IDS_TOPIC).outputs == ()
     assert feed_body(second, 2).outputs[0].stamp_ns == make_header(2).stamp_ns
@@ -301,11 +302,11 @@ def test_a_mistake_is_kept_until_mended(stream: list[bytes], edit: Callable[[Any
     assert pipeline.summary.summarise().grade in ('doubtful', 'wrong')
     later = [with_stamp(raw, round((10 + i * STEP_S) * 1e9)) for i, raw in enumerate(2 * stream)]
     assert [r for r in list_reasons(pipeline, later) if r] == []
-    assert pipeline.checks.warnings == ()
+    assert pipeline.checks.warnings == []
     pipeline.reset()
     assert sum(map(bool, list_reasons(pipeline, wrong))) == 1, 'a reset forgets what was reported'
     pipeline.reset()
-    assert pipeline.checks.warnings == ()
+    assert pipeline.checks.warnings == []
 
 
 def test_other_names_or_another_order_of_the_same_joints_do_not_restart_the_judgement(stream: list[bytes]) -> None:
@@ -399,12 +400,12 @@ def test_a_bad_lens_is_told(
 def test_misspelt_joints_that_are_missing_are_described(wrong: str, right: str, meant: str) -> None:
     names = tuple(wrong if j == right else j for j in SPELT_OUT)
     expected = f'joint_names: {wrong!r} is no known joint and is ignored; is it {meant!r}?' if meant else ''
-    assert describe_misspelt_joint(names) == expected
-    assert describe_misspelt_joint((*names, right)) == '', 'an extra joint beside the right one'
+    assert find_misspelt_joint(names).words == expected
+    assert find_misspelt_joint((*names, right)) == SOUND, 'an extra joint beside the right one'
 
 
 def test_no_layout_has_misspelt_joints() -> None:
-    assert not any(describe_misspelt_joint(layout.joints) for layout in KEYPOINT_LAYOUTS.values())
+    assert not any(find_misspelt_joint(layout.joints).words for layout in KEYPOINT_LAYOUTS.values())
 
 
 PERIOD_S = 1 / 30

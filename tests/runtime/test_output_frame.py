@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocap_ros.bags.journal import Verdict
+from mocap_ros.bags.journal import Acceptance
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.topics import Source
 from mocap_ros.config import with_values
@@ -83,7 +83,7 @@ def stamp_of(array: Any) -> int:
 
 def feed_transforms(pipeline: Pipeline, source: Source, raw: bytes) -> None:
     result = pipeline.feed(source, raw)
-    assert (result.verdict, result.reason) == (Verdict.ACCEPTED, '')
+    assert (result.acceptance, result.reason) == (Acceptance.ACCEPTED, '')
 
 
 def test_a_camera_that_stands_still_by_parameter(stream: list[bytes], in_camera: list[Any]) -> None:
@@ -150,7 +150,7 @@ def test_velocities_from_a_driving_robot(stream: list[bytes], in_camera: list[An
 def test_without_transforms_people_are_in_the_camera_frame(stream: list[bytes], in_camera: list[Any]) -> None:
     pipeline = make_calibrated(MAP_CONFIG)
     result = pipeline.feed(Source.KEYPOINTS, stream[0])
-    assert result.verdict is Verdict.ACCEPTED
+    assert result.acceptance is Acceptance.ACCEPTED
     assert result.reason.startswith("no transform from 'camera' to 'map': ")
     skeletons = decode_skeletons(result.outputs)
     assert skeletons.header.frame_id == skeletons.camera_frame_id == 'camera'

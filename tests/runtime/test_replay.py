@@ -19,7 +19,7 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mocap_ros.bags.journal import Journal, Verdict, read_run
+from mocap_ros.bags.journal import Acceptance, Journal, read_run
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.rosbag2 import make_topic
@@ -220,7 +220,7 @@ def write_recorded_run(folder: Path, stream: list[bytes], recorded: dict[str, ob
         recorder.write(*journal.make_parameters_record(values(with_values(Config(), recorded)), START_NS))
         for number, raw in enumerate(stream, 1):
             times_ns = (START_NS + number * BAG_STEP_NS,) * 2
-            for record in journal.make_input_records('/keypoints', KEYPOINTS, raw, times_ns, Verdict.ACCEPTED):
+            for record in journal.make_input_records('/keypoints', KEYPOINTS, raw, times_ns, Acceptance.ACCEPTED):
                 recorder.write(*record)
             if number == CHANGED_AFTER:
                 changed = values(with_values(Config(), {**recorded, **CHANGED}))

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_ros.bags.journal import Verdict
+from mocap_ros.bags.journal import Acceptance
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source
@@ -73,14 +73,14 @@ def make_calibrated(config: Config = FAST_CONFIG) -> Pipeline:
 def process(pipeline: Pipeline, raw: bytes) -> tuple[OutputMessage, ...]:
     """Feed keypoints that must be accepted; return the outputs."""
     result = pipeline.feed(Source.KEYPOINTS, raw)
-    assert result.verdict is Verdict.ACCEPTED, result.reason
+    assert result.acceptance is Acceptance.ACCEPTED, result.reason
     return result.outputs
 
 
-def reject(pipeline: Pipeline, raw: bytes, verdict: Verdict) -> str:
+def reject(pipeline: Pipeline, raw: bytes, acceptance: Acceptance) -> str:
     """Feed keypoints that must not be accepted; return the reason."""
     result = pipeline.feed(Source.KEYPOINTS, raw)
-    assert (result.verdict, result.outputs, result.error_traceback) == (verdict, (), '')
+    assert (result.acceptance, result.outputs, result.error_traceback) == (acceptance, (), '')
     return result.reason
 
 

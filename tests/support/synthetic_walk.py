@@ -23,7 +23,7 @@ from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Window
 from mocap_ros.tracking.track import Track
 from mocap_ros.tracking.tracker import Tracker
-from mocap_ros.verdict.metrics import scale_to_reference
+from mocap_ros.verdict.accuracy import scale_to_reference
 
 # Rotation from the body frame (x forward, z up) to the optical frame of a camera that looks along x.
 BODY_TO_OPTICAL = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0.0]])

@@ -27,7 +27,7 @@ from mocap_ros.people import CameraVertical, Person3D, PoseSequence, find_roots
 from mocap_ros.solvers.vertical import MAX_STD_DEG
 from mocap_ros.tracking.body_size import ANKLE_SHARE, ANKLES, BodySize, FloorContact, assume_size
 from mocap_ros.tracking.tracker import Tracker
-from mocap_ros.verdict.vertical_check import LEAST_S, VerticalCheck
+from mocap_ros.verdict.input_faults import MIN_JUDGED_S, VerticalCheck
 from tests.support.bodies import STANDING, UPRIGHT, angles_deg, gather, make_person_3d
 from tests.support.synthetic_walk import STEP_NS, make_sequence, make_walk, see
 
@@ -297,7 +297,7 @@ def advance_check(check: VerticalCheck, people: list[Person3D], seconds: float, 
 @given(st.floats(0, 180))
 @settings(max_examples=30)
 def test_the_angle_between_people_and_the_vertical_decides(angle_deg: float) -> None:
-    found = advance_check(VerticalCheck(), [make_leaning(angle_deg)], LEAST_S + 3)
+    found = advance_check(VerticalCheck(), [make_leaning(angle_deg)], MIN_JUDGED_S + 3)
     if angle_deg < 33:
         assert found is None
     if angle_deg > 47:
@@ -305,7 +305,7 @@ def test_the_angle_between_people_and_the_vertical_decides(angle_deg: float) -> 
 
 
 def test_it_takes_a_while_and_who_stands_among_people_who_lie_confirms_it() -> None:
-    assert advance_check(VerticalCheck(), [make_leaning(180)], LEAST_S - 0.5) is None
+    assert advance_check(VerticalCheck(), [make_leaning(180)], MIN_JUDGED_S - 0.5) is None
     assert advance_check(VerticalCheck(), [make_leaning(90), make_leaning(0)], 20) is None
     unsure = replace(make_leaning(180), tentative=True), replace(make_leaning(180), predicted=True)
     assert advance_check(VerticalCheck(), [*unsure], 20) is None
