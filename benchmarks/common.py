@@ -38,7 +38,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
 from mocap_ros.keypoints.keypoint_sequence import create_intrinsics
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Window
 from mocap_ros.training.fit_base_poses import fit_base_poses
@@ -221,7 +221,7 @@ def train_base_poses(
     without_subjects: tuple[str, ...] = (),
     only_subjects: tuple[str, ...] = (),
     plain: bool = False,
-) -> BasePoses:
+) -> PoseModel:
     """Train base poses as `mocap-ros train` does, scaled to the body height that the tracker assumes.
 
     `category` is empty for all motions. Those that are `plain` are trained without mirror images and other bone
@@ -244,7 +244,7 @@ def train_base_poses(
     return model.rescale(TrackerConfig().body_height / model.stature)
 
 
-def provide_held_out(*others: str) -> tuple[BasePoses, dict[str, Any]]:
+def provide_held_out(*others: str) -> tuple[PoseModel, dict[str, Any]]:
     """Return base poses of all motions and parameters with a lifter, which saw none of `HELD_OUT_SUBJECTS`.
 
     The base poses saw none of `others` either.
@@ -258,7 +258,7 @@ def _fill_in(parameters: Parameters) -> dict[str, Any]:
 
 
 def reconstruct_whole(
-    view: View, model: BasePoses | str = 'auto', parameters: Parameters | None = None, method: Any = 'whole'
+    view: View, model: PoseModel | str = 'auto', parameters: Parameters | None = None, method: Any = 'whole'
 ) -> Array:
     """Return the joints (F, 26 or 15, 3) m of a whole sequence, by the public function."""
     return mocap_ros.reconstruct(
@@ -282,7 +282,7 @@ class TrackedSequence:
     inferred: Bools
 
 
-def track(view: View, model: BasePoses | str = 'auto', parameters: Parameters | None = None) -> TrackedSequence:
+def track(view: View, model: PoseModel | str = 'auto', parameters: Parameters | None = None) -> TrackedSequence:
     """Reconstruct a view frame by frame, by the public tracker."""
     tracker = mocap_ros.Tracker(
         view.joint_names, **view.camera, model=model, parameters=_fill_in(parameters or {})
@@ -300,7 +300,7 @@ def track(view: View, model: BasePoses | str = 'auto', parameters: Parameters | 
 
 
 def reconstruct(
-    way: str, view: View, model: BasePoses | str = 'auto', parameters: Parameters | None = None
+    way: str, view: View, model: PoseModel | str = 'auto', parameters: Parameters | None = None
 ) -> Array:
     """Return the joints (F, 26, 3) m of one of `WAYS`."""
     if way == 'whole':

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from mocap_ros.config import Config, with_values
 from mocap_ros.geometry.level import Floor
-from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
+from mocap_ros.models.base_poses import ALL_MOTIONS, PoseModel
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import BODY26, CMU15, estimate_stature
-from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.tracking.tracker import PeopleTracker
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -158,10 +158,10 @@ def make_robot_scene(trial: str, number: int, frames: int, stature: float | None
 
 
 def track_scene(
-    scene: RobotScene, model: BasePoses, parameters: common.Parameters, floor: Floor | None = None, step: int = 1
-) -> Iterator[tuple[int, Tracker, Person3D]]:
+    scene: RobotScene, model: PoseModel, parameters: common.Parameters, floor: Floor | None = None, step: int = 1
+) -> Iterator[tuple[int, PeopleTracker, Person3D]]:
     """Yield each of the frames, one in `step`, in which the person is tracked and certain."""
-    tracker = Tracker({ALL_MOTIONS: model}, with_values(Config(), parameters))
+    tracker = PeopleTracker({ALL_MOTIONS: model}, with_values(Config(), parameters))
     camera, times = scene.view.intrinsics, scene.view.times
     for frame, person in list(enumerate(scene.view.list_people()))[::step]:
         people = tracker.update(round(times[frame] * NS_PER_S) + 1, [person], camera, floor).people

@@ -40,7 +40,7 @@ from report import Records, Report, Section, cross, group, run
 
 from mocap_ros.engine import motion
 from mocap_ros.models import model_file
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 from mocap_ros.training.example_arrays import find_trunks
 
@@ -71,7 +71,7 @@ PLACES = ['above the shoulders', 'hanging', 'at the trunk', 'ahead', 'aside']
 NEAR_M = 0.25  # m, from the middle of the trunk to a wrist that is at the trunk
 
 
-def load_models(args: argparse.Namespace, *others: str) -> tuple[BasePoses, dict[str, Any]]:
+def load_models(args: argparse.Namespace, *others: str) -> tuple[PoseModel, dict[str, Any]]:
     """Return base poses, without `others` too, and parameters with a lifter; those of `--set` have precedence."""
     given = {name: yaml.safe_load(text) for name, _, text in (a.partition('=') for a in args.set)}
     model, parameters = common.provide_held_out(*others)
@@ -144,7 +144,7 @@ def show_comparison(report: Report, records: Records, before: Records) -> None:
     report.table(header, rows, 'Change since the earlier run, with its standard error')
 
 
-def measure_recordings(model: BasePoses | str, parameters: common.Parameters, ways: Sequence[str]) -> Records:
+def measure_recordings(model: PoseModel | str, parameters: common.Parameters, ways: Sequence[str]) -> Records:
     """Return the errors on the recorded detections, and those of MediaPipe's own 3D joints."""
     records = []
     for detector, camera in product(common.RECORDED_DETECTORS, common.CAMERAS):

@@ -27,7 +27,7 @@ from report import Report, run
 from mocap_ros.config import SolverConfig
 from mocap_ros.geometry.rotations import centre_poses
 from mocap_ros.geometry.weak_perspective import fit_cameras_closed_form
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers import alternation, joint, periodic
 from mocap_ros.solvers.window import InitialValues, Reconstruction, Window
@@ -83,7 +83,7 @@ class Method:
     def configure(self, **values: Any) -> SolverConfig:
         return replace(SolverConfig(), **{**(PAPER_VALUES if self.is_of_paper else {}), **values})
 
-    def train(self, category: str, trial: str, *, own: bool = False) -> BasePoses:
+    def train(self, category: str, trial: str, *, own: bool = False) -> PoseModel:
         """Train base poses of a category without a trial; `own`: on the trial's subject alone."""
         only = (trial[:2],) if own else ()
         plain = self.is_of_paper and bool(category)  # those of all motions are plain in any case
@@ -102,7 +102,7 @@ class Method:
 
 
 def solve_by_alternation(
-    windows: Sequence[Window], model: BasePoses, config: SolverConfig
+    windows: Sequence[Window], model: PoseModel, config: SolverConfig
 ) -> Sequence[Reconstruction]:
     return [alternation.reconstruct(w, model, config) for w in windows]
 

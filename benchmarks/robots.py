@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from report import Report, run
 
 from mocap_ros.bridges.capsules import compute_capsules
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.joint_std import compute_joint_covariance
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import BODY26, CORE_COUNT, HIPS
@@ -76,7 +76,7 @@ LIMBS = (
 )
 
 
-def follow(scene: RobotScene, way: str, model: BasePoses, parameters: common.Parameters) -> list[dict[str, Any]]:
+def follow(scene: RobotScene, way: str, model: PoseModel, parameters: common.Parameters) -> list[dict[str, Any]]:
     """Return a record of each frame of a scene that is scored."""
     if way == 'height':
         known = {'tracker.body_height': scene.stature, 'tracker.body_height_std': KNOWN_HEIGHT_STD_M}

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.model_file import load_base_poses
 from tests.support.paths import ROOT, load_module, shared
 
@@ -48,7 +48,7 @@ def protocol() -> ModuleType:
 
 
 @pytest.fixture(scope='session')
-def walk_model() -> BasePoses:
+def walk_model() -> PoseModel:
     """Base poses of walks as version 0.1 shipped them: problems made of them stay the same when models do not."""
     return load_base_poses(ROOT / 'tests' / 'data' / 'walk_of_0_1.npz')
 

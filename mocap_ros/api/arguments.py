@@ -22,14 +22,14 @@ from mocap_ros.formats.npz_arrays import ArrayReader
 from mocap_ros.formats.sequence_file import validate_camera, validate_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.keypoint_sequence import GroundTruth, KeypointSequence
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.model_file import AUTO, check_base_poses, load_base_pose_models
 from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.units import NS_PER_S
 
 Arrays = dict[str, NDArray[np.generic]]  # arrays by the keys of a sequence file
 Parameters = Mapping[str, object] | Config | None  # argument `parameters`: values by name, or a configuration
-Model = str | Path | BasePoses  # argument `model`: the name of shipped base poses, a model file, or base poses
+Model = str | Path | PoseModel  # argument `model`: the name of shipped base poses, a model file, or base poses
 
 MIN_FOCAL_LENGTH_PX = 10.0  # px; a shorter one is probably a share of the image or in mm
 MAX_CENTRE_IN_SIZES = 3.0  # image sizes; a principal point farther from the origin belongs to another image
@@ -188,9 +188,9 @@ def make_config(parameters: Parameters) -> Config:
     return config
 
 
-def load_models(model: Model, config: Config) -> dict[str, BasePoses]:
+def load_models(model: Model, config: Config) -> dict[str, PoseModel]:
     """Return the base poses by name; `auto` leaves the choice to the parameter `tracker.model`."""
-    if isinstance(model, BasePoses):
+    if isinstance(model, PoseModel):
         with name_errors('model'):
             check_base_poses(model)
         return {model.name: model}

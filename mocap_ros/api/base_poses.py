@@ -23,7 +23,7 @@ from mocap_ros.skeleton import CMU15, canonical_joint_names
 from mocap_ros.training.fit_base_poses import fit_base_poses
 
 
-class BasePoses(base_poses.BasePoses):
+class BasePoses(base_poses.PoseModel):
     """Base poses: the mean pose and the directions in which poses vary, learned from motion capture.
 
     Create them by `load` or `fit`. J = 15 joints of the layout `cmu15`, K base poses; poses are in metres in the
@@ -135,8 +135,8 @@ class BasePoses(base_poses.BasePoses):
             model_file.save_base_poses(self, unfinished)
 
     @classmethod
-    def _extend(cls, model: base_poses.BasePoses) -> BasePoses:
-        return cls(**{field.name: getattr(model, field.name) for field in fields(base_poses.BasePoses)})
+    def _extend(cls, model: base_poses.PoseModel) -> BasePoses:
+        return cls(**{field.name: getattr(model, field.name) for field in fields(base_poses.PoseModel)})
 
     def __repr__(self) -> str:
         ten = self.explained[min(9, len(self.explained) - 1)]

@@ -22,7 +22,7 @@ from mocap_ros.api.arguments import (
 from mocap_ros.config import Config, format_value
 from mocap_ros.errors import InputError
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.whole_sequence import Report, Solved, solve_sequence
 from mocap_ros.people import PoseSequence
@@ -107,6 +107,6 @@ def reconstruct(
 
 
 def _solve_by_keyframes(
-    sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config, _: Report
+    sequence: KeypointSequence, models: Mapping[str, PoseModel], config: Config, _: Report
 ) -> Solved:
     return keyframe_method.reconstruct(sequence, models, config).solved

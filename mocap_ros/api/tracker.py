@@ -82,7 +82,7 @@ class Tracker:
         self._image_size, matrix, coefficients = check_camera(image_size, camera_matrix, distortion)
         focal_in_sides = config.tracker.nominal_focal_length
         self._intrinsics = create_intrinsics(self._image_size, matrix, coefficients, focal_in_sides)
-        self._tracker = tracking.Tracker(load_models(model, config), config)
+        self._tracker = tracking.PeopleTracker(load_models(model, config), config)
         self._frame_count = 0
         self._first_frames: list[tuple[float, Array]] = []
 

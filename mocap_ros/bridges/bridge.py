@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from mocap_ros.bridges.capsules import CAPSULES, convert_capsule_markers, convert_capsules
 from mocap_ros.bridges.collision_objects import Content, convert_collision_objects
-from mocap_ros.bridges.detections import convert_detections
+from mocap_ros.bridges.detections_3d import convert_detections
 from mocap_ros.bridges.obstacles import convert_obstacles
 from mocap_ros.bridges.people import convert_people
 from mocap_ros.bridges.poses import convert_poses

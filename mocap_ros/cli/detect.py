@@ -22,7 +22,7 @@ from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.formats.video import VideoImage, find_camera
 from mocap_ros.keypoints.keypoint_sequence import describe_frames
-from mocap_ros.recordings.detection import ShowProgress, detect_in_video
+from mocap_ros.recordings.detect_people import ShowProgress, detect_in_video
 from mocap_ros.recordings.input_kind import InputKind, require_kind
 from mocap_ros.recordings.save_results import save_detections
 from mocap_ros.units import NS_PER_S

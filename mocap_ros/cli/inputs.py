@@ -23,7 +23,7 @@ from mocap_ros.formats.detections import HFOV_RANGE_DEG, Video
 from mocap_ros.formats.mocap.trials import MANIFEST_NAME, list_files
 from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.model_file import load_base_pose_models, load_prior_lifter
 from mocap_ros.recordings.load_keypoints import InputOptions, load_people
 from mocap_ros.skeleton import LAYOUT_NAMES
@@ -136,7 +136,7 @@ def load_sequences(
     return sequences
 
 
-def load_models(args: argparse.Namespace, config: Config) -> dict[str, BasePoses]:
+def load_models(args: argparse.Namespace, config: Config) -> dict[str, PoseModel]:
     """Load the base poses that `--model` selects, by name; `auto` selects all shipped models."""
     models = load_base_pose_models(args.model or config.tracker.model)
     for model in models.values():  # here, so that the error about a lifter does not name the input

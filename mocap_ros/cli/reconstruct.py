@@ -29,7 +29,7 @@ from mocap_ros.formats.bvh import BLENDER_IMPORT
 from mocap_ros.formats.text_files import check_output, read_text, replace_output
 from mocap_ros.geometry.level import average_vertical
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.keyframes.taylor import DepthChoice, parse_depth_choices
 from mocap_ros.offline.whole_sequence import Report, Solved, solve_sequence
@@ -143,7 +143,7 @@ def _choose_method(args: argparse.Namespace) -> Method:
         choices = parse_depth_choices(load_yaml(text, str(args.choices)), str(args.choices))
 
     def by_keyframes(
-        sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config, _: Report
+        sequence: KeypointSequence, models: Mapping[str, PoseModel], config: Config, _: Report
     ) -> Solved:
         with show_stages() as set_stage:
             return keyframe_method.reconstruct(sequence, models, config, choices, set_stage).solved

@@ -26,7 +26,7 @@ from scipy.fft import dct
 from mocap_ros.arrays import Array
 from mocap_ros.geometry.rotations import centre_poses, fit_heading_rotation
 from mocap_ros.models import model_file
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.npz_file import write_npz
 
 FRAME_RATE_HZ = 30.0  # Hz, of the motion capture and of the demo recording
@@ -65,7 +65,7 @@ def fourier_terms(phase: Array, harmonics: int) -> Array:
     return np.concatenate([np.ones((len(phase), 1)), pairs], axis=1)
 
 
-def learn_gait(poses: Array, model: BasePoses) -> Motion:
+def learn_gait(poses: Array, model: PoseModel) -> Motion:
     """Learn the cycle of a gait from a few strides (F, 15, 3) in m, z up, at `FRAME_RATE_HZ`."""
     samples = _tabulate_motion(poses, model)
     times_s = np.arange(len(poses)) / FRAME_RATE_HZ
@@ -80,7 +80,7 @@ def learn_gait(poses: Array, model: BasePoses) -> Motion:
     return Motion(fit(period, GAIT_HARMONICS)[1], float(period), cyclic=True)
 
 
-def learn_action(poses: Array, model: BasePoses) -> Motion:
+def learn_action(poses: Array, model: PoseModel) -> Motion:
     """Learn a single action, smoothed to `ACTION_TERMS` cosine terms; the arguments are those of `learn_gait`."""
     samples = _tabulate_motion(poses, model)
     coefficients = dct(samples, type=1, axis=0)[:ACTION_TERMS] / (len(samples) - 1)
@@ -88,7 +88,7 @@ def learn_action(poses: Array, model: BasePoses) -> Motion:
     return Motion(coefficients, (len(samples) - 1) / FRAME_RATE_HZ, cyclic=False)
 
 
-def _tabulate_motion(poses: Array, model: BasePoses) -> Array:
+def _tabulate_motion(poses: Array, model: PoseModel) -> Array:
     """Return base-pose weights, height and speed (F, K + 2) of the poses (F, 15, 3)."""
     body = centre_poses(poses)
     body = body @ np.swapaxes(fit_heading_rotation(body, model.mean), -1, -2)
@@ -99,7 +99,7 @@ def _tabulate_motion(poses: Array, model: BasePoses) -> Array:
     return np.column_stack([model.weights(body), height, speed])
 
 
-def save_motions(model: BasePoses, motions: Mapping[str, Motion], path: Path) -> None:
+def save_motions(model: PoseModel, motions: Mapping[str, Motion], path: Path) -> None:
     """Write base poses and the motions of their weights, by name, into one .npz."""
     meta = {
         'periods': {name: motion.period for name, motion in motions.items()},
@@ -113,7 +113,7 @@ def save_motions(model: BasePoses, motions: Mapping[str, Motion], path: Path) ->
     write_npz(path, arrays)
 
 
-def load_motions() -> tuple[BasePoses, dict[str, Motion]]:
+def load_motions() -> tuple[PoseModel, dict[str, Motion]]:
     """Load the shipped base poses and motions: walk, run and jump."""
     data = (files('mocap_ros') / 'demo' / 'demo_motion.npz').read_bytes()
     with np.load(io.BytesIO(data), allow_pickle=False) as z:

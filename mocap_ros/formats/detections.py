@@ -29,7 +29,7 @@ from mocap_ros.keypoints.identities import FollowedPerson, Identities
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_image_size
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
-from mocap_ros.keypoints.matching import Detection
+from mocap_ros.keypoints.matching import DetectedBody
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import describe_other_unit, mark_unseen
 from mocap_ros.skeleton import keypoint_layout
@@ -197,7 +197,7 @@ def associate_people(
     camera = detections.intrinsics or Intrinsics.from_image_size(*size, settings.nominal_focal_length)
     for frame, (stamp_ns, found_people) in enumerate(zip(detections.stamps_ns, detections.people, strict=True)):
         people = [person.hide_border(size) for person in found_people]
-        converted = Detection.from_people(people, camera, settings.min_score, settings.min_joints)
+        converted = DetectedBody.from_people(people, camera, settings.min_score, settings.min_joints)
         seen = [(p, d) for p, d in zip(people, converted, strict=True) if d is not None]
         unusable += len(people) - len(seen)
         for lost in who.find_lost(stamp_ns, known):

@@ -40,7 +40,7 @@ from mocap_ros.keypoints.association import (
 from mocap_ros.keypoints.matching import (
     GATE,
     GATE_GROWTH_PER_S,
-    Detection,
+    DetectedBody,
     Matches,
     P,
     match_detections,
@@ -168,7 +168,7 @@ class Identities(Generic[P]):
         self._lost = [*names.people]
         self._names.extend(person.name for person in names.people)
 
-    def match(self, stamp_ns: int, people: Sequence[P], detections: Sequence[Detection]) -> Matches[P]:
+    def match(self, stamp_ns: int, people: Sequence[P], detections: Sequence[DetectedBody]) -> Matches[P]:
         """Match the detections of a frame, stamp in ns, with the people who are known."""
         if self.are_ids_ignored:
             detections = [replace(d, given_id='') for d in detections]
@@ -207,7 +207,7 @@ class Identities(Generic[P]):
                 if tally.is_beyond(0.5) or (pair in near and found[other].is_tentative):
                     self.doubles.setdefault(other, self.doubles.get(kept, kept))
 
-    def _find_turns(self, detections: Sequence[Detection]) -> None:
+    def _find_turns(self, detections: Sequence[DetectedBody]) -> None:
         if not detections:
             return
         seen = SeenPeople(np.array([d.rays for d in detections]), np.array([d.weight for d in detections]))
@@ -229,7 +229,7 @@ class Identities(Generic[P]):
         before_ns = stamp_ns if self.newest_ns is None else self.newest_ns
         return stamp_ns - before_ns <= self._settings.forget_after * NS_PER_S
 
-    def name(self, stamp_ns: int, detection: Detection, used: set[str]) -> str:
+    def name(self, stamp_ns: int, detection: DetectedBody, used: set[str]) -> str:
         """Return a name for a person who is new in a frame, and add it to those in use."""
         self._lost = [p for p in self._lost if stamp_ns - p.stamp_ns <= RETURN_S * NS_PER_S and p.name not in used]
         name = detection.given_id
@@ -270,7 +270,7 @@ class FollowedPerson:
     has_newest_id: bool = False
     frames_seen: int = 0
 
-    def add_frame(self, stamp_ns: int, detection: Detection) -> None:
+    def add_frame(self, stamp_ns: int, detection: DetectedBody) -> None:
         """Add a frame, stamp in ns, and drop those that are older by more than `VELOCITY_SPAN_S`."""
         kept = slice(bisect_left(self.stamps_ns, stamp_ns - VELOCITY_SPAN_S * NS_PER_S), None)
         self.stamps_ns = (*self.stamps_ns[kept], stamp_ns)

@@ -64,7 +64,7 @@ TENTATIVE_COST = 0.5  # person sizes; a known person gets a detection sooner tha
 
 
 @dataclass(eq=False)
-class Detection:
+class DetectedBody:
     """One detected person of whom enough was seen to be tracked."""
 
     given_id: str  # name that the detector gives the person; empty if it gives none
@@ -77,7 +77,7 @@ class Detection:
     @staticmethod
     def from_people(
         people: Sequence[Person2D], intrinsics: Intrinsics, min_score: float, min_joints: int
-    ) -> list[Detection | None]:
+    ) -> list[DetectedBody | None]:
         """Convert the keypoints of people to rays of the model's joints.
 
         `people` are as a detector gave them; `min_score` confidence score below which a keypoint counts as not
@@ -87,7 +87,7 @@ class Detection:
         Raises:
             SkeletonError: A person's joints do not cover enough of the model's.
         """
-        found: list[Detection | None] = [None] * len(people)
+        found: list[DetectedBody | None] = [None] * len(people)
         for joints in dict.fromkeys(p.joints for p in people):
             own = [i for i, p in enumerate(people) if p.joints == joints]
             points, score = np.array([people[i].points for i in own]), np.array([people[i].score for i in own])
@@ -96,16 +96,16 @@ class Detection:
                 if np.count_nonzero(weight[n]) >= min_joints and size > MIN_DETECTION_SIZE:
                     given_id = '' if people[own[n]].id == UNTRACKED_ID else people[own[n]].id
                     seen = rays[n], weight[n], is_evidence[n], size
-                    found[own[n]] = Detection(given_id, *seen, others.select_frames(n))
+                    found[own[n]] = DetectedBody(given_id, *seen, others.select_frames(n))
         return found
 
-    def join(self, part: Detection) -> Detection:
+    def join(self, part: DetectedBody) -> DetectedBody:
         """Return the detection with the joints of another detection of the same person that this one lacks."""
         rays, weight = _fill_gaps(self.rays, self.weight, part.rays, part.weight)
         extremities = Extremities(*_fill_gaps(*self.extremities, *part.extremities))
         (size,) = measure_sizes(rays[None], weight[None]).tolist()
         is_evidence = np.where(self.weight > 0, self.is_evidence, part.is_evidence)
-        return Detection(self.given_id or part.given_id, rays, weight, is_evidence, size, extremities)
+        return DetectedBody(self.given_id or part.given_id, rays, weight, is_evidence, size, extremities)
 
 
 def _fill_gaps(rays: Array, weight: Array, other_rays: Array, other_weight: Array) -> tuple[Array, Array]:
@@ -119,7 +119,7 @@ P = TypeVar('P', bound=KnownPerson)
 class Matches(NamedTuple, Generic[P]):
     """The matches of a frame."""
 
-    detections: list[Detection]  # the detections of people, in their order, with their parts joined to them
+    detections: list[DetectedBody]  # the detections of people, in their order, with their parts joined to them
     tracks: list[P | None]  # the person who each of these detections is; None for a detection of a new one
     replaced: list[P]  # people whose id the detector has given to another person
     members: list[list[int]]  # for each of these detections its index, and those of its parts
@@ -128,7 +128,7 @@ class Matches(NamedTuple, Generic[P]):
     doubles: list[tuple[int, int]]
 
 
-def match_detections(stamp_ns: int, tracks: Sequence[P], detections: Sequence[Detection]) -> Matches[P]:
+def match_detections(stamp_ns: int, tracks: Sequence[P], detections: Sequence[DetectedBody]) -> Matches[P]:
     """Match the detections of a frame, stamp in ns, with the people who are known."""
     matcher = _Matcher(stamp_ns, tracks, detections)
     matcher.match_near_ids()
@@ -174,7 +174,7 @@ class _Matcher(Generic[P]):
         doubles: pairs of `find_doubles`.
     """
 
-    def __init__(self, stamp_ns: int, tracks: Sequence[P], detections: Sequence[Detection]) -> None:
+    def __init__(self, stamp_ns: int, tracks: Sequence[P], detections: Sequence[DetectedBody]) -> None:
         self.tracks, self.detections = tracks, detections
         self.expected = expect_people(tracks, stamp_ns)
         self.age_s = np.array([(stamp_ns - t.stamps_ns[-1]) / NS_PER_S for t in tracks])

@@ -25,7 +25,7 @@ MAX_MODELS = 16  # models whose arrays are kept: the shipped ones, some of them 
 
 
 @dataclass(frozen=True, eq=False)
-class BasePoses:
+class PoseModel:
     """A trained linear pose model with J joints and K base poses."""
 
     name: str  # motion category that the model was trained for (`walk`, `run`, `jump`, ... or `all`)
@@ -59,13 +59,13 @@ class BasePoses:
         flat = (poses - self.mean).reshape(*poses.shape[:-2], -1)
         return flat @ self.components.reshape(len(self.components), -1).T
 
-    def truncate(self, k: int) -> BasePoses:
+    def truncate(self, k: int) -> PoseModel:
         """Return the model with its first `k` base poses, or itself if it has no more."""
         if k >= len(self.components):
             return self
         return replace(self, components=self.components[:k], std=self.std[:k], explained=self.explained[:k])
 
-    def rescale(self, factor: float) -> BasePoses:
+    def rescale(self, factor: float) -> PoseModel:
         """Return the model of a body that is `factor` times as large."""
         return replace(self, mean=self.mean * factor, std=self.std * factor, stature=self.stature * factor)
 
@@ -86,7 +86,7 @@ class ModelArrays(NamedTuple):
 
 
 @lru_cache(maxsize=MAX_MODELS)
-def arrange_model(model: BasePoses) -> ModelArrays:
+def arrange_model(model: PoseModel) -> ModelArrays:
     """Return the arrays of a model; those of the same object are made once."""
     parents, children = (np.array(side) for side in zip(*model.skeleton.bones, strict=True))
     bones = model.components[:, children] - model.components[:, parents]

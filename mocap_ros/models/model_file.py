@@ -20,7 +20,7 @@ import numpy as np
 from mocap_ros.arrays import Array
 from mocap_ros.errors import ModelError, describe_read_error, suggest
 from mocap_ros.input_file import open_input_file
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.lifter import OUTPUT_COUNT, Lifter
 from mocap_ros.models.lifter_input import FEATURE_COUNT, HISTORY_SLOTS_S
 from mocap_ros.models.motion_predictor import MotionPredictor
@@ -51,7 +51,7 @@ MAX_PARAMETER = 1e3  # 1; bounds weights and biases of a lifter, far beyond thos
 _SHIPPED = files('mocap_ros') / 'models' / 'shipped'
 
 
-def save_base_poses(model: BasePoses, path: str | Path | io.BytesIO) -> None:
+def save_base_poses(model: PoseModel, path: str | Path | io.BytesIO) -> None:
     """Write a base-pose model as .npz; the same model gives the same bytes."""
     meta = {
         'format': BASE_POSES_FORMAT,
@@ -76,7 +76,7 @@ def list_shipped_base_poses() -> tuple[str, ...]:
     return tuple(sorted(names - {LIFTER_NAME, PREDICTOR_NAME, VELOCITY_NAME}))
 
 
-def load_base_poses(name_or_path: str | Path) -> BasePoses:
+def load_base_poses(name_or_path: str | Path) -> PoseModel:
     """Load a shipped base-pose model by name, or another one by path.
 
     Raises:
@@ -94,7 +94,7 @@ def load_base_poses(name_or_path: str | Path) -> BasePoses:
         raise ModelError(f'{text}: {error.strerror}') from None
 
 
-def load_base_pose_models(name: str) -> dict[str, BasePoses]:
+def load_base_pose_models(name: str) -> dict[str, PoseModel]:
     """Load the base-pose model of a name or path, or all shipped models for `auto`; returns them by name."""
     return {n: load_base_poses(n) for n in (list_shipped_base_poses() if name == AUTO else (name,))}
 
@@ -117,12 +117,12 @@ def _open_model(data: bytes, max_bytes: int, source: str, kind: str) -> Iterator
         raise ModelError(f'{source}: not a {kind} ({describe_read_error(error)})') from None
 
 
-def decode_base_poses(data: bytes, source: str) -> BasePoses:
+def decode_base_poses(data: bytes, source: str) -> PoseModel:
     """Decode a base-pose model from the bytes of its file; `source` names it in a `ModelError`."""
     with _open_model(data, MAX_BASE_POSES_BYTES, source, 'base-pose model') as (meta, arrays):
         if meta['format'] != BASE_POSES_FORMAT:
             raise ValueError(f'format {meta["format"]!r}, expected {BASE_POSES_FORMAT!r}')
-        model = BasePoses(
+        model = PoseModel(
             name=meta['name'],
             skeleton=keypoint_layout(meta['skeleton']),
             stature=float(meta['stature']),
@@ -133,7 +133,7 @@ def decode_base_poses(data: bytes, source: str) -> BasePoses:
     return model
 
 
-def check_base_poses(model: BasePoses) -> None:
+def check_base_poses(model: PoseModel) -> None:
     """Raise `ModelError` for shapes and values of a model that no training produces."""
     if model.skeleton != CMU15:
         raise ModelError(f'skeleton: {model.skeleton.name}, expected {CMU15.name}: {", ".join(CMU15.joints)}')

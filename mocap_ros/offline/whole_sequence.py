@@ -49,7 +49,7 @@ from mocap_ros.geometry.level import CALIBRATED_TILT_STD, MAX_CERTAIN_STD, Floor
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.keypoints.rays import join_body
-from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
+from mocap_ros.models.base_poses import ALL_MOTIONS, PoseModel
 from mocap_ros.models.joint_std import expect_stature
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.model_file import load_prior_lifter
@@ -109,7 +109,7 @@ def report_part(report: Report, index: int, count: int) -> Report:
 
 def reconstruct_sequence(
     sequence: KeypointSequence,
-    model: BasePoses | Mapping[str, BasePoses],
+    model: PoseModel | Mapping[str, PoseModel],
     config: Config,
     report: Report = lambda _: None,
 ) -> PoseSequence:
@@ -120,7 +120,7 @@ def reconstruct_sequence(
 
 def solve_sequence(
     sequence: KeypointSequence,
-    model: BasePoses | Mapping[str, BasePoses],
+    model: PoseModel | Mapping[str, PoseModel],
     config: Config,
     report: Report = lambda _: None,
 ) -> Solved:
@@ -140,7 +140,7 @@ def solve_sequence(
         ConfigError: The vertical that `tracker.vertical` gives is no unit vector.
     """
     report(0.0)
-    models = {model.name: model} if isinstance(model, BasePoses) else model
+    models = {model.name: model} if isinstance(model, PoseModel) else model
     skeleton = next(iter(models.values())).skeleton
     observed = observe_sequence(sequence, config.tracker, skeleton)
     solved = reconstruct_window(observed, models, config, report)
@@ -155,7 +155,7 @@ def solve_sequence(
 
 def reconstruct_window(
     observed: ObservedWindow,
-    models: Mapping[str, BasePoses],
+    models: Mapping[str, PoseModel],
     config: Config,
     report: Report = lambda _: None,
 ) -> SolvedWindow:
@@ -429,7 +429,7 @@ def _solve_with_lifter(
     observed: ObservedWindow,
     vertical: Verticals,
     lifter: Lifter,
-    models: Mapping[str, BasePoses],
+    models: Mapping[str, PoseModel],
     config: Config,
     report: Report,
 ) -> tuple[str, Reconstruction]:
@@ -460,7 +460,7 @@ def _share(report: Report, first: float, last: float) -> Report:
 
 
 def _solve(
-    window: Window, models: Mapping[str, BasePoses], config: SolverConfig, report: Report
+    window: Window, models: Mapping[str, PoseModel], config: SolverConfig, report: Report
 ) -> tuple[str, Reconstruction]:
     if len(models) > 1:
         name, reconstruction = choose_category(window, models, config)

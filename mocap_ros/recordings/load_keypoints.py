@@ -39,7 +39,7 @@ from mocap_ros.messages.camera_info import (
 )
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.offline.whole_sequence import MAX_GAP_S
-from mocap_ros.recordings.detection import ShowProgress, detect_in_video
+from mocap_ros.recordings.detect_people import ShowProgress, detect_in_video
 from mocap_ros.recordings.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.input_camera import FROM_VIDEO, GIVEN, find_turns

@@ -15,21 +15,21 @@ import numpy as np
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.offline.whole_sequence import Report, Solved, report_part, share_floor, solve_sequence
 from mocap_ros.recordings.load_keypoints import InputOptions, load_people
 from mocap_ros.recordings.recording import Recording
 from mocap_ros.verdict.summary import summarise
 
 # With the arguments of `solve_sequence`
-Method = Callable[[KeypointSequence, Mapping[str, BasePoses], Config, Report], Solved]
+Method = Callable[[KeypointSequence, Mapping[str, PoseModel], Config, Report], Solved]
 
 
 class ReconstructionOptions(NamedTuple):
     """How an input is read and reconstructed."""
 
     config: Config  # parameters of tracker, solver and node
-    models: Mapping[str, BasePoses]  # base poses by name
+    models: Mapping[str, PoseModel]  # base poses by name
     reading: InputOptions = InputOptions()  # how the input is read
     max_people: int | None = 1  # people who are reconstructed, those who are seen most; None for all
     method: Method = solve_sequence

@@ -15,7 +15,7 @@ from mocap_ros.detectors.detector import Detector, load_detector
 from mocap_ros.errors import InputError, ModelError
 from mocap_ros.messages.images import decode_image
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
-from mocap_ros.recordings.detection import detect_people
+from mocap_ros.recordings.detect_people import detect_people
 from mocap_ros.ros.help import DETECTOR_NAME, DETECTOR_PARAMETERS, IMAGE_TOPIC, KEYPOINTS_TOPIC
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.nodes import declare_parameters

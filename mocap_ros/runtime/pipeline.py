@@ -28,7 +28,7 @@ from mocap_ros.messages.cdr import Header, OutputMessage, read_frame_id
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.messages.skeletons import read_prediction_times
 from mocap_ros.messages.transform_tree import TransformTree
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import People
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
@@ -36,7 +36,7 @@ from mocap_ros.runtime.input_camera import GIVEN, KNOWN, NOMINAL, CalibrationWai
 from mocap_ros.runtime.output_frame import OutputFrame
 from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.runtime.run_memory import NOTHING, RunMemory
-from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.tracking.tracker import PeopleTracker
 from mocap_ros.units import NS_PER_S
 from mocap_ros.verdict.input_faults import InputChecks
 from mocap_ros.verdict.summary import RunSummary
@@ -112,8 +112,8 @@ class Pipeline:
     def __init__(
         self,
         config: Config,
-        models: Mapping[str, BasePoses] | None = None,
-        make_tracker: Callable[..., Any] = Tracker,
+        models: Mapping[str, PoseModel] | None = None,
+        make_tracker: Callable[..., Any] = PeopleTracker,
     ) -> None:
         self.config = config
         self.counters = Counters()
@@ -122,7 +122,7 @@ class Pipeline:
         _check_lens(config)
         self.models = models or load_base_pose_models(config.tracker.model)
         self._make_tracker = make_tracker
-        self._tracker: Tracker = make_tracker(self.models, config)
+        self._tracker: PeopleTracker = make_tracker(self.models, config)
         self._checked = config, self._tracker  # the last parameters that were checked, and their tracker
         self.swapped_frames = 0  # detections so far whose left and right were swapped back
         # detections so far that were no person of their own, as those with too few visible joints

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 from mocap_ros.bags.mcap_file import Attachment
 from mocap_ros.config import Config, to_yaml
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.model_file import load_prior_lifter
 
 # Packages whose installed versions are recorded: those that compute or encode the outputs.
 RECORDED_PACKAGES = ('mocap_ros', 'numpy', 'scipy', 'mcap', 'rosbags', 'rclpy')
 
 
-def provenance_attachments(config: Config, models: Mapping[str, BasePoses]) -> tuple[Attachment, ...]:
+def provenance_attachments(config: Config, models: Mapping[str, PoseModel]) -> tuple[Attachment, ...]:
     """Return the parameters of a run (a parameter file), and package versions and model origins (JSON)."""
     versions: dict[str, str | None] = {'python': platform.python_version(), **dict.fromkeys(RECORDED_PACKAGES)}
     for package in RECORDED_PACKAGES:

@@ -13,7 +13,7 @@ minimises
   + gamma  sum_t  |M_t - M_(t-1)|_F^2 / (s0^2 dt_t)     flip regulariser (eq. 12)
 
     Algorithm 1: recover camera and shape
-    Q <- base shapes                                              `BasePoses.truncate`
+    Q <- base shapes                                              `PoseModel.truncate`
     while no convergence do                                       `reconstruct`
         for t = 1 -> f do                                         all frames at once
             calculate starting values for M_t    (eq. 10, 11)     `choose_initial_values`, only before the loop
@@ -39,7 +39,7 @@ from mocap_ros.geometry.weak_perspective import (
     run_camera_step,
     subtract_weighted_centroid,
 )
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.solvers.window import (
     Reconstruction,
     SolverStatus,
@@ -57,7 +57,7 @@ MIN_RAISED_DAMPING = 1e-3  # relative; smallest damping after a rejected step, s
 MAX_DAMPING_TRIALS = 8  # steps tried in an iteration; the last has a damping of 7e5, that is a step of almost zero
 
 
-def reconstruct(window: Window, model: BasePoses, config: SolverConfig) -> Reconstruction:
+def reconstruct(window: Window, model: PoseModel, config: SolverConfig) -> Reconstruction:
     """Reconstruct the sequence of one person (TPAMI 2016, Algorithm 1), without smoothness and robust loss."""
     model = model.truncate(config.components)  # Q <- base shapes
     start, s0 = choose_initial_values(window, model, config.start_window)  # theta = 0; M_t from eq. 10 and 11
@@ -81,7 +81,7 @@ def reconstruct(window: Window, model: BasePoses, config: SolverConfig) -> Recon
 class AlternationProblem:
     """The objective of one sequence, and the steps that lower it."""
 
-    model: BasePoses
+    model: PoseModel
     image: Array  # (F, J, 2) m, image points divided by s0, relative to their weighted centroid
     centroid: Array  # (F, 2) m, this centroid
     weight: Array  # (F, J) confidence scores
@@ -93,7 +93,7 @@ class AlternationProblem:
     bone_components: Array  # (K, B, 3) change of each bone's vector by each base pose
 
     @staticmethod
-    def build(model: BasePoses, window: Window, s0: float, config: SolverConfig) -> AlternationProblem:
+    def build(model: PoseModel, window: Window, s0: float, config: SolverConfig) -> AlternationProblem:
         """Return the problem of a window; `s0` in px/m."""
         parents, children = (np.array(side) for side in zip(*model.skeleton.bones, strict=True))
         image, centroid = subtract_weighted_centroid(window.points / s0, window.weight)

@@ -31,7 +31,7 @@ import numpy as np
 from mocap_ros.arrays import Array, copy_with
 from mocap_ros.config import ClassifierConfig, SolverConfig
 from mocap_ros.engine import periodic as engine
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.solvers import joint, periodic
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
 from mocap_ros.solvers.joint.solver import JointReconstruction
@@ -63,7 +63,7 @@ PERIODIC_FIT_TOLERANCE = 1e-3  # relative decrease of the objective; a residual 
 
 
 def choose_category(
-    window: Window, models: Mapping[str, BasePoses], config: SolverConfig
+    window: Window, models: Mapping[str, PoseModel], config: SolverConfig
 ) -> tuple[str, JointReconstruction]:
     """Fit every model; return the name and the fit of the highest evidence, all under the same image noise."""
     fits = {}
@@ -79,7 +79,7 @@ def choose_category(
 
 
 def minus_twice_log_evidence_stepwise(
-    window: Window, model: BasePoses, noise: float, config: SolverConfig
+    window: Window, model: PoseModel, noise: float, config: SolverConfig
 ) -> Stepwise[tuple[float, JointReconstruction]]:
     """Return -2 log p(x | model) (formula of the module) and the reconstruction, at a noise in m."""
     noise = max(noise, MIN_COMPARISON_NOISE)
@@ -89,7 +89,7 @@ def minus_twice_log_evidence_stepwise(
     return measure_evidence(fit, model, noise), fit
 
 
-def measure_evidence(fit: JointReconstruction, model: BasePoses, noise: float) -> float:
+def measure_evidence(fit: JointReconstruction, model: PoseModel, noise: float) -> float:
     """Return -2 log p(x | model) up to a constant, of the minimum under an image noise in m."""
     occam = len(fit.theta) * np.log1p(OBSERVED_FRACTION * (model.std / noise) ** 2).sum()
     return fit.cost / NOISE_REFERENCE**2 + float(occam)
@@ -111,7 +111,7 @@ class PeriodicFit:
 def fit_periodic_stepwise(
     window: Window,
     category: str,
-    model: BasePoses,
+    model: PoseModel,
     config: SolverConfig,
     initial: EstimatedPoses | None = None,
 ) -> Stepwise[PeriodicFit]:

@@ -41,7 +41,7 @@ from mocap_ros.engine import terms
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.solvers import joint
 from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, list_terms, pose_problem, read_state
@@ -96,7 +96,7 @@ class PeriodicReconstruction(Reconstruction):
 
 
 def solve(
-    window: Window, model: BasePoses, config: SolverConfig, initial: EstimatedPoses | None = None
+    window: Window, model: PoseModel, config: SolverConfig, initial: EstimatedPoses | None = None
 ) -> PeriodicReconstruction:
     """Reconstruct a window under the periodic model.
 
@@ -111,7 +111,7 @@ def solve(
 
 
 def solve_stepwise(
-    window: Window, model: BasePoses, config: SolverConfig, initial: EstimatedPoses | None = None
+    window: Window, model: PoseModel, config: SolverConfig, initial: EstimatedPoses | None = None
 ) -> Stepwise[PeriodicReconstruction]:
     """Reconstruct as `solve` does, in steps."""
     try:  # numbers that overflow are found in the result
@@ -127,7 +127,7 @@ def solve_stepwise(
 
 
 def _solve(
-    window: Window, model: BasePoses, config: SolverConfig, initial: EstimatedPoses | None
+    window: Window, model: PoseModel, config: SolverConfig, initial: EstimatedPoses | None
 ) -> Stepwise[PeriodicReconstruction]:
     start, noise = yield from _choose_initial_values(window, initial, model, config)
     unit = window.unit or float(np.median(start.cameras.scale))
@@ -175,7 +175,7 @@ def _solve(
 
 
 def _choose_initial_values(
-    window: Window, initial: EstimatedPoses | None, model: BasePoses, config: SolverConfig
+    window: Window, initial: EstimatedPoses | None, model: PoseModel, config: SolverConfig
 ) -> Stepwise[tuple[InitialValues, float]]:
     """Return weights of this model's base poses and cameras, and the image noise (m).
 
@@ -231,14 +231,14 @@ def measure_noise_ratio(noise: float) -> float:
     return float(np.hypot(noise, MODEL_ERROR)) / NOISE_REFERENCE
 
 
-def build_body(batch: Batch, model: BasePoses, config: SolverConfig) -> engine.JointProblem:
+def build_body(batch: Batch, model: PoseModel, config: SolverConfig) -> engine.JointProblem:
     """Return the reprojection and the bone lengths of the only window of a batch."""
     batch.sequences['motion_share'] = 1.0
     return pose_problem(batch, model, list_terms(batch, model, config)[:2])
 
 
 def build_cameras(
-    batch: Batch, model: BasePoses, config: SolverConfig, velocity_factor: float = 1.0
+    batch: Batch, model: PoseModel, config: SolverConfig, velocity_factor: float = 1.0
 ) -> engine.JointProblem:
     """Return the movement and the tilt of the cameras of the only window of a batch."""
     of_image = np.repeat([1.0, 0.0], [6, 7])  # of the features: M
@@ -255,7 +255,7 @@ def build_problem(
     body: engine.JointProblem,
     cameras: engine.JointProblem,
     start: Point,
-    model: BasePoses,
+    model: PoseModel,
     config: SolverConfig,
     settle_steps: int = 0,
 ) -> PeriodicProblem:

@@ -29,7 +29,7 @@ from mocap_ros.engine import joint as engine
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.interpolation import find_nearest, interpolate_linearly
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras, fit_cameras_closed_form
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.lifter import LiftedPoses
 
 # Four points in general position determine an affine camera: 8 unknowns, 2 equations a point.
@@ -154,7 +154,7 @@ class Reconstruction:
         return self.status.message
 
 
-def choose_initial_values(window: Window, model: BasePoses, camera_window_s: float) -> tuple[InitialValues, float]:
+def choose_initial_values(window: Window, model: PoseModel, camera_window_s: float) -> tuple[InitialValues, float]:
     """Return the window's initial values and unit (px/m), each replaced by its default if it is None."""
     start = window.start or initialise_from_mean_pose(window, model, camera_window_s)
     k = len(model.std)
@@ -181,7 +181,7 @@ def interpolate_unseen(translation: Array, window: Window) -> Array:
     return np.where(seen[:, None], translation, interpolated)
 
 
-def initialise_from_mean_pose(window: Window, model: BasePoses, camera_window_s: float) -> InitialValues:
+def initialise_from_mean_pose(window: Window, model: PoseModel, camera_window_s: float) -> InitialValues:
     """Return the mean pose for every frame, seen by closed-form cameras (TPAMI 2016, section 3.5).
 
     Frames within `camera_window_s` s share one, 0 fits each alone; one of fewer than `MIN_JOINTS_FOR_CAMERA` seen

@@ -29,7 +29,7 @@ from mocap_ros.engine import periodic as engine
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
 from mocap_ros.geometry.interpolation import interpolate_linearly
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.people import Motion, MotionKind
 from mocap_ros.solvers.classification import (
     MIN_COMPARISON_NOISE,
@@ -110,7 +110,7 @@ def slice_work(work: Stepwise[Result], frames: int, components: int, factor: flo
 class HypothesisChecker:
     """Initialises tracks, checks them against other hypotheses and classifies their motion."""
 
-    models: Mapping[str, BasePoses]
+    models: Mapping[str, PoseModel]
     config: Config
 
     def initialise(self, tracks: Sequence[Track], model_names: Sequence[str]) -> list[TrackSolution]:
@@ -162,7 +162,7 @@ class HypothesisChecker:
         return (yield from self._adopt(track, frames, model_name, fit, own.base_poses_lead))
 
     def _solve_from_scratch(
-        self, window: Window, model: BasePoses, base_poses_lead: bool
+        self, window: Window, model: PoseModel, base_poses_lead: bool
     ) -> Slices[tuple[InitialValues, float]]:
         """Return initial values and the image noise in m of a window of which only the points are known."""
         solver = replace(

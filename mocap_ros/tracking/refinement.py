@@ -29,7 +29,7 @@ import numpy as np
 from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint
 from mocap_ros.engine import refinement as engine
-from mocap_ros.models.base_poses import BasePoses, arrange_model
+from mocap_ros.models.base_poses import PoseModel, arrange_model
 from mocap_ros.models.joint_std import HIDDEN_SHARE
 from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.joint.lifted_start import prepare_fit
@@ -49,7 +49,7 @@ class Refinement:
     The batch and its problem stay for the next one of as many frames of as many people.
     """
 
-    model: BasePoses
+    model: PoseModel
     config: SolverConfig
     batch: Batch | None = None
     problem: joint.JointProblem | None = None
@@ -106,7 +106,7 @@ def refine(kept: Refinement, tracks: Sequence[Track], parts: Sequence[tuple[int,
 def collect_newest_frames(
     tracks: Sequence[Track],
     parts: Sequence[tuple[int, int]],
-    model: BasePoses,
+    model: PoseModel,
     batch: Batch | None = None,
 ) -> Batch:
     """Return what `refine` gives to the solver, in the arrays of `batch` if these have its size."""

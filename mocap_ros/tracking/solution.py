@@ -26,7 +26,7 @@ from mocap_ros.engine import motion as engine
 from mocap_ros.geometry.interpolation import interpolate_linearly, interpolate_rotations
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import fit_rotation
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.joint_std import expect_stature
 from mocap_ros.solvers.joint import JointReconstruction
 from mocap_ros.solvers.observed_window import ObservedWindow
@@ -40,7 +40,7 @@ class TrackSolution:
     """The solution of the first S frames of a window, S >= 1, which never changes."""
 
     model_name: str
-    model: BasePoses
+    model: PoseModel
     theta: Array  # (S, K) m, weights of the base poses
     rotation: Array  # (S, 3, 3) rotations from the body to the real camera
     # (S, 3) m, positions of the body's origin in the real camera's frame, before `stature_ratio` is applied
@@ -62,7 +62,7 @@ class TrackSolution:
         observed: ObservedWindow,
         frames: NDArray[np.intp],
         model_name: str,
-        model: BasePoses,
+        model: PoseModel,
         earlier: TrackSolution | None,
         *,
         base_poses_lead: bool = False,
@@ -132,14 +132,14 @@ class TrackSolution:
         rays = new.pixels_to_rays(old.project(self.roots))
         return copy_with(self, roots=np.concatenate([rays * depth, depth], axis=-1))
 
-    def change_model(self, target_name: str, target_model: BasePoses) -> TrackSolution:
+    def change_model(self, target_name: str, target_model: PoseModel) -> TrackSolution:
         """Return the solution with its poses approximated under another model; its fit is not measured again."""
         rotation, theta = self.convert_poses(target_model, np.arange(len(self.theta)))
         lengths = target_model.skeleton.bone_lengths(target_model.poses(theta))
         new = {'model_name': target_name, 'model': target_model, 'rotation': rotation, 'theta': theta}
         return copy_with(self, **new, bone_lengths=lengths)
 
-    def convert_poses(self, target_model: BasePoses, frames: NDArray[np.intp]) -> tuple[Array, Array]:
+    def convert_poses(self, target_model: PoseModel, frames: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return rotations (n, 3, 3) and weights (n, K) m under another model of the poses of n frames."""
         joints = self.compute_joints(frames)
         rotation = fit_rotation(target_model.mean[None], joints)

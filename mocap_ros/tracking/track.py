@@ -27,7 +27,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.keypoints.identities import is_new
 from mocap_ros.keypoints.left_right import SwapFilter, exchange_sides
-from mocap_ros.keypoints.matching import Detection
+from mocap_ros.keypoints.matching import DetectedBody
 from mocap_ros.keypoints.rays import Extremities
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.observed_window import ObservedWindow
@@ -55,7 +55,7 @@ class Track:
     rays: Array  # (F, J, 2) x / z and y / z of the joints in the real camera, with the detector's labels
     weight: Array  # (F, J) confidence scores with the detector's labels; 0 for a joint that was not seen
     extremities: Extremities  # face, feet and hands with the detector's labels
-    is_evidence: NDArray[np.bool_]  # (F, J) as of `Detection`
+    is_evidence: NDArray[np.bool_]  # (F, J) as of `DetectedBody`
     # the same frames with swaps undone, their lifted poses, and one virtual camera that faces the person in all of
     # them; its times count from the person's first frame
     observed: ObservedWindow = field(init=False)
@@ -75,7 +75,7 @@ class Track:
     def begin(
         name: str,
         stamp_ns: int,
-        detection: Detection,
+        detection: DetectedBody,
         swap_filter: SwapFilter,
         intrinsics: Intrinsics,
         focal: float,
@@ -128,7 +128,7 @@ class Track:
         other.schedule = copy.copy(self.schedule)
         return other
 
-    def add_frame(self, stamp_ns: int, detection: Detection, window_s: float, lag_s: float = 0.0) -> None:
+    def add_frame(self, stamp_ns: int, detection: DetectedBody, window_s: float, lag_s: float = 0.0) -> None:
         """Add a frame and drop those older than `window_s` s that are not still to be shown after `lag_s` s.
 
         If the frame changes the decision about swaps in earlier frames, a check becomes due.

@@ -30,9 +30,9 @@ from mocap_ros.geometry.level import CALIBRATED_TILT_STD, Floor
 from mocap_ros.geometry.virtual_camera import solver_focal
 from mocap_ros.keypoints.identities import Identities, Names
 from mocap_ros.keypoints.left_right import BodySides, SwapFilter
-from mocap_ros.keypoints.matching import Detection
+from mocap_ros.keypoints.matching import DetectedBody
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
+from mocap_ros.models.base_poses import ALL_MOTIONS, PoseModel
 from mocap_ros.models.model_file import load_prior_lifter, load_velocity_correction
 from mocap_ros.models.upward_direction import Stances
 from mocap_ros.people import CameraVertical, People, PredictedPeople, TrackedFrame
@@ -66,7 +66,7 @@ LIFTER_CHECK_INTERVAL_S = 5.0  # s; the longest with a lifter, whose prior makes
 MAX_CAMERA_DIFFERENCE = 1e-3
 
 
-class Tracker:
+class PeopleTracker:
     """Reconstructs people in 3D from 2D keypoints, frame by frame.
 
     Args:
@@ -80,8 +80,8 @@ class Tracker:
             ids with heights.
     """
 
-    def __init__(self, models: BasePoses | Mapping[str, BasePoses], config: Config) -> None:
-        by_name = {models.name: models} if isinstance(models, BasePoses) else models
+    def __init__(self, models: PoseModel | Mapping[str, PoseModel], config: Config) -> None:
+        by_name = {models.name: models} if isinstance(models, PoseModel) else models
         settings = config.tracker
         components = min(settings.components, config.solver.components)
         self.config = config
@@ -168,7 +168,7 @@ class Tracker:
         backward_jump_s = self._measure_backward_jump(stamp_ns)
         if backward_jump_s == 0 and not self._who.is_everybody_gone(stamp_ns):
             intrinsics = self._choose_intrinsics(intrinsics)
-        converted = Detection.from_people(people, intrinsics, settings.min_score, settings.min_joints)
+        converted = DetectedBody.from_people(people, intrinsics, settings.min_score, settings.min_joints)
         detections = [d for d in converted if d is not None]
         self.run_deferred_work()
         if backward_jump_s > 0:
@@ -301,7 +301,7 @@ class Tracker:
         for tracks in (self.tracks, self._leaving):
             tracks[:] = [t for t in tracks if not (t in self._at_work or t.has_unsolved_frame)]
 
-    def _associate(self, stamp_ns: int, detections: Sequence[Detection], intrinsics: Intrinsics) -> list[Track]:
+    def _associate(self, stamp_ns: int, detections: Sequence[DetectedBody], intrinsics: Intrinsics) -> list[Track]:
         """Match the detections with the known people; return the track of each person with this frame added.
 
         New people are tentative, but for a stream so slow that nobody is known from one frame to the next. The

@@ -18,7 +18,7 @@ import numpy as np
 from mocap_ros.arrays import Array
 from mocap_ros.errors import ModelError
 from mocap_ros.geometry.rotations import centre_poses, fit_heading_rotation, fit_rotation
-from mocap_ros.models.base_poses import BasePoses, mirror_poses
+from mocap_ros.models.base_poses import PoseModel, mirror_poses
 from mocap_ros.models.model_file import STATURE_RANGE_M
 from mocap_ros.skeleton import CMU15, Skeleton, estimate_stature
 
@@ -104,7 +104,7 @@ def fit_base_poses(
     bodies: int = 0,
     provenance: Mapping[str, object] | None = None,
     labels: Sequence[str] = (),
-) -> BasePoses:
+) -> PoseModel:
     """Train base poses on motion capture (TPAMI 2016, section 4.1, with poses aligned first).
 
     Args:
@@ -146,7 +146,7 @@ def fit_base_poses(
     rotation = rotation_to_face_forward(mean, skeleton)
     mean, aligned = mean @ rotation.T, aligned @ rotation.T
     basis, variance, total_variance = _principal_components(aligned, pose_shares, mean, components)
-    return BasePoses(
+    return PoseModel(
         name=name,
         skeleton=skeleton,
         mean=mean,

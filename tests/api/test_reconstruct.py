@@ -15,7 +15,7 @@ from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import BODY26
-from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.tracking.tracker import PeopleTracker
 from mocap_ros.training.fit_base_poses import fit_base_poses
 
 MATRIX = np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]])
@@ -177,7 +177,7 @@ def keypoints(sequence: mocap_ros.KeypointSequence) -> np.ndarray:
 
 
 def test_the_people_are_those_of_the_node_s_tracker(sequence: mocap_ros.KeypointSequence) -> None:
-    inside = Tracker(load_base_pose_models('auto'), mocap_ros.Config())
+    inside = PeopleTracker(load_base_pose_models('auto'), mocap_ros.Config())
     tracker = make_tracker()
     for frame, (time_s, stamp_ns) in enumerate(zip(sequence.timestamps, sequence.stamps_ns, strict=True)):
         expected = inside.update(stamp_ns, [sequence.person(frame)], sequence.intrinsics(0.75))

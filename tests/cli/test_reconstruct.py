@@ -39,7 +39,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.people import PoseSequence
-from mocap_ros.recordings import detection, save_results
+from mocap_ros.recordings import detect_people, save_results
 from mocap_ros.recordings.playback import encode_sequence
 from mocap_ros.recordings.save_results import save_detections
 from mocap_ros.skeleton import CMU15
@@ -303,7 +303,7 @@ def test_an_interrupt_keeps_the_detected(folder: Path, tmp_path: Path, monkeypat
             time.sleep(2.0)  # in which the command has ended, however busy the machine is
             yield from super().__iter__()
 
-    monkeypatch.setattr(detection, 'VideoReader', InterruptedCamera)
+    monkeypatch.setattr(detect_people, 'VideoReader', InterruptedCamera)
     monkeypatch.setattr('mocap_ros.cli.detect.find_camera', Path)
     out = tmp_path / 'me.npz'
     command = ['detect', str(folder / 'walk.mp4'), '--model', str(folder / 'movenet.onnx'), '-o', str(out)]

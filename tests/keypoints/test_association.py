@@ -23,9 +23,9 @@ from mocap_ros.keypoints.association import SeenPeople, choose_pairs, measure_di
 from mocap_ros.keypoints.identities import DOUBLES, EXCHANGED_IDS, IN_TURN, FollowedPerson
 from mocap_ros.keypoints.left_right import BodySides, SwapFilter, ViterbiPaths, exchange_sides, find_swapped_parts
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.skeleton import CMU15
-from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.tracking.tracker import PeopleTracker
 from mocap_ros.units import NS_PER_S
 from tests.support.synthetic_walk import make_walk
 
@@ -164,7 +164,7 @@ def count_people(f: int) -> Seen:
     ],
 )  # fmt: skip
 def test_people_are_the_same_whole_and_live(
-    walk_model: BasePoses, see: Callable[[int], Seen], frames_by_person: list[int], fault: str
+    walk_model: PoseModel, see: Callable[[int], Seen], frames_by_person: list[int], fault: str
 ) -> None:
     """Each person is where the person was; names come from the first id, and never change."""
     stamps = [f * NS_PER_S // RATE_HZ for f in range(FRAMES)]
@@ -180,7 +180,7 @@ def test_people_are_the_same_whole_and_live(
         x = np.array([p.points[0, 0] for p in track.detection_by_frame.values()])
         steps = np.diff(x) / np.diff([*track.detection_by_frame])
         assert np.ptp(steps) < 1, 'the same direction throughout'
-    tracker, camera = Tracker(walk_model, Config()), Intrinsics.from_image_size(*SIZE, 0.75)
+    tracker, camera = PeopleTracker(walk_model, Config()), Intrinsics.from_image_size(*SIZE, 0.75)
     for frame, (stamp_ns, seen) in enumerate(zip(stamps, people, strict=True)):
         tracked = tracker.update(stamp_ns, seen, camera)
         live = [p.id for p in tracked.people if not p.predicted]
@@ -211,14 +211,14 @@ def see_hug(_: int, ids: Sequence[str], rng: np.random.Generator) -> list[Person
 @pytest.mark.parametrize('ids', [('', ''), ('7', '8')])
 @pytest.mark.parametrize(('see', 'count', 'faults'), [(see_twice, 1, [DOUBLES]), (see_hug, 2, [])])
 def test_a_person_who_is_detected_twice_is_one_and_people_who_hug_are_two(
-    walk_model: BasePoses, rng: np.random.Generator, see: Any, count: int, faults: list[str], ids: tuple[str, str]
+    walk_model: PoseModel, rng: np.random.Generator, see: Any, count: int, faults: list[str], ids: tuple[str, str]
 ) -> None:
     stamps = [f * NS_PER_S // RATE_HZ for f in range(FRAMES)]
     people = [see(f, ids, rng) for f in range(FRAMES)]
     tracks, lines = associate_people(Detections(people, stamps, SIZE))
     assert [len(t.detection_by_frame) for t in tracks] == [FRAMES] * count
     assert [*lines] == faults
-    tracker, camera = Tracker(walk_model, Config()), Intrinsics.from_image_size(*SIZE, 0.75)
+    tracker, camera = PeopleTracker(walk_model, Config()), Intrinsics.from_image_size(*SIZE, 0.75)
     live = [tracker.update(stamp_ns, seen, camera) for stamp_ns, seen in zip(stamps, people, strict=True)]
     assert len(live[4].people) == 2
     assert [len(frame.people) for frame in live[25:]] == [count] * (FRAMES - 25)
@@ -242,7 +242,7 @@ STATE_PARTS = np.array([[s & 1, (s >> 1 ^ s) & 1, (s >> 2 ^ s) & 1] for s in ran
 
 
 @pytest.fixture
-def walk(walk_model: BasePoses, rng: np.random.Generator) -> np.ndarray:
+def walk(walk_model: PoseModel, rng: np.random.Generator) -> np.ndarray:
     _, _, points, _ = make_walk(walk_model, frames=SWAP_FRAMES)
     return points + rng.normal(0, 1.0, points.shape)
 

@@ -28,7 +28,7 @@ from mocap_ros.engine.motion import describe_cores
 from mocap_ros.errors import ModelError
 from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
 from mocap_ros.models import lifter, model_file
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.joint_std import compute_joint_covariance
 from mocap_ros.models.lifter import OUTPUT_COUNT, LiftedPoses, Lifter
 from mocap_ros.models.lifter_input import FEATURE_COUNT, JOINT_COUNT, sample_histories
@@ -119,7 +119,7 @@ def test_any_input_gives_finite_poses_or_nan(points: Array, weight: Array) -> No
     assert (np.isfinite(lifted.std).all(axis=(1, 2)) == finite).all()
 
 
-def test_numpy_and_pytorch_agree(walk_model: BasePoses, rng: np.random.Generator) -> None:
+def test_numpy_and_pytorch_agree(walk_model: PoseModel, rng: np.random.Generator) -> None:
     torch = pytest.importorskip('torch', reason='training is optional: pip install mocap_ros[train]')
     from mocap_ros.training.lifter import LifterNetwork
 
@@ -208,7 +208,7 @@ SHAPES = (FEATURE_COUNT, 2), (2, OUTPUT_COUNT)
 SMALL_LIFTER = Lifter(tuple((np.zeros(s, 'f4'), np.zeros(s[1], 'f4')) for s in SHAPES), {})
 
 
-def test_models_are_saved_and_read(tmp_path: Path, walk_model: BasePoses) -> None:
+def test_models_are_saved_and_read(tmp_path: Path, walk_model: PoseModel) -> None:
     lifter = model_file.load_shipped_lifter()
     for name in 'ab':
         model_file.save_base_poses(walk_model, tmp_path / f'{name}.npz')
@@ -259,7 +259,7 @@ def encode(save: Callable[..., None], model: Any) -> bytes:
     return buffer.getvalue()
 
 
-BAD_MODELS: dict[str, tuple[dict[str, Any], Callable[[BasePoses], dict[str, Any]], str]] = {
+BAD_MODELS: dict[str, tuple[dict[str, Any], Callable[[PoseModel], dict[str, Any]], str]] = {
     'format': ({'format': 'x'}, lambda _: {}, "format 'x'"),
     'provenance': ({'provenance': [1]}, lambda _: {}, 'provenance: '),
     'stature': ({'stature': 170}, lambda _: {}, 'stature: '),
@@ -278,7 +278,7 @@ BAD_MODELS: dict[str, tuple[dict[str, Any], Callable[[BasePoses], dict[str, Any]
 
 
 @pytest.mark.parametrize('case', BAD_MODELS)
-def test_every_value_of_a_model_is_checked(walk_model: BasePoses, case: str) -> None:
+def test_every_value_of_a_model_is_checked(walk_model: PoseModel, case: str) -> None:
     meta, arrays, message = BAD_MODELS[case]
     with np.errstate(divide='ignore'):
         data = change_file(encode(model_file.save_base_poses, walk_model), meta, arrays(walk_model))

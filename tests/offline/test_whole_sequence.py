@@ -23,7 +23,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.model_file import load_base_pose_models, load_base_poses, load_shipped_lifter
 from mocap_ros.offline import whole_sequence
 from mocap_ros.offline.keyframes import half_poses
@@ -63,7 +63,7 @@ def test_the_most_probable_of_several_models_is_used() -> None:
 
 
 @pytest.mark.parametrize('method', ['whole', 'keyframes'])
-def test_the_result_knows_its_cameras(walk_model: BasePoses, method: str) -> None:
+def test_the_result_knows_its_cameras(walk_model: PoseModel, method: str) -> None:
     poses, times = make_swinging_body(45)
     truth = poses + [1.5, 0.2, 4.0]
     given = make_sequence(with_scores(CAMERA.project(truth)), times, CAMERA)
@@ -80,7 +80,7 @@ def test_the_result_knows_its_cameras(walk_model: BasePoses, method: str) -> Non
     assert np.trace(turn, axis1=1, axis2=2).min() > 1 + 2 * np.cos(np.radians(10))
 
 
-def test_where_no_person_is_no_joint_was_seen(walk_model: BasePoses) -> None:
+def test_where_no_person_is_no_joint_was_seen(walk_model: PoseModel) -> None:
     _, _, points, times = make_walk(walk_model)
     anchors = [CMU15.index(side + joint) for joint in ('ankle', 'wrist') for side in 'lr']
     toes_heels_hands = points[:, [*anchors[:2], *anchors]] + 3.0  # px

@@ -38,8 +38,8 @@ from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
 from mocap_ros.offline.whole_sequence import find_frames_in_sight
-from mocap_ros.recordings import detection
-from mocap_ros.recordings.detection import detect_in_video, name_people
+from mocap_ros.recordings import detect_people
+from mocap_ros.recordings.detect_people import detect_in_video, name_people
 from mocap_ros.recordings.input_kind import InputKind, find_input_kind
 from mocap_ros.recordings.load_keypoints import InputOptions, load_input
 from mocap_ros.runtime.frame_assembly import FrameAssembler
@@ -454,7 +454,7 @@ def test_what_a_camera_showed_is_kept_when_it_breaks_off(
     seen = [draw([person]) for person in walk(6)]
     resized = [] if error else [seen[0][::2, ::2]]
     camera = BreakingCamera([*seen, *resized], error)
-    monkeypatch.setattr(detection, 'VideoReader', lambda *_, **__: nullcontext(camera))
+    monkeypatch.setattr(detect_people, 'VideoReader', lambda *_, **__: nullcontext(camera))
     found = detect_in_video(path, model, is_camera=True)
     assert [[person.id for person in people] for people in found.people] == [['person_1']] * 6
     assert found.stamps_ns == [STEP_NS * i for i in range(6)]

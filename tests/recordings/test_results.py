@@ -27,7 +27,7 @@ from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.messages.skeletons import CAMERAS, SKELETONS, encode_skeletons
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Motion, MotionKind, Person3D
 from mocap_ros.recordings import save_results
@@ -295,7 +295,7 @@ def test_a_trc_has_empty_fields_and_a_bvh_the_nearest_pose_where_there_is_no_ske
 
 
 DRAWN_FRAMES = 20
-MODELS: dict[str, BasePoses] = load_base_pose_models('walk')
+MODELS: dict[str, PoseModel] = load_base_pose_models('walk')
 OPTIONS = ReconstructionOptions(with_values(Config(), {'solver.max_iterations': 2}), MODELS, max_people=None)
 
 

@@ -38,7 +38,7 @@ from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.replay import replay
-from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.tracking.tracker import PeopleTracker
 from mocap_ros.units import NS_PER_S
 from tests.support.camera_messages import camera_info, make_transforms
 from tests.support.pipeline_inputs import (
@@ -78,7 +78,7 @@ class CollectingRun:
 
     started: ClassVar[list[LiveRun]] = []  # in this test
 
-    def __init__(self, config: Config, tracker: Any = Tracker, names: dict[str, str] = NAMES) -> None:
+    def __init__(self, config: Config, tracker: Any = PeopleTracker, names: dict[str, str] = NAMES) -> None:
         self.log = LineLog()
         self.published: list[OutputMessage] = []
         types = {Source.KEYPOINTS: KEYPOINTS, Source.CAMERA_INFO: CAMERA_INFO}
@@ -119,10 +119,10 @@ def wait_until(condition: Callable[[], object]) -> None:
         time.sleep(0.002)
 
 
-def block_tracker(has_started: threading.Event, may_continue: threading.Event) -> type[Tracker]:
+def block_tracker(has_started: threading.Event, may_continue: threading.Event) -> type[PeopleTracker]:
     """Return a tracker that does not finish its first frame before it may."""
 
-    class BlockedTracker(Tracker):
+    class BlockedTracker(PeopleTracker):
         def update(self, *frame: Any) -> Any:
             has_started.set()
             assert may_continue.wait(TIMEOUT_S)
@@ -331,9 +331,9 @@ def test_people_keep_their_names_and_go_on_when_a_recording_starts(tmp_path: Pat
 def test_a_change_of_parameters_makes_one_tracker_while_no_frame_is_processed() -> None:
     has_lock: list[bool] = []
 
-    def make_tracker(*given: Any) -> Tracker:
+    def make_tracker(*given: Any) -> PeopleTracker:
         has_lock.append(bool(CollectingRun.started) and live.run._pipeline_lock.locked())
-        return Tracker(*given)
+        return PeopleTracker(*given)
 
     live = CollectingRun(FAST_CONFIG, make_tracker)
     for components in (5, 6):
@@ -389,7 +389,7 @@ def test_why_nothing_is_recorded_is_shown_until_that_is_mended_or_not_wanted(tmp
     live.run.stop()
 
 
-class FaultyTracker(Tracker):
+class FaultyTracker(PeopleTracker):
     """A tracker that sees no people, and fails at every third frame, and at each from the ninth to its reset."""
 
     frames = 0

@@ -16,7 +16,7 @@ from mocap_ros.arrays import Array
 from mocap_ros.config import SolverConfig
 from mocap_ros.engine.joint import JointProblem
 from mocap_ros.engine.terms import MAX_NOISE_RATIO, Acceleration, Level, Term
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.joint.activity import ACTIVITY_SPAN_S, measure_activity
@@ -47,7 +47,7 @@ class Case(NamedTuple):
     """An objective, and a state with optimal translations."""
 
     batch: Batch
-    model: BasePoses
+    model: PoseModel
     terms: tuple[Term, ...]
     state: State
 
@@ -59,7 +59,7 @@ class Case(NamedTuple):
 
 
 def make_case(
-    walk_model: BasePoses,
+    walk_model: PoseModel,
     rng: np.random.Generator,
     config: SolverConfig = CONFIG,
     focal: float = 300.0,
@@ -89,7 +89,7 @@ def make_case(
     return Case(batch, model, terms, read_state(problem))
 
 
-def test_every_term_has_a_twin_and_a_case(walk_model: BasePoses, rng: np.random.Generator) -> None:
+def test_every_term_has_a_twin_and_a_case(walk_model: PoseModel, rng: np.random.Generator) -> None:
     assert {*map(type, make_case(walk_model, rng).terms)} == {*TWINS} - {Level}, 'Level is of the periodic solver'
 
 
@@ -97,7 +97,7 @@ def test_every_term_has_a_twin_and_a_case(walk_model: BasePoses, rng: np.random.
 @pytest.mark.parametrize('focal', [math.inf, 300.0])
 @pytest.mark.parametrize('kind', TWINS)
 def test_cost_and_gradient_of_each_term_are_those_of_its_twin(
-    walk_model: BasePoses, rng: np.random.Generator, kind: type[Term], robust: float, focal: float
+    walk_model: PoseModel, rng: np.random.Generator, kind: type[Term], robust: float, focal: float
 ) -> None:
     case = make_case(walk_model, rng, replace(CONFIG, robust_scale=robust), focal)
     for term in (*case.terms, Level(0.3)):
@@ -116,7 +116,7 @@ def test_cost_and_gradient_of_each_term_are_those_of_its_twin(
         assert np.abs(problem.gradient - numeric).max() < 1e-6 * np.abs(numeric).max()
 
 
-def test_the_objective_is_the_sum_of_its_terms(walk_model: BasePoses, rng: np.random.Generator) -> None:
+def test_the_objective_is_the_sum_of_its_terms(walk_model: PoseModel, rng: np.random.Generator) -> None:
     case = make_case(walk_model, rng)
     alone = [case.linearise((term,)) for term in case.terms]
     together = case.linearise()
@@ -144,7 +144,7 @@ def make_dense(problem: JointProblem, batch: Batch) -> np.ndarray:
 @pytest.mark.parametrize('focal', [math.inf, 300.0])
 @pytest.mark.parametrize('bone_weight', [60.0, 0.0])
 def test_normal_matrix_is_that_of_residuals(
-    walk_model: BasePoses, rng: np.random.Generator, focal: float, bone_weight: float
+    walk_model: PoseModel, rng: np.random.Generator, focal: float, bone_weight: float
 ) -> None:
     """J^T J with J by finite differences of every residual, translations eliminated.
 
@@ -170,7 +170,7 @@ def test_normal_matrix_is_that_of_residuals(
         assert np.abs(excess).max() < 1e-6 * np.abs(expected).max()
 
 
-def test_a_step_solves_the_damped_equations(walk_model: BasePoses, rng: np.random.Generator) -> None:
+def test_a_step_solves_the_damped_equations(walk_model: PoseModel, rng: np.random.Generator) -> None:
     """Frames that are held do not move."""
     case = make_case(walk_model, rng)
     case.batch.frames['is_free'][[0, 1, FRAMES[0]]] = 0
@@ -188,7 +188,7 @@ def test_a_step_solves_the_damped_equations(walk_model: BasePoses, rng: np.rando
 
 
 def test_the_limit_of_accelerations_gives_way_to_fast_motion_and_holds_under_noise(
-    walk_model: BasePoses, rng: np.random.Generator
+    walk_model: PoseModel, rng: np.random.Generator
 ) -> None:
     case, weight = make_case(walk_model, rng), np.full(COMPONENTS + 13, 2.0)
     for noise_ratio, limit in ((1.0, 3.0), (0.5, 3.0), (1.5, 4.5), (20.0, 3 * MAX_NOISE_RATIO)):
@@ -200,7 +200,7 @@ def test_the_limit_of_accelerations_gives_way_to_fast_motion_and_holds_under_noi
 
 
 def make_batch(
-    walk_model: BasePoses, times: list[Array], image: Array | None = None, lifted: bool = False
+    walk_model: PoseModel, times: list[Array], image: Array | None = None, lifted: bool = False
 ) -> Batch:
     windows, first = [], 0
     for t in times:
@@ -216,7 +216,7 @@ def make_batch(
 
 @pytest.mark.parametrize(('rate_hz', 'is_known'), [(30.0, True), (60.0, True), (15.0, False)])
 def test_the_least_noise_is_that_of_white_and_of_wandering_errors(
-    walk_model: BasePoses, rng: np.random.Generator, rate_hz: float, is_known: bool
+    walk_model: PoseModel, rng: np.random.Generator, rate_hz: float, is_known: bool
 ) -> None:
     """Points at rest, some of which jump, with white noise of 5 mm and errors of 13 mm that decay in 0.3 s."""
     times, white, kept = np.arange(300) / rate_hz, rng.standard_normal((300, 15, 2)), math.exp(-1 / rate_hz / 0.3)
@@ -231,7 +231,7 @@ def test_the_least_noise_is_that_of_white_and_of_wandering_errors(
     assert measure(np.tile(0.1 * np.sin(4 * times)[:, None, None], (1, 15, 2))) == pytest.approx([0.0])
 
 
-def test_activity_is_the_mean_square_acceleration_nearby(walk_model: BasePoses, rng: np.random.Generator) -> None:
+def test_activity_is_the_mean_square_acceleration_nearby(walk_model: PoseModel, rng: np.random.Generator) -> None:
     """Two sequences, one at rest and one with 2 m/s^2 in one of two values from its second second on."""
     times = [np.sort(rng.uniform(0, 4, 40)), np.arange(41) / 10]
     moved = np.where(times[1] < 2, 0.0, (times[1] - 2) ** 2)
@@ -250,7 +250,7 @@ def test_activity_is_the_mean_square_acceleration_nearby(walk_model: BasePoses, 
 
 
 def test_acceleration_is_the_second_derivative_at_any_times(
-    walk_model: BasePoses, rng: np.random.Generator
+    walk_model: PoseModel, rng: np.random.Generator
 ) -> None:
     """Log s is a parabola of time, with an acceleration of 1/s^2."""
     weight = np.append(np.zeros(COMPONENTS + 12), 3.0)
@@ -270,7 +270,7 @@ WEIGHTS = [
 
 
 @pytest.mark.parametrize('name', WEIGHTS)
-def test_the_cost_is_linear_in_its_weights(walk_model: BasePoses, rng: np.random.Generator, name: str) -> None:
+def test_the_cost_is_linear_in_its_weights(walk_model: PoseModel, rng: np.random.Generator, name: str) -> None:
     case = make_case(walk_model, rng)
     model = replace(case.model, provenance={'alignment': 'heading'})
 
@@ -300,7 +300,7 @@ PLAIN = SolverConfig(
 )
 
 
-def make_window(model: BasePoses, frames: int = 30, seed: int = 0, noise: float = 2.0) -> Window:
+def make_window(model: PoseModel, frames: int = 30, seed: int = 0, noise: float = 2.0) -> Window:
     """A noisy window with missing points and irregular times."""
     exact, rng = make_walk(model, frames=frames, seed=seed).window, np.random.default_rng(seed)
     weight = rng.uniform(0.3, 1, (frames, 15)) * (rng.random((frames, 15)) > 0.1)
@@ -308,7 +308,7 @@ def make_window(model: BasePoses, frames: int = 30, seed: int = 0, noise: float 
     return Window(exact.points + noise * rng.normal(size=exact.points.shape), weight, times)
 
 
-def test_reaches_the_alternations_minimum_or_a_lower_one(walk_model: BasePoses) -> None:
+def test_reaches_the_alternations_minimum_or_a_lower_one(walk_model: PoseModel) -> None:
     config = replace(PLAIN, tolerance=1e-9, max_iterations=3000)
     w = make_window(walk_model)
     w = replace(w, times=1.01 * w.times)  # above 30 Hz the joint solver weighs differences more
@@ -320,7 +320,7 @@ def test_reaches_the_alternations_minimum_or_a_lower_one(walk_model: BasePoses) 
 
 
 @pytest.mark.parametrize('scale', [1e-3, 200.0])
-def test_lifted_poses_give_the_start(walk_model: BasePoses, rng: np.random.Generator, scale: float) -> None:
+def test_lifted_poses_give_the_start(walk_model: PoseModel, rng: np.random.Generator, scale: float) -> None:
     theta = 0.1 * walk_model.std * rng.normal(size=(30, len(walk_model.std)))
     rotation = Rotation.random(30, random_state=0).as_matrix()
     poses = scale * walk_model.poses(theta) @ np.swapaxes(rotation, -1, -2)
@@ -333,7 +333,7 @@ def test_lifted_poses_give_the_start(walk_model: BasePoses, rng: np.random.Gener
 
 
 @pytest.mark.parametrize('shape', [np.diag([1.0, 0, 0]), -np.eye(3), np.diag([1.0, 0.5, -0.5])])
-def test_lifted_poses_without_a_best_rotation_still_give_one(walk_model: BasePoses, shape: Array) -> None:
+def test_lifted_poses_without_a_best_rotation_still_give_one(walk_model: PoseModel, shape: Array) -> None:
     mean = walk_model.mean  # shape is the sum of y Q^T: of joints on a line, and of mirrored poses
     poses = mean @ np.linalg.solve(mean.T @ mean, Rotation.random(5, random_state=0).as_matrix() @ shape)
     lifted = LiftedPoses(poses, np.full(poses.shape, 1e3))  # so uncertain that the pose stays the mean
@@ -344,7 +344,7 @@ def test_lifted_poses_without_a_best_rotation_still_give_one(walk_model: BasePos
     assert np.linalg.det(rotation) == pytest.approx(np.ones(5))
 
 
-def test_a_batch_gives_what_each_sequence_gives_alone(walk_model: BasePoses) -> None:
+def test_a_batch_gives_what_each_sequence_gives_alone(walk_model: PoseModel) -> None:
     config = SolverConfig(smooth_weight=1e-5, robust_scale=0.05, components=10, tolerance=1e-10)
     windows = [make_window(walk_model, frames, seed) for frames, seed in ((20, 1), (9, 2), (14, 3))]
     together = joint.solve(windows, walk_model, config)
@@ -354,7 +354,7 @@ def test_a_batch_gives_what_each_sequence_gives_alone(walk_model: BasePoses) -> 
         assert one.iterations == alone.iterations
 
 
-def test_the_necker_reversal_mends_a_camera_that_is_reversed(walk_model: BasePoses) -> None:
+def test_the_necker_reversal_mends_a_camera_that_is_reversed(walk_model: PoseModel) -> None:
     clean = make_window(walk_model, noise=0.5)
     start = initialise_from_mean_pose(clean, walk_model.truncate(10), 1.0)
     (right,) = joint.solve([clean], walk_model, SolverConfig(components=10))
@@ -370,7 +370,7 @@ def test_the_necker_reversal_mends_a_camera_that_is_reversed(walk_model: BasePos
     assert apart(best) < 0.01
 
 
-def test_noise_is_found(walk_model: BasePoses) -> None:
+def test_noise_is_found(walk_model: PoseModel) -> None:
     exact, rng = make_walk(walk_model, frames=60).window, np.random.default_rng(5)
     for px in (1.0, 4.0):
         noisy = replace(exact, points=exact.points + px * rng.normal(size=exact.points.shape))
@@ -380,7 +380,7 @@ def test_noise_is_found(walk_model: BasePoses) -> None:
 
 @pytest.mark.parametrize('hidden', [slice(0), slice(140, 320)])
 def test_a_sequence_in_sections_is_as_in_one(
-    walk_model: BasePoses, rng: np.random.Generator, hidden: slice
+    walk_model: PoseModel, rng: np.random.Generator, hidden: slice
 ) -> None:
     """Three sections, also where nobody is seen in all of the middle one."""
     walk, reported = make_walk(walk_model, frames=450), list[float]()

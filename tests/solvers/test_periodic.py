@@ -20,7 +20,7 @@ from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.offline import whole_sequence
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.solvers import periodic
@@ -39,7 +39,7 @@ from mocap_ros.solvers.levenberg_marquardt import run_to_end
 from mocap_ros.solvers.periodic import EstimatedPoses, build_body, build_cameras, build_problem
 from mocap_ros.solvers.periodic_equations import PeriodicProblem, Point, fit_series
 from mocap_ros.solvers.window import InitialValues, Window
-from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.tracking.tracker import PeopleTracker
 from mocap_ros.training.fit_base_poses import fit_base_poses
 from tests.support.plain_objective import compute_residuals
 from tests.support.synthetic_walk import (
@@ -70,7 +70,7 @@ class Case(NamedTuple):
     """The objective of a window, and some values of the unknowns."""
 
     batch: Batch
-    model: BasePoses
+    model: PoseModel
     config: SolverConfig
     values: Point
     times: np.ndarray  # s from the origin of the series
@@ -81,7 +81,7 @@ class Case(NamedTuple):
         return build_problem(body, cameras, values or self.values, self.model, self.config, settle_steps)
 
 
-def make_case(walk_model: BasePoses, rng: np.random.Generator, term: str) -> Case:
+def make_case(walk_model: PoseModel, rng: np.random.Generator, term: str) -> Case:
     """All points seen and cameras near the true ones, or almost nothing seen and tilted cameras that move.
 
     Without robust loss, so that the step to the best translations reaches them. A term other than `image` is the
@@ -115,7 +115,7 @@ def make_case(walk_model: BasePoses, rng: np.random.Generator, term: str) -> Cas
 
 
 @pytest.fixture
-def case(walk_model: BasePoses, rng: np.random.Generator) -> Case:
+def case(walk_model: PoseModel, rng: np.random.Generator) -> Case:
     return make_case(walk_model, rng, 'all')
 
 
@@ -179,14 +179,14 @@ def test_series_are_those_of_the_least_squares_with_a_ridge(rng: np.random.Gener
 
 
 @pytest.mark.parametrize('term', ['image', 'prior', 'movement', 'level'])
-def test_gradient_is_half_that_of_the_cost(walk_model: BasePoses, rng: np.random.Generator, term: str) -> None:
+def test_gradient_is_half_that_of_the_cost(walk_model: PoseModel, rng: np.random.Generator, term: str) -> None:
     case = make_case(walk_model, rng, term)
     numeric = differentiate(case.values, lambda values: case.measure(values).cost)[:, 0] / 2
     assert np.abs(numeric).max() > 0
     assert np.abs(read_gradient(begin(case)) - numeric).max() < 1e-6 * np.abs(numeric).max()
 
 
-def test_matrix_of_the_cameras_is_that_of_the_squares(walk_model: BasePoses, rng: np.random.Generator) -> None:
+def test_matrix_of_the_cameras_is_that_of_the_squares(walk_model: PoseModel, rng: np.random.Generator) -> None:
     case = make_case(walk_model, rng, 'cameras')
     problem = begin(case)
 
@@ -246,7 +246,7 @@ def test_equations_that_are_not_positive_definite_have_no_step(case: Case) -> No
     assert problem.camera_log_determinant_ratio() == np.inf
 
 
-def test_equations_of_the_body_follow_by_the_chain_rule(walk_model: BasePoses, rng: np.random.Generator) -> None:
+def test_equations_of_the_body_follow_by_the_chain_rule(walk_model: PoseModel, rng: np.random.Generator) -> None:
     case, k, cameras = make_case(walk_model, rng, 'image'), COMPONENTS, slice(COMPONENTS, COMPONENTS + 4)
     equations = begin(case)
     body = equations.body
@@ -278,7 +278,7 @@ CADENCE = 0.9  # Hz
 
 
 @pytest.mark.parametrize(('missing', 'measured_mm'), [(0.0, 24.6), (0.2, 27.1)])
-def test_finds_cadence_and_motion(walk_model: BasePoses, missing: float, measured_mm: float) -> None:
+def test_finds_cadence_and_motion(walk_model: PoseModel, missing: float, measured_mm: float) -> None:
     """Of a walk with irregular times, whose four weights have two harmonics each."""
     rng, theta = np.random.default_rng(0), np.zeros((70, len(walk_model.std)))
     times = np.cumsum(rng.uniform(0.02, 0.05, 70))
@@ -344,13 +344,13 @@ QUICK = SolverConfig(components=20, max_iterations=30)
 
 
 def fit_periodic(
-    window: Window, model: BasePoses, initial: EstimatedPoses | None = None, category: str = 'walk'
+    window: Window, model: PoseModel, initial: EstimatedPoses | None = None, category: str = 'walk'
 ) -> PeriodicFit:
     return run_to_end(fit_periodic_stepwise(window, category, model, QUICK, initial))
 
 
 @pytest.fixture(scope='module')
-def fits(walk_model: BasePoses) -> dict[str, PeriodicFit]:
+def fits(walk_model: PoseModel) -> dict[str, PeriodicFit]:
     """A walk, as the periodic model of either category finds it."""
     window = make_walk(walk_model).window
     return {name: fit_periodic(window, walk_model, category=name) for name in ('walk', 'run')}
@@ -370,7 +370,7 @@ def test_hysteresis_moves_every_threshold(fits: dict[str, PeriodicFit], category
         assert is_periodic(fit, ClassifierConfig(**limits), was_periodic=was_periodic) is expected
 
 
-def test_a_walk_is_periodic_whatever_the_detector_adds_to_all_frames_alike(walk_model: BasePoses) -> None:
+def test_a_walk_is_periodic_whatever_the_detector_adds_to_all_frames_alike(walk_model: PoseModel) -> None:
     walk = make_walk(walk_model, 60)
     offset = 12 * np.random.default_rng(3).normal(size=(1, 15, 2))  # px, 5 cm at the body, constant in each joint
     estimated = EstimatedPoses(walk.poses(walk_model), walk.cameras.scale, 0.01)
@@ -382,7 +382,7 @@ def test_a_walk_is_periodic_whatever_the_detector_adds_to_all_frames_alike(walk_
     assert by_movement.excess_residual < 0.5 * by_residual.excess_residual
 
 
-def test_what_a_periodic_motion_does_not_explain_counts(walk_model: BasePoses) -> None:
+def test_what_a_periodic_motion_does_not_explain_counts(walk_model: PoseModel) -> None:
     walk, estimates = make_walk(walk_model, 60), []
     for added in (0.0, 1.0):  # m, of a movement that is no cycle of the walk
         moved = walk._replace(theta=walk.theta.copy())
@@ -394,7 +394,7 @@ def test_what_a_periodic_motion_does_not_explain_counts(walk_model: BasePoses) -
     assert estimates[1] > 2 * ClassifierConfig().walk_residual
 
 
-def test_what_jitters_does_not_rule_out_a_periodic_motion(walk_model: BasePoses, rng: np.random.Generator) -> None:
+def test_what_jitters_does_not_rule_out_a_periodic_motion(walk_model: PoseModel, rng: np.random.Generator) -> None:
     window = make_walk(walk_model).window
     exact = fit_periodic(window, walk_model).reconstruction
     jittering = exact.joints + rng.normal(0, 0.02, exact.joints.shape)
@@ -422,7 +422,7 @@ TIMES = np.arange(MOTION_FRAMES) / 30
 UNKNOWN = Intrinsics(20_000.0, (320.0, 240.0), is_focal_known=False)  # the scenes are orthographic
 
 
-def make_motion(name: str, times: Array = TIMES) -> tuple[Array, BasePoses, Array]:
+def make_motion(name: str, times: Array = TIMES) -> tuple[Array, PoseModel, Array]:
     """Return poses (F, 15, 3) m of a motion of the demo in the camera's axes, its base poses and keypoints."""
     model, motions = load_motions()
     poses, own = (model.poses(motions[name].sample(t)[:, :-2]) for t in (times, TIMES))
@@ -431,7 +431,7 @@ def make_motion(name: str, times: Array = TIMES) -> tuple[Array, BasePoses, Arra
     return truth, base_poses, 200 * truth[..., :2] + [320, 240]
 
 
-def reconstruct(points: Array, base_poses: BasePoses, prior: str = 'learned') -> Array:
+def reconstruct(points: Array, base_poses: PoseModel, prior: str = 'learned') -> Array:
     config = Config(solver=SolverConfig(prior=prior))
     return reconstruct_sequence(make_sequence(with_scores(points), TIMES, UNKNOWN), base_poses, config).core
 
@@ -461,7 +461,7 @@ def test_live_the_lead_is_taken_and_given_back() -> None:
     times = np.arange(2 * MOTION_FRAMES) / 30
     _, base_poses, run = make_motion('run', times)
     _, _, walk = make_motion('walk', times)
-    trackers = [Tracker(m, Config()) for m in (base_poses, replace(base_poses, name='all'))]
+    trackers = [PeopleTracker(m, Config()) for m in (base_poses, replace(base_poses, name='all'))]
     leads: list[list[bool]] = [[], []]
     for frame, points in enumerate([*run, *walk]):
         for tracker, lead in zip(trackers, leads, strict=True):

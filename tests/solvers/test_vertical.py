@@ -16,7 +16,7 @@ from mocap_ros.errors import ConfigError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import MAX_CERTAIN_STD, Floor, build_world
 from mocap_ros.geometry.rotations import fit_rotation
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.model_file import load_prior_lifter
 from mocap_ros.models.upward_direction import Stances
@@ -27,7 +27,7 @@ from mocap_ros.solvers import vertical as module
 from mocap_ros.solvers.floor import HEEL_M, SIZE_RANGE, TOE_M, FloorFit, Stander, fit_floor
 from mocap_ros.solvers.image_roll import CameraSide, find_camera_roll, find_sides
 from mocap_ros.solvers.vertical import Vertical, find_vertical, read_given_vertical, turn_towards_vertical
-from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.tracking.tracker import PeopleTracker
 from tests.support.bodies import UPRIGHT, angles_deg
 from tests.support.synthetic_walk import CAMERA, STEP_NS, feed, make_sequence, make_walk, with_scores
 
@@ -244,7 +244,7 @@ STANDING, TURNED, OTHER = (True, False), (False, True), (False, False)
 
 
 @pytest.fixture(scope='module')
-def points(walk_model: BasePoses) -> Array:
+def points(walk_model: PoseModel) -> Array:
     return make_walk(walk_model, FRAMES)[2]
 
 
@@ -311,7 +311,7 @@ def test_who_travels_across_the_body_shows_a_turned_camera(points: Array, roll_d
 
 
 @pytest.mark.parametrize(('roll_deg', 'is_given'), [(180, True), (90, True), (-35, True), (180, False)])
-def test_people_turn_with_a_camera(walk_model: BasePoses, points: Array, roll_deg: float, is_given: bool) -> None:
+def test_people_turn_with_a_camera(walk_model: PoseModel, points: Array, roll_deg: float, is_given: bool) -> None:
     """With the vertical given, and without for a camera that is upside down; whole and live."""
     roll = math.radians(roll_deg)
     rotation = Rotation.from_rotvec([0, 0, roll])
@@ -321,7 +321,7 @@ def test_people_turn_with_a_camera(walk_model: BasePoses, points: Array, roll_de
         config = with_values(Config(), {'tracker.vertical': ' '.join(map(str, up)) if is_given else 'auto'})
         keypoints, times = with_scores(turn(points, angle)), np.arange(FRAMES) / 30
         whole = reconstruct_sequence(make_sequence(keypoints, times, CAMERA), walk_model, config)
-        live = [person.core for person in feed(Tracker(walk_model, config), keypoints[..., :2])]
+        live = [person.core for person in feed(PeopleTracker(walk_model, config), keypoints[..., :2])]
         found.append([whole.core, np.array(live), whole.vertical])
     for upright, turned in zip(*found, strict=True):
         assert turned == pytest.approx(rotation.apply(upright.reshape(-1, 3)).reshape(upright.shape), abs=3e-3)

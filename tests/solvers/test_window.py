@@ -21,7 +21,7 @@ from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.keypoints.rays import Extremities
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.lifter_input import sample_histories
 from mocap_ros.models.model_file import load_shipped_lifter
@@ -193,7 +193,7 @@ CONFIG = SolverConfig(components=8, adapt_noise=False)
 
 
 @pytest.fixture
-def window(walk_model: BasePoses) -> Window:
+def window(walk_model: PoseModel) -> Window:
     """Noisy points of a walk, with fixed initial values and unit, so that all solutions have one objective."""
     window = make_walk(walk_model).window
     window = replace(window, points=window.points + 2 * np.random.default_rng(0).normal(size=window.points.shape))
@@ -201,7 +201,7 @@ def window(walk_model: BasePoses) -> Window:
     return replace(window, start=start, unit=unit)
 
 
-def solve_jointly(window: Window, model: BasePoses, config: SolverConfig) -> Reconstruction:
+def solve_jointly(window: Window, model: PoseModel, config: SolverConfig) -> Reconstruction:
     (result,) = joint.solve([window], model, config)
     return result
 
@@ -211,7 +211,7 @@ SOLVERS = [solve_jointly, reconstruct, periodic.solve]
 
 @pytest.mark.parametrize('solve', SOLVERS)
 def test_status_tells_convergence_from_the_limit_of_iterations(
-    walk_model: BasePoses, window: Window, solve: Callable[[Window, BasePoses, SolverConfig], Reconstruction]
+    walk_model: PoseModel, window: Window, solve: Callable[[Window, PoseModel, SolverConfig], Reconstruction]
 ) -> None:
     converged = solve(window, walk_model, replace(CONFIG, max_iterations=500))
     assert converged.status is SolverStatus.CONVERGED
@@ -225,13 +225,13 @@ def test_status_tells_convergence_from_the_limit_of_iterations(
 
 
 @pytest.mark.filterwarnings('ignore::RuntimeWarning')
-def test_numbers_that_overflow_are_no_success(walk_model: BasePoses, window: Window) -> None:
+def test_numbers_that_overflow_are_no_success(walk_model: PoseModel, window: Window) -> None:
     (result,) = joint.solve([replace(window, points=1e200 * window.points)], walk_model, CONFIG)
     assert result.status is SolverStatus.SINGULAR
     assert not result.success
 
 
-def test_recovers_a_synthetic_walk(walk_model: BasePoses) -> None:
+def test_recovers_a_synthetic_walk(walk_model: PoseModel) -> None:
     walk = make_walk(walk_model)
     config = SolverConfig(
         prior_weight=1e-7, bone_weight=0.05, flip_weight=1e-5, components=4,
@@ -253,7 +253,7 @@ def test_recovers_a_synthetic_walk(walk_model: BasePoses) -> None:
     missing=st.floats(0, 0.5),
 )
 def test_objective_never_rises(
-    walk_model: BasePoses, seed: int, bone: float, prior: float, flip: float, missing: float
+    walk_model: PoseModel, seed: int, bone: float, prior: float, flip: float, missing: float
 ) -> None:
     config = SolverConfig(bone_weight=bone, prior_weight=prior, flip_weight=flip, components=8, max_iterations=6)
     exact, rng = make_walk(walk_model, frames=12, seed=seed).window, np.random.default_rng(seed)
@@ -266,7 +266,7 @@ def test_objective_never_rises(
 
 
 @pytest.mark.parametrize(('kept', 'seen', 'message'), [(39, 1, 'do not fit'), (40, 0, 'nothing to reconstruct')])
-def test_unsolvable_windows_are_refused(walk_model: BasePoses, kept: int, seen: int, message: str) -> None:
+def test_unsolvable_windows_are_refused(walk_model: PoseModel, kept: int, seen: int, message: str) -> None:
     _, _, points, times = make_walk(walk_model)
     with pytest.raises(InputError, match=message):
         Window(points[:kept], np.full((40, 15), float(seen)), times)

@@ -17,7 +17,7 @@ import numpy as np
 from mocap_ros.arrays import Array
 from mocap_ros.engine import terms as engine
 from mocap_ros.geometry.rotations import rotation_from_vector
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.solvers.joint.batch import Batch, State
 
 MIN_DEPTH = 0.1  # of that of the body's origin
@@ -33,7 +33,7 @@ class Measured(NamedTuple):
     noise_ratio: Array  # (N,)
 
 
-def measure(batch: Batch, model: BasePoses, state: State) -> Measured:
+def measure(batch: Batch, model: PoseModel, state: State) -> Measured:
     """Return what the terms of an objective measure in a state."""
     poses = model.mean + np.tensordot(state.theta, model.components[: state.theta.shape[1]], axes=1)
     parents, children = np.transpose(model.skeleton.bones)
@@ -116,7 +116,7 @@ def measure_features(state: State) -> Array:
     return np.concatenate([state.theta, scaled, rows, state.log_scale[:, None]], axis=1)
 
 
-def compute_cost(batch: Batch, model: BasePoses, term: engine.Term, state: State) -> float:
+def compute_cost(batch: Batch, model: PoseModel, term: engine.Term, state: State) -> float:
     """Return the cost of a term in m^2, of all sequences."""
     weight, errors, c = TWINS[type(term)](term, measure(batch, model, state))
     return float((weight * compute_loss((errors**2).sum(axis=-1), c)).sum())
@@ -128,7 +128,7 @@ def compute_loss(squared: Array, c: Array | float) -> Array:
         return np.asarray(np.where(np.isinf(c), squared, np.square(c) * np.log1p(squared / np.square(c))))
 
 
-def compute_residuals(batch: Batch, model: BasePoses, terms: Sequence[engine.Term], state: State) -> Array:
+def compute_residuals(batch: Batch, model: PoseModel, terms: Sequence[engine.Term], state: State) -> Array:
     """Return the numbers whose squares are the cost of terms, for least squares."""
     found, parts = measure(batch, model, state), []
     for term in terms:

@@ -15,14 +15,14 @@ from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.keypoints.left_right import BodySides, SwapFilter
-from mocap_ros.keypoints.matching import Detection
+from mocap_ros.keypoints.matching import DetectedBody
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Window
 from mocap_ros.tracking.track import Track
-from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.tracking.tracker import PeopleTracker
 from mocap_ros.verdict.accuracy import scale_to_reference
 
 # Rotation from the body frame (x forward, z up) to the optical frame of a camera that looks along x.
@@ -41,12 +41,12 @@ class Walk(NamedTuple):
     def window(self) -> Window:
         return Window(self.points, np.ones(self.points.shape[:2]), self.times)
 
-    def poses(self, model: BasePoses) -> Array:
+    def poses(self, model: PoseModel) -> Array:
         """Return the joints (F, J, 3) m about the body's origin, along the axes of the camera."""
         return model.poses(self.theta) @ np.swapaxes(self.cameras.rotation, -1, -2)
 
 
-def make_walk(model: BasePoses, frames: int = 40, k: int = 4, seed: int = 0) -> Walk:
+def make_walk(model: PoseModel, frames: int = 40, k: int = 4, seed: int = 0) -> Walk:
     rng = np.random.default_rng(seed)
     times = np.arange(frames) / 30
     phase = rng.uniform(0, 6, k)
@@ -87,8 +87,8 @@ def see(points: Array, name: str = '', score: Any = 1.0) -> Person2D:
     return Person2D(name, CMU15.joints, points, np.full(len(points), score, float))
 
 
-def make_detection(points: Array, name: str = '', score: Any = 1.0) -> Detection:
-    (detection,) = Detection.from_people([see(points, name, score)], CAMERA, min_score=0.1, min_joints=6)
+def make_detection(points: Array, name: str = '', score: Any = 1.0) -> DetectedBody:
+    (detection,) = DetectedBody.from_people([see(points, name, score)], CAMERA, min_score=0.1, min_joints=6)
     assert detection is not None
     return detection
 
@@ -109,14 +109,14 @@ def change(track: Track, **values: Any) -> Track:
     return changed
 
 
-def feed(tracker: Tracker, points: Array, start_ns: int = 0, camera: Intrinsics = CAMERA) -> list[Person3D]:
+def feed(tracker: PeopleTracker, points: Array, start_ns: int = 0, camera: Intrinsics = CAMERA) -> list[Person3D]:
     """Track one person at points (F, J, 2) px; return the person of each frame."""
     return [tracker.update(start_ns + f * STEP_NS, [see(p)], camera).people[0] for f, p in enumerate(points)]
 
 
-def track_walk(models: Mapping[str, BasePoses], config: Config, points: Array) -> Tracker:
+def track_walk(models: Mapping[str, PoseModel], config: Config, points: Array) -> PeopleTracker:
     """Return a tracker that has seen one person at points (F, J, 2) px and whose deferred work is done."""
-    tracker = Tracker(models, config)
+    tracker = PeopleTracker(models, config)
     feed(tracker, points)
     tracker.run_deferred_work()
     return tracker

@@ -12,7 +12,7 @@ import pytest
 
 from mocap_ros.config import Config, with_settings
 from mocap_ros.geometry.rotations import rotation_from_vector
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.people import Motion, MotionKind
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, WINDOW_COST, DeferredWork, Work
@@ -20,7 +20,7 @@ from mocap_ros.tracking.hypotheses import HypothesisChecker, Slices, classify_as
 from mocap_ros.tracking.schedule import NEW_TRACK_S, CheckSchedule
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
-from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.tracking.tracker import PeopleTracker
 from tests.support.synthetic_walk import CAMERA, STEP_NS, Walk, change, make_walk, mpjpe_mm, see, track_walk
 
 S = 10**9  # ns
@@ -34,25 +34,25 @@ CONFIG = with_settings(
 
 
 @pytest.fixture(scope='module')
-def walk(walk_model: BasePoses) -> Walk:
+def walk(walk_model: PoseModel) -> Walk:
     return make_walk(walk_model, frames=FRAMES + 35)
 
 
 @pytest.fixture(scope='module')
-def tracker(walk_model: BasePoses, walk: Walk) -> Tracker:
+def tracker(walk_model: PoseModel, walk: Walk) -> PeopleTracker:
     """A tracker that has found the right model and the right solution of a walk."""
     return track_walk({'jump': load_base_poses('jump'), 'walk': walk_model}, CONFIG, walk.points[:FRAMES])
 
 
 @pytest.fixture(scope='module')
-def track(tracker: Tracker) -> Track:
+def track(tracker: PeopleTracker) -> Track:
     (track,) = tracker.tracks
     assert track.solved.model_name == 'walk'
     return track
 
 
 @pytest.fixture(scope='module')
-def checker(tracker: Tracker) -> HypothesisChecker:
+def checker(tracker: PeopleTracker) -> HypothesisChecker:
     return HypothesisChecker(tracker.models, CONFIG)
 
 
@@ -85,7 +85,7 @@ def test_a_margin_is_needed(track: Track, checker: HypothesisChecker, std_ratio:
     assert found is None or found.model_name == 'twin'
 
 
-def test_the_tracker_finds_back_to_the_right_solution(walk_model: BasePoses, walk: Walk) -> None:
+def test_the_tracker_finds_back_to_the_right_solution(walk_model: PoseModel, walk: Walk) -> None:
     """A wrong solution is given to a person; checks replace it within a second."""
     injected = track_walk({'jump': load_base_poses('jump'), 'walk': walk_model}, CONFIG, walk.points[:FRAMES])
     (track,) = injected.tracks

@@ -16,7 +16,7 @@ from mocap_ros.config import Config, with_settings, with_values
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.engine.motion import MOTION, describe_cores, filter_motion
 from mocap_ros.geometry.interpolation import central_velocity
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, HIPS
@@ -26,7 +26,7 @@ from mocap_ros.tracking.motion_filter import UNFILTERED
 from mocap_ros.tracking.output import Shown, locate_past
 from mocap_ros.tracking.prediction import MIN_CLEARANCE_M, predict_people
 from mocap_ros.tracking.track import Track
-from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.tracking.tracker import PeopleTracker
 from tests.support.synthetic_walk import CAMERA, STEP_NS, change, feed, make_walk, see
 
 FRAMES = 75  # 2.5 s of the demo, in which the person walks
@@ -36,7 +36,7 @@ FIRST = 30  # the first second, until the filter knows the jitter, is not judged
 def track_demo(frames: int = FRAMES, **values: object) -> dict[int, Person3D]:
     """Return the person of the demo by the frame that is output; in the last one nothing was detected."""
     config = with_values(Config(), {f'tracker.{name}': value for name, value in values.items()})
-    tracker, sequence = Tracker(load_base_pose_models('auto'), config), make_recording().sequence()
+    tracker, sequence = PeopleTracker(load_base_pose_models('auto'), config), make_recording().sequence()
     found = {}
     for frame in range(frames + 1):
         seen = [sequence.person(frame)] if frame < frames else []
@@ -140,12 +140,12 @@ SEEN_FRAMES = 20
 GAP = 12  # frames without a detection; 0.4 s
 
 
-def track_walk(model: BasePoses, start: list[float], velocity: list[float]) -> tuple[Tracker, Person3D]:
+def track_walk(model: PoseModel, start: list[float], velocity: list[float]) -> tuple[PeopleTracker, Person3D]:
     """Return a tracker of a walk, and its person; start in m in the camera's frame, velocity in m/s."""
     walk = make_walk(model, SEEN_FRAMES)
     poses = walk.poses(model) * Config().tracker.body_height / model.stature
     joints = poses + np.array(start) + walk.times[:, None, None] * np.array(velocity)
-    tracker = Tracker(model, with_settings(Config(), {'solver.components': 8, 'tracker.predict_for': 1.0}))
+    tracker = PeopleTracker(model, with_settings(Config(), {'solver.components': 8, 'tracker.predict_for': 1.0}))
     last = feed(tracker, CAMERA.project(joints))[-1]
     tracker.run_deferred_work()
     return tracker, last
@@ -156,7 +156,7 @@ def predict(track: Track, stamp_ns: int, ratio: float = 1.0) -> Person3D:
     return person
 
 
-def test_a_person_who_walks_on_is_found_farther_on_and_less_certain(walk_model: BasePoses) -> None:
+def test_a_person_who_walks_on_is_found_farther_on_and_less_certain(walk_model: PoseModel) -> None:
     tracker, last = track_walk(walk_model, [-0.6, 0.0, 4.0], [0.9, 0.0, 0.0])
     soon, late = (tracker.update((SEEN_FRAMES - 1 + gap) * STEP_NS, [], CAMERA).people[0] for gap in (3, GAP))
     assert 0.5 < (late.root - last.root)[0] / (0.9 * 0.4) < 1.3, 'slower, as it walks otherwise than it moves'
@@ -173,7 +173,7 @@ def test_a_person_who_walks_on_is_found_farther_on_and_less_certain(walk_model: 
         assert (np.linalg.eigvalsh(after.root_covariance - before.root_covariance) > 0).all()
 
 
-def test_who_is_smaller_is_nearer_and_as_much_more_certain(walk_model: BasePoses) -> None:
+def test_who_is_smaller_is_nearer_and_as_much_more_certain(walk_model: PoseModel) -> None:
     tracker, _ = track_walk(walk_model, [-0.6, 0.0, 4.0], [0.9, 0.0, 0.0])
     whole, small = (predict(tracker.tracks[0], (SEEN_FRAMES + GAP) * STEP_NS, ratio) for ratio in (1.0, 0.7))
     for name, power in {'joints': 1, 'joint_std': 1, 'joint_velocity': 1, 'root_covariance': 2}.items():
@@ -181,7 +181,7 @@ def test_who_is_smaller_is_nearer_and_as_much_more_certain(walk_model: BasePoses
     assert small.translation == pytest.approx(whole.translation)
 
 
-def test_a_person_who_reaches_the_camera_stays_there(walk_model: BasePoses) -> None:
+def test_a_person_who_reaches_the_camera_stays_there(walk_model: PoseModel) -> None:
     tracker, _ = track_walk(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, -2.5])
     (track,) = tracker.tracks
     solution = track.solved
@@ -202,7 +202,7 @@ def test_a_person_who_reaches_the_camera_stays_there(walk_model: BasePoses) -> N
     assert depths[-1] < depths[0] - 0.3
 
 
-def test_ahead_of_the_newest_image_and_through_a_gap_are_one_prediction(walk_model: BasePoses) -> None:
+def test_ahead_of_the_newest_image_and_through_a_gap_are_one_prediction(walk_model: PoseModel) -> None:
     tracker, _ = track_walk(walk_model, [-0.6, 0.0, 4.0], [0.9, 0.0, 0.0])
     half_way, end = tracker.predict((GAP / 2 / 30, GAP / 30))
     (at_gap,) = tracker.update((SEEN_FRAMES - 1 + GAP // 2) * STEP_NS, [], CAMERA).people
@@ -309,13 +309,13 @@ def test_joints_stay_finite_and_variances_positive(steps: list[float], size: flo
     assert (states[:, 2:] >= 0).all(), 'mean squares and variances'
 
 
-def test_the_tracker_filters_its_output_and_nothing_else(walk_model: BasePoses, rng: np.random.Generator) -> None:
+def test_the_tracker_filters_its_output_and_nothing_else(walk_model: PoseModel, rng: np.random.Generator) -> None:
     """The joints jitter less; the solution behind them, and what a longer lag shows, are the same."""
     points = make_walk(walk_model, frames=60).points + rng.normal(0, 2, (60, JOINTS, 2))  # px
     outputs, solutions = {}, {}
     for lag, steady in itertools.product((0.0, 0.2), (False, True)):
         values = {'tracker.lag': lag, 'tracker.steady_output': steady, 'solver.prior': 'pca'}
-        tracker = Tracker(walk_model, with_settings(Config(), {'solver.components': 8, **values}))
+        tracker = PeopleTracker(walk_model, with_settings(Config(), {'solver.components': 8, **values}))
         found = [tracker.update(i * STEP_NS, [see(image)], CAMERA).people for i, image in enumerate(points)]
         outputs[lag, steady] = np.array([frame[0].joints for frame in found if frame])
         solutions[lag, steady] = tracker.tracks[0].solved.theta

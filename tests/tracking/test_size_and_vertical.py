@@ -20,13 +20,13 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import Floor, is_level
 from mocap_ros.geometry.rigid_transform import parse_camera_pose
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.people import CameraVertical, Person3D, PoseSequence, find_roots
 from mocap_ros.solvers.vertical import MAX_STD_DEG
 from mocap_ros.tracking.body_size import ANKLE_SHARE, ANKLES, BodySize, FloorContact, assume_size
-from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.tracking.tracker import PeopleTracker
 from mocap_ros.verdict.input_faults import MIN_JUDGED_S, VerticalCheck
 from tests.support.bodies import STANDING, UPRIGHT, angles_deg, gather, make_person_3d
 from tests.support.synthetic_walk import STEP_NS, make_sequence, make_walk, see
@@ -118,7 +118,7 @@ def test_what_is_no_foot_on_the_floor_shows_nothing(person: Person3D) -> None:
 
 
 @pytest.mark.parametrize('height', [1.5, 1.9])
-def test_the_tracker_finds_people_of_their_own_size(walk_model: BasePoses, height: float) -> None:
+def test_the_tracker_finds_people_of_their_own_size(walk_model: PoseModel, height: float) -> None:
     walk = make_walk(walk_model, 60)
     poses = walk_model.poses(walk.theta) @ np.swapaxes(walk.cameras.rotation[:1], -1, -2)
     upward = walk.cameras.rotation[0] @ [0.0, 0.0, 1.0]
@@ -126,8 +126,8 @@ def test_the_tracker_finds_people_of_their_own_size(walk_model: BasePoses, heigh
     lowest = (joints[:, list(ANKLES)] @ upward).min()
     floor = Floor(upward, float(ANKLE_SHARE * height - lowest))
     parameters = {'tracker.camera_height': floor.camera_height, 'tracker.vertical': ' '.join(map(str, upward))}
-    without = Tracker(walk_model, with_settings(Config(), {'solver.components': 8}))
-    with_parameters = Tracker(walk_model, with_settings(Config(), {'solver.components': 8, **parameters}))
+    without = PeopleTracker(walk_model, with_settings(Config(), {'solver.components': 8}))
+    with_parameters = PeopleTracker(walk_model, with_settings(Config(), {'solver.components': 8, **parameters}))
     distances = {}
     cases = ('parameters', with_parameters, None), ('floor', without, floor), ('nothing', without, None)
     for name, tracker, known in cases:
@@ -159,7 +159,9 @@ def test_a_known_height_counts_from_when_the_detector_names_the_person() -> None
     sequence = make_recording().sequence()
     people: list[list[Person3D]] = [[], []]
     for text, found in (('bob=2.0', people[0]), ('ann=1.36', people[1])):
-        tracker = Tracker(load_base_pose_models('all'), with_settings(Config(), {'tracker.body_heights': text}))
+        tracker = PeopleTracker(
+            load_base_pose_models('all'), with_settings(Config(), {'tracker.body_heights': text})
+        )
         for frame, name in enumerate(('', '', 'ann', '', 'ann_again')):
             seen = [sequence.person(frame, name)]
             found.extend(tracker.update(frame * STEP_NS, seen, sequence.intrinsics(1.0)).people)
@@ -181,9 +183,9 @@ def test_a_known_height_counts_from_when_the_detector_names_the_person() -> None
 
 
 @pytest.mark.parametrize('text', ['1.82', '7=182', '7=nan', '=1.8', '7=tall', '7=1.82; anna=1.65', '7=1.8, 7=1.9'])
-def test_wrong_heights_are_refused_at_the_start(walk_model: BasePoses, text: str) -> None:
+def test_wrong_heights_are_refused_at_the_start(walk_model: PoseModel, text: str) -> None:
     with pytest.raises(ConfigError, match=r'tracker\.body_heights'):
-        Tracker(walk_model, with_settings(Config(), {'tracker.body_heights': text}))
+        PeopleTracker(walk_model, with_settings(Config(), {'tracker.body_heights': text}))
 
 
 SEQUENCE = make_recording().sequence()
@@ -192,12 +194,12 @@ MODELS = load_base_pose_models('all')
 FRAMES = 60
 
 
-def make_tracker(**values: object) -> Tracker:
-    return Tracker(MODELS, with_values(Config(), {f'tracker.{k}': v for k, v in values.items()}))
+def make_tracker(**values: object) -> PeopleTracker:
+    return PeopleTracker(MODELS, with_values(Config(), {f'tracker.{k}': v for k, v in values.items()}))
 
 
 def feed_demo(
-    tracker: Tracker,
+    tracker: PeopleTracker,
     first: int,
     last: int,
     camera: Intrinsics = DEMO_CAMERA,
@@ -215,7 +217,7 @@ def reconstruct(vertical: str, frames: int = FRAMES, sequence: KeypointSequence 
     return reconstruct_sequence(part, MODELS, config)
 
 
-def find(tracker: Tracker) -> CameraVertical:
+def find(tracker: PeopleTracker) -> CameraVertical:
     assert tracker.vertical is not None
     return tracker.vertical
 

@@ -20,8 +20,8 @@ from mocap_ros.engine.terms import Prior
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
-from mocap_ros.keypoints.matching import NEW_ID_GATE, NEW_ID_GATE_GROWTH_PER_S, Detection, match_detections
-from mocap_ros.models.base_poses import BasePoses, arrange_model
+from mocap_ros.keypoints.matching import NEW_ID_GATE, NEW_ID_GATE_GROWTH_PER_S, DetectedBody, match_detections
+from mocap_ros.models.base_poses import PoseModel, arrange_model
 from mocap_ros.models.joint_std import HIDDEN_SHARE, expect_stature
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.models.model_file import load_base_poses
@@ -51,7 +51,7 @@ TRACK_FRAMES = 12
 
 
 @pytest.fixture(scope='module')
-def points(walk_model: BasePoses) -> Array:
+def points(walk_model: PoseModel) -> Array:
     return make_walk(walk_model, TRACK_FRAMES)[2] + [200.0, -50.0]  # px; off the optical axis
 
 
@@ -165,7 +165,7 @@ def test_a_new_track_is_tentative_for_a_while(points: Array, fps: int, frames: i
 
 
 @pytest.fixture(scope='module')
-def image(walk_model: BasePoses) -> Array:
+def image(walk_model: PoseModel) -> Array:
     return make_walk(walk_model, 1).points[0]
 
 
@@ -173,7 +173,7 @@ def make_known(image: Array, name: str, given_id: str = '') -> Track:
     return change(make_track(image[None]), id=name, given_id=given_id, is_tentative=False)
 
 
-def match(tracks: Sequence[Track], *detections: Detection, stamp_ns: int = STEP_NS) -> list[Track | None]:
+def match(tracks: Sequence[Track], *detections: DetectedBody, stamp_ns: int = STEP_NS) -> list[Track | None]:
     """Return the track of each detection in the frame after the first; no person is replaced by another."""
     matches = match_detections(stamp_ns, tracks, detections)
     assert matches.replaced == []
@@ -261,7 +261,7 @@ def test_a_new_person_does_not_make_people_change_their_names(image: Array) -> N
 @pytest.mark.parametrize(('seen', 'is_usable'), [(5, False), (6, True)])
 def test_a_detection_needs_enough_joints(image: Array, seen: int, is_usable: bool) -> None:
     person = see(image, score=np.where(np.arange(15) < seen, 0.5, 0.05))
-    (detection,) = Detection.from_people([person], CAMERA, min_score=0.1, min_joints=6)
+    (detection,) = DetectedBody.from_people([person], CAMERA, min_score=0.1, min_joints=6)
     assert (detection is not None) is is_usable
     if detection is not None:
         assert (detection.weight > 0).sum() == seen
@@ -275,12 +275,12 @@ ALL = np.arange(FRAMES)
 
 
 @pytest.fixture(scope='module')
-def model(walk_model: BasePoses) -> BasePoses:
+def model(walk_model: PoseModel) -> PoseModel:
     return walk_model.truncate(COMPONENTS)
 
 
 @pytest.fixture(scope='module')
-def truth(model: BasePoses) -> TrackSolution:
+def truth(model: PoseModel) -> TrackSolution:
     """A person off the optical axis, who moves, turns and bends at constant rates."""
     number = np.arange(float(FRAMES))
     theta = 0.1 * number[:, None] * model.std
@@ -331,7 +331,7 @@ def assert_states(solution: TrackSolution, truth: TrackSolution, frames: slice =
 
 @pytest.mark.parametrize('frames', [[0, 8], [0, 3, 8], [4, 6, 8], list(range(9))])
 def test_a_first_solution_interpolates(
-    truth: TrackSolution, model: BasePoses, track: Track, frames: list[int]
+    truth: TrackSolution, model: PoseModel, track: Track, frames: list[int]
 ) -> None:
     observed, chosen = track.observed, np.array(frames)
     result = reconstruct(truth, observed, chosen)
@@ -363,7 +363,7 @@ def test_the_first_frame_of_a_window_is_known_at_every_age(truth: TrackSolution,
         assert np.isfinite(sample_joints(ago, [FRAMES - 1], [SimpleNamespace(times=times)], [truth])).all()
 
 
-def test_poses_of_another_model_approximate_the_same_joints(truth: TrackSolution, walk_model: BasePoses) -> None:
+def test_poses_of_another_model_approximate_the_same_joints(truth: TrackSolution, walk_model: PoseModel) -> None:
     """A model with all base poses represents the poses of one with some of them; its body frame may be turned."""
     turn = Rotation.from_rotvec([0, 0, 0.5]).as_matrix()
     target = replace(walk_model, mean=walk_model.mean @ turn, components=walk_model.components @ turn)
@@ -375,7 +375,7 @@ def test_poses_of_another_model_approximate_the_same_joints(truth: TrackSolution
     assert changed.bone_lengths == pytest.approx(truth.bone_lengths, abs=1e-6)
 
 
-def test_newer_frames_move_as_the_person_has_moved(truth: TrackSolution, walk_model: BasePoses) -> None:
+def test_newer_frames_move_as_the_person_has_moved(truth: TrackSolution, walk_model: PoseModel) -> None:
     """A found solution that is turned, farther away and in another pose stays so, and moves on."""
     model, dropped, last, after = walk_model, 2, 5, 8
     own = replace(truth, model=model, theta=np.pad(truth.theta, [(0, 0), (0, len(model.std) - COMPONENTS)]))
@@ -403,7 +403,7 @@ def collect(track: Track, fixed_frames: int = FIXED) -> Batch:
 
 
 @pytest.mark.parametrize('step', [0.5, 1.0, 1.5, 5.0])
-def test_a_new_frame_continues_movement(step: float, truth: TrackSolution, model: BasePoses, track: Track) -> None:
+def test_a_new_frame_continues_movement(step: float, truth: TrackSolution, model: PoseModel, track: Track) -> None:
     track.stamps_ns = *track.stamps_ns[:-1], track.stamps_ns[-2] + round(step * STEP_NS)
     found = collect_newest_frames([track], [(len(track.solved.theta), 0)], track.solved.model)
     to_virtual = track.observed.virtual_camera.rotation
@@ -416,7 +416,7 @@ def test_a_new_frame_continues_movement(step: float, truth: TrackSolution, model
     assert turned == pytest.approx(share * np.array([0.01, 0.04, 0.0]), abs=1e-8)
 
 
-def test_with_a_lifter_a_new_frame_starts_from_its_lifted_pose(model: BasePoses, track: Track) -> None:
+def test_with_a_lifter_a_new_frame_starts_from_its_lifted_pose(model: PoseModel, track: Track) -> None:
     depth, turn = track.solved.roots[-1, 2], Rotation.from_rotvec([0.0, 1.0, 0.0]).as_matrix()
     pose = 0.7 * model.poses(track.solved.theta[-1] + 0.2 * model.std) @ turn.T / depth
     lifted, plain = np.zeros((FRAMES, 15, 3)), collect(track)
@@ -438,7 +438,7 @@ def test_with_a_lifter_a_new_frame_starts_from_its_lifted_pose(model: BasePoses,
     assert (without.frames['precision'][-1, 3, 1], without.frames['lifted'][-1, 3, 1]) == (0, 0)
 
 
-def test_a_solver_gets_the_solution_in_its_camera(truth: TrackSolution, model: BasePoses, track: Track) -> None:
+def test_a_solver_gets_the_solution_in_its_camera(truth: TrackSolution, model: PoseModel, track: Track) -> None:
     found, to_virtual, solved = collect(track), track.observed.virtual_camera.rotation, slice(FIRST, FRAMES - 1)
     roots = truth.roots @ to_virtual.T
     np.testing.assert_array_equal(found.theta[:-1], truth.theta[solved])
@@ -462,7 +462,7 @@ def test_a_solver_gets_the_solution_in_its_camera(truth: TrackSolution, model: B
 
 
 def test_a_refinement_replaces_the_newest_states_and_no_others(
-    truth: TrackSolution, model: BasePoses, track: Track, rng: np.random.Generator
+    truth: TrackSolution, model: PoseModel, track: Track, rng: np.random.Generator
 ) -> None:
     """What the solver found is the truth, in the image of the virtual camera; before, all was wrong.
 

@@ -18,11 +18,11 @@ from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.identities import TENTATIVE_FORGET_S
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.people import People, TrackedFrame
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.tracking.track import find_delayed_frame, find_oldest_needed_ns
-from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.tracking.tracker import PeopleTracker
 from tests.support.synthetic_walk import CAMERA, MIRROR, STEP_NS, UPPER, Walk, feed, make_walk, mpjpe_mm, see
 
 FRAMES = 60
@@ -32,7 +32,7 @@ NOSE_ALONE = [Person2D('', ('nose',), np.zeros((1, 2)), np.ones(1))]
 
 
 @pytest.fixture(scope='module')
-def walk(walk_model: BasePoses) -> Walk:
+def walk(walk_model: PoseModel) -> Walk:
     return make_walk(walk_model, FRAMES)
 
 
@@ -41,14 +41,16 @@ def points(walk: Walk) -> Array:
     return walk.points
 
 
-def make_tracker(model: BasePoses, **values: object) -> Tracker:
+def make_tracker(model: PoseModel, **values: object) -> PeopleTracker:
     """Return a tracker with these parameters of its own and a simple model."""
     own = {f'tracker.{name}': value for name, value in values.items()}
-    return Tracker(model, with_settings(Config(), {'solver.components': 8, 'solver.prior_weight': 1e-5, **own}))
+    return PeopleTracker(
+        model, with_settings(Config(), {'solver.components': 8, 'solver.prior_weight': 1e-5, **own})
+    )
 
 
 @pytest.fixture
-def tracker(walk_model: BasePoses) -> Tracker:
+def tracker(walk_model: PoseModel) -> PeopleTracker:
     return make_tracker(walk_model)
 
 
@@ -56,7 +58,7 @@ def describe(people: People) -> list[tuple[str, str]]:
     return [(p.id, 'tentative' if p.tentative else 'predicted' if p.predicted else 'seen') for p in people]
 
 
-def test_a_walk_is_reconstructed(walk_model: BasePoses, walk: Walk, tracker: Tracker) -> None:
+def test_a_walk_is_reconstructed(walk_model: PoseModel, walk: Walk, tracker: PeopleTracker) -> None:
     people = feed(tracker, walk.points[:40])
     truth, found = walk.poses(walk_model), np.array([person.core for person in people])
     errors = [mpjpe_mm(found[f : f + 1], truth[f : f + 1]) for f in range(10, 40)]
@@ -70,8 +72,8 @@ def test_a_walk_is_reconstructed(walk_model: BasePoses, walk: Walk, tracker: Tra
 
 @pytest.mark.parametrize('lag', [0.0, 0.2])
 @pytest.mark.parametrize('event', ['reset', 'jump back', 'absence'])
-def test_a_tracker_begins_anew(walk_model: BasePoses, points: Array, event: str, lag: float) -> None:
-    def update(tracker: Tracker, stamp_ns: int, frame: int) -> TrackedFrame:
+def test_a_tracker_begins_anew(walk_model: PoseModel, points: Array, event: str, lag: float) -> None:
+    def update(tracker: PeopleTracker, stamp_ns: int, frame: int) -> TrackedFrame:
         seen = [see(points[frame]), see(points[frame] + APART), see(np.full((15, 2), 100.0))]  # a dot is no person
         return tracker.update(stamp_ns, seen, CAMERA)
 
@@ -104,7 +106,7 @@ def test_a_tracker_begins_anew(walk_model: BasePoses, points: Array, event: str,
     assert {*found.people.ids} == {'person_1', 'person_2'}
 
 
-def test_lost_people_are_predicted_and_later_forgotten(walk_model: BasePoses, points: Array) -> None:
+def test_lost_people_are_predicted_and_later_forgotten(walk_model: PoseModel, points: Array) -> None:
     tracker = make_tracker(walk_model, predict_for=0.2)
     assert not len(tracker.update(0, [], CAMERA).people)
     last = feed(tracker, points[:12] + 3.0 * np.arange(12)[:, None, None] * [1, 0], STEP_NS)[-1]
@@ -121,7 +123,7 @@ def test_lost_people_are_predicted_and_later_forgotten(walk_model: BasePoses, po
     assert tracker.update(200 * STEP_NS, [see(points[2] + [900.0, 0])], CAMERA).people[0].id == 'person_2'
 
 
-def test_outputs_belong_to_the_caller_and_deferred_work_keeps_them(walk_model: BasePoses, points: Array) -> None:
+def test_outputs_belong_to_the_caller_and_deferred_work_keeps_them(walk_model: PoseModel, points: Array) -> None:
     lazy, eager = make_tracker(walk_model), make_tracker(walk_model)
     for frame in range(30):
         seen = [see(points[frame])]
@@ -134,7 +136,7 @@ def test_outputs_belong_to_the_caller_and_deferred_work_keeps_them(walk_model: B
         eager.run_deferred_work()
 
 
-def test_swapped_frames_are_undone_and_counted(walk_model: BasePoses, points: Array) -> None:
+def test_swapped_frames_are_undone_and_counted(walk_model: PoseModel, points: Array) -> None:
     plain, disturbed = make_tracker(walk_model), make_tracker(walk_model)
     swapped = points[:40].copy()
     swapped[[20, 21, 30]] = swapped[[20, 21, 30]][:, MIRROR]
@@ -151,7 +153,7 @@ def test_swapped_frames_are_undone_and_counted(walk_model: BasePoses, points: Ar
 
 @pytest.mark.parametrize(('lag', 'window', 'delay'), [(0.09, 2, 3), (0.22, 0.2, 7), (0.5, 2, 15), (2.0, 2, 60)])
 def test_with_a_lag_every_visit_is_output_once_in_order_to_its_end(
-    walk_model: BasePoses, points: Array, lag: float, window: float, delay: int
+    walk_model: PoseModel, points: Array, lag: float, window: float, delay: int
 ) -> None:
     """A person is forgotten 1 s after the last detection, and frames of the window leave it earlier."""
     tracker = make_tracker(walk_model, lag=lag, window=window)
@@ -192,19 +194,19 @@ def test_stamps_never_go_back_and_delays_are_bounded(steps_ms: list[int], lag_s:
 
 
 @pytest.mark.parametrize('lens', [Distortion(), Distortion('plumb_bob', (-0.2, 0.05, 0.001, -0.002, 0.0))])
-def test_a_person_near_and_off_the_axis_is_located(walk_model: BasePoses, walk: Walk, lens: Distortion) -> None:
+def test_a_person_near_and_off_the_axis_is_located(walk_model: PoseModel, walk: Walk, lens: Distortion) -> None:
     camera = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True, distortion=lens)
     poses = walk.poses(walk_model)[:45] * Config().tracker.body_height / walk_model.stature
     joints = poses + [0.5, 0.1, 3.0] + 0.01 * np.arange(45)[:, None, None] * [1, 0, 0]
     config = with_settings(Config(), {'solver.components': 8, 'tracker.steady_output': False})
-    tracker = Tracker(walk_model, config)
+    tracker = PeopleTracker(walk_model, config)
     person = feed(tracker, camera.project(joints), camera=camera)[-1]
     assert np.linalg.norm(person.core - joints[-1], axis=-1).mean() < 1.1 * 0.0602  # m, measured
     reprojection_error = np.linalg.norm(camera.project(person.core) - camera.project(joints[-1]), axis=-1)
     assert reprojection_error.max() < 1.1 * 2.9  # px, measured
 
 
-def test_hidden_joints_are_inferred_and_flagged(tracker: Tracker, points: Array) -> None:
+def test_hidden_joints_are_inferred_and_flagged(tracker: PeopleTracker, points: Array) -> None:
     hidden = np.isin(np.arange(15), [3, 4])
     for frame, image in enumerate(points[:10]):
         seen = see(np.where(hidden[:, None], np.nan, image), score=~hidden)
@@ -216,7 +218,7 @@ def test_hidden_joints_are_inferred_and_flagged(tracker: Tracker, points: Array)
 
 @settings(max_examples=25)
 @given(data=st.data())
-def test_arbitrary_keypoints_give_finite_output(walk_model: BasePoses, data: st.DataObject) -> None:
+def test_arbitrary_keypoints_give_finite_output(walk_model: PoseModel, data: st.DataObject) -> None:
     tracker = make_tracker(walk_model)
     numbers = st.lists(st.sampled_from([np.nan, 1e200]) | st.floats(-1e7, 1e7), min_size=30, max_size=30)
     names = st.sampled_from(['', 'a', 'b'])
@@ -243,7 +245,7 @@ def test_arbitrary_keypoints_give_finite_output(walk_model: BasePoses, data: st.
     ],
 )
 def test_a_fault_forgets_the_people_whom_it_concerns_and_the_stream_goes_on(
-    tracker: Tracker,
+    tracker: PeopleTracker,
     points: Array,
     monkeypatch: pytest.MonkeyPatch,
     owner: str,
@@ -274,7 +276,9 @@ def test_a_fault_forgets_the_people_whom_it_concerns_and_the_stream_goes_on(
     assert sorted(update(7, other)) == [('ann', ann), ('bob', bob)]
 
 
-def test_a_tentative_person_is_never_predicted_and_costs_no_deferred_work(tracker: Tracker, points: Array) -> None:
+def test_a_tentative_person_is_never_predicted_and_costs_no_deferred_work(
+    tracker: PeopleTracker, points: Array
+) -> None:
     ghosts = 0
     for frame in range(12):
         seen = [see(points[frame])] + ([see(points[frame] + APART)] if frame == 6 else [])
@@ -290,7 +294,7 @@ def test_a_tentative_person_is_never_predicted_and_costs_no_deferred_work(tracke
     assert [t.id for t in tracker.tracks] == ['person_1']
 
 
-def test_a_person_who_comes_back_while_the_track_is_kept_is_certain(tracker: Tracker, points: Array) -> None:
+def test_a_person_who_comes_back_while_the_track_is_kept_is_certain(tracker: PeopleTracker, points: Array) -> None:
     def update(stamp_ns: int, *seen: Person2D) -> list[tuple[str, str]]:
         return describe(tracker.update(stamp_ns, seen, CAMERA).people)
 
@@ -304,7 +308,7 @@ def test_a_person_who_comes_back_while_the_track_is_kept_is_certain(tracker: Tra
 
 
 @pytest.mark.parametrize(('name', 'seed'), [('p', 0), ('', 1)])
-def test_fragments_and_new_ids_make_no_people(tracker: Tracker, points: Array, name: str, seed: int) -> None:
+def test_fragments_and_new_ids_make_no_people(tracker: PeopleTracker, points: Array, name: str, seed: int) -> None:
     """A tenth of the detections are broken in two, seen twice or given a new id, of two people side by side."""
     rng = np.random.default_rng(seed)
     new_ids = [f'new_{i}' for i in range(1000)] if name else [''] * 1000

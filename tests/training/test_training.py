@@ -9,7 +9,7 @@ import pytest
 from mocap_ros.errors import ModelError
 from mocap_ros.geometry import rotations
 from mocap_ros.geometry.rotations import rotation_from_vector
-from mocap_ros.models.base_poses import BasePoses, mirror_poses
+from mocap_ros.models.base_poses import PoseModel, mirror_poses
 from mocap_ros.models.lifter_input import HISTORY_SLOTS_S, JOINT_COUNT, MIRROR_PERMUTATION
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 from mocap_ros.training import synthesis
@@ -24,7 +24,7 @@ EXAMPLES = 64
 
 
 @pytest.fixture(scope='module')
-def library(walk_model: BasePoses) -> MotionLibrary:
+def library(walk_model: PoseModel) -> MotionLibrary:
     theta = 0.2 * np.sin(np.linspace(0, 9, 90))[:, None] * walk_model.std[:6]
     still = np.repeat(walk_model.mean[None], 40, axis=0)
     return MotionLibrary.from_trials([walk_model.poses(theta), still], np.array([0.75, 0.25]))
@@ -52,7 +52,7 @@ def test_offsets_are_fixed_to_the_trunk_and_alike_on_both_sides(library: MotionL
     assert 0.01 < local[:, 0, BODY26.index('lknee')].std() < 0.04, 'm'
 
 
-def test_trials_without_extremities_have_no_targets_for_them(walk_model: BasePoses) -> None:
+def test_trials_without_extremities_have_no_targets_for_them(walk_model: PoseModel) -> None:
     core = walk_model.poses(walk_model.std[:1] * np.sin(np.linspace(0, 9, 90))[:, None])
     body = np.concatenate([core, np.repeat(core[:, [11]], len(BODY26.joints) - CORE_COUNT, axis=1)], axis=1)
     motions = MotionLibrary.from_trials([core, body + 0.1], np.array([0.5, 0.5]))
@@ -95,7 +95,7 @@ DRAWN_POSTURES = 2000
 
 
 @pytest.fixture(scope='module')
-def standing(walk_model: BasePoses) -> Array:
+def standing(walk_model: PoseModel) -> Array:
     """Bone vectors of the same standing person in all examples."""
     root = BODY26.parents.index(-1)
     parents = [root if p < 0 else p for p in BODY26.parents]
@@ -194,7 +194,7 @@ def test_a_state_is_kept_from_slot_to_slot(errors: DetectorErrors) -> None:
     assert older[~newer].mean() == pytest.approx(share - share * keep, abs=0.01)
 
 
-def test_random_bodies_have_equal_left_and_right_bones(walk_model: BasePoses) -> None:
+def test_random_bodies_have_equal_left_and_right_bones(walk_model: PoseModel) -> None:
     standing = (walk_model.mean + mirror_poses(walk_model.mean, CMU15)) / 2
     direction = (walk_model.components[0] + mirror_poses(walk_model.components[0], CMU15)) / 2
     poses = standing + 0.2 * np.sin(np.linspace(0, 6, 30))[:, None, None] * direction
@@ -205,7 +205,7 @@ def test_random_bodies_have_equal_left_and_right_bones(walk_model: BasePoses) ->
     assert len(model.std) > 3, 'the bodies differ'
 
 
-def test_a_share_counts_as_often_as_the_trial_were_there(walk_model: BasePoses, rng: np.random.Generator) -> None:
+def test_a_share_counts_as_often_as_the_trial_were_there(walk_model: PoseModel, rng: np.random.Generator) -> None:
     one, other = (walk_model.poses(rng.normal(0, 0.1, (20, 5))) for _ in range(2))
     weighted = fit_base_poses([one, other], shares=[3, 1], alignment='heading', mirror=True, bodies=1)
     repeated = fit_base_poses([one, one, one, other], alignment='heading', mirror=True)
@@ -217,7 +217,7 @@ def test_a_share_counts_as_often_as_the_trial_were_there(walk_model: BasePoses, 
 
 
 @pytest.mark.parametrize('alignment', ['rotation', 'heading'])
-def test_fit_spans_the_training_poses(rng: np.random.Generator, walk_model: BasePoses, alignment: str) -> None:
+def test_fit_spans_the_training_poses(rng: np.random.Generator, walk_model: PoseModel, alignment: str) -> None:
     theta = rng.normal(size=(400, 3)) * walk_model.std[:3]
     turns = rotation_from_vector(rng.uniform(-3, 3, (400, 1)) * [0, 0, 1])
     poses = walk_model.poses(theta) @ np.swapaxes(turns, -1, -2) + rng.normal(size=(400, 1, 3))
@@ -232,7 +232,7 @@ def test_fit_spans_the_training_poses(rng: np.random.Generator, walk_model: Base
     assert model.explained[2] > 0.99
 
 
-def test_invalid_training_data_is_refused_by_name(walk_model: BasePoses) -> None:
+def test_invalid_training_data_is_refused_by_name(walk_model: PoseModel) -> None:
     good = np.repeat(walk_model.mean[None], 5, axis=0)
     bad = good.copy()
     bad[2, 3, 1] = np.nan

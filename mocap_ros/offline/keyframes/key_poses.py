@@ -20,7 +20,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.geometry.rotations import centre_poses
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.models import model_file
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.offline.keyframes.image_points import interpolate_gaps, nan_median
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
 from mocap_ros.offline.keyframes.motion import assemble_poses, compute_limb_directions, symmetrise_lengths
@@ -42,7 +42,7 @@ MIN_BODY_SIZE = 1e-6  # unit of the poses; guards proportions against bodies wit
 
 
 def propose_poses(
-    observed: ObservedWindow, keyframes: Indices, models: Mapping[str, BasePoses], config: Config
+    observed: ObservedWindow, keyframes: Indices, models: Mapping[str, PoseModel], config: Config
 ) -> tuple[str, Array]:
     """Propose 3D poses for many frames, including the keyframes, by the source that `keyframes.poses` names.
 
@@ -76,7 +76,7 @@ def propose_lifted_poses(observed: ObservedWindow, prior: str) -> Array:
 
 
 def propose_solved_poses(
-    observed: ObservedWindow, keyframes: Indices, models: Mapping[str, BasePoses], config: Config
+    observed: ObservedWindow, keyframes: Indices, models: Mapping[str, PoseModel], config: Config
 ) -> tuple[str, Array]:
     """Propose poses (F, J, 3) m by the whole-sequence solver, section by section, and name the base poses.
 

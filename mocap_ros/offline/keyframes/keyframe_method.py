@@ -16,7 +16,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.offline.keyframes.alignment import (
     AlignedMotion,
     align_motion,
@@ -104,7 +104,7 @@ def find_keyframes(
 
 def reconstruct(
     sequence: KeypointSequence,
-    models: Mapping[str, BasePoses],
+    models: Mapping[str, PoseModel],
     config: Config,
     choices: Sequence[DepthChoice] = (),
     progress: Callable[[str], None] = lambda _: None,
@@ -257,7 +257,7 @@ def _describe_poses(
     points: Array,
     in_sight: Mask,
     category: str,
-    model: BasePoses,
+    model: PoseModel,
     config: TrackerConfig,
 ) -> PoseSequence:
     """Return the fitted motion over time; outliers count as not seen in it.

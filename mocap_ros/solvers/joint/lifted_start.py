@@ -20,14 +20,14 @@ from mocap_ros.arrays import Array
 from mocap_ros.engine import lifted_start as engine
 from mocap_ros.geometry.interpolation import find_nearest
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
-from mocap_ros.models.base_poses import MAX_MODELS, BasePoses, arrange_model
+from mocap_ros.models.base_poses import MAX_MODELS, PoseModel, arrange_model
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.window import InitialValues
 
 ALTERNATIONS = 4  # rounds of cameras and weights; two give the same results, six no better ones (training persons)
 
 
-def fit_lifted_poses(lifted: LiftedPoses, times: Array, model: BasePoses) -> InitialValues | None:
+def fit_lifted_poses(lifted: LiftedPoses, times: Array, model: PoseModel) -> InitialValues | None:
     """Return initial values that fit lifted poses (F, J, 3) px at times (F,) s; None where no frame was lifted.
 
     A frame that was not lifted takes the values of the nearest one that was.
@@ -42,6 +42,6 @@ def fit_lifted_poses(lifted: LiftedPoses, times: Array, model: BasePoses) -> Ini
 
 
 @lru_cache(maxsize=MAX_MODELS)
-def prepare_fit(model: BasePoses) -> engine.PoseFit:
+def prepare_fit(model: PoseModel) -> engine.PoseFit:
     """Return what fits lifted poses by base poses."""
     return engine.PoseFit(model, arrange_model(model), ALTERNATIONS)

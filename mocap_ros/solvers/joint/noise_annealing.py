@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 from mocap_ros.arrays import Array
 from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint as engine
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.solvers.joint.activity import measure_activities
 from mocap_ros.solvers.joint.batch import Batch, State
 from mocap_ros.solvers.joint.objective import list_terms, pose_problem, read_state, set_noise
@@ -62,7 +62,7 @@ def get_given_noise(windows: Sequence[Window], config: SolverConfig) -> Array:
 
 
 def anneal_stepwise(
-    batch: Batch, state: State, model: BasePoses, windows: Sequence[Window], config: SolverConfig
+    batch: Batch, state: State, model: PoseModel, windows: Sequence[Window], config: SolverConfig
 ) -> Stepwise[tuple[engine.JointProblem, NDArray[np.int64], tuple[Array, Array] | None]]:
     """Find the noise of each window that does not give it, in steps.
 

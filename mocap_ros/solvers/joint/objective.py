@@ -29,7 +29,7 @@ from mocap_ros.arrays import Array
 from mocap_ros.config import SolverConfig
 from mocap_ros.engine import batch as batches
 from mocap_ros.engine import joint, terms
-from mocap_ros.models.base_poses import MAX_MODELS, BasePoses, arrange_model
+from mocap_ros.models.base_poses import MAX_MODELS, PoseModel, arrange_model
 from mocap_ros.solvers.joint.batch import Batch, State
 
 NOISE_REFERENCE = 0.01  # m; image noise at the body for which the weights in the configuration are given
@@ -50,7 +50,7 @@ class Weights(NamedTuple):
 
 
 @lru_cache(maxsize=MAX_MODELS)
-def choose_weights(model: BasePoses, config: SolverConfig, has_lifted: bool) -> Weights:
+def choose_weights(model: PoseModel, config: SolverConfig, has_lifted: bool) -> Weights:
     """Return the weights for base poses, with or without lifted poses."""
     prior, smooth, flip, tilt = config.prior_weight, config.smooth_weight, config.flip_weight, 0.0
     if model.aligned_by_heading:
@@ -72,7 +72,7 @@ def choose_weights(model: BasePoses, config: SolverConfig, has_lifted: bool) -> 
 
 def list_terms(
     batch: Batch,
-    model: BasePoses,
+    model: PoseModel,
     config: SolverConfig,
     *,
     components: int | None = None,
@@ -106,7 +106,7 @@ def list_terms(
 
 
 def pose_problem(
-    batch: batches.Batch, model: BasePoses, parts: tuple[terms.Term, ...], components: int | None = None
+    batch: batches.Batch, model: PoseModel, parts: tuple[terms.Term, ...], components: int | None = None
 ) -> joint.JointProblem:
     """Return the problem of minimising the sum of terms, of the first `components` base poses."""
     return joint.JointProblem(

@@ -27,7 +27,7 @@ from mocap_ros.arrays import Array
 from mocap_ros.config import SolverConfig
 from mocap_ros.geometry.interpolation import find_nearest
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.joint.solver import (
     JointReconstruction,
@@ -56,7 +56,7 @@ class Section(NamedTuple):
 
 def solve_in_sections(
     window: Window,
-    model: BasePoses,
+    model: PoseModel,
     config: SolverConfig,
     report: Callable[[float], None] = lambda _: None,
     max_frames: int = MAX_SECTION_FRAMES,

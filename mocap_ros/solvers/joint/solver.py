@@ -22,7 +22,7 @@ from mocap_ros.arrays import Array, copy_with
 from mocap_ros.config import SolverConfig
 from mocap_ros.engine import joint as engine
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.solvers.joint.activity import measure_activities
 from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.joint.lifted_start import fit_lifted_poses
@@ -77,7 +77,7 @@ class JointReconstruction(Reconstruction):
 
 
 def solve(
-    windows: Sequence[Window], model: BasePoses, config: SolverConfig, shared: SharedValues | None = None
+    windows: Sequence[Window], model: PoseModel, config: SolverConfig, shared: SharedValues | None = None
 ) -> tuple[JointReconstruction, ...]:
     """Reconstruct many sequences as one batch.
 
@@ -91,7 +91,7 @@ def solve(
 
 
 def solve_stepwise(
-    windows: Sequence[Window], model: BasePoses, config: SolverConfig, shared: SharedValues | None = None
+    windows: Sequence[Window], model: PoseModel, config: SolverConfig, shared: SharedValues | None = None
 ) -> Stepwise[tuple[JointReconstruction, ...]]:
     """Reconstruct as `solve` does, in steps."""
     if config.components < len(model.std):
@@ -126,7 +126,7 @@ def solve_stepwise(
 def continue_from(
     batch: Batch,
     noise: Array | None,
-    model: BasePoses,
+    model: PoseModel,
     config: SolverConfig,
     settle_steps: int = 1,
     activity: tuple[Array, Array] | None = None,
@@ -146,7 +146,7 @@ def continue_from(
 
 
 def solve_hypotheses(
-    windows: Sequence[Window], model: BasePoses, config: SolverConfig, shared: SharedValues | None = None
+    windows: Sequence[Window], model: PoseModel, config: SolverConfig, shared: SharedValues | None = None
 ) -> tuple[JointReconstruction, ...]:
     """Reconstruct each window from one or two initial cameras, all in one batch, and return the likelier results.
 
@@ -158,7 +158,7 @@ def solve_hypotheses(
 
 
 def solve_hypotheses_stepwise(
-    windows: Sequence[Window], model: BasePoses, config: SolverConfig, shared: SharedValues | None = None
+    windows: Sequence[Window], model: PoseModel, config: SolverConfig, shared: SharedValues | None = None
 ) -> Stepwise[tuple[JointReconstruction, ...]]:
     """Reconstruct as `solve_hypotheses` does, in steps."""
     count = config.heading_hypotheses if model.aligned_by_heading else config.hypotheses
@@ -178,7 +178,7 @@ def solve_hypotheses_stepwise(
     )
 
 
-def start_from_lifted_poses(window: Window, model: BasePoses) -> Window:
+def start_from_lifted_poses(window: Window, model: PoseModel) -> Window:
     """Return the window with initial values from its lifted poses, if it has such poses and no initial values."""
     if window.start is not None or window.lifted is None:
         return window
