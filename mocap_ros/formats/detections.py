@@ -68,18 +68,24 @@ class Video:
     times_s: tuple[float, ...] = ()  # s, of the images of that video since the first, or empty
     is_lens_of_clip: bool = False  # whether that video states the focal length
 
-    def find_focal_length(self, image_width: int, name: str = '--focal') -> float | None:
-        """Return the focal length in px, in images of this width in px; None where nothing gives it."""
-        if self.hfov is not None:
-            return image_width / 2 / math.tan(math.radians(self.hfov / 2))
-        if self.focal is not None:
-            hfov = math.degrees(2 * math.atan2(image_width / 2, self.focal))
-            if not HFOV_RANGE_DEG[0] <= hfov <= HFOV_RANGE_DEG[1]:
-                raise InputError(
-                    f'{name}: {self.focal:g} px in an image {image_width} px wide are {hfov:.3g} degrees; '
-                    f'{HFOV_RANGE_DEG[0]:g} to {HFOV_RANGE_DEG[1]:g} expected, and px, not mm'
-                )
-        return self.focal
+
+def find_focal_length(
+    image_width: int, hfov: float | None, focal: float | None, name: str = '--focal'
+) -> float | None:
+    """Return the focal length in px, in images of this width in px; None where nothing gives it.
+
+    `hfov` in degrees and `focal` in px are as in `Video`; `name` is that of the latter in errors.
+    """
+    if hfov is not None:
+        return image_width / 2 / math.tan(math.radians(hfov / 2))
+    if focal is not None:
+        hfov = math.degrees(2 * math.atan2(image_width / 2, focal))
+        if not HFOV_RANGE_DEG[0] <= hfov <= HFOV_RANGE_DEG[1]:
+            raise InputError(
+                f'{name}: {focal:g} px in an image {image_width} px wide are {hfov:.3g} degrees; '
+                f'{HFOV_RANGE_DEG[0]:g} to {HFOV_RANGE_DEG[1]:g} expected, and px, not mm'
+            )
+    return focal
 
 
 @dataclass(frozen=True, eq=False)

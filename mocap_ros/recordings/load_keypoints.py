@@ -22,7 +22,14 @@ from mocap_ros.bags.topics import Source, find_people_topics, find_people_type
 from mocap_ros.config import NodeConfig, TrackerConfig
 from mocap_ros.errors import FrameDropped, InputError, naming
 from mocap_ros.findings import Fault
-from mocap_ros.formats.detections import Detections, Video, arrange_people, associate_people, select_person
+from mocap_ros.formats.detections import (
+    Detections,
+    Video,
+    arrange_people,
+    associate_people,
+    find_focal_length,
+    select_person,
+)
 from mocap_ros.formats.detector_json import load_json_file, load_json_folder
 from mocap_ros.formats.sequence_file import find_longest_gap, load_sequence
 from mocap_ros.formats.sports2d import load_pixel_files
@@ -160,7 +167,7 @@ def _finish(
                 outside = outside or check_places(keypoints[..., :2], keypoints[..., 2], size)
         if kind is InputKind.VIDEO and sequences[0].is_camera_known:
             sequences = [replace(s, focal_source=FROM_VIDEO) for s in sequences]
-        focal, is_known = video.find_focal_length(size[0]), sequences[0].is_camera_known
+        focal, is_known = find_focal_length(size[0], video.hfov, video.focal), sequences[0].is_camera_known
         if focal is not None and not is_known:  # the principal point is in the middle, and nothing is distorted
             matrix = np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1]])
             source = FROM_VIDEO if video.is_lens_of_clip else GIVEN
