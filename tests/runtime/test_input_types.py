@@ -18,6 +18,7 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source, list_input_types, make_body_topic
 from mocap_ros.config import RecorderConfig, with_values
+from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError, RecordingError
 from mocap_ros.findings import SOUND
 from mocap_ros.formats.detections import Video
@@ -30,8 +31,10 @@ from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.foreign_types import HRI_SKELETON, OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS
 from mocap_ros.messages.input_types import ZED38, decode_body, decode_frame
 from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.recordings.load_keypoints import InputOptions, load_bag, load_input
 from mocap_ros.recordings.load_results import load_recording
+from mocap_ros.recordings.reconstruct import ReconstructionOptions, reconstruct
 from mocap_ros.runtime.input_camera import SILENCE_S, InputCamera
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.replay import ReplayOptions, replay
@@ -317,6 +320,21 @@ def test_other_names_or_another_order_of_the_same_joints_do_not_restart_the_judg
     edits, pipeline = (name_joints('coco17'), name_joints('', *SPELT_OUT), reverse_order), Pipeline(FAST_CONFIG)
     list_reasons(pipeline, [edit_people(raw, edits[i % 3]) for i, raw in enumerate(stream)])
     assert pipeline.summary.summarise().grade == 'good'
+
+
+def test_a_half_body_is_named_live_and_whole(stream: list[bytes]) -> None:
+    is_hidden = np.array([joint.endswith(('hip', 'knee', 'ankle')) for joint in COCO17])
+    pipeline = Pipeline(FAST_CONFIG)
+    hide = [edit_people(raw, lambda p: vars(p).update(score=np.where(is_hidden, 0, p.score))) for raw in stream]
+    list_reasons(pipeline, hide)
+    sequence = make_recording().sequence()
+    keypoints = sequence.keypoints[:60].copy()
+    keypoints[:, is_hidden] = np.nan, np.nan, 0
+    cut = replace(sequence, keypoints=keypoints, timestamps=sequence.timestamps[:60], recorded_ns=(), truth=None)
+    models = load_base_pose_models(FAST_CONFIG.tracker.model)
+    whole = reconstruct([cut], ReconstructionOptions(FAST_CONFIG, models)).summary
+    for summary in (pipeline.summary.summarise(), whole):
+        assert '; hips and legs never seen; ' in str(summary)
 
 
 def test_unusable_detections_are_described_when_they_last(stream: list[bytes]) -> None:
