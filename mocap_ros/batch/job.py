@@ -26,7 +26,7 @@ from upath import UPath
 
 from mocap_ros import Config, MocapError
 from mocap_ros.bags.reader import Bag
-from mocap_ros.batch.recordings import Recording, list_files
+from mocap_ros.batch.recordings import BatchInput, list_files
 from mocap_ros.config import to_yaml, with_values
 from mocap_ros.formats.detections import Video
 from mocap_ros.models.model_file import load_base_pose_models
@@ -86,7 +86,7 @@ class Outcome(NamedTuple):
     rows: list[Row]  # of the table, one for each appearance of a person, or with `error`
 
 
-def process(recording: Recording, settings: Settings, key: str) -> Outcome:
+def process(recording: BatchInput, settings: Settings, key: str) -> Outcome:
     """Do the work on one recording and put its result in its place.
 
     What was done before, of the same content with settings of the same `key`, is not done again.

@@ -27,7 +27,7 @@ from mocap_ros.recordings.input_kind import VIDEO_SUFFIXES
 SUFFIXES = (f'/{METADATA}', *ROS2_SUFFIXES, ROS1_SUFFIX, '.npz', '.json', *VIDEO_SUFFIXES)
 
 
-class Recording(NamedTuple):
+class BatchInput(NamedTuple):
     """A bag or a file of keypoints."""
 
     path: Path  # file or folder, on any file system
@@ -51,7 +51,7 @@ def list_files(path: Path) -> list[Path]:
 
 def find_recordings(
     source: str, report: Callable[[str], None], *, only_bags: bool, leave_out: Iterable[Path] = ()
-) -> list[Recording]:
+) -> list[BatchInput]:
     """Find the recordings in a folder, or those that a pattern or a list names, largest first.
 
     The source is a path or a URL: a recording; a folder, which is searched with all folders in it; a pattern with
@@ -88,7 +88,7 @@ def find_recordings(
             raise InputError(f'{source}: {reason}')
     sizes = {path: sum(file.stat().st_size for file in list_files(path)) for path in names}
     largest_first = sorted(names, key=lambda path: (-sizes[path], str(path)))
-    return [Recording(path, str(names[path])) for path in largest_first]
+    return [BatchInput(path, str(names[path])) for path in largest_first]
 
 
 def _search(path: Path, seen: set[Path]) -> Iterator[Path]:

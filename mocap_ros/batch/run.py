@@ -32,7 +32,7 @@ from pyarrow import parquet
 
 from mocap_ros import MocapError
 from mocap_ros.batch.job import Outcome, Settings, process
-from mocap_ros.batch.recordings import Recording
+from mocap_ros.batch.recordings import BatchInput
 from mocap_ros.errors import make_printable_line
 from mocap_ros.viewing.plots import draw_corpus_figure
 
@@ -96,7 +96,7 @@ def connect(scheduler: str | None, workers: int | None = None, memory: str = 'au
         signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
 
 
-def run_jobs(client: Client, recordings: Sequence[Recording], settings: Settings, key: str) -> Iterator[Outcome]:
+def run_jobs(client: Client, recordings: Sequence[BatchInput], settings: Settings, key: str) -> Iterator[Outcome]:
     """Do the work on all recordings, those that come first begin first, and yield each outcome as it comes.
 
     `key` is that of the settings.

@@ -33,7 +33,7 @@ OPTIONAL_KEYS = (
     'scale', 'translation', 'scale_known', 'vertical', 'vertical_std', 'contact', 'world_from_camera', 'floor_std',
     'grade', 'summary',
 )  # fmt: skip
-UNKNOWN_IMAGE = 640, 480, 1.0  # px, and sides: size and focal length of a camera of which nothing is known
+UNKNOWN_CAMERA = Intrinsics.from_image_size(640, 480, 1.0)  # px and sides; of a camera of which nothing is known
 
 
 def is_result_file(path: Path) -> bool:
@@ -141,7 +141,7 @@ def _find_intrinsics(arrays: ArrayReader, sequence: KeypointSequence | None, joi
     if sequence is not None and sequence.is_camera_known:
         return sequence.intrinsics(1.0)
     if 'scale' not in arrays:
-        return Intrinsics.from_image_size(*UNKNOWN_IMAGE)
+        return UNKNOWN_CAMERA
     scale = arrays.read_numbers('scale', (len(joints),))
     translation = arrays.read_numbers('translation', (len(joints), 2))
     return recover_intrinsics(joints[:, :CORE_COUNT].mean(axis=1), scale, translation)

@@ -10,8 +10,7 @@ t the translation and M = [s R_xy | t] the 2x4 camera matrix (Wandt et al., TPAM
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from itertools import repeat
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -65,16 +64,17 @@ def encode_skeletons(
 
 
 def _list_rows(people: People, cameras: Array) -> list[dict[str, Any]]:
-    columns: dict[str, Iterable[Any]] = {
+    count = len(people)
+    columns: dict[str, Sequence[Any] | NDArray[Any]] = {
         'id': people.ids,
-        'skeleton': repeat(people.skeleton.name),
+        'skeleton': [people.skeleton.name] * count,
         'joints': people.joints,
         'joint_std': people.joint_std,
         'inferred': people.inferred,
         'camera': cameras,
         'motion': [(m.kind, m.category, m.residual, m.cadence) for m in people.motion],
         'reprojection_residual': people.reprojection_residual.tolist(),
-        'scale_source': repeat(people.is_scale_known),
+        'scale_source': [people.is_scale_known] * count,
         'predicted': people.predicted.tolist(),
         'tentative': people.tentative.tolist(),
         'joint_velocity': people.joint_velocity,
@@ -89,7 +89,7 @@ def _list_rows(people: People, cameras: Array) -> list[dict[str, Any]]:
         'turn_inferred': people.turn_inferred,
         'contact': [feet if np.isfinite(feet).any() else () for feet in people.contact],
     }
-    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values())]  # noqa: B905 # some repeat
+    return [{name: values[row] for name, values in columns.items()} for row in range(count)]
 
 
 def compute_cameras(people: People) -> Array:
@@ -169,7 +169,7 @@ def _read_people(rows: Sequence[SimpleNamespace]) -> People:
         joints=read_numbers('joints'),
         joint_std=read('joint_std', count),
         inferred=np.array([row.inferred if len(row.inferred) else np.zeros(count, bool) for row in rows]),
-        motion=tuple(Motion(MotionKind(row.motion.state), '', math.nan, row.motion.cadence) for row in rows),
+        motion=tuple(Motion(_read_kind(row.motion.state), '', math.nan, row.motion.cadence) for row in rows),
         reprojection_residual=read_numbers('reprojection_residual'),
         predicted=read_numbers('predicted', bool),
         tentative=read_numbers('tentative', bool),
@@ -180,6 +180,10 @@ def _read_people(rows: Sequence[SimpleNamespace]) -> People:
         unseen_for=read_numbers('unseen_for'),
         contact=read('contact', FEET),
     )
+
+
+def _read_kind(state: int) -> MotionKind:
+    return MotionKind(state) if state in [*MotionKind] else MotionKind.UNKNOWN
 
 
 def encode_skeleton_definition(skeleton: Skeleton) -> bytes:

@@ -23,6 +23,7 @@ from mocap_ros.formats.video import VideoReader
 from mocap_ros.geometry.level import average_vertical
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.messages.images import IMAGE_TYPES, decode_image
+from mocap_ros.people import PoseSequence
 from mocap_ros.recordings.input_kind import InputKind, find_input_kind
 from mocap_ros.recordings.recording import Recording
 from mocap_ros.runtime.frame_assembly import is_stamp_missing
@@ -57,7 +58,7 @@ def build_scene(title: str, recording: Recording) -> Scene:
     return Scene(
         title=title,
         stamps_ns=stamps.tolist(),
-        people=tuple(person.select(person.in_sight) for person in people),
+        people=tuple(shown for shown in (_select_shown(p, int(stamps[0])) for p in people) if len(shown)),
         keypoints=tuple(SceneKeypoints.merge(own) for own in by_layout.values()),
         image_size=sequences[0].image_size if sequences else first.intrinsics.image_size or (1, 1),
         intrinsics=first.intrinsics,
@@ -69,6 +70,11 @@ def build_scene(title: str, recording: Recording) -> Scene:
         summary=str(recording.summary),
         is_wrong=recording.summary.is_wrong,
     )
+
+
+def _select_shown(person: PoseSequence, first_ns: int) -> PoseSequence:
+    """Return a person in the frames that have a skeleton, from the stamp of the first frame of the scene on."""
+    return person.select(person.in_sight & (np.array(person.stamps_ns) >= first_ns))
 
 
 def select_true_joints(joints: Array, names: Sequence[str], skeleton: Skeleton = CMU15) -> Array32 | None:

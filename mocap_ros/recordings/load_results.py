@@ -18,9 +18,9 @@ from mocap_ros.bags.journal import JOURNAL, RESET, Acceptance, decode_entry
 from mocap_ros.bags.reader import Bag, is_bag
 from mocap_ros.bags.topics import PEOPLE_TYPES
 from mocap_ros.config import Config
-from mocap_ros.errors import InputError, SkeletonError
+from mocap_ros.errors import InputError, SkeletonError, naming
 from mocap_ros.formats.detections import Detections
-from mocap_ros.formats.result_file import is_result_file, load_result_file
+from mocap_ros.formats.result_file import UNKNOWN_CAMERA, is_result_file, load_result_file
 from mocap_ros.geometry.intrinsics import Intrinsics, recover_intrinsics
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, resolve_image_size
 from mocap_ros.messages.skeletons import SKELETONS, ReceivedSkeletons, decode_skeletons
@@ -56,20 +56,14 @@ def load_result(path: Path, person: str | None = None) -> PoseSequence:
     In a bag there is a frame for each message of skeletons. InputError where one cannot be read.
     """
     if not is_bag(path):
-        if person is not None:
-            raise InputError(f'{path}: --person does not apply to a result of reconstruct')
-        chosen = load_recording(path).people[0]
-    else:
-        recording = _load_bag(path, InputOptions(), Config(), lambda _: None, with_keypoints=False)
-        counts = {p.id: int(p.in_sight.sum()) for p in recording.people}
-        wanted = max(counts, key=counts.__getitem__) if person is None else person
-        if wanted not in counts:
-            people = ', '.join(f'{i} ({n})' for i, n in sorted(counts.items(), key=lambda item: -item[1]))
-            raise InputError(f'{path}: no person {person!r}; there are {people}')
-        chosen = next(p for p in recording.people if p.id == wanted)
-    if not chosen.in_sight.any():
-        raise InputError(f'{path}: no frame has a skeleton')
-    return chosen
+        return load_recording(path, InputOptions(person=person)).people[0]
+    recording = _load_bag(path, InputOptions(), Config(), lambda _: None, with_keypoints=False)
+    counts = {p.id: int(p.in_sight.sum()) for p in recording.people}
+    wanted = max(counts, key=counts.__getitem__) if person is None else person
+    if wanted not in counts:
+        people = ', '.join(f'{i} ({n})' for i, n in sorted(counts.items(), key=lambda item: -item[1]))
+        raise InputError(f'{path}: no person {person!r}; there are {people}')
+    return next(p for p in recording.people if p.id == wanted)
 
 
 def load_recording(
@@ -86,7 +80,11 @@ def load_recording(
     reading = reading or InputOptions()
     if is_bag(path):
         return _load_bag(path, reading, config or Config(), report, with_keypoints=True)
+    if reading.person is not None:
+        raise InputError(f'{path}: --person does not apply to a result of reconstruct')
     poses, summary = load_result_file(path)
+    if not poses.in_sight.any():
+        raise InputError(f'{path}: no frame has a skeleton')
     return Recording((replace(poses, id='person_1'),), summary)
 
 
@@ -144,10 +142,15 @@ def _load_bag(
     if not len(everybody) or reading.person not in (None, *everybody.ids):
         wanted = 'no person' if reading.person is None else f'no person {reading.person!r}'
         raise InputError(f'{path}: {wanted} is in any message of {read.topic}')
-    intrinsics = detections.intrinsics or find_intrinsics(everybody)
+    intrinsics = detections.intrinsics or UNKNOWN_CAMERA
+    if with_keypoints and detections.intrinsics is None:
+        with naming(f'{path}: {read.topic}'):
+            intrinsics = find_intrinsics(everybody)
     size = resolve_image_size(stated=detections.image_size, configured=intrinsics.image_size or UNKNOWN_SIZE)
     ids = [*dict.fromkeys(everybody.ids)] if reading.person is None else [reading.person]
     people = _collect_people(read.skeletons, everybody, ids, replace(intrinsics, image_size=size))
+    if not any(person.in_sight.any() for person in people):
+        raise InputError(f'{path}: no frame has a skeleton')
     summary = _judge(read, detections, people[0].intrinsics, config) if detections.people else UNKNOWN_SUMMARY
     left_out = [f'{len(read.faults)} messages left out; {read.faults[0]}'] if read.faults else []
     notes = tuple(f'{path}: {note}' for note in (*detections.notes, *left_out))

@@ -57,7 +57,7 @@ def reconstruct(
     sequences = list(source)
     if options.max_people is not None and len(sequences) > options.max_people:
         sequences = sorted(sequences, key=lambda s: -int((s.keypoints[..., 2] > 0).any(axis=1).sum()))
-        notes.append(f'{len(sequences) - options.max_people} more people are not shown, who are seen less')
+        notes.append(f'{len(sequences) - options.max_people} more people are left out, who are seen less')
     sequences = sequences[: options.max_people]
     found: list[Solved] = []
     for index, sequence in enumerate(sequences):

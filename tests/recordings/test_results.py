@@ -91,6 +91,26 @@ def test_the_person_with_most_skeletons_is_read_from_a_bag(tmp_path: Path) -> No
         load_result(tmp_path / 'bag', 'c')
 
 
+def test_what_others_write_into_skeletons_is_read(tmp_path: Path) -> None:
+    """A stamp that was not set, a kind of motion that is none, and cameras that are not filled in."""
+    stamps = [0, 10**18, 10**18 + 10**9]
+    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
+        for stamp in stamps:
+            array = decode(encode_skeletons(Header(stamp, 'c'), gather([make_person('a', 2.0)])), SKELETONS)
+            array.people[0].motion.state = 7
+            recorder.write('/skeletons', SKELETONS, encode(array, SKELETONS), stamp, stamp)
+    scene = build_scene('bag', load_recording(tmp_path / 'bag'))
+    (person,) = scene.people
+    assert scene.find_frames(person).tolist() == [0, 1]
+    assert person.motion.tolist() == [MotionKind.UNKNOWN] * 2
+    with Recorder(tmp_path / 'other', RecorderConfig(min_free_mb=0)) as recorder:
+        people = gather([replace(make_person('a', 2.0), scale=0.0)])
+        recorder.write('/skeletons', SKELETONS, encode_skeletons(Header(1, 'c'), people), 1, 1)
+    assert len(load_result(tmp_path / 'other')) == 1
+    with pytest.raises(InputError, match='other: /skeletons: scale, translation: not those of a camera'):
+        load_recording(tmp_path / 'other')
+
+
 @pytest.mark.parametrize(
     ('name', 'joint_count', 'flag_count', 'message'),
     [
@@ -137,6 +157,8 @@ def test_a_damaged_result_is_refused_by_file_and_key(
 def test_what_holds_no_result_is_refused(results: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r'r\.npz: --person does not apply to a result of reconstruct'):
         load_result(results / 'r.npz', 'anna')
+    with pytest.raises(InputError, match=r'r\.npz: --person does not apply to a result of reconstruct'):
+        load_recording(results / 'r.npz', InputOptions(person='anna'))
     with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)):
         pass
     assert not holds_result(tmp_path / 'bag')
