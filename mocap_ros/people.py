@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mocap_ros.arrays import Array, Indices, Mask, copy_with
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence, describe_frames
-from mocap_ros.skeleton import CMU15, CORE_COUNT, HIPS, Skeleton
+from mocap_ros.skeleton import CMU15, CORE_COUNT, Skeleton, find_roots
 from mocap_ros.summary import Summary
 from mocap_ros.units import NS_PER_S
 
@@ -187,11 +187,6 @@ class Person3D:
     def joint_names(self) -> tuple[str, ...]:
         """Names (J,) of the joints."""
         return self.skeleton.joints
-
-
-def find_roots(joints: Array) -> Array:
-    """Return the points (..., 3) midway between the hips, or their velocities, of joints (..., J, 3)."""
-    return np.asarray((joints[..., HIPS[0], :] + joints[..., HIPS[1], :]) / 2)
 
 
 @dataclass(frozen=True, eq=False)

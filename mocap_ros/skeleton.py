@@ -195,6 +195,11 @@ _WEAK_SYNONYMS = {
 MIN_LIKENESS = 0.8  # 1; share of the names in the order of a layout from which on a list of names is that layout
 
 
+def find_roots(joints: Array) -> Array:
+    """Return the points (..., 3) midway between the hips, or their velocities, of joints (..., J, 3)."""
+    return np.asarray((joints[..., HIPS[0], :] + joints[..., HIPS[1], :]) / 2)
+
+
 def _split_joint_name(name: str) -> tuple[str, str]:
     """Return the side (`l`, `r` or empty) and the rest of a joint name, without case and separators."""
     words = re.sub(r'([a-z0-9])([A-Z])|([A-Z])([A-Z][a-z])', r'\1\3_\2\4', name).lower()

@@ -25,8 +25,8 @@ from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, read_stamp
 from mocap_ros.messages.plain import decode_plain, encode_plain
-from mocap_ros.people import CameraVertical, Motion, MotionKind, People, PredictedPeople, find_roots
-from mocap_ros.skeleton import CMU15, Skeleton, keypoint_layout
+from mocap_ros.people import CameraVertical, Motion, MotionKind, People, PredictedPeople
+from mocap_ros.skeleton import CMU15, Skeleton, find_roots, keypoint_layout
 
 SKELETONS = MOCAP_ROS_MSGS + 'Skeleton3DArray'
 SKELETON_DEFINITION = MOCAP_ROS_MSGS + 'SkeletonDefinition'

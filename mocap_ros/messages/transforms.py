@@ -35,7 +35,7 @@ from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_r
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.people import People
-from mocap_ros.skeleton import BODY26, CMU15, HIPS, Skeleton
+from mocap_ros.skeleton import BODY26, CMU15, HIPS, Skeleton, find_roots
 
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 ROOT_LINK = 'body'  # name of the root link in REP-155
@@ -142,7 +142,7 @@ def compute_links(joints: Array) -> tuple[Array, Array, Array]:
     forward, left and up in columns; they are NaN of a person whose trunk or hips have no extent.
     """
     (left, right), (left_shoulder, right_shoulder) = HIPS, _SHOULDERS
-    roots = (joints[:, left] + joints[:, right]) / 2
+    roots = find_roots(joints)
     torsos = (joints[:, left_shoulder] + joints[:, right_shoulder]) / 2
     up = torsos - roots
     forward = np.cross(joints[:, left] - joints[:, right], up)

@@ -36,7 +36,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mocap_ros.arrays import Array
-from mocap_ros.skeleton import CMU15, HIPS
+from mocap_ros.skeleton import CMU15, find_roots
 
 PAST_S = (0.1, 0.2, 0.3, 0.4, 0.6, 0.8)  # s; times ago at which the motion is sampled
 HEADING_PAST = [1, 3, 5]  # indices of `PAST_S`; ways along the heading, which change slowly
@@ -167,7 +167,7 @@ def _interpolate(knots: tuple[float, ...], times: tuple[float, ...]) -> tuple[Ar
 def compute_features(past: Past) -> Features:
     """Return what the predictions of N people depend on (formulas of the module)."""
     joints, velocity, std, earlier, heading, up = past
-    root, root_velocity, earlier_roots = _centre(joints), _centre(velocity), _centre(earlier)
+    root, root_velocity, earlier_roots = find_roots(joints), find_roots(velocity), find_roots(earlier)
     about, about_velocity = joints - root[:, None], velocity - root_velocity[:, None]
     forward = _make_horizontal(heading, up)
     away = _make_horizontal(root, up)
@@ -214,10 +214,6 @@ def compute_features(past: Past) -> Features:
         root_squares,
         limb_squares,
     )
-
-
-def _centre(positions: Array) -> Array:
-    return np.asarray((positions[..., HIPS[0], :] + positions[..., HIPS[1], :]) / 2)
 
 
 def _cross(a: Array, b: Array) -> Array:

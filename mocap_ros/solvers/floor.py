@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from mocap_ros.arrays import Array
 from mocap_ros.geometry.level import MAX_CERTAIN_STD, Floor
 from mocap_ros.models.upward_direction import Stances
-from mocap_ros.skeleton import CORE_COUNT, HIPS
+from mocap_ros.skeleton import CORE_COUNT, find_roots
 from mocap_ros.solvers.footing import ANKLES, HEELS_AND_TOES
 
 # m; h of heels, toes and ankles of training persons where they seem to stand, which is too early and too late
@@ -67,7 +67,7 @@ class FloorFit(NamedTuple):
 
     def place(self, person: int, joints: Array) -> Array:
         """Return joints (F, J, 3) in m of a person of this size."""
-        hips = (joints[:, HIPS[0]] + joints[:, HIPS[1]]) / 2
+        hips = find_roots(joints)
         return np.asarray(self.sizes[person] * (joints + (self.shifts[person][:, None] * hips)[:, None]))
 
 
@@ -80,7 +80,7 @@ class _Evidence:
         self.known, self.weight = known, weight
         self.feet = (body[:, HEELS_AND_TOES if has_feet else ANKLES] * share[..., None]).sum(axis=1)
         self.heights = share @ np.array([HEEL_M, TOE_M, HEEL_M, TOE_M] if has_feet else [ANKLE_M] * 4)
-        self.hips = (body[:, HIPS[0]] + body[:, HIPS[1]]) / 2
+        self.hips = find_roots(body)
         self.stiffness = _build_depth_prior(steps)
         self.shifts = np.zeros(len(known))
 

@@ -35,9 +35,9 @@ from mocap_ros.messages.skeletons import (
     encode_skeletons,
 )
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
-from mocap_ros.people import Motion, MotionKind, Person3D, PredictedPeople, find_roots
+from mocap_ros.people import Motion, MotionKind, Person3D, PredictedPeople
 from mocap_ros.runtime.outputs import SWITCHED_OUTPUTS, OutputEncoder
-from mocap_ros.skeleton import BODY26, CMU15, Skeleton, keypoint_layout
+from mocap_ros.skeleton import BODY26, CMU15, Skeleton, find_roots, keypoint_layout
 from tests.support.bodies import STANDING, gather, make_person_3d, make_standing_person
 from tests.support.camera_messages import encode
 

@@ -23,7 +23,8 @@ from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
-from mocap_ros.people import CameraVertical, Person3D, PoseSequence, find_roots
+from mocap_ros.people import CameraVertical, Person3D, PoseSequence
+from mocap_ros.skeleton import find_roots
 from mocap_ros.solvers.vertical import MAX_STD_DEG
 from mocap_ros.tracking.body_size import ANKLE_SHARE, ANKLES, BodySize, FloorContact, assume_size
 from mocap_ros.tracking.tracker import PeopleTracker
