@@ -94,6 +94,13 @@ class Fault(Enum):
         'node.output_frame = {frame!r}, whose z axis is taken as up: people seem to stand at {angle_deg:.0f} '
         'degrees to it; check the pose of the camera, unless everybody lies'
     )
+    # Measured depths.
+    DEPTH_UNIT = 'depth: {far:.0%} of the values exceed {limit_m:g} m: they look like mm, and m are expected'
+    DEPTH_ELSEWHERE = (
+        'depth: only {near:.0%} of the values are within {reach_m:g} m of the people: check that the depth image '
+        'is registered to the image of the keypoints, of the same camera and not mirrored'
+    )
+    DEPTH_UNUSED = 'depth is not used: the focal length is not known; publish camera_info or set node.hfov'
     OTHER = '{words}'  # that another part of the program found, and says
 
     def found(self, grade: Grade = Grade.DOUBTFUL, **values: object) -> Finding:

@@ -29,6 +29,7 @@ ARGUMENTS = {
     'input_type': ('', 'message type of the keypoints'),
     'keypoints': ('keypoints', 'topic of the keypoints'),
     'camera_info': ('camera_info', 'topic of the CameraInfo'),
+    'depth': ('', 'topic of depth images that are registered to the colour image; starts depth_node'),
     'record': ('', 'whether to record a bag in mocap_recordings/'),
     'publish_tf': ('', 'whether to publish the people as frames on /tf'),
     'frame_prefix': ('', 'prefix of the names of these frames; each camera needs its own'),
@@ -54,7 +55,7 @@ def create_nodes(context: LaunchContext) -> list[Node]:
         for name, (parameter, kind) in PARAMETERS.items()
         if configurations[name].perform(context)
     }
-    consumers = configurations['bridge'].perform(context)
+    consumers, depth = (configurations[name].perform(context) for name in ('bridge', 'depth'))
     if 'prediction_markers' in consumers:
         given['node.publish_predictions'] = True
     node = Node(
@@ -64,10 +65,16 @@ def create_nodes(context: LaunchContext) -> list[Node]:
         namespace=configurations['namespace'],
         output='screen',
         parameters=[configurations['params_file'], *([given] if given else [])],
-        remappings=[('keypoints', configurations['keypoints']), ('camera_info', configurations['camera_info'])],
+        remappings=[
+            ('keypoints', 'keypoints_depth' if depth else configurations['keypoints']),
+            ('camera_info', configurations['camera_info']),
+        ],
     )
+    nodes = [node]
+    if depth:
+        nodes.append(_create_depth_node(configurations, given.pop('node.input_type', None)))
     if not consumers:
-        return [node]
+        return nodes
     bridge = Node(
         package='mocap_ros',
         executable='mocap_bridge',
@@ -76,7 +83,19 @@ def create_nodes(context: LaunchContext) -> list[Node]:
         output='screen',
         parameters=[{'publish': ParameterValue(consumers, value_type=str)}],
     )
-    return [node, bridge]
+    return [*nodes, bridge]
+
+
+def _create_depth_node(configurations: dict[str, LaunchConfiguration], input_type: ParameterValue | None) -> Node:
+    return Node(
+        package='mocap_ros',
+        executable='depth_node',
+        name='depth_node',
+        namespace=configurations['namespace'],
+        output='screen',
+        parameters=[{'input_type': input_type}] if input_type else [],
+        remappings=[('keypoints', configurations['keypoints']), ('depth', configurations['depth'])],
+    )
 
 
 def generate_launch_description() -> LaunchDescription:

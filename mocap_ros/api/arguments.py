@@ -153,6 +153,8 @@ def check_sequence(sequence: KeypointSequence, times: str = 'timestamps') -> Key
         'timestamps': read_array(times, sequence.timestamps),
         **camera,
     }
+    if sequence.depth is not None:
+        arrays['depth'] = read_array('depth', sequence.depth)
     if sequence.truth is not None:
         arrays['joints3d'] = read_array('truth', sequence.truth.joints)
         arrays['joints3d_names'] = np.array(read_joint_names('truth', sequence.truth.joint_names), np.str_)

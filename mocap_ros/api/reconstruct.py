@@ -38,6 +38,7 @@ def reconstruct(
     image_size: tuple[int, int] | None = None,
     camera_matrix: ArrayLike | None = None,
     distortion: ArrayLike | None = None,
+    depth: ArrayLike | None = None,
     model: Model = 'auto',
     parameters: Parameters = None,
     method: Literal['whole', 'keyframes'] = 'whole',
@@ -56,6 +57,8 @@ def reconstruct(
         camera_matrix: (3, 3) px, intrinsic matrix K of the camera; without it a nominal focal length is used, and
             the distance of the person is as uncertain as that.
         distortion: distortion coefficients in OpenCV's order, 4, 5 or 8 of them; None for a lens without.
+        depth: (F, J) m along the optical axis of the surfaces that are seen at the keypoints, as a depth camera
+            measures them; NaN or 0 where unknown. It is used with a `camera_matrix`.
         model: base poses: the name of shipped ones, the path of a model file, `BasePoses`, or `auto` for the
             choice by the parameter `tracker.model`.
         parameters: values by parameter name, such as `{'solver.prior': 'pca'}`, or a `Config`; the names are
@@ -80,7 +83,7 @@ def reconstruct(
         config, load_models(model, config), method=_solve_by_keyframes if method == 'keyframes' else solve_sequence
     )
     needed = {'joint_names': joint_names, 'times': times, 'image_size': image_size}
-    camera = {'camera_matrix': camera_matrix, 'distortion': distortion}
+    camera = {'camera_matrix': camera_matrix, 'distortion': distortion, 'depth': depth}
     if isinstance(keypoints, KeypointSequence):
         for argument, value in {**needed, **camera}.items():
             if value is not None:
@@ -91,7 +94,7 @@ def reconstruct(
             if value is None:
                 raise InputError(f'{argument}: missing')
         check_camera(image_size, camera_matrix, distortion)  # type: ignore[arg-type] # is no None here
-        given = KeypointSequence(keypoints, joint_names, times, image_size, camera_matrix, distortion)  # type: ignore[arg-type]
+        given = KeypointSequence(keypoints, joint_names, times, image_size, camera_matrix, distortion, depth=depth)  # type: ignore[arg-type]
         sequence = check_sequence(given, 'times')
 
     try:

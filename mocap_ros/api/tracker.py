@@ -36,6 +36,7 @@ from mocap_ros.keypoints.validation import (
     check_places,
     describe_other_unit,
     describe_step,
+    mark_unknown_depth,
     mark_unseen,
 )
 from mocap_ros.messages.keypoints import check_ids
@@ -91,7 +92,14 @@ class Tracker:
         frames = f'{self._frame_count} frames'
         return f'Tracker: {len(self._joint_names)} keypoints in {width} x {height} px, {frames}'
 
-    def update(self, time_s: float, people: ArrayLike, *, ids: Sequence[str] | None = ()) -> TrackedFrame:
+    def update(
+        self,
+        time_s: float,
+        people: ArrayLike,
+        *,
+        ids: Sequence[str] | None = (),
+        depth: ArrayLike | None = None,
+    ) -> TrackedFrame:
         """Track the people of the next frame.
 
         Args:
@@ -101,6 +109,8 @@ class Tracker:
                 px, and confidence score in [0, 1]; NaN, x = y = 0 or score 0 where a keypoint was not seen.
             ids: (P,) names that the detector gives the people, empty where it gives none; by default, or with
                 None, people are distinguished by their positions.
+            depth: (P, J) m along the optical axis of the surfaces that are seen at the keypoints, as depth cameras
+                measure them; NaN or 0 where unknown. It is used with a `camera_matrix`.
 
         Returns:
             The frame, with its time `time_s` and its `people`, in the order of those given, without those who
@@ -114,7 +124,7 @@ class Tracker:
                 changed.
         """
         time_s = read_number('time_s', time_s, (0, MAX_TIMESTAMP_S), 's')
-        detected = self._read_people(people, ids)
+        detected = self._read_people(people, ids, depth)
         first_frames = self._judge_first_frames(time_s, detected)
         with name_errors('time_s'):
             found = self._tracker.update(round(time_s * NS_PER_S), detected, self._intrinsics)
@@ -151,7 +161,9 @@ class Tracker:
                 LOGGER.warning('people: %s', outside)
         return frames
 
-    def _read_people(self, people: ArrayLike, ids: Sequence[str] | None) -> list[Person2D]:
+    def _read_people(
+        self, people: ArrayLike, ids: Sequence[str] | None, depth: ArrayLike | None
+    ) -> list[Person2D]:
         given = read_array('people', people)
         shape = (len(given) if given.ndim else None, len(self._joint_names), 3)
         if given.dtype != np.float64 or given.shape != shape:
@@ -170,8 +182,12 @@ class Tracker:
                 other_unit := describe_other_unit(points[i], score[i], self._image_size[0])
             ):
                 raise InputError(f'people[{i}]: x, y: {other_unit}')
+        depths: Sequence[Array | None] = [None] * len(given)
+        if depth is not None:
+            depths = [*mark_unknown_depth(read_numbers('depth', depth, score.shape))]
         detected = [
-            Person2D(name, self._joint_names, p, s) for name, p, s in zip(names, points, score, strict=True)
+            Person2D(name, self._joint_names, p, s, z)
+            for name, p, s, z in zip(names, points, score, depths, strict=True)
         ]
         check_ids('ids', detected)
         return [person.hide_border(self._image_size) for person in detected]

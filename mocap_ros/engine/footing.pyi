@@ -35,8 +35,23 @@ def follow_contacts(
     legs: Indices,
     others: Indices,
 ) -> None: ...
-def advance(footings: Array, times: Array, noise: Array, core: Array, feet: Array, legs: Indices) -> None: ...
+def advance(
+    footings: Array,
+    times: Array,
+    noise: Array,
+    core: Array,
+    feet: Array,
+    legs: Indices,
+    ahead: Array | None = None,
+) -> None: ...
 def smooth(
-    noise: float, times: Array, core: Array, feet: Array, contact: Array, legs: Indices, rounds: int
+    noise: float,
+    times: Array,
+    core: Array,
+    feet: Array,
+    contact: Array,
+    legs: Indices,
+    rounds: int,
+    ahead: Array | None = None,
 ) -> Array: ...
 def list_constants(noise: float, is_live: bool) -> Array: ...

@@ -32,6 +32,7 @@ cdef enum:
 cdef double BASE_STEP_S = 1.0 / 30  # s; for which deviations of accelerations are given
 cdef double MIN_STEP_S = 1e-3  # guards divisions by a time step
 cdef double MIN_INFORMATION = 1e-9  # 1/m^2; keeps what nothing determines solvable
+cdef double MEASURED_M = 0.1  # m; C along the line of sight where depths are measured, which say more than inertia
 cdef double FAR_M = 5  # m; beyond it the root's error along the line of sight grows with the distance
 cdef double MIN_LENGTH_M = 1e-6  # m; guards divisions by lengths
 cdef double MIN_TILT_M = 0.01  # m; legs along the line of sight do not tilt
@@ -133,13 +134,15 @@ cdef void write_precision(const double* sight, double along, double across, doub
 
 cdef void add_frame(
     const Memory* before, const Model* model, double step_s, const double* root, const double* points,
-    const double* tilts, const double* contact, const double* estimate, double* a, double* b,
+    const double* tilts, const double* contact, const double* estimate, const double* ahead, double* a, double* b,
 ) noexcept nogil:
     """Write the normal equations A (27, 27), b (27,) of the frames t - 2, t - 1 and t.
 
-    `estimate` (18,) are the unknowns of the frames t - 1 and t as last found, NULL if none are.
+    `estimate` (18,) are the unknowns of the frames t - 1 and t as last found, NULL if none are; `ahead` (2,) is a
+    measured displacement of the body along the optical axis in m, and its information in 1/m^2, NULL if there is none.
     """
     cdef int i, j, k, f
+    cdef bint is_measured = ahead != NULL and ahead[1] > 0
     cdef double kept, h, weight, squared, distance = sqrt(dot(root, root))
     cdef double[9] m
     cdef double[3] r, sight
@@ -159,8 +162,12 @@ cdef void add_frame(
     at[0], at[1], by[0] = TWO, OWN, 1
     kept = exp(-step_s / model.error_s) if before.frames > 0 else 0
     by[1], h = -kept, sqrt(1 - kept * kept)
-    write_precision(sight, h * model.along * fmax(distance / FAR_M, 1.0), h * model.across, m)
+    weight = h * MEASURED_M if is_measured else h * model.along * fmax(distance / FAR_M, 1.0)
+    write_precision(sight, weight, h * model.across, m)
     add_term(a, b, 2, at, by, m, r)
+    if is_measured:
+        a[(TWO + 2) * ALL + TWO + 2] += ahead[1]
+        b[TWO + 2] += ahead[1] * ahead[0]
     kept = exp(-step_s / model.leg_s) if before.frames > 0 else 0
     by[1], h = -kept, sqrt(1 - kept * kept)
     for f in range(FEET):
@@ -443,7 +450,7 @@ def follow_contacts(
 
 def advance(
     double[:, :] footings, Vector times, Vector noise, double[:, :, ::1] core, Stack feet,
-    const long long[:, ::1] legs,
+    const long long[:, ::1] legs, Rows ahead=None,
 ):
     """Overwrite the cores (P, 15, 3) m of people by those with the displacements that the frames so far give.
 
@@ -451,7 +458,7 @@ def advance(
     A frame that is not newer than the last changes nothing, and if it is the last, it has its core.
 
     `footings` (P, N), each a `Memory`, are overwritten, all but the odds; `times` (P,) s; noise
-    (P,) m, of the image at the body; feet (P, 4, 3) m about their ankles.
+    (P,) m, of the image at the body; feet (P, 4, 3) m about their ankles; `ahead` (P, 2) as of `add_frame`.
     """
     cdef Memory* own
     cdef Model model
@@ -484,7 +491,8 @@ def advance(
             contact[i] = 0 if isnan(own.log_odds[i]) else 1 / (1 + exp(-own.log_odds[i]))
         if own.frames > 1:
             foresee(own, step_s, root, estimate)
-        add_frame(own, &model, step_s, root, points, tilts, contact, estimate if own.frames > 1 else NULL, a, b)
+        add_frame(own, &model, step_s, root, points, tilts, contact, estimate if own.frames > 1 else NULL,
+                  NULL if ahead is None else &ahead[p, 0], a, b)
         eliminate(a, b, own)
         substitute(a, b, OWN, ALL, u)
         memcpy(own.found, u + OWN, TWO * sizeof(double))
@@ -494,7 +502,10 @@ def advance(
         own.time_s = times[p]
 
 
-def smooth(double noise, Vector times, Stack core, Stack feet, Rows contact, const long long[:, ::1] legs, int rounds):
+def smooth(
+    double noise, Vector times, Stack core, Stack feet, Rows contact, const long long[:, ::1] legs, int rounds,
+    Rows ahead=None,
+):
     """Return the cores (F, J, 3) m of a sequence with the displacements that all frames give; else as `advance`."""
     cdef Py_ssize_t frames = core.shape[0], t, n
     cdef Model model = choose_model(noise, False)
@@ -514,7 +525,8 @@ def smooth(double noise, Vector times, Stack core, Stack feet, Rows contact, con
                 step_s = fmax(times[t] - times[t - 1], MIN_STEP_S) if t > 0 else 1
                 add_frame(
                     &memory, &model, step_s, &roots[t, 0], &points[t, 0], &tilts[t, 0], &contact[t, 0],
-                    &found[t + 1, 0] if n > 0 else NULL, &factors[t, 0, 0], &rights[t, 0],
+                    &found[t + 1, 0] if n > 0 else NULL, NULL if ahead is None else &ahead[t, 0],
+                    &factors[t, 0, 0], &rights[t, 0],
                 )
                 eliminate(&factors[t, 0, 0], &rights[t, 0], &memory)
                 remember(&memory, step_s, &roots[t, 0], &points[t, 0], &contact[t, 0])

@@ -239,7 +239,11 @@ def _join_parts(parts: Sequence[Person2D], min_score: float) -> Person2D:
         if part.joints == whole.joints:
             is_added = (whole.score < min_score) & (part.score >= min_score)
             points = np.where(is_added[:, None], part.points, whole.points)
-            whole = replace(whole, points=points, score=np.where(is_added, part.score, whole.score))
+            depth = whole.depth
+            if depth is not None and part.depth is not None:
+                depth = np.where(is_added, part.depth, depth)
+            score = np.where(is_added, part.score, whole.score)
+            whole = replace(whole, points=points, score=score, depth=depth)
     return whole
 
 
@@ -307,9 +311,12 @@ def _arrange_sequence(detections: Detections, track: PersonTrack) -> KeypointSeq
     if len(frames) * len(names) > MAX_KEYPOINTS:
         raise InputError(f'{len(frames)} frames of {len(names)} joints, more than {MAX_KEYPOINTS} keypoints')
     keypoints = np.full((len(frames), len(names), 3), [np.nan, np.nan, 0.0])
+    depth = np.full(keypoints.shape[:2], np.nan)
     for frame, person in track.detection_by_frame.items():
         columns = [column[name] for name in person.joints]
         keypoints[frame - frames[0], columns] = np.column_stack([person.points, person.score])
+        if person.depth is not None:
+            depth[frame - frames[0], columns] = person.depth
     stamps = tuple(detections.stamps_ns[frame] for frame in frames)
     return KeypointSequence(
         keypoints=keypoints,
@@ -321,6 +328,7 @@ def _arrange_sequence(detections: Detections, track: PersonTrack) -> KeypointSeq
         recorded_ns=stamps,
         calibration=detections.intrinsics,
         recording_start=detections.stamps_ns[0] / NS_PER_S,
+        depth=None if np.isnan(depth).all() else depth,
     )
 
 

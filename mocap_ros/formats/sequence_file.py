@@ -23,6 +23,7 @@ from mocap_ros.keypoints.validation import (
     describe_rate,
     describe_step,
     find_border_points,
+    mark_unknown_depth,
     mark_unseen,
 )
 from mocap_ros.messages.camera_info import check_coefficients
@@ -42,7 +43,7 @@ FISHEYE = 'equidistant'  # the lens model of a CameraInfo whose coefficients a s
 # All keys of a sequence file; a file may have others, which are ignored.
 SEQUENCE_KEYS = (
     'keypoints', 'joint_names', 'timestamps', 'image_size', 'camera_matrix', 'distortion', 'joints3d',
-    'joints3d_names',
+    'joints3d_names', 'depth',
 )  # fmt: skip
 # A file with all of these keys is a result of `reconstruct`.
 RESULT_KEYS = frozenset(('joints3d', 'theta', 'residual_px'))
@@ -78,6 +79,8 @@ def save_sequence(path: str | Path, sequence: KeypointSequence) -> None:
         arrays['camera_matrix'] = np.asarray(camera_matrix, np.float64)
     if distortion is not None:
         arrays['distortion'] = np.asarray(distortion, np.float64)
+    if sequence.depth is not None:
+        arrays['depth'] = sequence.depth.astype(np.float32)
     if sequence.truth is not None:
         arrays['joints3d'] = sequence.truth.joints.astype(np.float32)
         arrays['joints3d_names'] = np.array(sequence.truth.joint_names)
@@ -119,6 +122,7 @@ def validate_sequence(array_by_key: Mapping[str, NDArray[np.generic]]) -> Keypoi
         check_places(points, score, image_size)
     keypoints = np.concatenate([points, score[..., None]], axis=-1)
     keypoints[find_border_points(points, image_size)] = np.nan, np.nan, 0
+    depth = arrays.read_numbers('depth', score.shape) if 'depth' in arrays else None
     return KeypointSequence(
         keypoints=keypoints,
         joint_names=joint_names,
@@ -127,6 +131,7 @@ def validate_sequence(array_by_key: Mapping[str, NDArray[np.generic]]) -> Keypoi
         camera_matrix=camera_matrix,
         distortion=distortion,
         truth=_read_truth(arrays, frames) if 'joints3d' in arrays else None,
+        depth=None if depth is None else mark_unknown_depth(depth),
         notes=_describe_replaced_names(given_names, joint_names),
     )
 

@@ -48,6 +48,8 @@ class KeypointSequence:
         is_size_assumed: whether the image size is one that holds the keypoints, because it is not known.
         recording_start: s, time of the first image of the recording, which may show somebody else; None where it
             is the first of `timestamps`.
+        depth: (F, J) m along the optical axis of the surfaces that are seen at the keypoints, NaN where unknown,
+            or None.
     """
 
     keypoints: Array
@@ -65,6 +67,7 @@ class KeypointSequence:
     notes: tuple[str, ...] = ()
     is_size_assumed: bool = False
     recording_start: float | None = None
+    depth: Array | None = None
 
     def __len__(self) -> int:
         return len(self.timestamps)
@@ -92,7 +95,8 @@ class KeypointSequence:
     def person(self, frame: int, person_id: str = '') -> Person2D:
         """Return the keypoints in one frame as a person with this id."""
         keypoints = self.keypoints[frame]
-        return Person2D(person_id, self.joint_names, keypoints[:, :2], keypoints[:, 2])
+        depth = None if self.depth is None else self.depth[frame]
+        return Person2D(person_id, self.joint_names, keypoints[:, :2], keypoints[:, 2], depth)
 
     def intrinsics(self, focal_in_sides: float) -> Intrinsics:
         """Return the intrinsics; an unknown camera has the focal length `focal_in_sides` times the longer side."""

@@ -41,7 +41,7 @@ from mocap_ros.keypoints.association import (
     measure_sizes,
 )
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.rays import Extremities, convert_to_rays
+from mocap_ros.keypoints.rays import Extremities, convert_to_rays, select_core_depth
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.units import NS_PER_S
 
@@ -73,6 +73,8 @@ class DetectedBody:
     is_evidence: NDArray[np.bool_]  # (J,) as of `rays.convert_to_rays`
     size: float  # RMS distance of the seen joints from their mean, in the units of rays
     extremities: Extremities
+    # (J,) m along the optical axis of the surfaces that are seen at joints; NaN where unknown, None if all are
+    depth: Array | None = None
 
     @staticmethod
     def from_people(
@@ -96,7 +98,9 @@ class DetectedBody:
                 if np.count_nonzero(weight[n]) >= min_joints and size > MIN_DETECTION_SIZE:
                     given_id = '' if people[own[n]].id == UNTRACKED_ID else people[own[n]].id
                     seen = rays[n], weight[n], is_evidence[n], size
-                    found[own[n]] = DetectedBody(given_id, *seen, others.select_frames(n))
+                    measured = people[own[n]].depth if intrinsics.is_focal_known else None
+                    depth = select_core_depth(measured, joints, weight[n])
+                    found[own[n]] = DetectedBody(given_id, *seen, others.select_frames(n), depth)
         return found
 
     def join(self, part: DetectedBody) -> DetectedBody:
@@ -105,7 +109,12 @@ class DetectedBody:
         extremities = Extremities(*_fill_gaps(*self.extremities, *part.extremities))
         (size,) = measure_sizes(rays[None], weight[None]).tolist()
         is_evidence = np.where(self.weight > 0, self.is_evidence, part.is_evidence)
-        return DetectedBody(self.given_id or part.given_id, rays, weight, is_evidence, size, extremities)
+        given_id, depth = self.given_id or part.given_id, self.depth
+        if depth is None or part.depth is None:
+            depth = part.depth if depth is None else depth
+        else:
+            depth = np.where(self.weight > 0, depth, part.depth)
+        return DetectedBody(given_id, rays, weight, is_evidence, size, extremities, depth)
 
 
 def _fill_gaps(rays: Array, weight: Array, other_rays: Array, other_weight: Array) -> tuple[Array, Array]:

@@ -29,6 +29,8 @@ class Person2D:
     joints: tuple[str, ...]  # (J,) joint names that `keypoints.joint_map` knows
     points: Array  # (J, 2) px, x to the right and y down; NaN for a joint that was not seen
     score: Array  # (J,) confidence scores in [0, 1]; 0 for a joint that was not seen
+    # (J,) m along the optical axis of the surfaces that are seen there; NaN where unknown, None if all are
+    depth: Array | None = None
 
     def hide_border(self, image_size: ImageSize) -> Person2D:
         """Return the person without points on the border of an image (`validation.find_border_points`)."""

@@ -18,7 +18,7 @@ from mocap_ros.engine import rays as engine
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.joint_map import MIN_TARGET_JOINTS, build_joint_map
 from mocap_ros.keypoints.left_right import BodySides, exchange_sides
-from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, EXTREMITY_COUNT, Skeleton
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, EXTREMITY_COUNT, Skeleton, canonical_joint_names
 
 _SIDES = BodySides.of(BODY26)
 _EXTREMITY_SIDES = _SIDES._replace(mirror=_SIDES.mirror[CORE_COUNT:] - CORE_COUNT, part=_SIDES.part[CORE_COUNT:])
@@ -104,6 +104,22 @@ def convert_to_rays(
         *(_HANGING if is_core else _NOT_HANGING),
     )
     return rays, weight, is_evidence, Extremities(*others)
+
+
+def select_core_depth(depth: Array | None, names: tuple[str, ...], weight: Array) -> Array | None:
+    """Return the depths (..., J_c) m of core joints that are keypoints themselves and were seen; NaN of others.
+
+    `depth` (..., Js) m of the surfaces at keypoints, NaN where unknown; None if all are, as is the result;
+    `weight` (..., J_c) the scores of `convert_to_rays`.
+    """
+    if depth is None:
+        return None
+    keypoints = canonical_joint_names(names)
+    found = [(j, keypoints.index(name)) for j, name in enumerate(CMU15.joints) if name in keypoints]
+    core, source = np.array(found, np.intp).reshape(-1, 2).T
+    out = np.full(weight.shape, np.nan)
+    out[..., core] = np.where(weight[..., core] > 0, depth[..., source], np.nan)
+    return out
 
 
 def join_body(rays: Array, weight: Array, extremities: Extremities | None) -> tuple[Array, Array]:

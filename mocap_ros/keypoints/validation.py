@@ -78,6 +78,11 @@ def mark_unseen(points: Array, score: Array) -> tuple[Array, Array, UnusableValu
     return seen_points.reshape(points.shape), seen_score.reshape(score.shape), fault
 
 
+def mark_unknown_depth(depth: Array) -> Array:
+    """Return depths in m of which those that are none, such as 0 and infinity, are NaN."""
+    return np.where((depth > 0) & np.isfinite(depth), depth, np.nan)
+
+
 def find_border_points(points: Array, image_size: tuple[int, int]) -> NDArray[np.bool_]:
     """Return which points (..., 2) px lie on the border of an image; a size of (0, 0) px is unknown.
 

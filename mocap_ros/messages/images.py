@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Images of `sensor_msgs/msg/Image` and `sensor_msgs/msg/CompressedImage` as red, green and blue.
+"""Images of `sensor_msgs/msg/Image` and `sensor_msgs/msg/CompressedImage` as red, green and blue, or as depths.
 
 The encodings are those of the header `image_encodings.hpp` of sensor_msgs. A Bayer pattern is demosaiced in the
 simplest way: every square of two by two pixels gets one colour, which is enough for a keypoint detector.
@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +31,7 @@ MAX_IMAGE_PIXELS = 1 << 26  # px; guards the memory, above the largest cameras o
 
 Numbers = NDArray[np.generic]  # (H, W, C) as they are in a message
 Pixels = NDArray[np.uint8]  # (H, W, 3) red, green, blue
+Depths = NDArray[np.uint16] | NDArray[np.float64]  # (H, W)
 
 # Contributions of the two differences of colour to red, green and blue (ITU-R BT.601, full range).
 RED_BY_V, GREEN_BY_U, GREEN_BY_V, BLUE_BY_U = 1.402, -0.344136, -0.714136, 1.772
@@ -105,6 +108,9 @@ _ENCODINGS: dict[str, tuple[type[np.generic], int, Callable[[Numbers], Numbers]]
     **{f'bayer_{name}8': (np.uint8, 1, _demosaic(*places)) for name, places in _BAYER.items()},
 }
 ENCODINGS = tuple(_ENCODINGS)  # names of the encodings that are read
+MILLIMETRES, FLOATS = '16UC1', '32FC1'  # encodings of depths
+_DEPTH_UNITS_M = {MILLIMETRES: 1e-3, 'mono16': 1e-3, FLOATS: 1.0}
+DEPTH_HEADER_BYTES = 12  # before the PNG of `compressedDepth`
 
 
 def decode_image(raw: bytes, msgtype: str, limits: NodeConfig) -> tuple[Header, Pixels]:
@@ -116,6 +122,26 @@ def decode_image(raw: bytes, msgtype: str, limits: NodeConfig) -> tuple[Header, 
     if message.encoding not in _ENCODINGS:
         raise InputError(f'encoding: {message.encoding!r}, expected one of {", ".join(ENCODINGS)}')
     number_type, channels, convert = _ENCODINGS[message.encoding]
+    return header, np.ascontiguousarray(convert(_view_numbers(message, number_type, channels)).astype(np.uint8))
+
+
+def decode_depth_image(raw: bytes, msgtype: str, limits: NodeConfig) -> tuple[Header, Depths, float]:
+    """Decode a depth image of one of `IMAGE_TYPES`: header, depths along the optical axis, and their unit in m.
+
+    Depths (H, W) are 0 or NaN where unknown. A CompressedImage is one of the transport `compressedDepth`.
+    """
+    message = decode(raw, msgtype)
+    header = validate_header(message.header, limits)
+    if msgtype == COMPRESSED_IMAGE:
+        return header, *_decompress_depth(message.format, message.data.tobytes())
+    if message.encoding not in _DEPTH_UNITS_M:
+        raise InputError(f'encoding: {message.encoding!r}, expected one of {", ".join(_DEPTH_UNITS_M)}')
+    number_type, final_type = (np.float32, np.float64) if message.encoding == FLOATS else (np.uint16, np.uint16)
+    depth: Depths = _view_numbers(message, number_type, 1)[..., 0].astype(final_type, copy=False)
+    return header, depth, _DEPTH_UNITS_M[message.encoding]
+
+
+def _view_numbers(message: Any, number_type: type[np.generic], channels: int) -> Numbers:
     number = np.dtype(number_type).newbyteorder('>' if message.is_bigendian else '<')
     height, width, step = int(message.height), int(message.width), int(message.step)
     row_bytes = width * channels * number.itemsize
@@ -125,8 +151,7 @@ def decode_image(raw: bytes, msgtype: str, limits: NodeConfig) -> tuple[Header, 
     if len(message.data) < step * (height - 1) + row_bytes:
         raise InputError(f'data: {len(message.data)} bytes, expected {step * height}')
     rows = np.lib.stride_tricks.as_strided(message.data, (height, row_bytes), (step, 1), writeable=False)
-    numbers = np.ascontiguousarray(rows).view(number).reshape(height, width, channels)
-    return header, np.ascontiguousarray(convert(numbers).astype(np.uint8))
+    return np.ascontiguousarray(rows).view(number).reshape(height, width, channels)
 
 
 def _check_size(width: int, height: int) -> None:
@@ -135,17 +160,43 @@ def _check_size(width: int, height: int) -> None:
 
 
 def _decompress(data: bytes) -> Pixels:
+    with _opening(data, 'JPEG', 'PNG') as picture:
+        if picture.mode.startswith('I'):  # more than 8 bits of grey, which `convert` would cut off
+            return np.asarray(_stretch_grey(_read_grey(picture)[..., None]).astype(np.uint8))
+        return np.asarray(picture.convert('RGB'))
+
+
+def _decompress_depth(kind: str, data: bytes) -> tuple[Depths, float]:
+    """Read depths as compressed_depth_image_transport writes them: 12 bytes, of which 8 are A and B, and a PNG.
+
+    Floats are A / (q - B), with q the numbers of the PNG.
+    """
+    encoding = kind.partition(';')[0].strip()
+    if 'compressedDepth' not in kind or encoding not in _DEPTH_UNITS_M:
+        expected = ' or '.join(f'{name}; compressedDepth' for name in (MILLIMETRES, FLOATS))
+        raise InputError(f'format: {kind!r}, expected {expected}')
+    with _opening(data[DEPTH_HEADER_BYTES:], 'PNG') as picture:
+        depth = _read_grey(picture)
+    if encoding == MILLIMETRES:
+        return depth, _DEPTH_UNITS_M[encoding]
+    a, b = np.frombuffer(data[4:DEPTH_HEADER_BYTES], '<f4').astype(float)
+    return np.where(depth > b, a / np.where(depth > b, depth - b, 1.0), np.nan), _DEPTH_UNITS_M[encoding]
+
+
+def _read_grey(picture: Pillow.Image) -> NDArray[np.uint16]:
+    return np.clip(np.asarray(picture), 0, np.iinfo(np.uint16).max).astype(np.uint16)
+
+
+@contextmanager
+def _opening(data: bytes, *formats: str) -> Iterator[Pillow.Image]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter('error', Pillow.DecompressionBombWarning)
-            with Pillow.open(io.BytesIO(data), formats=['JPEG', 'PNG']) as picture:
+            with Pillow.open(io.BytesIO(data), formats=formats) as picture:
                 _check_size(*picture.size)
-                if picture.mode.startswith('I'):  # more than 8 bits of grey, which `convert` would cut off
-                    grey = np.clip(np.asarray(picture), 0, np.iinfo(np.uint16).max).astype(np.uint16)
-                    return np.asarray(_stretch_grey(grey[..., None]).astype(np.uint8))
-                return np.asarray(picture.convert('RGB'))
+                yield picture
     except InputError:
         raise
     except Exception as error:  # the bytes may come from anywhere, so the reader may raise anything
-        reason = 'neither JPEG nor PNG' if isinstance(error, UnidentifiedImageError) else str(error)
+        reason = f'not {" or ".join(formats)}' if isinstance(error, UnidentifiedImageError) else str(error)
         raise InputError(f'data: {reason}') from None

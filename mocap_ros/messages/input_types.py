@@ -10,6 +10,7 @@ ROS4HRI (REP-155) publishes the ids of all tracked bodies on one topic, and each
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,14 @@ from mocap_ros.messages.foreign_types import (
     ZED_OBJECTS,
     find_current_type,
 )
-from mocap_ros.messages.keypoints import KEYPOINTS, KeypointsFrame, decode_keypoints, read_people, validate_person
+from mocap_ros.messages.keypoints import (
+    KEYPOINTS,
+    KeypointsFrame,
+    decode_keypoints,
+    read_depth,
+    read_people,
+    validate_person,
+)
 from mocap_ros.skeleton import keypoint_layout
 
 KEYPOINT_TYPES = (KEYPOINTS, YOLO_DETECTIONS, ZED_OBJECTS, OPENPOSE_POSES)
@@ -52,6 +60,8 @@ ZED38 = {  # BODY_38_PARTS; the first 38 keypoints of BODY_70_PARTS are the same
     'lelbow': 14, 'relbow': 15, 'lwrist': 16, 'rwrist': 17, 'lhip': 18, 'rhip': 19,
     'lknee': 20, 'rknee': 21, 'lankle': 22, 'rankle': 23,
 }  # fmt: skip
+# Coordinate along the optical axis in the frames in which a ZED gives points, by the ending of their names.
+DEPTH_AXES = {'camera_frame': 0, 'optical_frame': 2}
 BODY_FORMATS = (ZED18, ZED34, ZED38, ZED38)  # by the field `body_format`: 18, 34, 38 and 70 keypoints
 
 
@@ -67,13 +77,18 @@ def decode_frame(raw: bytes, msgtype: str, limits: NodeConfig, size: ImageSize) 
     message = decode_input(raw, msgtype)
     header = validate_header(message.header, limits)
     entries = getattr(message, field)
-    people = read_people(field, entries, lambda entry: read_person(entry, size[0], limits), limits)
+    people = read_people(
+        field, entries, lambda entry: read_person(entry, header.frame_id, size[0], limits), limits
+    )
     possible = sum(is_person_class(getattr(entry, 'class_name', None)) for entry in entries)
     return KeypointsFrame(header, *size, people, possible - len(people))
 
 
-def _read_yolo(detection: Any, image_width: int, limits: NodeConfig) -> Person2D | None:
-    """Read a yolo_msgs/Detection, which holds only the keypoints above the detector's threshold."""
+def _read_yolo(detection: Any, frame_id: str, image_width: int, limits: NodeConfig) -> Person2D | None:
+    """Read a yolo_msgs/Detection, which holds only the keypoints above the detector's threshold.
+
+    Its points in 3D give depths where they are in the frame of the image.
+    """
     keypoints = detection.keypoints.data
     if not keypoints or not is_person_class(detection.class_name):
         return None
@@ -86,15 +101,21 @@ def _read_yolo(detection: Any, image_width: int, limits: NodeConfig) -> Person2D
             raise InputError(f'keypoints.data[{i}].id: {keypoint.id} twice')
         points[joint] = keypoint.point.x, keypoint.point.y
         score[joint] = keypoint.score
+    depth = np.full(len(COCO17), np.nan)
+    for keypoint in detection.keypoints3d.data if detection.keypoints3d.frame_id == frame_id else ():
+        if 1 <= keypoint.id <= len(COCO17):
+            depth[keypoint.id - 1] = keypoint.point.z
     person_id = validate_text(detection.id, 'id', limits)
-    return validate_person(person_id, COCO17, points, score, image_width, 'keypoints')
+    found = validate_person(person_id, COCO17, points, score, image_width, 'keypoints')
+    return replace(found, depth=read_depth(depth))
 
 
-def _read_zed(zed_object: Any, image_width: int, _: NodeConfig) -> Person2D | None:
+def _read_zed(zed_object: Any, frame_id: str, image_width: int, _: NodeConfig) -> Person2D | None:
     """Read a zed_msgs/Object.
 
     A keypoint that is NaN, negative or zero was not seen. If no keypoint has a score, every keypoint gets the
-    confidence of the whole body.
+    confidence of the whole body. Points in 3D give depths where they are in the camera's frame, x forwards, or in
+    its optical frame.
     """
     if not zed_object.skeleton_available:
         return None
@@ -113,10 +134,15 @@ def _read_zed(zed_object: Any, image_width: int, _: NodeConfig) -> Person2D | No
     is_tracked = zed_object.tracking_available and zed_object.label_id >= 0
     person_id = str(zed_object.label_id) if is_tracked else ''
     score = np.where(seen, score, 0.0)
-    return validate_person(person_id, tuple(indices), points, score, image_width, 'skeleton_2d.keypoints')
+    found = validate_person(person_id, tuple(indices), points, score, image_width, 'skeleton_2d.keypoints')
+    axis = next((axis for ending, axis in DEPTH_AXES.items() if frame_id.endswith(ending)), None)
+    if axis is None:
+        return found
+    depth = [zed_object.skeleton_3d.keypoints[i].kp[axis] for i in indices.values()]
+    return replace(found, depth=read_depth(depth))
 
 
-def _read_openpose(pose: Any, image_width: int, _: NodeConfig) -> Person2D | None:
+def _read_openpose(pose: Any, _frame_id: str, image_width: int, _: NodeConfig) -> Person2D | None:
     keypoints = pose.pose_key_points
     if len(keypoints) not in OPENPOSE_JOINTS:
         expected = ', '.join(map(str, OPENPOSE_JOINTS))

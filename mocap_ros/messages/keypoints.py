@@ -6,18 +6,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mocap_ros.arrays import Array, copy_as_float64
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError, naming
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import describe_other_unit, mark_unseen
+from mocap_ros.keypoints.validation import describe_other_unit, mark_unknown_depth, mark_unseen
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, decode_input, validate_header, validate_text
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.skeleton import LAYOUT_NAMES, keypoint_layout
@@ -78,9 +79,12 @@ def _read_person(person: Any, image_width: int, limits: NodeConfig) -> Person2D:
         raise InputError(f'x: {lengths[0]} joints, more than {limits.max_joints}')
     joints = _read_joint_names(person, lengths[0], limits)
     x, y, score = copy_as_float64((person.x, person.y, person.score))
-    return validate_person(
+    found = validate_person(
         validate_text(person.id, 'id', limits), joints, np.column_stack([x, y]), score, image_width
     )
+    if len(person.depth) in (0, lengths[0]):
+        return replace(found, depth=read_depth(person.depth)) if len(person.depth) else found
+    raise InputError(f'depth: {len(person.depth)} values, x has {lengths[0]}')
 
 
 def validate_person(
@@ -97,6 +101,12 @@ def validate_person(
     if other_unit := describe_other_unit(points, score, image_width):
         raise InputError(f'{prefix}x, y: {other_unit}')
     return Person2D(person_id, joints, points, score)
+
+
+def read_depth(values: ArrayLike) -> Array | None:
+    """Return depths (J,) in m, NaN where unknown; None if all are."""
+    depth = mark_unknown_depth(np.asarray(values, np.float64))
+    return None if np.isnan(depth).all() else depth
 
 
 def _read_joint_names(person: Any, count: int, limits: NodeConfig) -> tuple[str, ...]:
@@ -131,6 +141,7 @@ def encode_keypoints(header: Header, image_size: tuple[int, int], people: Sequen
     for person in people:
         layout_name = next((n for n in LAYOUT_NAMES if keypoint_layout(n).joints == person.joints), '')
         names = () if layout_name else person.joints
-        entries.append((person.id, layout_name, names, *person.points.T, person.score))
+        depth = () if person.depth is None else person.depth
+        entries.append((person.id, layout_name, names, *person.points.T, person.score, depth))
     message = {'header': header, 'image_width': image_size[0], 'image_height': image_size[1], 'people': entries}
     return encode_plain(message, KEYPOINTS)

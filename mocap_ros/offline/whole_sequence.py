@@ -58,6 +58,7 @@ from mocap_ros.people import UNKNOWN_COLUMN, PoseSequence
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.classification import choose_category
+from mocap_ros.solvers.depth import compare_depths, find_corrections
 from mocap_ros.solvers.extremities import SEGMENT_OF, attach, collect_evidence, smooth_extremities
 from mocap_ros.solvers.floor import POSE_SHARE, SIZE_RANGE, Stander, fit_floor
 from mocap_ros.solvers.footing import find_contacts, plant_sequence
@@ -88,6 +89,7 @@ class Solved(NamedTuple):
     poses: PoseSequence
     contact: Array  # (F, 4) probabilities of `solvers.footing`; NaN where they are not known
     height_fault: str = ''  # in words why `tracker.camera_height`, if it is given, is not used or may be wrong
+    is_size_measured: bool = False  # whether the poses have the size that measured depths show
 
 
 class SolvedWindow(NamedTuple):
@@ -144,13 +146,16 @@ def solve_sequence(
     skeleton = next(iter(models.values())).skeleton
     observed = observe_sequence(sequence, config.tracker, skeleton)
     solved = reconstruct_window(observed, models, config, report)
-    poses = _complete(describe_poses(sequence, solved, config.tracker), solved, config.tracker)
+    poses = describe_poses(sequence, solved, config.tracker)
+    poses, ahead = _measure_size(poses, solved.observed)
+    poses = _complete(poses, solved, config.tracker, ahead)
     poses = _blank_frames(poses, ~find_frames_in_sight(~poses.inferred, sequence.timestamps))
     observed = solved.observed
     points, weight = join_body(observed.rays, observed.weight, observed.extremities)
     contact = find_contacts(points, weight, poses.joints, poses.vertical, observed.times)
     contact[np.isnan(poses.joints).all(axis=(1, 2))] = np.nan
-    return Solved(replace(poses, contact=np.fmax(contact[:, ::2], contact[:, 1::2])), contact)
+    poses = replace(poses, contact=np.fmax(contact[:, ::2], contact[:, 1::2]))
+    return Solved(poses, contact, is_size_measured=ahead is not None)
 
 
 def reconstruct_window(
@@ -216,7 +221,23 @@ def describe_poses(sequence: KeypointSequence, solved: SolvedWindow, config: Tra
     )
 
 
-def _complete(poses: PoseSequence, solved: SolvedWindow, config: TrackerConfig) -> PoseSequence:
+def _measure_size(poses: PoseSequence, observed: ObservedWindow) -> tuple[PoseSequence, Array | None]:
+    """Return poses of the size that measured depths show, and displacements for `plant_sequence`."""
+    if observed.depth is None:
+        return poses, None
+    same = np.ones(len(poses))
+    found = compare_depths(observed.depth, poses.joints, same)
+    if np.isnan(found.log_size).all():
+        return poses, None
+    size = math.exp(float(np.nanmedian(found.log_size)))
+    poses = replace(poses, joints=poses.joints * size, body_height=poses.body_height * size)
+    found = compare_depths(observed.depth, poses.joints, same)
+    return poses, found.find_displacement(poses.joints, same)
+
+
+def _complete(
+    poses: PoseSequence, solved: SolvedWindow, config: TrackerConfig, ahead: Array | None
+) -> PoseSequence:
     """Return poses with the orientations and, if `tracker.skeleton` says so, with face, feet and hands."""
     core, observed, count = poses.joints, solved.observed, len(poses)
     image_noise = solved.solution.noise if isinstance(solved.solution, joint.JointReconstruction) else 0.0
@@ -224,7 +245,7 @@ def _complete(poses: PoseSequence, solved: SolvedWindow, config: TrackerConfig) 
     found = smooth_extremities(
         observed.times, collect_evidence(core, windows, noise, range(count)), config.body_height
     )
-    core = plant_sequence(observed, core, found.offsets, poses.vertical, image_noise or NOISE_REFERENCE)
+    core = plant_sequence(observed, core, found.offsets, poses.vertical, image_noise or NOISE_REFERENCE, ahead)
     evidence = collect_evidence(core, windows, noise, range(count))
     found = smooth_extremities(observed.times, evidence, config.body_height)
     if config.skeleton == CMU15.name:
@@ -309,7 +330,11 @@ class _Standing(NamedTuple):
 def _stand_on(found: Sequence[Solved], before: Floor, config: TrackerConfig) -> list[_Standing]:
     """Return people on a floor, of the sizes that it shows; who cannot be of such a size has a fault instead."""
     share = math.hypot(config.body_height_std / config.body_height, POSE_SHARE)
-    fit = fit_floor([Stander(s.poses.joints, s.contact, s.poses.times) for s in found], before, share)
+    standers = [
+        Stander(s.poses.joints, s.contact, s.poses.times, MEASURED_SHARE if s.is_size_measured else share)
+        for s in found
+    ]
+    fit = fit_floor(standers, before)
     if fit is None:
         floor = before if before.camera_height else None
         return [_Standing(s.poses, floor, s.height_fault) for s in found]
@@ -326,7 +351,7 @@ def _stand_on(found: Sequence[Solved], before: Floor, config: TrackerConfig) -> 
         if is_scale_shown:
             vertical = np.tile(fit.floor.upward, (len(poses), 1))
             poses = replace(poses, vertical=vertical, vertical_std=np.full(len(poses), fit.floor.tilt_std))
-        if is_scale_shown and not math.isnan(size):
+        if is_scale_shown and not math.isnan(size) and not person.is_size_measured:
             poses = replace(poses, joints=fit.place(p, poses.joints), body_height=size * poses.body_height)
             if before.camera_height and not USUAL_SIZES[0] < size < USUAL_SIZES[1]:
                 fault = UNUSUAL.format(size)
@@ -414,6 +439,9 @@ def _lift(
         parts.append((poses.joints, poses.std, weight.max(axis=1), cameras))
     joints, std, seen, cameras = map(np.concatenate, zip(*parts, strict=True))
     lifted = LiftedPoses(joints, std)
+    if observed.depth is not None:
+        measured = observed.depth, observed.rays, cameras
+        lifted = find_corrections(*measured, lifted, config.body_height).apply(lifted)
     if known is None:
         known = choose_vertical(observed, lifted.joints @ cameras, seen, config)
     lifted = turn_towards_vertical(lifted, Stances.of(lifted.joints, cameras, seen), cameras, *known)
@@ -481,6 +509,7 @@ def _solve(
 # sequences are solved three times
 LIFTED_SHARE, SOLVED_SHARE, SOLVED_AGAIN_SHARE = 0.07, 0.4, 0.68
 LIFTED_FRAMES = 3600  # that are lifted at once; their histories take 20 MB
+MEASURED_SHARE = 0.015  # 1; standard deviation of sizes that depths show, by surfaces and the depth camera
 MIN_TILT_STD = 1e-3  # rad; a smaller deviation of a vertical is not believed
 FOUND_TILT_FACTOR = 1.5  # 1; by which a vertical counts less that people show, who share its errors
 USUAL_SIZES = 0.75, 1.2  # 1; three standard deviations of the size of adults

@@ -22,6 +22,7 @@ from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, SWITCHED_OUTPUTS
 
 MOCAP_NAME, BRIDGE_NAME, DETECTOR_NAME = 'mocap_node', 'mocap_bridge', 'detector_node'
+DEPTH_NAME = 'depth_node'
 # Type of each service of the node, by name.
 SERVICES = {'~/reset': 'std_srvs/srv/Trigger', '~/record': 'std_srvs/srv/SetBool'}
 # Message type of each input with the default parameters, by relative topic name.
@@ -33,6 +34,7 @@ BRIDGE_PARAMETERS = (
     Parameter('autostart', bool, True, 'the node configures and activates itself', read_only=True),
 )
 IMAGE_TOPIC, KEYPOINTS_TOPIC = 'image', 'keypoints'  # of `detector_node`, relative names
+DEPTH_TOPIC, KEYPOINTS_DEPTH_TOPIC = 'depth', 'keypoints_depth'  # of `depth_node`, likewise
 # The largest number of people is far above what a detector finds.
 DETECTOR_PARAMETERS = (
     Parameter(
@@ -52,6 +54,18 @@ DETECTOR_PARAMETERS = (
         read_only=True,
     ),
     Parameter('image_type', str, IMAGE, 'type of the images', choices=IMAGE_TYPES, read_only=True),
+)
+
+DEPTH_PARAMETERS = (
+    Parameter('input_type', str, KEYPOINTS, 'type of the keypoints', choices=KEYPOINT_TYPES, read_only=True),
+    Parameter(
+        'depth_type',
+        str,
+        IMAGE,
+        'type of the depth images, 16UC1 in mm or 32FC1 in m; CompressedImage is of compressedDepth',
+        choices=IMAGE_TYPES,
+        read_only=True,
+    ),
 )
 
 
@@ -103,9 +117,9 @@ def _describe_nodes() -> dict[str, tuple[str, dict[str, Mapping[str, str]]]]:
         **{f'published with -p node.{field}:=true': {t: kind} for field, (t, kind) in SWITCHED_OUTPUTS.items()},
         'services': SERVICES,
     }
-    bridge, detector = (
+    bridge, detector, depth = (
         {'parameters, after --ros-args -p': {f'{p.name}:={p.default!r}': _describe(p) for p in given}}
-        for given in (BRIDGE_PARAMETERS, DETECTOR_PARAMETERS)
+        for given in (BRIDGE_PARAMETERS, DETECTOR_PARAMETERS, DEPTH_PARAMETERS)
     )
     return {
         MOCAP_NAME: ('Estimate 3D people live from 2D keypoints.', mocap),
@@ -126,6 +140,17 @@ def _describe_nodes() -> dict[str, tuple[str, dict[str, Mapping[str, str]]]]:
                 **detector,
                 'subscribed topic': {IMAGE_TOPIC: ' or '.join(IMAGE_TYPES)},
                 'published topic': {KEYPOINTS_TOPIC: KEYPOINTS},
+            },
+        ),
+        DEPTH_NAME: (
+            'Give 2D keypoints the depths of a depth image that is registered to theirs, for mocap_node.',
+            {
+                **depth,
+                'subscribed topics': {
+                    KEYPOINTS_TOPIC: ' or '.join(KEYPOINT_TYPES),
+                    DEPTH_TOPIC: ' or '.join(IMAGE_TYPES),
+                },
+                'published topic': {KEYPOINTS_DEPTH_TOPIC: KEYPOINTS},
             },
         ),
     }

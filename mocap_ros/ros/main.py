@@ -31,6 +31,11 @@ def detector_main(args: Sequence[str] | None = None) -> int:
     return _run('detector_node', 'detector_node:DetectorNode', args)
 
 
+def depth_main(args: Sequence[str] | None = None) -> int:
+    """Run `depth_node` likewise."""
+    return _run('depth_node', 'depth_node:DepthNode', args)
+
+
 def _run(name: str, node_class: str, args: Sequence[str] | None) -> int:
     """Run the node of a `module:class`; imports are here, so that a SIGINT during one ends without a traceback."""
     arguments = sys.argv[1:] if args is None else args

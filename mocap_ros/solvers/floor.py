@@ -55,6 +55,7 @@ class Stander(NamedTuple):
     joints: Array  # (F, J, 3) m, of `CMU15` or `BODY26` in a camera that does not move; NaN where there are none
     contact: Array  # (F, 4) probabilities of `solvers.footing`; NaN where unknown
     times: Array  # (F,) s, increasing
+    size_share: float  # standard deviation of the size of the body, as a share of it
 
 
 class FloorFit(NamedTuple):
@@ -74,10 +75,18 @@ class FloorFit(NamedTuple):
 class _Evidence:
     """What the feet of a person show: the errors of the module's formula in the K frames that are known."""
 
-    def __init__(self, known: NDArray[np.intp], body: Array, share: Array, weight: Array, steps: Array) -> None:
+    def __init__(
+        self,
+        known: NDArray[np.intp],
+        body: Array,
+        share: Array,
+        weight: Array,
+        steps: Array,
+        size_share: float,
+    ) -> None:
         has_feet = body.shape[1] > CORE_COUNT
         share = share / np.maximum(share.sum(axis=1, keepdims=True), 1e-12)
-        self.known, self.weight = known, weight
+        self.known, self.weight, self.size_share = known, weight, size_share
         self.feet = (body[:, HEELS_AND_TOES if has_feet else ANKLES] * share[..., None]).sum(axis=1)
         self.heights = share @ np.array([HEEL_M, TOE_M, HEEL_M, TOE_M] if has_feet else [ANKLE_M] * 4)
         self.hips = find_roots(body)
@@ -96,7 +105,8 @@ class _Evidence:
         stood = share.max(axis=1) * Stances.of(body).standing * steps
         if stood.sum() < MIN_STANDING_S:
             return None
-        return _Evidence(known, body, share, stood / (EVIDENCE_S * HEIGHT_STD_M**2), steps)
+        weight = stood / (EVIDENCE_S * HEIGHT_STD_M**2)
+        return _Evidence(known, body, share, weight, steps, person.size_share)
 
     def find_height(self, upward: Array) -> float:
         """Return how high the camera is over feet of the assumed size."""
@@ -117,13 +127,12 @@ class _Evidence:
         return normal, by_border.T @ (robust * error) - mixed.T @ solved[:, 3], solved
 
 
-def fit_floor(people: Sequence[Stander], before: Floor, size_share: float) -> FloorFit | None:
+def fit_floor(people: Sequence[Stander], before: Floor) -> FloorFit | None:
     """Find the floor on which people stand; None if nothing shows it.
 
     Args:
         people: those who are seen by a camera that does not move.
         before: the vertical, and the height of the camera if it is known.
-        size_share: standard deviation of the size of a body, as a share of it.
     """
     shown = [_Evidence.find(person) for person in people] if before.tilt_std <= MAX_CERTAIN_STD else []
     evidence = [e for e in shown if e is not None]
@@ -149,7 +158,7 @@ def fit_floor(people: Sequence[Stander], before: Floor, size_share: float) -> Fl
             at = np.array([0, 1, place])
             matrix[np.ix_(at, at)] += normal
             slope[at] += own_slope
-            trust = (size_share * max(float(values[-1]), MIN_CAMERA_HEIGHT_M)) ** -2
+            trust = (seen.size_share * max(float(values[-1]), MIN_CAMERA_HEIGHT_M)) ** -2
             matrix[np.ix_([place, -1], [place, -1])] += trust * np.array([[1.0, -1.0], [-1.0, 1.0]])
             slope[[place, -1]] += trust * (values[place] - values[-1]) * np.array([1.0, -1.0])
             reduced.append((at, solved))

@@ -85,7 +85,14 @@ def find_contacts(rays: Array, weight: Array, joints: Array, upward: Array, time
     return engine.find_contacts(times, *seen, core, feet, np.broadcast_to(upward, core[:, 0].shape), LEGS, FEET)
 
 
-def plant_sequence(observed: ObservedWindow, core: Array, offsets: Array, upward: Array, noise: float) -> Array:
+def plant_sequence(
+    observed: ObservedWindow,
+    core: Array,
+    offsets: Array,
+    upward: Array,
+    noise: float,
+    ahead: Array | None = None,
+) -> Array:
     """Return the core joints (F, 15, 3) m of a sequence whose root has inertia and whose feet stand.
 
     Args:
@@ -94,12 +101,13 @@ def plant_sequence(observed: ObservedWindow, core: Array, offsets: Array, upward
         offsets: (F, 11, 3) m, extremities about their core joints.
         upward: (F, 3) unit vectors; NaN where they are not known.
         noise: m, image noise at the body.
+        ahead: (F, 2) measured displacements along the optical axis in m, and their information in 1/m^2, or None.
     """
     rays, weight = join_body(observed.rays, observed.weight, observed.extremities)
     contact = np.nan_to_num(find_contacts(rays, weight, attach(core, offsets), upward, observed.times))
     are_feet_seen = np.any(weight[:, HEELS_AND_TOES] > 0, axis=0)  # else their ankles stand
     feet = np.ascontiguousarray(offsets[:, FEET] * are_feet_seen[:, None])
-    return engine.smooth(noise, observed.times, np.ascontiguousarray(core), feet, contact, LEGS, ROUNDS)
+    return engine.smooth(noise, observed.times, np.ascontiguousarray(core), feet, contact, LEGS, ROUNDS, ahead)
 
 
 def plant_newest(
@@ -111,6 +119,7 @@ def plant_newest(
     offsets: Array,
     upward: Array | None,
     noise: Array,
+    ahead: Array | None = None,
 ) -> None:
     """Overwrite the core joints (P, 15, 3) m of people by those of a root with inertia and feet that stand.
 
@@ -118,8 +127,8 @@ def plant_newest(
     than the last changes nothing, and if it is the last, it has its core. `footings` (P, N) are `engine.FOOTING`,
     NaN before the first frame; times (P,) in s grow from frame to frame; offsets (P, 11, 3) m of the extremities
     are those of the frame before; `upward` (3,) is None where it is not known; noise (P,) in m is that of the
-    image at the body.
+    image at the body; `ahead` (P, 2) is as of `plant_sequence`.
     """
     feet, up = offsets.take(FEET, axis=1), UNKNOWN if upward is None else upward
     engine.follow_contacts(footings, times, windows, frames, core, feet, up, LEGS, FEET)
-    engine.advance(footings, times, noise, core, feet, LEGS)
+    engine.advance(footings, times, noise, core, feet, LEGS, ahead)

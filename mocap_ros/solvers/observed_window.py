@@ -31,7 +31,7 @@ from mocap_ros.geometry.virtual_camera import VirtualCamera, solver_focal
 from mocap_ros.keypoints.association import measure_sizes, show_people
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.keypoints.left_right import BodySides, exchange_sides, find_swapped_parts
-from mocap_ros.keypoints.rays import Extremities, convert_to_rays, join_body
+from mocap_ros.keypoints.rays import Extremities, convert_to_rays, join_body, select_core_depth
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.models.lifter_input import JOINT_COUNT, SLOTS
 from mocap_ros.skeleton import CMU15, Skeleton
@@ -73,6 +73,9 @@ class ObservedWindow:
     extremities: Extremities | None = None
     # (F, J) as of `rays.convert_to_rays`; None if every joint that was seen counts
     is_evidence: NDArray[np.bool_] | None = None
+    # (F, J) m, depths along the optical axis of the surfaces that are seen at joints, left and right put right;
+    # NaN where unknown, None if all are
+    depth: Array | None = None
 
     @staticmethod
     def facing_person(
@@ -83,10 +86,11 @@ class ObservedWindow:
         focal: float,
         extremities: Extremities | None = None,
         is_evidence: NDArray[np.bool_] | None = None,
+        depth: Array | None = None,
     ) -> ObservedWindow:
         """Return a window whose virtual cameras, one for each frame, follow the person."""
         camera = VirtualCamera.look_at_person(rays, weight, times, VIEW_SMOOTHING_S, intrinsics)
-        return ObservedWindow(times, rays, weight, camera, focal, None, extremities, is_evidence)
+        return ObservedWindow(times, rays, weight, camera, focal, None, extremities, is_evidence, depth)
 
     @property
     def lifted_frames(self) -> int:
@@ -110,7 +114,10 @@ class ObservedWindow:
         extremities = None if self.extremities is None else self.extremities.select_frames(frames)
         seen = self.rays[frames], self.weight[frames]
         is_evidence = None if self.is_evidence is None else self.is_evidence[frames]
-        return ObservedWindow(self.times[frames], *seen, camera, self.focal, lifted, extremities, is_evidence)
+        depth = None if self.depth is None else self.depth[frames]
+        return ObservedWindow(
+            self.times[frames], *seen, camera, self.focal, lifted, extremities, is_evidence, depth
+        )
 
     def exclude_points(self, excluded: NDArray[np.bool_]) -> ObservedWindow:
         """Return the window with the points of a mask (F, J) set to not seen."""
@@ -218,15 +225,20 @@ def observe_sequence(
     )
     extremities = found if skeleton == CMU15 else None
     require_camera_frame(weight)
+    depth = None
+    if skeleton == CMU15 and intrinsics.is_focal_known:
+        depth = select_core_depth(sequence.depth, sequence.joint_names, weight)
     rays, weight, extremities = _exclude_frames_in_one_place(rays, weight, extremities)
     if config.undo_swaps:
         sides = BodySides.of(skeleton)
         shots = find_shots(rays, weight, times) if find_shots is not None else [slice(None)]
         swapped = np.concatenate([find_swapped_parts(times[s], rays[s], weight[s], sides) for s in shots])
+        if depth is not None:
+            _, depth = exchange_sides(rays, depth, swapped, sides)
         rays, weight = exchange_sides(rays, weight, swapped, sides)
         extremities = None if extremities is None else extremities.exchange_sides(swapped)
     focal = solver_focal(intrinsics, config.perspective)
-    return ObservedWindow.facing_person(times, rays, weight, intrinsics, focal, extremities, is_evidence)
+    return ObservedWindow.facing_person(times, rays, weight, intrinsics, focal, extremities, is_evidence, depth)
 
 
 def _exclude_frames_in_one_place(

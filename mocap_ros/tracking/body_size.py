@@ -58,6 +58,8 @@ ANKLE_SHARE = 0.042  # 1; f, share of the body height: 0.03 to 0.055 in motion c
 NOISE_M = 0.04  # m; F, of an ankle's height over the floor from image noise and heels that rise
 GROUND_M = 0.04  # m; G, by which ankles, shoes and carpets differ, and detectors put ankles elsewhere
 FLOOR_FACTOR = 1.7  # 1; Q, so that 95 of 100 roots of training persons are within the ellipsoids
+SCALE_NOISE = 0.03  # 1; s_noise of depths, by the scale of a solution, which wanders
+LASTING_M = 0.03  # m; s_floor of depths, by surfaces, clothes and the depth camera
 CORRELATION_S = 0.5  # s; C, as long as a step lasts
 MAX_RISE_M_S = 0.3  # m/s; of a foot that stands; depth jitters, and lets standing feet rise and sink a little
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for
@@ -80,25 +82,25 @@ class BodySize(NamedTuple):
 
 
 @dataclass(frozen=True)
-class FloorContact:
-    """What feet on the floor say of a person's size; `advance` returns a new one."""
+class SizeEvidence:
+    """What feet on the floor, or measured depths, say of a person's size; what adds a frame returns a new one."""
 
     mean: float  # 1, the m of the module: mean of ln r
-    seconds: float  # s, for how long feet were seen on the floor, frames that are discounted counting less
+    seconds: float  # s, for how long it was seen, frames that are discounted counting less
     noise: float
-    floor_std: float
+    lasting: float  # 1; s_floor, or that of measured depths
     stamp_ns: int  # ns, stamp of the newest frame
 
     @staticmethod
-    def advance(
-        before: FloorContact | None,
+    def add_floor(
+        before: SizeEvidence | None,
         stamp_ns: int,
         joints: Array,
         velocity: Array,
         scores: Array,
         floor: Floor,
         body_height: float,
-    ) -> FloorContact | None:
+    ) -> SizeEvidence | None:
         """Return what is known after another frame, of joints (J, 3) m of a person of the assumed size.
 
         Where the lower ankle was not seen, by the scores (J,), that is what was known before.
@@ -114,24 +116,37 @@ class FloorContact:
         if not (is_seen and drop > MIN_DROP_SHARE * height and abs(rise) < MAX_RISE_M_S):
             return before
         found = math.log(height / (ANKLE_SHARE * body_height + drop))
+        distance = math.sqrt(max(float(ankle @ ankle) - drop * drop, 0.0)) * math.exp(found)
+        lasting = math.hypot(GROUND_M, floor.tilt_std * distance) / height
+        return SizeEvidence._add(before, stamp_ns, found, NOISE_M / height, lasting)
+
+    @staticmethod
+    def add_depth(
+        before: SizeEvidence | None, stamp_ns: int, log_size: float, distance: float
+    ) -> SizeEvidence | None:
+        """Return what is known after another frame, whose depths show ln r of a person at a distance in m."""
+        return SizeEvidence._add(before, stamp_ns, log_size, SCALE_NOISE, LASTING_M / distance)
+
+    @staticmethod
+    def _add(
+        before: SizeEvidence | None, stamp_ns: int, found: float, noise: float, lasting: float
+    ) -> SizeEvidence | None:
         if not LEAST < found < LARGEST:
             return before
-        distance = math.sqrt(max(float(ankle @ ankle) - drop * drop, 0.0)) * math.exp(found)
-        noise, floor_std = NOISE_M / height, math.hypot(GROUND_M, floor.tilt_std * distance) / height
         if before is None:
-            return FloorContact(found, 0.0, noise, floor_std, stamp_ns)
+            return SizeEvidence(found, 0.0, noise, lasting, stamp_ns)
         if stamp_ns <= before.stamp_ns:  # with a lag, this frame was shown before
             return before
         step = min((stamp_ns - before.stamp_ns) / NS_PER_S, MAX_STEP_S)
-        off = (found - before.mean) / (2 * math.hypot(noise, floor_std))
+        off = (found - before.mean) / (2 * math.hypot(noise, lasting))
         weight = step / (1 + off * off)
         seconds = before.seconds + weight
         mean = before.mean + (found - before.mean) * weight / max(seconds, step)
-        return FloorContact(mean, seconds, noise, floor_std, stamp_ns)
+        return SizeEvidence(mean, seconds, noise, lasting, stamp_ns)
 
     def find_size(self, prior: BodySize) -> BodySize:
-        """Return the size that the floor and what is known besides show together."""
-        own = self.noise**2 / (self.seconds / CORRELATION_S + 1) + self.floor_std**2
+        """Return the size that this and what is known besides show together."""
+        own = self.noise**2 / (self.seconds / CORRELATION_S + 1) + self.lasting**2
         gain = prior.share**2 / (prior.share**2 + own)
         before = math.log(prior.ratio)
         share = min(FLOOR_FACTOR * math.sqrt(gain * own), prior.share)

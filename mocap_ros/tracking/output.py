@@ -11,7 +11,7 @@ of the velocity.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,10 +23,11 @@ from mocap_ros.models.model_file import load_velocity_correction
 from mocap_ros.models.velocity_correction import SPANS_S, VelocityPast
 from mocap_ros.people import Motion, People
 from mocap_ros.skeleton import HIPS, Skeleton
+from mocap_ros.solvers.depth import compare_depths
 from mocap_ros.solvers.extremities import BODY, ExtremityEvidence, collect_evidence
 from mocap_ros.solvers.footing import plant_newest
 from mocap_ros.solvers.observed_window import ObservedWindow
-from mocap_ros.tracking.body_size import BodySize
+from mocap_ros.tracking.body_size import BodySize, SizeEvidence
 from mocap_ros.tracking.motion_filter import (
     OF_EXTREMITIES,
     OF_FOOTING,
@@ -42,6 +43,7 @@ from mocap_ros.tracking.track import Track
 
 AGO = np.array([0.0, *SPANS_S])  # s; now, and the starts of the spans
 _HIPS = np.array(HIPS)
+FindSize = Callable[[Track], BodySize]
 
 
 class Shown(NamedTuple):
@@ -76,18 +78,44 @@ class CoreMotion(NamedTuple):
     root_velocity_covariance: Array
 
 
-def follow_motion(shown: Shown, upward: Array | None, *, is_steady: bool) -> tuple[CoreMotion, ExtremityEvidence]:
-    """Filter the motion of people, if `is_steady`, plant their feet and follow their extremities."""
+def follow_motion(
+    shown: Shown, upward: Array | None, find_size: FindSize, stamp_ns: int, *, is_steady: bool
+) -> tuple[CoreMotion, ExtremityEvidence]:
+    """Filter the motion of people, if `is_steady`, plant their feet and follow their extremities.
+
+    Where depths are measured, sizes of people follow, and their distances, stamp of the frame in ns.
+    """
     filters, times, located = shown.filters, shown.times, locate_past(shown)
     motion = find_published_motion(shown, *located, is_steady=is_steady)
     offsets, core = filters[:, OFFSETS].reshape(len(times), -1, 3), motion.joints
     seen = shown.windows, shown.frames, core, offsets, upward, shown.noise
-    plant_newest(filters[:, OF_FOOTING], times, *seen)
+    plant_newest(filters[:, OF_FOOTING], times, *seen, measure_depths(shown, core, find_size, stamp_ns))
     evidence = collect_evidence(core, shown.windows, shown.noise, shown.frames)
     follow_extremities(shown, evidence, times, is_steady=is_steady)
     for track, own in zip(shown.tracks, filters, strict=True):
         track.filters = own
     return motion, evidence
+
+
+def measure_depths(shown: Shown, core: Array, find_size: FindSize, stamp_ns: int) -> Array | None:
+    """Return displacements of people for `plant_newest`, by measured depths; None without. Their sizes follow.
+
+    `core` (P, 15, 3) m are solved bodies of the assumed size.
+    """
+    known = [p for p, window in enumerate(shown.windows) if window.depth is not None]
+    if not known:
+        return None
+    depths = [(shown.windows[p].depth, shown.frames[p]) for p in known]
+    surface = np.array([depth[frame] for depth, frame in depths if depth is not None])
+    size = np.array([find_size(shown.tracks[p]).ratio for p in known])
+    found, distance = compare_depths(surface, core[known], size), core[:, :, 2].mean(axis=1)
+    for p, log_size in zip(known, found.log_size.tolist(), strict=True):
+        track = shown.tracks[p]
+        track.measured_size = SizeEvidence.add_depth(track.measured_size, stamp_ns, log_size, float(distance[p]))
+    size = np.array([find_size(shown.tracks[p]).ratio for p in known])
+    ahead = np.zeros((len(core), 2))
+    ahead[known] = found.find_displacement(core[known], size)
+    return ahead
 
 
 def follow_extremities(shown: Shown, evidence: ExtremityEvidence, times: Array, *, is_steady: bool) -> None:
@@ -150,7 +178,9 @@ def describe_cores(
 ) -> tuple[Array, Array]:
     """Return the deviations (P, J) m of joints and the covariances (P, 3, 3) m^2 of roots, of the assumed size."""
     posterior = np.array([s.joint_std / s.stature_ratio for s in shown.solutions])
-    return engine.describe_cores(posterior, seen, joints, np.array(sizes), shown.filters[:, SHIFT].copy(), _HIPS)
+    shifts = shown.filters[:, SHIFT].copy()
+    shifts[[t.measured_size is not None for t in shown.tracks]] = np.nan
+    return engine.describe_cores(posterior, seen, joints, np.array(sizes), shifts, _HIPS)
 
 
 def make_people(

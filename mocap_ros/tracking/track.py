@@ -31,7 +31,7 @@ from mocap_ros.keypoints.matching import DetectedBody
 from mocap_ros.keypoints.rays import Extremities
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.observed_window import ObservedWindow
-from mocap_ros.tracking.body_size import FloorContact
+from mocap_ros.tracking.body_size import SizeEvidence
 from mocap_ros.tracking.motion_filter import UNFILTERED, restart_motion
 from mocap_ros.tracking.schedule import CheckSchedule
 from mocap_ros.tracking.solution import TrackSolution
@@ -69,7 +69,11 @@ class Track:
     solution: TrackSolution | None = None
     schedule: CheckSchedule = field(default_factory=CheckSchedule)  # the checks of the solution that are due
     filters: Array = field(default_factory=UNFILTERED.copy)  # (R,) `FILTERS` of the output
-    floor_contact: FloorContact | None = None  # what feet on the floor say of the person's size; None if nothing
+    floor_contact: SizeEvidence | None = None  # what feet on the floor say of the person's size; None if nothing
+    measured_size: SizeEvidence | None = None  # what measured depths say of it
+    # (F, J) m, depths of the surfaces at joints with the detector's labels, NaN where unknown; None if all were so
+    depth: Array | None = None
+    correction: Array | None = None  # (J,) of the newest lifted pose by measured depths, as of `solvers.depth`
 
     @staticmethod
     def begin(
@@ -157,6 +161,10 @@ class Track:
         self.weight = np.concatenate([self.weight[dropped:], detection.weight[None]])
         self.is_evidence = np.concatenate([self.is_evidence[dropped:], detection.is_evidence[None]])
         self.extremities = self.extremities.append_frame(detection.extremities, dropped)
+        if self.depth is not None or detection.depth is not None:
+            unknown = np.full((len(self.stamps_ns), self.weight.shape[1]), np.nan)
+            kept = unknown[1:] if self.depth is None else self.depth[dropped:]
+            self.depth = np.concatenate([kept, unknown[:1] if detection.depth is None else detection.depth[None]])
         self.frames_seen += 1
         self.is_tentative = self.is_tentative and is_new(self.frames_seen, time_s)
         self._correct_sides(np.concatenate([self.observed.times[dropped:], [time_s]]), lifted)
@@ -164,12 +172,15 @@ class Track:
     def _correct_sides(self, times: Array, lifted: LiftedPoses | None) -> None:
         """Undo the swaps of left and right, and face the person; the first frames have lifted poses."""
         rays, weight, extremities, swapped = self.rays, self.weight, self.extremities, self.swap_filter.is_swapped
+        depth = self.depth
         if np.count_nonzero(swapped):
+            if depth is not None:
+                _, depth = exchange_sides(rays, depth, swapped, self.swap_filter.sides)
             rays, weight = exchange_sides(rays, weight, swapped, self.swap_filter.sides)
             extremities = extremities.exchange_sides(swapped)
         camera = VirtualCamera.look_at_mean_position(rays, weight, self.intrinsics)
         seen = times, rays, weight, camera, self.focal
-        self.observed = ObservedWindow(*seen, lifted, extremities, self.is_evidence)
+        self.observed = ObservedWindow(*seen, lifted, extremities, self.is_evidence, depth)
 
     def change_camera(self, intrinsics: Intrinsics, focal: float) -> None:
         """Use other intrinsics: the image points stay, or are resized as the image is; nothing is lifted yet."""

@@ -33,17 +33,19 @@ from mocap_ros.keypoints.left_right import BodySides, SwapFilter
 from mocap_ros.keypoints.matching import DetectedBody
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import ALL_MOTIONS, PoseModel
+from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.models.model_file import load_prior_lifter, load_velocity_correction
 from mocap_ros.models.upward_direction import Stances
 from mocap_ros.people import CameraVertical, People, PredictedPeople, TrackedFrame
 from mocap_ros.skeleton import keypoint_layout
+from mocap_ros.solvers.depth import fade, find_corrections
 from mocap_ros.solvers.image_roll import CameraSide, find_roll
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, let_base_poses_lead
 from mocap_ros.solvers.observed_window import append_lifted, sample_unlifted_histories
 from mocap_ros.solvers.vertical import AUTO as AUTO_VERTICAL
 from mocap_ros.solvers.vertical import NONE as NO_VERTICAL
 from mocap_ros.solvers.vertical import Vertical, lift_under_vertical, read_given_vertical, turn_towards_vertical
-from mocap_ros.tracking.body_size import BodySize, FloorContact, assume_size, read_body_heights
+from mocap_ros.tracking.body_size import BodySize, SizeEvidence, assume_size, read_body_heights
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, FRAME_BUDGET_WITHOUT_LIFTER, DeferredWork
 from mocap_ros.tracking.hypotheses import HypothesisChecker
 from mocap_ros.tracking.output import Shown, describe_cores, follow_motion, make_people
@@ -348,6 +350,7 @@ class PeopleTracker:
         if known is not None and known.is_given:
             given = cameras @ known.direction, np.full(len(cameras), known.std)
         lifted = lift_under_vertical(self._lifter, points, weight, given)
+        lifted = self._correct_by_depth(tracks, lifted, cameras)
         if self.config.tracker.vertical != NO_VERTICAL:
             stances = Stances.of(lifted.joints, cameras, weight.max(axis=1))
             if known is not None:
@@ -355,6 +358,26 @@ class PeopleTracker:
                 lifted = turn_towards_vertical(lifted, stances, cameras, *towards)
             self._find_vertical(stamp_ns, tracks, newest, stances)
         append_lifted(windows, lifted, cameras)
+
+    def _correct_by_depth(self, tracks: Sequence[Track], lifted: LiftedPoses, cameras: Array) -> LiftedPoses:
+        """Return the lifted poses of the frames not lifted yet as measured depths correct them, if there are any.
+
+        What is known of earlier corrections is forgotten where earlier frames are lifted anew.
+        """
+        windows = [t.observed.select_frames(slice(t.observed.lifted_frames, None)) for t in tracks]
+        if all(window.depth is None for window in windows):
+            return lifted
+        surface = [np.full_like(w.weight, np.nan) if w.depth is None else w.depth for w in windows]
+        rays, counts = np.concatenate([w.rays for w in windows]), [len(w.times) for w in windows]
+        heights = [self.config.tracker.body_height * self._find_size(t).ratio for t in tracks]
+        seen = np.concatenate(surface), rays, cameras
+        found = find_corrections(*seen, lifted, np.repeat(heights, counts))
+        for track, count, end in zip(tracks, counts, accumulate(counts), strict=True):
+            newest, times = found.depth[end - 1], track.observed.times
+            if track.correction is not None and count == 1 < len(times):
+                newest[:] = fade(track.correction, newest, float(times[-1] - times[-2]))
+            track.correction = newest.copy()
+        return found.apply(lifted)
 
     def _find_vertical(
         self, stamp_ns: int, tracks: Sequence[Track], newest: Sequence[int], stances: Stances
@@ -435,14 +458,14 @@ class PeopleTracker:
             return People.none(self._skeleton)
         self._at_work, shown, settings = tracks, Shown.of(tracks, frames), self.config.tracker
         is_steady = settings.steady_output and self._is_newest_shown
-        motion, seen = follow_motion(shown, self._upward, is_steady=is_steady)
+        motion, seen = follow_motion(shown, self._upward, self._find_size, shown_ns, is_steady=is_steady)
         if floor is None and (height := settings.camera_height) and self._vertical is not None:
             std = CALIBRATED_TILT_STD if self._vertical.is_given else self._vertical.std
             floor = Floor(self._vertical.direction, height, std)
         if floor is not None:
             for p, track in enumerate(tracks):
                 if track.intrinsics.is_focal_known and not track.is_tentative:
-                    track.floor_contact = FloorContact.advance(
+                    track.floor_contact = SizeEvidence.add_floor(
                         track.floor_contact,
                         shown_ns,
                         motion.joints[p],
@@ -460,9 +483,13 @@ class PeopleTracker:
         settings, person_id = self.config.tracker, track.id
         if track.given_id in read_body_heights(settings.body_heights):
             person_id = track.given_id
-        known = track.intrinsics.is_focal_known, track.solved.hidden_share
+        hidden = 0.0 if track.solution is None else track.solution.hidden_share
+        known = track.intrinsics.is_focal_known, hidden
         assumed = assume_size(settings, person_id, *known)
-        return assumed if track.floor_contact is None else track.floor_contact.find_size(assumed)
+        for shown in (track.floor_contact, track.measured_size):
+            if shown is not None:
+                assumed = shown.find_size(assumed)
+        return assumed
 
     def _predict_missing(self, stamp_ns: int) -> People:
         """Return the people who are predicted for this frame, stamp in ns; none with `tracker.lag`."""

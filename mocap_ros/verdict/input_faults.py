@@ -50,6 +50,10 @@ MIN_OFF_SHARE = 0.8  # 1; P: one person among several for whom it is not so spea
 MAX_STEP_S = 1.0  # s; longest time that one frame stands for, so that a stream of 1 Hz still reaches S
 MAX_ANGLE_DEG = 40.0  # who sits or bends down is below it, who lies is above
 MEMORY_S = 20.0  # s; T, as long as a vertical that is found is remembered
+REACH_M = 0.8  # m; from the middle of a body to its hands and feet
+MAX_DEPTH_M = 100.0  # m; farther away no depth camera measures anything
+MIN_SHARE_NEAR = 0.3  # 1; of depths that are those of a person, of whom furniture may hide the legs and an arm
+KEPT_SHARE = 0.99  # 1; of what is known, from frame to frame
 MIN_JUDGED_S = 5.0  # s; S, longer than it takes to fall or to lie down for an exercise
 
 
@@ -87,6 +91,30 @@ class VerticalCheck:
         return degrees_off / seconds_off if lasts else None
 
 
+class DepthCheck:
+    """Whether measured depths are where people are, by the newest frames, about `1 / (1 - KEPT_SHARE)` of them."""
+
+    def __init__(self) -> None:
+        self._sums = np.zeros(3)  # of frames, and of the shares of depths that are near the person, and too far
+
+    def add(self, depth: Array, distance: float) -> None:
+        """Add the depths (J,) of a person in a frame, and the person's distance, all in m; NaN is unknown."""
+        known = depth[np.isfinite(depth)]
+        if len(known) and math.isfinite(distance):
+            shares = 1.0, (np.abs(known - distance) < REACH_M).mean(), (known > MAX_DEPTH_M).mean()
+            self._sums = KEPT_SHARE * self._sums + shares
+
+    def judge(self) -> Finding:
+        """Return what is wrong with the depths."""
+        frames, near, far = self._sums.tolist()
+        if frames < MIN_JUDGED_FRAMES:
+            return SOUND
+        if far > frames / 2:
+            return Fault.DEPTH_UNIT.found(far=far / frames, limit_m=MAX_DEPTH_M)
+        is_near = near > MIN_SHARE_NEAR * frames
+        return SOUND if is_near else Fault.DEPTH_ELSEWHERE.found(near=near / frames, reach_m=REACH_M)
+
+
 class InputChecks:
     """Checks of successive images of one camera; `warnings` says what seems wrong as of the last one."""
 
@@ -100,7 +128,7 @@ class InputChecks:
 
     def reset(self) -> None:
         """Forget what was found so far, and what was described."""
-        self._vertical = VerticalCheck()
+        self._vertical, self._depth = VerticalCheck(), DepthCheck()
         self._newest_seen_ns = 0  # stamp of the newest image in which a person was detected
         self._first_nominal_ns: int | None = None  # stamp of the first image of people without a CameraInfo
         self._unusable_ns: int | None = None  # stamp of the first unusable detection since people were shown
@@ -156,6 +184,7 @@ class InputChecks:
             self._check_keypoints(frame),
             self._check_usable(stamp_ns, tracked),
             self._check_vertical(tracked, config, has_floor=has_floor),
+            self._check_depth(frame, tracked, intrinsics),
             points._replace(words=f'people: {points.words}') if points.grade is not Grade.GOOD else SOUND,
             find_worst(SOUND, *(find_misspelt_joint(p.joints) for p in frame.people)),
             find_unusable_distortion(intrinsics),
@@ -198,6 +227,16 @@ class InputChecks:
             return SOUND
         hfov_deg = math.degrees(2 * math.atan(0.5 / focal))
         return Fault.NO_CALIBRATION.found(Grade.GOOD, focal=focal, hfov_deg=hfov_deg)
+
+    def _check_depth(self, frame: KeypointsFrame, tracked: TrackedFrame, intrinsics: Intrinsics) -> Finding:
+        depths = [person.depth for person in frame.people if person.depth is not None]
+        if depths and not intrinsics.is_focal_known:
+            return Fault.DEPTH_UNUSED.found(Grade.GOOD)
+        distances = tracked.people.core[:, :, 2].mean(axis=1)
+        for depth in depths if len(distances) else ():
+            nearest = np.abs(distances - np.nanmedian(depth)).argmin()
+            self._depth.add(depth, float(distances[nearest]))
+        return self._depth.judge()
 
     def _check_vertical(self, tracked: TrackedFrame, config: Config, *, has_floor: bool) -> Finding:
         given, vertical = config.tracker.vertical, tracked.vertical

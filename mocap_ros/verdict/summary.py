@@ -30,6 +30,7 @@ from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.vertical import read_given_vertical
 from mocap_ros.summary import Summary
 from mocap_ros.units import NS_PER_S
+from mocap_ros.verdict.input_faults import DepthCheck
 from mocap_ros.verdict.plausibility import (
     LOOK_S,
     MAX_STRETCHES,
@@ -133,6 +134,7 @@ def summarise(people: Sequence[PoseSequence], config: Config) -> Summary:
     sequences = [person.sequence for person in people if person.sequence is not None]
     given, walk, places, basis = read_given_vertical(config.tracker), Walk(), PointPlaces(), Basis()
     measured: list[dict[Reading, float]] = []
+    depths, is_depth_unused = DepthCheck(), False
     vertical_stds: list[float] = []
     for number, (sequence, person) in enumerate(zip(sequences, people, strict=True)):
         distance_m = float(np.nanmedian(person.joints[..., 2]))
@@ -146,6 +148,10 @@ def summarise(people: Sequence[PoseSequence], config: Config) -> Summary:
         places.add(keypoints[..., :2], keypoints[..., 2], sequence.image_size)
         for stamp_ns, joints in zip(sequence.stamps_ns, person.joints, strict=True):
             walk.add(str(number), stamp_ns, joints)
+        if sequence.depth is not None:
+            for depth, distance in zip(sequence.depth, person.joints[..., 2].mean(axis=1).tolist(), strict=True):
+                depths.add(depth, distance)
+            is_depth_unused = not person.intrinsics.is_focal_known
         if len(measured) < MAX_JUDGED_PEOPLE * MAX_STRETCHES:
             stretches = cut_stretches(
                 keypoints,
@@ -166,7 +172,8 @@ def summarise(people: Sequence[PoseSequence], config: Config) -> Summary:
         size = Fault.SIZE_ASSUMED.found(width=width, height=height)
     share = basis.fit.residual_share
     return basis.summarise(
-        judge(average(measured), share, sequence.joint_names, size, is_backwards=walk.is_backwards)
+        judge(average(measured), share, sequence.joint_names, size, is_backwards=walk.is_backwards),
+        Fault.DEPTH_UNUSED.found(Grade.GOOD) if is_depth_unused else depths.judge(),
     )
 
 

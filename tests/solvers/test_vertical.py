@@ -349,7 +349,7 @@ def stand(camera_height: float = CAMERA_HEIGHT_M) -> Array:
 
 
 def fit_to(joints: Array, floor: Floor) -> FloorFit:
-    fit = fit_floor([Stander(joints, CONTACT, TIMES)], floor, 0.08)
+    fit = fit_floor([Stander(joints, CONTACT, TIMES, 0.08)], floor)
     assert fit is not None
     return fit
 
@@ -455,7 +455,7 @@ def sit(joints: Array) -> Array:
     ],
 )
 def test_nothing_shows_a_floor(joints: Array, contact: Array, tilt_deg: float) -> None:
-    assert fit_floor([Stander(joints, contact, TIMES)], Floor(UPWARD, None, math.radians(tilt_deg)), 0.08) is None
+    assert fit_floor([Stander(joints, contact, TIMES, 0.08)], Floor(UPWARD, None, math.radians(tilt_deg))) is None
 
 
 def test_a_world_without_floor_or_vertical() -> None:

@@ -26,7 +26,7 @@ from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.people import CameraVertical, Person3D, PoseSequence
 from mocap_ros.skeleton import find_roots
 from mocap_ros.solvers.vertical import MAX_STD_DEG
-from mocap_ros.tracking.body_size import ANKLE_SHARE, ANKLES, BodySize, FloorContact, assume_size
+from mocap_ros.tracking.body_size import ANKLE_SHARE, ANKLES, BodySize, SizeEvidence, assume_size
 from mocap_ros.tracking.tracker import PeopleTracker
 from mocap_ros.verdict.input_faults import MIN_JUDGED_S, VerticalCheck
 from tests.support.bodies import STANDING, UPRIGHT, angles_deg, gather, make_person_3d
@@ -59,13 +59,13 @@ def make_standing(ratio: float, distance: float = 4.0, lift: float = 0.0) -> Per
 
 
 def advance(
-    before: FloorContact | None, stamp_ns: int, person: Person3D, floor: Floor = LEVEL
-) -> FloorContact | None:
+    before: SizeEvidence | None, stamp_ns: int, person: Person3D, floor: Floor = LEVEL
+) -> SizeEvidence | None:
     seen = np.where(person.inferred, 0.0, 1.0)
-    return FloorContact.advance(before, stamp_ns, person.joints, person.joint_velocity, seen, floor, HEIGHT_M)
+    return SizeEvidence.add_floor(before, stamp_ns, person.joints, person.joint_velocity, seen, floor, HEIGHT_M)
 
 
-def contact_after(frames: int, person: Person3D, floor: Floor = LEVEL) -> FloorContact | None:
+def contact_after(frames: int, person: Person3D, floor: Floor = LEVEL) -> SizeEvidence | None:
     contact = None
     for frame in range(frames):
         contact = advance(contact, frame * STEP_NS, person, floor)
