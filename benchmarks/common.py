@@ -129,6 +129,12 @@ class View:
         return self.sequence['keypoints'].astype(float)
 
     @property
+    def depth(self) -> Array | None:
+        """Measured depths (F, J) m of surfaces at the keypoints, if there are any."""
+        found = self.sequence.get('depth')
+        return None if found is None else found.astype(float)
+
+    @property
     def times(self) -> Array:
         return self.sequence['timestamps']
 
@@ -266,6 +272,7 @@ def reconstruct_whole(
         view.joint_names,
         view.times,
         **view.camera,
+        depth=view.depth,
         model=model,
         parameters=_fill_in(parameters or {}),
         method=method,
@@ -274,12 +281,16 @@ def reconstruct_whole(
 
 @dataclass(frozen=True, eq=False)
 class TrackedSequence:
-    """Joints (F, 26, 3) m, deviations, orientations and what was inferred, live; NaN in frames without output."""
+    """Joints (F, 26, 3) m, deviations, orientations and what was inferred, live; NaN in frames without output.
+
+    `root_covariance` (F, 3, 3) is in m^2.
+    """
 
     joints: Array
     std: Array
     turns: Array
     inferred: Bools
+    root_covariance: Array
 
 
 def track(view: View, model: PoseModel | str = 'auto', parameters: Parameters | None = None) -> TrackedSequence:
@@ -289,14 +300,15 @@ def track(view: View, model: PoseModel | str = 'auto', parameters: Parameters | 
     )
     joints = np.full((view.frames, 26, 3), np.nan)
     std, inferred = np.full(joints.shape[:2], np.nan), np.zeros(joints.shape[:2], bool)
-    turns = np.full((view.frames, 26, 4), np.nan)
-    for time_s, keypoints in zip(view.times, view.keypoints, strict=True):
-        frame = tracker.update(float(time_s), [keypoints], ids=['p'])
+    turns, covariance = np.full((view.frames, 26, 4), np.nan), np.full((view.frames, 3, 3), np.nan)
+    depths = [None] * view.frames if view.depth is None else view.depth[:, None]
+    for time_s, keypoints, depth in zip(view.times, view.keypoints, depths, strict=True):
+        frame = tracker.update(float(time_s), [keypoints], ids=['p'], depth=depth)
         for person in frame.people:
             at = int(np.argmin(np.abs(view.times - frame.time_s)))
             joints[at], std[at], inferred[at] = person.joints, person.joint_std, person.inferred
-            turns[at] = person.joint_orientation
-    return TrackedSequence(joints, std, turns, inferred)
+            turns[at], covariance[at] = person.joint_orientation, person.root_covariance
+    return TrackedSequence(joints, std, turns, inferred, covariance)
 
 
 def reconstruct(

@@ -136,8 +136,11 @@ def decode_depth_image(raw: bytes, msgtype: str, limits: NodeConfig) -> tuple[He
         return header, *_decompress_depth(message.format, message.data.tobytes())
     if message.encoding not in _DEPTH_UNITS_M:
         raise InputError(f'encoding: {message.encoding!r}, expected one of {", ".join(_DEPTH_UNITS_M)}')
-    number_type, final_type = (np.float32, np.float64) if message.encoding == FLOATS else (np.uint16, np.uint16)
-    depth: Depths = _view_numbers(message, number_type, 1)[..., 0].astype(final_type, copy=False)
+    depth: Depths
+    if message.encoding == FLOATS:
+        depth = np.asarray(_view_numbers(message, np.float32, 1)[..., 0], np.float64)
+    else:
+        depth = np.asarray(_view_numbers(message, np.uint16, 1)[..., 0], np.uint16)
     return header, depth, _DEPTH_UNITS_M[message.encoding]
 
 

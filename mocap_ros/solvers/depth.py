@@ -48,7 +48,7 @@ FADE_S = 0.08  # s; T
 POSE_STD_M = 0.05  # m; s_j of a solved pose
 MIN_SEEN = 1.5  # joints, a sum of probabilities; fewer show no size
 LEAST_STD_M = 0.015  # m; of the depth of a body, whose surfaces and depth camera have lasting errors
-OPTICAL_AXIS = np.array([0.0, 0.0, 1.0])
+OPTICAL_AXIS = np.array([0.0, 0.0, 1.0])  # of the real camera, along which solved bodies are compared
 # m; t_0, t_f and t_b
 THICKNESS_M = {
     'shoulder': (0.07, 0.0, 0.025),
@@ -65,6 +65,7 @@ TRUNK_RADII_M = {
     ('lhip', 'rhip'): 0.09,
     ('neck', 'head'): 0.09,
 }
+# m; of those of each side
 SIDE_RADII_M = {
     ('shoulder', 'hip'): 0.09,
     ('shoulder', 'elbow'): 0.05,
@@ -103,7 +104,7 @@ class Corrections(NamedTuple):
     """What measured depths change of N poses along the axes of their virtual cameras, in units of the distance."""
 
     depth: Array  # (N, 15) c_j
-    kept: Array  # (N, 15) 1 - k_j g_j, the share of the variance that is left
+    kept: Array  # (N, 15) 1 - g_j, the share of the variance that is left
 
     def apply(self, lifted: LiftedPoses) -> LiftedPoses:
         """Return lifted poses with these corrections, in the axes of the virtual cameras."""

@@ -239,7 +239,7 @@ PUBLIC: dict[str, str] = {
     'GroundTruth': '(joints, joint_names)',
     'KeypointSequence': '(keypoints, joint_names, timestamps, image_size, camera_matrix=None, distortion=None, '
     "truth=None, person_id='', frame_id='', recorded_ns=(), calibration=None, focal_source='', notes=(), "
-    'is_size_assumed=False, recording_start=None)',
+    'is_size_assumed=False, recording_start=None, depth=None)',
     'Motion': 'cadence category kind residual',
     'Person3D': 'age contact core id inferred is_scale_known joint_names joint_orientation joint_std '
     'joint_velocity joint_velocity_std joints motion predicted reprojection_residual root root_covariance '
@@ -255,7 +255,7 @@ PUBLIC: dict[str, str] = {
     'read': "(path, *, person=None, topic=None, camera_info=None, fps=None, image_size=None, layout='', "
     'detector=None, hfov=None, focal=None, video=None)',
     'reconstruct': '(keypoints, joint_names=None, times=None, *, image_size=None, camera_matrix=None, '
-    "distortion=None, model='auto', parameters=None, method='whole')",
+    "distortion=None, depth=None, model='auto', parameters=None, method='whole')",
     'write': '(path, result)',
 }
 

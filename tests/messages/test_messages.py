@@ -55,6 +55,7 @@ def make_person_2d(person_id: str = '', joints: tuple[str, ...] = keypoint_layou
 def test_keypoints_round_trip(joints: tuple[str, ...]) -> None:
     seen = make_person_2d('anna', joints)
     seen.score[1] = 0
+    seen.depth = np.where(np.arange(len(joints)) == 2, np.nan, 1.5)
     frame = decode_keypoints(encode_keypoints(HEADER, SIZE, [seen]), LIMITS)
     assert frame.header == HEADER
     assert (frame.image_width, frame.image_height) == SIZE
@@ -62,6 +63,7 @@ def test_keypoints_round_trip(joints: tuple[str, ...]) -> None:
     assert (person.id, person.joints) == ('anna', joints)
     np.testing.assert_array_equal(person.points[2:], seen.points[2:])
     np.testing.assert_array_equal(person.score, seen.score)
+    np.testing.assert_array_equal(np.asarray(person.depth), seen.depth)
     assert np.isnan(person.points[1]).all()
 
 
@@ -83,6 +85,7 @@ def infinite_at(index: int) -> np.ndarray:
 NORMALISED = {'x': np.linspace(-0.3, 1.2, 17, dtype='f4'), 'y': np.linspace(0, 1, 17, dtype='f4')}
 INVALID = {
     'unequal lengths': (set_fields(y=np.zeros(3, 'f4')), r'people\[1\].x, y, score: unequal lengths 17, 3, 17'),
+    'depths': (set_fields(depth=np.ones(3, 'f4')), r'people\[1\].depth: 3 values, x has 17'),
     'unknown layout': (set_fields(skeleton='coco99'), r"people\[1\].skeleton: unknown .* 'coco99'"),
     'joint count': (set_fields(skeleton='body25'), r"people\[1\].skeleton: 'body25' has 25 joints, x has 17"),
     'count of names': (set_fields(joint_names=['neck']), r'people\[1\].joint_names: there are 1 joints, x has 17'),

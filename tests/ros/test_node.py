@@ -17,14 +17,16 @@ import pytest
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.config import Config, to_yaml
+from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import decode
+from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE
-from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.messages.skeletons import SKELETONS
-from mocap_ros.ros.main import bridge_main, detector_main, main
+from mocap_ros.ros.main import bridge_main, depth_main, detector_main, main
 from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.runtime.replay import replay
+from mocap_ros.skeleton import keypoint_layout
 from tests.support.blob_people import draw, save_movenet, walk
 from tests.support.camera_messages import camera_info, encode_pixels, make_compressed
 from tests.support.pipeline_inputs import encode_demo_frames, with_stamp
@@ -260,6 +262,7 @@ DETECTOR = sys.executable, '-c', 'import sys; from mocap_ros.ros import main; sy
         (bridge_main, ['--ros-args', '-p', 'publish:=nobody'], 1, 'nobody'),
         (detector_main, ['--ros-args', '-p', 'model:=none.onnx'], 1, 'none.onnx'),
         (detector_main, ['--ros-args', '-p', 'image_type:=std_msgs/msg/String'], 1, 'image_type'),
+        (depth_main, ['--ros-args', '-p', 'depth_type:=std_msgs/msg/String'], 1, 'depth_type'),
     ],
 )
 def test_wrong_arguments_are_reported_in_one_line(
@@ -284,7 +287,7 @@ def test_wrong_arguments_are_reported_in_one_line(
         found = int(stopped.code or 0)
     *usage, line = capfd.readouterr().err.splitlines()
     assert (found, len(usage)) == (code, code - 1)
-    assert line.startswith(('mocap_node: ', 'mocap_bridge: ', 'detector_node: '))
+    assert line.startswith(('mocap_node: ', 'mocap_bridge: ', 'detector_node: ', 'depth_node: '))
     assert reason in line
 
 
@@ -396,3 +399,32 @@ def test_compressed_images_are_taken(peer: Peer, start_detector: StartProgram) -
         (found,) = camera.show(stamp_ns, **make_compressed(draw([walk(1)[0]]), kind)).people
         assert max(found.score) > 0.5
     assert stop_node(detector) == []
+
+
+def test_keypoints_get_the_depths_of_a_registered_image(peer: Peer, start: StartProgram) -> None:
+    node = start(*DETECTOR[:2], DETECTOR[2].replace('detector_main', 'depth_main'))
+    received: list[Any] = []
+    keypoints_class, image_class = load_interface_class(KEYPOINTS), load_interface_class(IMAGE)
+    peer.node.create_subscription(keypoints_class, 'keypoints_depth', received.append, 10)
+    topics = (keypoints_class, 'keypoints'), (image_class, 'depth')
+    points, depth = (peer.node.create_publisher(*topic, 10) for topic in topics)
+    peer.wait_until(lambda: points.get_subscription_count() and depth.get_subscription_count())
+    wait_until_discovered(peer.node, peer.executor, 'depth_node')
+    coco17 = keypoint_layout('coco17').joints
+    seen = Person2D('a', coco17, np.tile([[9.0, 7.0]], (17, 1)) + np.arange(17)[:, None], np.ones(17))
+
+    def send(stamp_ns: int, frame_id: str) -> Any:
+        plane = np.full((48, 64), 2500, '<u2')
+        fields = {'height': 48, 'width': 64, 'step': 128, 'encoding': '16UC1', 'data': plane.tobytes()}
+        image = image_class(**fields)
+        image.header.frame_id, image.header.stamp.nanosec = frame_id, stamp_ns
+        depth.publish(image)
+        before = len(received)
+        points.publish(encode_keypoints(Header(stamp_ns, 'optical'), (64, 48), [seen]))
+        peer.wait_until(lambda: len(received) > before)
+        return received[-1].people[0].depth
+
+    np.testing.assert_allclose(send(1000, 'optical'), 2.5)
+    assert len(send(2000, 'another')) == 0
+    (line,) = stop_node(node)
+    assert 'aligned_depth_to_color' in line

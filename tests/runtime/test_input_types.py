@@ -40,7 +40,7 @@ from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import KEYPOINT_LAYOUTS, keypoint_layout
 from mocap_ros.verdict.input_faults import MIN_BOX_IMAGES, UNUSABLE_S, find_misspelt_joint
-from tests.support.camera_messages import camera_info, encode
+from tests.support.camera_messages import camera_info, create_message, encode
 from tests.support.foreign_messages import (
     BASE_CONFIG,
     HRI_IDS_TOPIC,
@@ -175,6 +175,39 @@ def test_keypoint_scores_of_the_zed_are_used_if_the_message_has_them() -> None:
         {'nose': 0.9, 'lknee': 0.35}
     )
     assert set(unscored.score) == {0.0, 0.8}
+
+
+@pytest.mark.parametrize(('frame_id', 'is_used'), [('camera', True), ('base_link', False)])
+def test_points_in_3d_of_yolo_ros_are_depths_in_the_frame_of_the_image(frame_id: str, is_used: bool) -> None:
+    def add_points(message: Any) -> None:
+        points = message.detections[0].keypoints3d
+        points.frame_id = frame_id
+        for n, depth in ((1, 2.5), (6, 0.0), (99, 1.0)):
+            place = create_message('geometry_msgs/msg/Point', x=0.0, y=0.0, z=depth)
+            points.data.append(create_message('yolo_msgs/msg/KeyPoint3D', id=n, point=place, score=1.0))
+
+    seen, other = decode_frame(
+        edit_message(YOLO_DETECTIONS, add_points), YOLO_DETECTIONS, LIMITS, IMAGE_SIZE
+    ).people
+    assert other.depth is None
+    found = [] if seen.depth is None else seen.depth[np.isfinite(seen.depth)].tolist()
+    assert found == [2.5] * is_used
+
+
+@pytest.mark.parametrize(
+    ('frame_id', 'expected'),
+    [('zed_left_camera_frame', 2.0), ('zed_left_camera_optical_frame', 4.0), ('map', None)],
+)
+def test_points_in_3d_of_the_zed_are_depths_in_the_frames_of_the_camera(
+    frame_id: str, expected: float | None
+) -> None:
+    def add_points(message: Any) -> None:
+        message.header.frame_id = frame_id
+        message.objects[0].skeleton_3d.keypoints[ZED38['nose']].kp = np.array([2.0, 3.0, 4.0], 'f4')
+
+    seen, _ = decode_frame(edit_message(ZED_OBJECTS, add_points), ZED_OBJECTS, LIMITS, IMAGE_SIZE).people
+    found = None if seen.depth is None else seen.depth[seen.joints.index('nose')]
+    assert found == expected
 
 
 def test_normalised_coordinates_of_ros4hri_need_the_image_size() -> None:
