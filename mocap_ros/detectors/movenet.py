@@ -5,15 +5,17 @@
 
 The single-pose model sees a square around the person, which follows the person from image to image: centred
 between the hips, with half a side of the larger of 1.9 times the greatest distance of a joint of the trunk from
-there and 1.2 times that of any joint, as its authors' tutorial has it. Where no person is known, the square holds
-the whole image. The multi-pose model sees the whole image, the longer side of which becomes 256 px.
+there and 1.2 times that of any joint, as its authors' tutorial has it. Where no person is known, the square that
+holds the whole image is seen first, which tells no more than where the person's square is: so small a person's
+keypoints are inexact, and their left and right often exchanged. The multi-pose model sees the whole image, the
+longer side of which becomes 256 px.
 
 The score of a keypoint is the network's. A keypoint is 0.01 or less where there is no person.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,8 +58,8 @@ class SinglePoseMoveNet(OnePersonDetector):
         super().__init__(model)
         self.name = f'MoveNet ({model.path.name})'
 
-    def _search(self, image: Image) -> Array | None:
-        return self._look_at(image, Box.around_image(image).widen(1.0, 1.0))
+    def _iterate_regions(self, image: Image) -> Iterator[Box]:
+        yield Box.around_image(image).widen(1.0, 1.0)
 
     def _estimate(self, image: Image, region: Box) -> Array:
         (output,) = self._model.run(cut_out(image, region, self._model.input_size))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -108,13 +109,21 @@ class OnePersonDetector(ABC):
         keypoints = self._estimate(image, region)
         return keypoints if is_seen(keypoints, self.min_score) else None
 
+    def _search(self, image: Image) -> Array | None:
+        """Look for a person, and where one is seen a second time, in the region that the first look gives."""
+        for region in self._iterate_regions(image):
+            if (keypoints := self._look_at(image, region)) is not None:
+                closer = self._choose_region(keypoints)
+                return keypoints if closer is None else self._look_at(image, closer)
+        return None
+
     @abstractmethod
     def _estimate(self, image: Image, region: Box) -> Array:
         """Return the keypoints (J, 3) in px and with scores that the network gives for a region of the image."""
 
     @abstractmethod
-    def _search(self, image: Image) -> Array | None:
-        """Return the keypoints (J, 3) of a person anywhere in the image, None if no person is seen."""
+    def _iterate_regions(self, image: Image) -> Iterator[Box]:
+        """Yield the regions in which to look for a person of whom nothing is known, one after the other."""
 
     @abstractmethod
     def _choose_region(self, keypoints: Array) -> Box | None:

@@ -94,6 +94,14 @@ def test_a_walker_is_followed(model: Path) -> None:
     assert np.mean(errors, axis=0) == pytest.approx([0.0, 0.0], abs=0.7)  # no constant shift
 
 
+def test_movenet_sees_a_person_in_the_first_image_as_closely_as_in_the_next(tmp_path: Path) -> None:
+    person = walk(1)[0] + [300.0, 300.0]
+    drawn, image = np.isfinite(person[:, 0]), draw([person], (1280, 960), 10)
+    detector = load_detector(blob_people.save_movenet(tmp_path / 'model.onnx'))
+    (first,), (second,) = (detector.detect(image, time_s) for time_s in (0.0, 0.1))
+    assert first[drawn] == pytest.approx(second[drawn], abs=0.5)
+
+
 def test_a_small_person_at_the_edge_is_found_and_then_seen_larger(model: Path) -> None:
     person = walk(1)[0]
     person = (person - person[0]) * 0.9 + [40.0, 60.0]  # partly outside of the image
