@@ -54,6 +54,10 @@ class Box(NamedTuple):
 
 def cut_out(image: Image, box: Box, size: tuple[int, int], ground: int = 0) -> Image:
     """Return a rectangle of an image, resized to (width, height) in px; `ground` outside of the image."""
+    left, top = (max(math.floor(start), 0) for start in box[:2])
+    right, bottom = (max(math.ceil(end), 0) for end in (box.left + box.width, box.top + box.height))
+    image = image[top:bottom, left:right]  # Pillow copies all that it gets
+    box = box._replace(left=box.left - left, top=box.top - top)
     scale = size[0] / box.width, size[1] / box.height  # px of the result per px of the image
     sides = image.shape[1], image.shape[0]
     # the part of the result that shows the image, in whole px
@@ -71,7 +75,7 @@ def cut_out(image: Image, box: Box, size: tuple[int, int], ground: int = 0) -> I
             min(box.top + high[1] / scale[1], sides[1]),
         )
         part = Pillow.fromarray(image).resize(
-            (high[0] - low[0], high[1] - low[1]), Pillow.Resampling.BILINEAR, box=source, reducing_gap=2.0
+            (high[0] - low[0], high[1] - low[1]), Pillow.Resampling.BILINEAR, box=source, reducing_gap=1.0
         )
         out[low[1] : high[1], low[0] : high[0]] = np.asarray(part)
     return out
