@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -53,6 +54,10 @@ class Box(NamedTuple):
 
 def cut_out(image: Image, box: Box, size: tuple[int, int], ground: int = 0) -> Image:
     """Return a rectangle of an image, resized to (width, height) in px; `ground` outside of the image."""
+    left, top = (max(math.floor(start), 0) for start in box[:2])
+    right, bottom = (max(math.ceil(end), 0) for end in (box.left + box.width, box.top + box.height))
+    image = image[top:bottom, left:right]  # Pillow copies all that it gets
+    box = box._replace(left=box.left - left, top=box.top - top)
     scale = size[0] / box.width, size[1] / box.height  # px of the result per px of the image
     sides = image.shape[1], image.shape[0]
     # the part of the result that shows the image, in whole px
@@ -70,7 +75,7 @@ def cut_out(image: Image, box: Box, size: tuple[int, int], ground: int = 0) -> I
             min(box.top + high[1] / scale[1], sides[1]),
         )
         part = Pillow.fromarray(image).resize(
-            (high[0] - low[0], high[1] - low[1]), Pillow.Resampling.BILINEAR, box=source, reducing_gap=2.0
+            (high[0] - low[0], high[1] - low[1]), Pillow.Resampling.BILINEAR, box=source, reducing_gap=1.0
         )
         out[low[1] : high[1], low[0] : high[0]] = np.asarray(part)
     return out
@@ -108,13 +113,21 @@ class OnePersonDetector(ABC):
         keypoints = self._estimate(image, region)
         return keypoints if is_seen(keypoints, self.min_score) else None
 
+    def _search(self, image: Image) -> Array | None:
+        """Look for a person, and where one is seen a second time, in the region that the first look gives."""
+        for region in self._iterate_regions(image):
+            if (keypoints := self._look_at(image, region)) is not None:
+                closer = self._choose_region(keypoints)
+                return keypoints if closer is None else self._look_at(image, closer)
+        return None
+
     @abstractmethod
     def _estimate(self, image: Image, region: Box) -> Array:
         """Return the keypoints (J, 3) in px and with scores that the network gives for a region of the image."""
 
     @abstractmethod
-    def _search(self, image: Image) -> Array | None:
-        """Return the keypoints (J, 3) of a person anywhere in the image, None if no person is seen."""
+    def _iterate_regions(self, image: Image) -> Iterator[Box]:
+        """Yield the regions in which to look for a person of whom nothing is known, one after the other."""
 
     @abstractmethod
     def _choose_region(self, keypoints: Array) -> Box | None:

@@ -17,6 +17,7 @@ Outputs = list[NDArray[np.float32]]
 
 DEFAULT_INPUT_SIDE = 256  # px, of the input of a network that takes any size; MoveNet's multi-pose model wants it
 ERRORS_ONLY = 3  # level of onnxruntime's log: its warnings about graphics cards are no concern of the user
+THREADS = 1  # of a network; more would wait in a busy loop for each other, and leave the node and others no core
 CHANNELS = 3  # red, green, blue
 NUMBER_TYPES = {
     'tensor(float)': np.float32,
@@ -41,6 +42,8 @@ class OnnxModel:
         self.path = path
         options = onnxruntime.SessionOptions()
         options.log_severity_level = ERRORS_ONLY
+        options.intra_op_num_threads = THREADS
+        options.add_session_config_entry('session.intra_op.allow_spinning', '0')
         try:
             self._session = onnxruntime.InferenceSession(
                 str(path), options, providers=onnxruntime.get_available_providers()

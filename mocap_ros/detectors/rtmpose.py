@@ -55,13 +55,6 @@ class RtmPose(OnePersonDetector):
         self.keypoint_count = model.output_shapes[0][1]
         self._aspect = model.input_size[0] / model.input_size[1]
 
-    def _search(self, image: Image) -> Array | None:
-        for region in self._iterate_regions(image):
-            keypoints = self._look_at(image, region)
-            if keypoints is not None:
-                return self._look_at(image, self._choose_region(keypoints))
-        return None
-
     def _iterate_regions(self, image: Image) -> Iterator[Box]:
         """Yield the whole image, and then upright parts of it from the left to the right."""
         whole = Box.around_image(image)

@@ -74,7 +74,7 @@ class BridgeNode(ManagedNode):
     def start_run(self) -> None:
         """Subscribe."""
         for silence, feed in self._inputs:
-            self._subscriptions_in_use.append(self._subscribe(silence, feed))
+            self._subscribe(silence, feed)
         self._timer = self.create_steady_timer(CHECK_PERIOD_S, self._check_silence)
         listened = ' and '.join(self.resolve_topic_name(silence.name) for silence, _ in self._inputs)
         published = ', '.join(self.resolve_topic_name(topic) for topic in self._outputs)
@@ -90,7 +90,7 @@ class BridgeNode(ManagedNode):
         self._subscriptions_in_use = []
         self._timer = None
 
-    def _subscribe(self, silence: SilenceMonitor, feed: Callable[[bytes], list[OutputMessage]]) -> Any:
+    def _subscribe(self, silence: SilenceMonitor, feed: Callable[[bytes], list[OutputMessage]]) -> None:
         topic = self.resolve_topic_name(silence.name)
         silence.restart()
 
@@ -102,7 +102,8 @@ class BridgeNode(ManagedNode):
             except InputError as error:
                 self._log.report(topic, self._counts[topic], str(error))
 
-        return subscribe(self, silence.type, silence.name, take, OUTPUT_QOS)
+        keep = self._subscriptions_in_use.append
+        subscribe(self, silence.type, silence.name, take, OUTPUT_QOS, keep=keep)
 
     def _publish(self, outputs: Sequence[OutputMessage]) -> None:
         """Publish outputs; the topics of single bodies of ROS4HRI come and go with them."""

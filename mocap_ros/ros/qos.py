@@ -26,10 +26,12 @@ LATCHED = DurabilityPolicy.TRANSIENT_LOCAL
 # durability, in which publishers of transforms differ.
 OVERRIDABLE_POLICIES = tuple(QoSPolicyKind[name] for name in ('HISTORY', 'DEPTH', 'RELIABILITY', 'DURABILITY'))
 
-# Best effort is compatible with reliable and with best-effort publishers, reliable with both kinds of subscribers.
-INPUT_QOS = QoSProfile(depth=INPUT_QUEUE_DEPTH, reliability=BEST_EFFORT)
+# Best available is reliable where all publishers are, else best effort, as `ros2 topic echo` and rosbag2 have it.
+# Reliable outputs are compatible with both kinds of subscribers.
+BEST_AVAILABLE = ReliabilityPolicy.BEST_AVAILABLE
+INPUT_QOS = QoSProfile(depth=INPUT_QUEUE_DEPTH, reliability=BEST_AVAILABLE)
 # The newest message only: a detector that is slower than the camera must not fall behind.
-NEWEST_QOS = QoSProfile(depth=1, reliability=BEST_EFFORT)
+NEWEST_QOS = QoSProfile(depth=1, reliability=BEST_AVAILABLE)
 OUTPUT_QOS = QoSProfile(depth=10, reliability=RELIABLE)  # the default of ROS 2
 TF_QOS = QoSProfile(depth=TF_QUEUE_DEPTH, reliability=RELIABLE)
 # Late subscribers get the last messages: of /tf_static those of each publisher, as tf2_ros subscribes to it.

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rclpy.node import Node
@@ -108,7 +109,7 @@ class InputSubscriptions:
         self.silence.restart()
         for source in self.types:
             if source is not Source.BODY:
-                self._subscriptions[source.value] = self._subscribe_to(source, source.value)
+                self._subscribe_to(source, source.value)
 
     def unsubscribe(self) -> None:
         """Destroy all subscriptions."""
@@ -118,7 +119,7 @@ class InputSubscriptions:
         self._body_topics = set()
         self._run = None
 
-    def _subscribe_to(self, source: Source, name: str) -> Any:
+    def _subscribe_to(self, source: Source, name: str) -> None:
         topic = self._node.resolve_topic_name(name)
         message_class = load_interface_class(self.types[source])
         lost_messages = LostMessages()
@@ -126,6 +127,7 @@ class InputSubscriptions:
         def take_all(raw: bytes, info: Any) -> None:
             """Take a message, and all others that wait; the executor alone takes one each time that it wakes."""
             taken = (raw, info)
+            handle = self._subscriptions[name].handle
             count = 0
             deadline_s = time.monotonic() + MAX_TAKE_S
             while taken is not None:
@@ -136,16 +138,16 @@ class InputSubscriptions:
                 count += 1
                 if count > INPUT_QUEUE_DEPTH or time.monotonic() > deadline_s:
                     break
-                with subscription.handle:
-                    taken = subscription.handle.take_message(message_class, True)
+                with handle:
+                    taken = handle.take_message(message_class, True)
             if source is Source.TRACKED_BODIES:  # only the newest, as to subscribe takes longer than to take
                 self._follow_bodies(raw)
 
         # rclpy declares parameters for overrides, which would stay behind for every body that leaves
         qos = QOS_BY_SOURCE.get(source, INPUT_QOS)
         overridable = source is not Source.BODY
-        subscription = subscribe(self._node, self.types[source], name, take_all, qos, overridable=overridable)
-        return subscription
+        keep = partial(self._subscriptions.__setitem__, name)
+        subscribe(self._node, self.types[source], name, take_all, qos, overridable=overridable, keep=keep)
 
     def _take(self, source: Source, raw: bytes, sent_ns: int, topic: str) -> None:
         """Pass a message on as it was received, unless it has only transforms that nodes like this one publish."""
@@ -171,5 +173,5 @@ class InputSubscriptions:
             if self._run:
                 self._run.queue.forget(topic)
         for topic in wanted - self._body_topics:
-            self._subscriptions[topic] = self._subscribe_to(Source.BODY, topic)
+            self._subscribe_to(Source.BODY, topic)
         self._body_topics = wanted

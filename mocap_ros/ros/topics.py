@@ -16,7 +16,7 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, qos_policy_name_from_kind
+from rclpy.qos import QoSPolicyKind, QoSProfile, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from mocap_ros.bags.topics import Source
@@ -26,7 +26,7 @@ from mocap_ros.messages.cdr import OutputMessage, read_frame_id
 from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.messages.input_types import KEYPOINT_TYPES
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
-from mocap_ros.ros.qos import NEWEST_QOS, OVERRIDABLE_POLICIES
+from mocap_ros.ros.qos import BEST_AVAILABLE, NEWEST_QOS, OVERRIDABLE_POLICIES
 
 MAX_ACKNOWLEDGEMENT_S = 0.2  # s; for which a subscriber that does not answer delays the end of the node
 START_DETECTOR = 'start the detector, or remap the topic to the one on which it publishes'
@@ -42,22 +42,54 @@ WEAKER_PUBLISHER = (
 
 
 def subscribe(
-    node: Node, msgtype: str, name: str, take: Callable[..., None], qos: QoSProfile, *, overridable: bool = True
-) -> Any:
+    node: Node,
+    msgtype: str,
+    name: str,
+    take: Callable[..., None],
+    qos: QoSProfile,
+    *,
+    overridable: bool = True,
+    keep: Callable[[Any], None] = lambda _: None,
+) -> None:
     """Create a subscription whose messages are taken as CDR bytes, and which warns of incompatible publishers.
 
-    `take` gets a message, and what the middleware says of it if it has a second argument; `overridable` says
-    whether the parameters `qos_overrides` may change the profile.
+    With the reliability `BEST_AVAILABLE` it is reliable if no publisher is best effort. When one appears later,
+    another subscription takes its place, which is best effort and remains so.
+
+    Args:
+        node: node that subscribes.
+        msgtype: type of the messages.
+        name: name of the topic.
+        take: gets a message, and what the middleware says of it if it has a second argument.
+        qos: profile.
+        overridable: whether the parameters `qos_overrides` may change the profile.
+        keep: gets the subscription, and later the one that takes its place.
     """
-    return node.create_subscription(
-        load_interface_class(msgtype),
-        name,
-        take,
-        copy(qos),  # rclpy writes the overrides of one topic into it
-        raw=True,
-        qos_overriding_options=QoSOverridingOptions(OVERRIDABLE_POLICIES) if overridable else None,
-        event_callbacks=SubscriptionEventCallbacks(incompatible_qos=_warn_once(node, name, WEAKER_PUBLISHER)),
-    )
+    subscription: Any = None
+    warn = _warn_once(node, name, WEAKER_PUBLISHER)
+
+    def create() -> None:
+        nonlocal subscription
+        subscription = node.create_subscription(
+            load_interface_class(msgtype),
+            name,
+            take,
+            copy(qos),  # rclpy writes the overrides of one topic into it
+            raw=True,
+            qos_overriding_options=QoSOverridingOptions(OVERRIDABLE_POLICIES) if overridable else None,
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=adapt),
+        )
+        keep(subscription)
+
+    def adapt(event: Any) -> None:
+        is_unreliable = event.last_policy_kind == QoSPolicyKind.RELIABILITY
+        if is_unreliable and subscription.qos_profile.reliability == BEST_AVAILABLE:
+            node.destroy_subscription(subscription)
+            create()
+        else:
+            warn(event)
+
+    create()
 
 
 def warn_of_subscribers(node: Node, name: str) -> PublisherEventCallbacks:
@@ -153,9 +185,8 @@ class CameraInfoSearch:
             if types == [CAMERA_INFO] and topic not in (own, *self._subscriptions):
                 self._subscriptions[topic] = None
                 with suppress(RuntimeError):  # SROS2 may forbid it
-                    self._subscriptions[topic] = subscribe(
-                        self._node, CAMERA_INFO, topic, partial(self._take, topic), NEWEST_QOS, overridable=False
-                    )
+                    take, keep = partial(self._take, topic), partial(self._subscriptions.__setitem__, topic)
+                    subscribe(self._node, CAMERA_INFO, topic, take, NEWEST_QOS, overridable=False, keep=keep)
 
     def _take(self, topic: str, raw: bytes) -> None:
         frame_id = read_frame_id(raw)

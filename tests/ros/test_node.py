@@ -229,7 +229,7 @@ def test_messages_for_which_rclpy_raises_an_error_do_not_end_the_node(peer: Peer
 def test_peers_with_an_incompatible_qos_are_logged_once(peer: Peer, start_node: StartNode) -> None:
     from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-    node = start_node()  # subscribes to keypoints as reliable
+    node = start_node()  # subscribes to keypoints as reliable, by a parameter
     peer.wait_for_node()
     best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -245,7 +245,7 @@ def test_peers_with_an_incompatible_qos_are_logged_once(peer: Peer, start_node: 
 
 FRAME_NS = 33_333_333
 # The detector takes the newest image only, if nothing else is said.
-TAKE_ALL_IMAGES = [f'qos_overrides./image.subscription.{p}' for p in ('reliability:=reliable', 'depth:=10')]
+TAKE_ALL_IMAGES = 'qos_overrides./image.subscription.depth:=10'
 # Found when they are declared, by the reader of a text, and when the node is configured.
 WRONG_VALUES = 'tracker.lag:=9.0', 'tracker.vertical:=up', 'node.camera_pose:=1 2', 'node.input_type:=x/msg/Y'
 DETECTOR = sys.executable, '-c', 'import sys; from mocap_ros.ros import main; sys.exit(main.detector_main())'
@@ -323,7 +323,7 @@ def start_detector(start: StartProgram, tmp_path: Path) -> StartProgram:
     model = save_movenet(tmp_path / 'movenet.onnx')
 
     def start_with(*parameters: str) -> subprocess.Popen[str]:
-        options = [word for p in (f'model:={model}', *TAKE_ALL_IMAGES, *parameters) for word in ('-p', p)]
+        options = [word for p in (f'model:={model}', TAKE_ALL_IMAGES, *parameters) for word in ('-p', p)]
         return start(*DETECTOR, '--ros-args', *options)
 
     return start_with
@@ -390,6 +390,37 @@ def test_images_of_several_encodings_become_skeletons_and_bad_ones_are_logged(
     lines = stop_node(detector)
     places = ': encoding: ', ': step: ', ': header.stamp: ', 'the detector starts anew'
     assert [[place in line for line in lines].count(True) for place in places] == [1] * len(lines) == [1] * 4
+
+
+def test_inputs_are_reliable_until_a_publisher_is_not(
+    peer: Peer, start_detector: StartProgram, start_node: StartNode
+) -> None:
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+    topics = '/image', '/keypoints'
+
+    def request(reliability: ReliabilityPolicy) -> bool:
+        found = [peer.node.get_subscriptions_info_by_topic(topic) for topic in topics]
+        return all(len(s) == 1 and s[0].qos_profile.reliability == reliability for s in found)
+
+    node = start_node('qos_overrides./keypoints.subscription.reliability:=best_available')
+    peer.wait_for_node()
+    detector = start_detector()
+    peer.wait_until(lambda: request(ReliabilityPolicy.RELIABLE))
+    best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    classes = load_interface_class(IMAGE), load_interface_class(KEYPOINTS)
+    for message_class, topic in zip(classes, topics, strict=True):
+        peer.node.create_publisher(message_class, topic, best_effort)
+    peer.wait_until(lambda: request(ReliabilityPolicy.BEST_EFFORT))
+    camera, stamps_ns = Camera(peer), count(10**9, FRAME_NS)
+    image = encode_pixels(draw([walk(1)[0]]), 'rgb8')
+
+    def is_answered() -> object:
+        camera.send(next(stamps_ns), **image)
+        return camera.received and peer.received['skeletons']
+
+    peer.wait_until(is_answered)
+    assert stop_node(detector) == stop_node(node) == []
 
 
 def test_compressed_images_are_taken(peer: Peer, start_detector: StartProgram) -> None:

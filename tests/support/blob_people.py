@@ -19,6 +19,7 @@ import pytest
 from PIL import Image, ImageDraw
 
 from mocap_ros.demo.scene import make_recording, project
+from mocap_ros.detectors.movenet import SHIFT
 from mocap_ros.detectors.rtmpose import MEAN, STD
 from mocap_ros.skeleton import CMU15, keypoint_layout
 
@@ -114,12 +115,12 @@ class Graph:
         share = self.add('Div', distance, self.constant(TOLERANCE**2))
         return self.add('Relu', self.add('Sub', self.constant(1.0), share))
 
-    def locate(self, response: str, height: int, width: int) -> str:
-        """Return y, x in shares of the image and the score (1, 17, 3) of responses (1, 17, H, W)."""
+    def locate(self, response: str, height: int, width: int, shift: float = 0.0) -> str:
+        """Return y, x in shares of the image, `shift` px too small, and the score (1, 17, 3) of (1, 17, H, W)."""
         axes = self.constant([2, 3], np.int64)
         total = self.add('Add', self.add('ReduceSum', response, axes, keepdims=0), self.constant(1e-6))
-        rows = self.constant(((np.arange(height) + 0.5) / height)[None, None, :, None])
-        columns = self.constant(((np.arange(width) + 0.5) / width)[None, None, None])
+        rows = self.constant(((np.arange(height) + 0.5 - shift) / height)[None, None, :, None])
+        columns = self.constant(((np.arange(width) + 0.5 - shift) / width)[None, None, None])
         found = [
             self.add('Div', self.add('ReduceSum', self.add('Mul', response, grid), axes, keepdims=0), total)
             for grid in (rows, columns)
@@ -167,16 +168,18 @@ def save_movenet(path: Path, side: int = 192) -> Path:
     graph = Graph()
     pixels = graph.add('Cast', 'image', to=graph.onnx.TensorProto.FLOAT)
     response = graph.respond(graph.add('Transpose', pixels, perm=[0, 3, 1, 2]))
-    found = graph.add('Unsqueeze', graph.locate(response, side, side), graph.constant([1], np.int64))
+    found = graph.add('Unsqueeze', graph.locate(response, side, side, SHIFT), graph.constant([1], np.int64))
     return graph.save(path, [1, side, side, 3], 'INT32', [found])
 
 
-def locate_in_halves(graph: Graph, response: str, height: int, width: int) -> list[tuple[str, str]]:
+def locate_in_halves(
+    graph: Graph, response: str, height: int, width: int, shift: float = 0.0
+) -> list[tuple[str, str]]:
     """Return y, x in shares of the image and the score (1, 17, 3), and the person's score (1, 1), in each half."""
     people = []
     for half in (np.arange(width) < width / 2, np.arange(width) >= width / 2):
         part = graph.add('Mul', response, graph.constant(half[None, None, None]))
-        found = graph.locate(part, height, width)
+        found = graph.locate(part, height, width, shift)
         score = graph.add(
             'ReduceMax', graph.add('Slice', found, *(graph.constant([v], np.int64) for v in (2, 3, 2))),
             graph.constant([1], np.int64), keepdims=0,
@@ -222,7 +225,7 @@ def save_multi_pose_movenet(path: Path, width: int = 256, height: int = 192) -> 
     pixels = graph.add('Cast', 'image', to=graph.onnx.TensorProto.FLOAT)
     response = graph.respond(graph.add('Transpose', pixels, perm=[0, 3, 1, 2]))
     people = []
-    for found, score in locate_in_halves(graph, response, height, width):
+    for found, score in locate_in_halves(graph, response, height, width, SHIFT):
         numbers = graph.add('Reshape', found, graph.constant([1, 3 * KEYPOINTS], np.int64))
         corners = graph.constant(np.zeros((1, 4)))
         people.append(graph.add('Concat', numbers, corners, score, axis=1))
