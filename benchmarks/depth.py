@@ -101,10 +101,10 @@ def report_way(report: Report, way: str) -> dict[str, Any]:
     if records:
         header = [MEASURES[key] for key in MEASURES if key in records[0]]
         rows = {('all', mode): rs for (mode,), rs in group(records, 'mode').items()}
-        for key in ('range', 'occluder', 'detector'):
+        for key in ('range', 'occluder'):
             rows |= group(records, key, 'mode')
         shown = ([*names, *summarise(rs)] for names, rs in rows.items())
-        report.table(['views', 'depth', *header, 'worst', 'views'], shown, way, f'depth.{way}')
+        report.table(['views', 'depth', *header, 'worst', 'number'], shown, way, f'depth.{way}')
     return {way: records}
 
 
