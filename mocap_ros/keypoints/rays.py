@@ -8,6 +8,7 @@ Face, feet and hands are the J_e joints that `skeleton.BODY26` has after the J_c
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from mocap_ros.arrays import Array
 from mocap_ros.engine import rays as engine
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.joint_map import MIN_TARGET_JOINTS, build_joint_map
+from mocap_ros.keypoints.joint_map import MAX_CACHED_MAPS, MIN_TARGET_JOINTS, build_joint_map
 from mocap_ros.keypoints.left_right import BodySides, exchange_sides
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, EXTREMITY_COUNT, Skeleton, canonical_joint_names
 
@@ -106,6 +107,13 @@ def convert_to_rays(
     return rays, weight, is_evidence, Extremities(*others)
 
 
+@lru_cache(maxsize=MAX_CACHED_MAPS)
+def _find_core_keypoints(names: tuple[str, ...]) -> NDArray[np.intp]:
+    keypoints = canonical_joint_names(names)
+    found = [(j, keypoints.index(name)) for j, name in enumerate(CMU15.joints) if name in keypoints]
+    return np.array(found, np.intp).reshape(-1, 2).T
+
+
 def select_core_depth(depth: Array | None, names: tuple[str, ...], weight: Array) -> Array | None:
     """Return the depths (..., J_c) m of core joints that are keypoints themselves and were seen; NaN of others.
 
@@ -114,9 +122,7 @@ def select_core_depth(depth: Array | None, names: tuple[str, ...], weight: Array
     """
     if depth is None:
         return None
-    keypoints = canonical_joint_names(names)
-    found = [(j, keypoints.index(name)) for j, name in enumerate(CMU15.joints) if name in keypoints]
-    core, source = np.array(found, np.intp).reshape(-1, 2).T
+    core, source = _find_core_keypoints(names)
     out = np.full(weight.shape, np.nan)
     out[..., core] = np.where(weight[..., core] > 0, depth[..., source], np.nan)
     return out

@@ -178,9 +178,9 @@ def _measure(
 ) -> tuple[Array, Array, Array, Array, Array]:
     left = poses[:, SHOULDERS[0]] - poses[:, SHOULDERS[1]] + poses[:, HIPS[0]] - poses[:, HIPS[1]]
     up = poses[:, SHOULDERS].sum(axis=1) - poses[:, HIPS].sum(axis=1)
-    forwards = np.cross(left, up)
-    towards = -forwards[:, 2] / np.linalg.norm(forwards, axis=1)  # cos h
-    angle = np.stack([np.ones(len(poses)), np.fmax(towards, 0), np.fmax(-towards, 0)], axis=1)
+    forwards = left[:, [1, 2, 0]] * up[:, [2, 0, 1]] - left[:, [2, 0, 1]] * up[:, [1, 2, 0]]
+    towards = -forwards[:, 2] / np.sqrt((forwards**2).sum(axis=1))  # cos h
+    angle = np.array([np.ones(len(poses)), np.fmax(towards, 0), np.fmax(-towards, 0)]).T
     return engine.measure_depths(
         np.ascontiguousarray(surface),
         np.ascontiguousarray(rays),
