@@ -41,36 +41,45 @@ MEDIAPIPE_SUFFIX = '.task'  # of the model bundles of MediaPipe's Tasks API
 ONNX_SUFFIX = '.onnx'
 # in the words of messages
 MODEL_FORMATS = "MediaPipe's pose landmarker (.task), or YOLO-pose, RTMPose or MoveNet (.onnx)"
+SHIPPED = Path(__file__).parent / 'shipped'
+SHIPPED_MODEL = SHIPPED / 'movenet_thunder.onnx'  # that looks at each person, where no other is given
+FINDER = SHIPPED / 'movenet_multipose.onnx'  # that finds the people
 
 
 def load_detector(model: Path | None, max_people: int = 1) -> Detector:
-    """Load a model, by default the one that comes with some versions of MediaPipe.
+    """Load a model, by default the MoveNet that comes with the package.
 
-    `max_people` is the largest number of people to find in an image; models that find one person ignore it.
+    `max_people` is the largest number of people to find in an image. Networks that see one person in a rectangle
+    follow people whom MoveNet for several people finds.
     """
-    suffix = '' if model is None else model.suffix.lower()
-    if model is not None and not model.is_file():
+    model = model or SHIPPED_MODEL
+    if not model.is_file():
         raise ModelError(f'{model}: no such file; expected {MODEL_FORMATS}')
-    if model is None or suffix == MEDIAPIPE_SUFFIX:
-        from mocap_ros.detectors.mediapipe import BundledMediaPipe, MediaPipe
+    if model.suffix.lower() == MEDIAPIPE_SUFFIX:
+        from mocap_ros.detectors.mediapipe import MediaPipe
 
-        return BundledMediaPipe() if model is None else MediaPipe(model, max_people)
-    if suffix != ONNX_SUFFIX:
+        return MediaPipe(model, max_people)
+    if model.suffix.lower() != ONNX_SUFFIX:
         raise ModelError(f'{model}: unknown file type; expected {MODEL_FORMATS}')
 
     from mocap_ros.detectors import movenet, rtmpose, yolo_pose
+    from mocap_ros.detectors.following import FollowingDetector, PersonNetwork
     from mocap_ros.detectors.onnx_model import OnnxModel
 
     network = OnnxModel(model)
     shapes = network.output_shapes
-    if rtmpose.is_rtmpose(network.input_size, shapes):
-        return rtmpose.RtmPose(network)
-    if movenet.is_single_pose(shapes):
-        return movenet.SinglePoseMoveNet(network)
     if movenet.is_multi_pose(shapes):
         return movenet.MultiPoseMoveNet(network, max_people)
     if yolo_pose.is_yolo_pose(shapes):
         return yolo_pose.YoloPose(network, max_people)
-    found = ' and '.join(str(shape) for shape in shapes)
-    forms = ', or '.join(module.OUTPUT_FORM for module in (yolo_pose, rtmpose, movenet))
-    raise ModelError(f'{model}: gives arrays of the form {found}; expected {forms}')
+    of_one: PersonNetwork
+    if rtmpose.is_rtmpose(network.input_size, shapes):
+        of_one = rtmpose.RtmPose(network)
+    elif movenet.is_single_pose(shapes):
+        of_one = movenet.SinglePoseMoveNet(network)
+    else:
+        found = ' and '.join(str(shape) for shape in shapes)
+        forms = ', or '.join(module.OUTPUT_FORM for module in (yolo_pose, rtmpose, movenet))
+        raise ModelError(f'{model}: gives arrays of the form {found}; expected {forms}')
+    finder = movenet.MultiPoseMoveNet(OnnxModel(FINDER), movenet.MAX_PEOPLE)
+    return FollowingDetector(of_one, finder, max_people)

@@ -24,8 +24,6 @@ from mocap_ros.errors import ModelError, tell_installation
 KEYPOINTS = 33  # of BlazePose
 MS_PER_S = 1000.0  # the Tasks API takes whole milliseconds
 STDERR = 2  # the file descriptor
-BLANK_SIDE = 64  # px
-BUNDLED_COMPLEXITY = 1  # of the model that comes with MediaPipe; 0 and 2 would be downloaded
 
 
 def _import_mediapipe(place: str) -> Any:
@@ -100,38 +98,3 @@ class MediaPipe:
         """Release the model."""
         with _without_log():
             self._landmarker.close()
-
-
-class BundledMediaPipe:
-    """The model for one person that comes with MediaPipe up to 0.10.21."""
-
-    def __init__(self) -> None:
-        place = 'no model file is given (--detector FILE, of detect --model FILE; docs/detectors.md), and '
-        mediapipe = _import_mediapipe(f'{place}the model that comes with MediaPipe 0.10.21 ')
-        solutions = getattr(mediapipe, 'solutions', None)
-        if solutions is None:
-            raise ModelError(
-                f'{place}MediaPipe {mediapipe.__version__} comes without one; give the file of a model, or '
-                'pip install mediapipe==0.10.21, for Python 3.10 to 3.12'
-            )
-        self.name = f'MediaPipe {mediapipe.__version__}'
-        self._has_seen = False
-        try:
-            with _without_log():
-                self._pose = solutions.pose.Pose(model_complexity=BUNDLED_COMPLEXITY)
-                self._pose.process(
-                    np.zeros((BLANK_SIDE, BLANK_SIDE, 3), np.uint8)
-                )  # else its start is logged later
-        except (RuntimeError, FileNotFoundError) as error:
-            raise ModelError(f'{place}that of MediaPipe {mediapipe.__version__} fails ({error})') from None
-
-    def detect(self, image: Image, time_s: float) -> Array:  # noqa: ARG002 - this interface takes no time
-        """Find the person; see `Detector`."""
-        with nullcontext() if self._has_seen else _without_log():
-            landmarks = self._pose.process(np.ascontiguousarray(image)).pose_landmarks
-        self._has_seen = True
-        return _convert([landmarks.landmark] if landmarks else [], image)
-
-    def close(self) -> None:
-        """Release the model."""
-        self._pose.close()

@@ -17,8 +17,8 @@ import numpy as np
 
 from mocap_ros.arrays import Array
 from mocap_ros.detectors.detector import Image
-from mocap_ros.detectors.one_person import Box, cut_out
 from mocap_ros.detectors.onnx_model import OnnxModel
+from mocap_ros.detectors.regions import Box, cut_out
 from mocap_ros.skeleton import keypoint_layout
 
 OUTPUT_FORM = '(1, 56, N) or (1, N, 57) of YOLO-pose'  # in the words of messages

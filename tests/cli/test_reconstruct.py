@@ -45,7 +45,7 @@ from mocap_ros.recordings.save_results import save_detections
 from mocap_ros.skeleton import CMU15
 from mocap_ros.training.fit_base_poses import fit_base_poses
 from mocap_ros.units import NS_PER_S
-from tests.support.blob_people import draw, save_movenet, save_multi_pose_movenet, walk, write_video
+from tests.support.blob_people import draw, save_detector, save_multi_pose_movenet, walk, write_video
 from tests.support.input_files import (
     QUICK_OPTIONS,
     Z_UP_TO_Y_UP,
@@ -248,12 +248,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp('video')
     images = [draw([])] * 4 + [draw([person]) for person in walk(FRAMES)]
     write_video(path / 'walk.mp4', images, [i / FPS for i in range(len(images))], 'libx264', 'yuv420p')
-    save_movenet(path / 'movenet.onnx')
+    save_detector(path / 'detector.onnx')
     return path
 
 
 def test_a_video_becomes_a_skeleton(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = ['reconstruct', str(folder / 'walk.mp4'), '--detector', str(folder / 'movenet.onnx')]
+    command = ['reconstruct', str(folder / 'walk.mp4'), '--detector', str(folder / 'detector.onnx')]
     assert main([*command, '-o', str(tmp_path / 'out.npz')]) == 0
     assert '1 person in 40 frames' in capsys.readouterr().out
     result = np.load(tmp_path / 'out.npz')
@@ -269,7 +269,7 @@ def test_detect_writes_the_keypoints_of_one_person_or_a_bag_of_all(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    command = ['detect', str(folder / 'walk.mp4'), '--model', str(folder / 'movenet.onnx')]
+    command = ['detect', str(folder / 'walk.mp4'), '--model', str(folder / 'detector.onnx')]
     assert main(command) == 0
     assert capsys.readouterr().out == 'walk_2d.npz: 17 keypoints of person_1, 40 frames in 1.3 s\n'
     assert len(load_sequence('walk_2d.npz')) == FRAMES
@@ -306,7 +306,7 @@ def test_an_interrupt_keeps_the_detected(folder: Path, tmp_path: Path, monkeypat
     monkeypatch.setattr(detect_people, 'VideoReader', InterruptedCamera)
     monkeypatch.setattr('mocap_ros.cli.detect.find_camera', Path)
     out = tmp_path / 'me.npz'
-    command = ['detect', str(folder / 'walk.mp4'), '--model', str(folder / 'movenet.onnx'), '-o', str(out)]
+    command = ['detect', str(folder / 'walk.mp4'), '--model', str(folder / 'detector.onnx'), '-o', str(out)]
     assert main(command) == 0
     assert 0 < len(load_sequence(out)) <= 20 - 4
 

@@ -47,7 +47,7 @@ from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import CORE_COUNT, keypoint_layout
 from mocap_ros.units import NS_PER_S
-from tests.support.blob_people import draw, save_movenet, walk, write_video
+from tests.support.blob_people import draw, save_detector, walk, write_video
 from tests.support.camera_messages import camera_info
 from tests.support.input_files import FPS, FRAMES, LIMITS, QUICK_OPTIONS, make_walker
 from tests.support.pipeline_inputs import (
@@ -396,7 +396,7 @@ def test_a_video_of_two_people_in_turn_gives_one_of_them_and_a_warning(tmp_path:
     here, there = walk(TURN) - [200.0, 0.0], walk(TURN) + [180.0, 10.0]
     images = [draw([person]) for person in (*here, *there[:5])]
     path = write_video(tmp_path / 'two.mkv', images, [i / 25 for i in range(len(images))])
-    model = save_movenet(tmp_path / 'movenet.onnx')
+    model = save_detector(tmp_path / 'detector.onnx')
     sequence, lines = load_input(path, InputOptions(Video(detector=model), NodeConfig()))
     assert len(sequence) == TURN
     assert np.nanmax(sequence.keypoints[..., 0]) < 320
@@ -450,7 +450,7 @@ class BreakingCamera:
 def test_what_a_camera_showed_is_kept_when_it_breaks_off(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: InputError | None, reason: str
 ) -> None:
-    path, model = Path('/dev/video0'), save_movenet(tmp_path / 'movenet.onnx')
+    path, model = Path('/dev/video0'), save_detector(tmp_path / 'detector.onnx')
     seen = [draw([person]) for person in walk(6)]
     resized = [] if error else [seen[0][::2, ::2]]
     camera = BreakingCamera([*seen, *resized], error)
@@ -468,8 +468,8 @@ def test_what_a_camera_showed_is_kept_when_it_breaks_off(
 
 def test_an_empty_video_and_wrong_files_are_named(tmp_path: Path) -> None:
     empty = write_video(tmp_path / 'empty.mkv', [draw([])] * 3, [0.0, 0.1, 0.2])
-    model = save_movenet(tmp_path / 'movenet.onnx')
-    with pytest.raises(InputError, match=r'empty\.mkv: no person is seen in any image \(3 images, MoveNet'):
+    model = save_detector(tmp_path / 'detector.onnx')
+    with pytest.raises(InputError, match=r'empty\.mkv: no person is seen in any image \(3 images, YOLO-pose'):
         detect_in_video(empty, model)
     with pytest.raises(ModelError, match=r'none\.onnx: no such file'):
         detect_in_video(empty, tmp_path / 'none.onnx')

@@ -27,7 +27,7 @@ from mocap_ros.ros.main import bridge_main, depth_main, detector_main, main
 from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.runtime.replay import replay
 from mocap_ros.skeleton import keypoint_layout
-from tests.support.blob_people import draw, save_movenet, walk
+from tests.support.blob_people import draw, save_detector, walk
 from tests.support.camera_messages import camera_info, encode_pixels, make_compressed
 from tests.support.pipeline_inputs import encode_demo_frames, with_stamp
 from tests.support.ros_node import (
@@ -320,7 +320,7 @@ def test_an_interrupted_start_gives_no_traceback(env: dict[str, str], program: s
 @pytest.fixture
 def start_detector(start: StartProgram, tmp_path: Path) -> StartProgram:
     """Start `detector_node` with a network that finds people made of blobs, and further parameters."""
-    model = save_movenet(tmp_path / 'movenet.onnx')
+    model = save_detector(tmp_path / 'detector.onnx')
 
     def start_with(*parameters: str) -> subprocess.Popen[str]:
         options = [word for p in (f'model:={model}', TAKE_ALL_IMAGES, *parameters) for word in ('-p', p)]

@@ -172,13 +172,14 @@ def save_movenet(path: Path, side: int = 192) -> Path:
     return graph.save(path, [1, side, side, 3], 'INT32', [found])
 
 
-def locate_in_halves(
-    graph: Graph, response: str, height: int, width: int, shift: float = 0.0
+def locate_in_parts(
+    graph: Graph, response: str, height: int, width: int, shift: float = 0.0, parts: int = 2
 ) -> list[tuple[str, str]]:
-    """Return y, x in shares of the image and the score (1, 17, 3), and the person's score (1, 1), in each half."""
+    """Return y, x in shares of the image and the score (1, 17, 3), and the person's score (1, 1), in each part."""
     people = []
-    for half in (np.arange(width) < width / 2, np.arange(width) >= width / 2):
-        part = graph.add('Mul', response, graph.constant(half[None, None, None]))
+    for number in range(parts):
+        is_in = np.arange(width) * parts // width == number
+        part = graph.add('Mul', response, graph.constant(is_in[None, None, None]))
         found = graph.locate(part, height, width, shift)
         score = graph.add(
             'ReduceMax', graph.add('Slice', found, *(graph.constant([v], np.int64) for v in (2, 3, 2))),
@@ -188,27 +189,27 @@ def locate_in_halves(
     return people
 
 
-def save_yolo_pose(path: Path, *, one_each: bool = False, side: int = 640) -> Path:
-    """Write a network of the form of YOLO-pose that sees one person in each half of the image.
+def save_yolo_pose(path: Path, *, one_each: bool = False, side: int = 640, parts: int = 2) -> Path:
+    """Write a network of the form of YOLO-pose that sees one person in each part of the image, or in both halves.
 
     It has two candidates for each, or with `one_each`, as YOLO26, one.
     """
     graph = Graph()
     response = graph.respond(graph.add('Mul', 'image', graph.constant(255.0)))
     rows = []
-    for number, (found, score) in enumerate(locate_in_halves(graph, response, side, side)):
+    for number, (found, score) in enumerate(locate_in_parts(graph, response, side, side, parts=parts)):
         places = ([graph.constant([v], np.int64) for v in (c, c + 1, 2)] for c in range(3))
         y, x, seen = (graph.add('Slice', found, *place) for place in places)
         pixels = [graph.add('Mul', share, graph.constant(float(side))) for share in (x, y)]
         shape = graph.constant([1, 3 * KEYPOINTS], np.int64)
         numbers = graph.add('Reshape', graph.add('Concat', *pixels, seen, axis=2), shape)
-        left = number * side / 2
+        left, wide = number * side / parts, side / parts
         if one_each:
-            head = [graph.constant([[left, 0, left + side / 2, side]]), score, graph.constant([[0.0]])]
+            head = [graph.constant([[left, 0, left + wide, side]]), score, graph.constant([[0.0]])]
             rows.append(graph.add('Concat', *head, numbers, axis=1))
             continue
         for shift in (0, 9):  # px; a second candidate that is less likely
-            box = graph.constant([[left + side / 4 + shift, side / 2, side / 2, side]])
+            box = graph.constant([[left + wide / 2 + shift, side / 2, wide, side]])
             less = graph.add('Mul', score, graph.constant(1 - shift / 100))
             rows.append(graph.add('Concat', box, less, graph.add('Add', numbers, graph.constant(shift)), axis=1))
     count, length = (300, 57) if one_each else (8400, 56)
@@ -225,10 +226,15 @@ def save_multi_pose_movenet(path: Path, width: int = 256, height: int = 192) -> 
     pixels = graph.add('Cast', 'image', to=graph.onnx.TensorProto.FLOAT)
     response = graph.respond(graph.add('Transpose', pixels, perm=[0, 3, 1, 2]))
     people = []
-    for found, score in locate_in_halves(graph, response, height, width, SHIFT):
+    for found, score in locate_in_parts(graph, response, height, width, SHIFT):
         numbers = graph.add('Reshape', found, graph.constant([1, 3 * KEYPOINTS], np.int64))
         corners = graph.constant(np.zeros((1, 4)))
         people.append(graph.add('Concat', numbers, corners, score, axis=1))
     nobody = graph.constant(np.zeros((4, 3 * KEYPOINTS + 5)))
     six = graph.add('Unsqueeze', graph.add('Concat', *people, nobody, axis=0), graph.constant([0], np.int64))
     return graph.save(path, [1, height, width, 3], 'INT32', [six])
+
+
+def save_detector(path: Path) -> Path:
+    """Write a network that sees the only person in an image, wherever that is."""
+    return save_yolo_pose(path, one_each=True, side=320, parts=1)

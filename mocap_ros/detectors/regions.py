@@ -1,13 +1,11 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What detectors share that look at a rectangle of the image: the rectangle, and following one person with it."""
+"""Rectangles of an image at which networks look, and what is in them."""
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -15,10 +13,8 @@ from PIL import Image as Pillow
 
 from mocap_ros.arrays import Array
 from mocap_ros.detectors.detector import Image
-from mocap_ros.detectors.onnx_model import OnnxModel
 
 MIN_SIDE_PX = 1.0  # px; guards divisions by the size of a rectangle whose points coincide
-MIN_SEEN = 6  # keypoints; with fewer there is no saying where the person is
 
 
 class Box(NamedTuple):
@@ -79,56 +75,3 @@ def cut_out(image: Image, box: Box, size: tuple[int, int], ground: int = 0) -> I
         )
         out[low[1] : high[1], low[0] : high[0]] = np.asarray(part)
     return out
-
-
-def is_seen(keypoints: Array, min_score: float) -> bool:
-    """Return whether keypoints (J, 3) are those of a person."""
-    return int((keypoints[:, 2] >= min_score).sum()) >= MIN_SEEN
-
-
-class OnePersonDetector(ABC):
-    """A network that sees one person in a rectangle, which follows the person from image to image."""
-
-    name: str  # name of the detector and its model
-    keypoint_count: int  # number J of its keypoints
-    min_score: float  # score of a keypoint that is probably right
-
-    def __init__(self, model: OnnxModel) -> None:
-        self._model = model
-        self._region: Box | None = None  # in which the person is expected
-
-    def detect(self, image: Image, time_s: float) -> Array:  # noqa: ARG002 - the network takes no time
-        """Find the person; see `Detector`."""
-        keypoints = None if self._region is None else self._look_at(image, self._region)
-        if keypoints is None:
-            keypoints = self._search(image)
-        self._region = None if keypoints is None else self._choose_region(keypoints)
-        return np.zeros((0, self.keypoint_count, 3)) if keypoints is None else keypoints[None]
-
-    def close(self) -> None:
-        """Forget the person; the network goes with the object."""
-        self._region = None
-
-    def _look_at(self, image: Image, region: Box) -> Array | None:
-        keypoints = self._estimate(image, region)
-        return keypoints if is_seen(keypoints, self.min_score) else None
-
-    def _search(self, image: Image) -> Array | None:
-        """Look for a person, and where one is seen a second time, in the region that the first look gives."""
-        for region in self._iterate_regions(image):
-            if (keypoints := self._look_at(image, region)) is not None:
-                closer = self._choose_region(keypoints)
-                return keypoints if closer is None else self._look_at(image, closer)
-        return None
-
-    @abstractmethod
-    def _estimate(self, image: Image, region: Box) -> Array:
-        """Return the keypoints (J, 3) in px and with scores that the network gives for a region of the image."""
-
-    @abstractmethod
-    def _iterate_regions(self, image: Image) -> Iterator[Box]:
-        """Yield the regions in which to look for a person of whom nothing is known, one after the other."""
-
-    @abstractmethod
-    def _choose_region(self, keypoints: Array) -> Box | None:
-        """Return the region in which the person is expected in the next image, None where it is not known."""
