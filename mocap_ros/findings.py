@@ -100,7 +100,7 @@ class Fault(Enum):
         'depth: only {near:.0%} of the values are within {reach_m:g} m of the people: check that the depth image '
         'is registered to the image of the keypoints, of the same camera and not mirrored'
     )
-    DEPTH_UNUSED = 'depth is not used: the focal length is not known; publish camera_info or set node.hfov'
+    DEPTH_UNUSED = 'depth is not used, as it needs the camera: CameraInfo, camera_matrix, or the field of view'
     OTHER = '{words}'  # that another part of the program found, and says
 
     def found(self, grade: Grade = Grade.DOUBTFUL, **values: object) -> Finding:

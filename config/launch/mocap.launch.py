@@ -58,6 +58,7 @@ def create_nodes(context: LaunchContext) -> list[Node]:
     consumers, depth = (configurations[name].perform(context) for name in ('bridge', 'depth'))
     if 'prediction_markers' in consumers:
         given['node.publish_predictions'] = True
+    input_type = given.pop('node.input_type', None) if depth else None  # depth_node's; it gives the default
     node = Node(
         package='mocap_ros',
         executable='mocap_node',
@@ -72,7 +73,7 @@ def create_nodes(context: LaunchContext) -> list[Node]:
     )
     nodes = [node]
     if depth:
-        nodes.append(_create_depth_node(configurations, given.pop('node.input_type', None)))
+        nodes.append(_create_depth_node(configurations, input_type))
     if not consumers:
         return nodes
     bridge = Node(

@@ -58,7 +58,8 @@ def reconstruct(
             the distance of the person is as uncertain as that.
         distortion: distortion coefficients in OpenCV's order, 4, 5 or 8 of them; None for a lens without.
         depth: (F, J) m along the optical axis of the surfaces that are seen at the keypoints, as a depth camera
-            measures them; NaN or 0 where unknown. It is used with a `camera_matrix`.
+            measures them; NaN or 0 where unknown. It is used with a `camera_matrix`, and by the method
+            `whole`.
         model: base poses: the name of shipped ones, the path of a model file, `BasePoses`, or `auto` for the
             choice by the parameter `tracker.model`.
         parameters: values by parameter name, such as `{'solver.prior': 'pca'}`, or a `Config`; the names are

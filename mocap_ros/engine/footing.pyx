@@ -139,10 +139,11 @@ cdef void add_frame(
     """Write the normal equations A (27, 27), b (27,) of the frames t - 2, t - 1 and t.
 
     `estimate` (18,) are the unknowns of the frames t - 1 and t as last found, NULL if none are; `ahead` (2,) is a
-    measured displacement of the body along the optical axis in m, and its information in 1/m^2, NULL if there is none.
+    measured displacement of the body along the optical axis in m, and its information in 1/m^2, NaN or NULL where
+    depths are not measured.
     """
     cdef int i, j, k, f
-    cdef bint is_measured = ahead != NULL and ahead[1] > 0
+    cdef bint is_measured = ahead != NULL and isfinite(ahead[1])
     cdef double kept, h, weight, squared, distance = sqrt(dot(root, root))
     cdef double[9] m
     cdef double[3] r, sight

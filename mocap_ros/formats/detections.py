@@ -239,9 +239,11 @@ def _join_parts(parts: Sequence[Person2D], min_score: float) -> Person2D:
         if part.joints == whole.joints:
             is_added = (whole.score < min_score) & (part.score >= min_score)
             points = np.where(is_added[:, None], part.points, whole.points)
-            depth = whole.depth
-            if depth is not None and part.depth is not None:
-                depth = np.where(is_added, part.depth, depth)
+            depth = None
+            if whole.depth is not None or part.depth is not None:
+                unknown = np.full(len(is_added), np.nan)
+                own, other = (unknown if p.depth is None else p.depth for p in (whole, part))
+                depth = np.where(is_added, other, own)
             score = np.where(is_added, part.score, whole.score)
             whole = replace(whole, points=points, score=score, depth=depth)
     return whole

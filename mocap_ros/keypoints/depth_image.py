@@ -4,8 +4,9 @@
 """Depths of keypoints in a depth image that is registered to the image of the keypoints.
 
 The surface at a keypoint is what is seen in a small disc about it, of a radius that is a share of the person's
-size. Where the disc reaches beyond a limb, the background is behind it, so a low quantile of the depths in it is
-the limb's; and few pixels that are too near, as between two surfaces, do not change it.
+size, by the median distance of the points from their median. Where the disc reaches beyond a limb, the background
+is behind it, so a low quantile of the depths in it is the limb's; and few pixels that are too near, as between two
+surfaces, do not change it.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
 
-RADIUS_SHARE = 0.012  # 1; of the diagonal of the points: 2 cm of a person who stands
-MIN_RADIUS_PX = 1.5  # px; fewer than nine pixels are all noise
+RADIUS_SHARE = 0.045  # 1; of that distance: 2 cm of a person who stands
+RADIUS_RANGE_PX = 1.5, 40.0  # px; fewer than nine pixels are all noise, and more than thousands are too slow
 QUANTILE = 0.25  # 1; half of the disc may be background
 MIN_SHARE_KNOWN = 0.25  # 1; share of the pixels whose depth is known
 RANGE_M = 0.2, 20.0  # m; nearer and farther away depth cameras measure nothing
@@ -31,9 +32,11 @@ def sample_depth(image: NDArray[np.generic], unit_m: float, points: Array) -> Ar
     out = np.full(len(points), np.nan)
     if not len(seen):
         return out
-    radius = max(RADIUS_SHARE * float(np.linalg.norm(np.ptp(points[seen], axis=0))), MIN_RADIUS_PX)
+    offsets = points[seen] - np.median(points[seen], axis=0)
+    spread = float(np.median(np.linalg.norm(offsets, axis=1)))
+    radius = min(max(RADIUS_SHARE * spread, RADIUS_RANGE_PX[0]), RADIUS_RANGE_PX[1])
     reach = np.arange(-int(radius), int(radius) + 1)
-    dx, dy = (offsets.ravel() for offsets in np.meshgrid(reach, reach))
+    dx, dy = (steps.ravel() for steps in np.meshgrid(reach, reach))
     is_near = dx**2 + dy**2 <= radius**2
     centres = np.rint(points[seen]).astype(int)
     x, y = centres[:, :1] + dx[is_near], centres[:, 1:] + dy[is_near]

@@ -60,8 +60,8 @@ ZED38 = {  # BODY_38_PARTS; the first 38 keypoints of BODY_70_PARTS are the same
     'lelbow': 14, 'relbow': 15, 'lwrist': 16, 'rwrist': 17, 'lhip': 18, 'rhip': 19,
     'lknee': 20, 'rknee': 21, 'lankle': 22, 'rankle': 23,
 }  # fmt: skip
-# Coordinate along the optical axis in the frames in which a ZED gives points, by the ending of their names.
-DEPTH_AXES = {'camera_frame': 0, 'optical_frame': 2}
+# Coordinate along the optical axis in the frames in which a ZED gives points, by what is in their names.
+DEPTH_AXES = {'optical': 2, 'camera_frame': 0}
 BODY_FORMATS = (ZED18, ZED34, ZED38, ZED38)  # by the field `body_format`: 18, 34, 38 and 70 keypoints
 
 
@@ -135,7 +135,7 @@ def _read_zed(zed_object: Any, frame_id: str, image_width: int, _: NodeConfig) -
     person_id = str(zed_object.label_id) if is_tracked else ''
     score = np.where(seen, score, 0.0)
     found = validate_person(person_id, tuple(indices), points, score, image_width, 'skeleton_2d.keypoints')
-    axis = next((axis for ending, axis in DEPTH_AXES.items() if frame_id.endswith(ending)), None)
+    axis = next((axis for words, axis in DEPTH_AXES.items() if words in frame_id), None)
     if axis is None:
         return found
     depth = [zed_object.skeleton_3d.keypoints[i].kp[axis] for i in indices.values()]

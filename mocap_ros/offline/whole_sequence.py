@@ -227,9 +227,12 @@ def _measure_size(poses: PoseSequence, observed: ObservedWindow) -> tuple[PoseSe
         return poses, None
     same = np.ones(len(poses))
     found = compare_depths(observed.depth, poses.joints, same)
-    if np.isnan(found.log_size).all():
+    known = found.log_size[np.isfinite(found.log_size)]
+    if len(known) < MIN_MEASURED_FRAMES:
         return poses, None
-    size = math.exp(float(np.nanmedian(found.log_size)))
+    size = math.exp(float(np.median(known)))
+    if not SIZE_RANGE[0] < size < SIZE_RANGE[1]:
+        return poses, None
     poses = replace(poses, joints=poses.joints * size, body_height=poses.body_height * size)
     found = compare_depths(observed.depth, poses.joints, same)
     return poses, found.find_displacement(poses.joints, same)
@@ -509,6 +512,7 @@ def _solve(
 # sequences are solved three times
 LIFTED_SHARE, SOLVED_SHARE, SOLVED_AGAIN_SHARE = 0.07, 0.4, 0.68
 LIFTED_FRAMES = 3600  # that are lifted at once; their histories take 20 MB
+MIN_MEASURED_FRAMES = 10  # with depths; fewer show no size
 MEASURED_SHARE = 0.015  # 1; standard deviation of sizes that depths show, by surfaces and the depth camera
 MIN_TILT_STD = 1e-3  # rad; a smaller deviation of a vertical is not believed
 FOUND_TILT_FACTOR = 1.5  # 1; by which a vertical counts less that people show, who share its errors

@@ -36,7 +36,10 @@ class DepthNode(Node):
         self._versions = MessageVersions()
         for kind in (self._input_type, self._depth_type):
             self._versions.add_input(kind)
-        self._versions.add_output(KEYPOINTS)
+        if self._versions.add_output(KEYPOINTS):
+            self.get_logger().warning(
+                f'the installed {KEYPOINTS} has no depth, as of an older build: build it again'
+            )
         events = warn_of_subscribers(self, KEYPOINTS_DEPTH_TOPIC)
         published = load_interface_class(KEYPOINTS)
         self._publisher = self.create_publisher(

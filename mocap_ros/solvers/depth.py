@@ -47,6 +47,7 @@ EXPECTED_SHARE = 0.09  # 1; P, of the distance that the body height and a pose s
 FADE_S = 0.08  # s; T
 POSE_STD_M = 0.05  # m; s_j of a solved pose
 MIN_SEEN = 1.5  # joints, a sum of probabilities; fewer show no size
+MAX_JUMP = 0.2  # 1; of x from one frame to the known size; more is somebody or something else
 LEAST_STD_M = 0.015  # m; of the depth of a body, whose surfaces and depth camera have lasting errors
 OPTICAL_AXIS = np.array([0.0, 0.0, 1.0])  # of the real camera, along which solved bodies are compared
 # m; t_0, t_f and t_b
@@ -152,8 +153,9 @@ class BodyDepth(NamedTuple):
 
         Returns (N, 2) m, and the information on them in 1/m^2, 0 where nothing is known.
         """
-        depth, is_known = core[..., 2].mean(axis=1), np.isfinite(self.log_size)
-        ahead = depth * np.expm1(self.log_size - np.log(size))
+        depth, beyond = core[..., 2].mean(axis=1), self.log_size - np.log(size)
+        is_known = np.abs(beyond) < MAX_JUMP  # not of NaN
+        ahead = depth * np.expm1(beyond)
         information = 1 / ((depth * self.std) ** 2 + LEAST_STD_M**2)
         return np.where(is_known[:, None], np.column_stack([ahead, information]), 0.0)
 

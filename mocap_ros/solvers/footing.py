@@ -101,7 +101,8 @@ def plant_sequence(
         offsets: (F, 11, 3) m, extremities about their core joints.
         upward: (F, 3) unit vectors; NaN where they are not known.
         noise: m, image noise at the body.
-        ahead: (F, 2) measured displacements along the optical axis in m, and their information in 1/m^2, or None.
+        ahead: (F, 2) measured displacements along the optical axis in m, and their information in 1/m^2, 0 where
+            nothing is measured; None without depths.
     """
     rays, weight = join_body(observed.rays, observed.weight, observed.extremities)
     contact = np.nan_to_num(find_contacts(rays, weight, attach(core, offsets), upward, observed.times))
@@ -127,7 +128,8 @@ def plant_newest(
     than the last changes nothing, and if it is the last, it has its core. `footings` (P, N) are `engine.FOOTING`,
     NaN before the first frame; times (P,) in s grow from frame to frame; offsets (P, 11, 3) m of the extremities
     are those of the frame before; `upward` (3,) is None where it is not known; noise (P,) in m is that of the
-    image at the body; `ahead` (P, 2) is as of `plant_sequence`.
+    image at the body; `ahead` (P, 2) is as of `plant_sequence`,
+    NaN of people without depths.
     """
     feet, up = offsets.take(FEET, axis=1), UNKNOWN if upward is None else upward
     engine.follow_contacts(footings, times, windows, frames, core, feet, up, LEGS, FEET)

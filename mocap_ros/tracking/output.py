@@ -98,7 +98,9 @@ def follow_motion(
 
 
 def measure_depths(shown: Shown, core: Array, find_size: FindSize, stamp_ns: int) -> Array | None:
-    """Return displacements of people for `plant_newest`, by measured depths; None without. Their sizes follow.
+    """Return displacements of people for `plant_newest`, by measured depths; None without. Sizes of people follow.
+
+    Who was measured before, but not in this frame, has no information, others have NaN.
 
     `core` (P, 15, 3) m are solved bodies of the assumed size.
     """
@@ -111,10 +113,13 @@ def measure_depths(shown: Shown, core: Array, find_size: FindSize, stamp_ns: int
     found, distance = compare_depths(surface, core[known], size), core[:, :, 2].mean(axis=1)
     for p, log_size in zip(known, found.log_size.tolist(), strict=True):
         track = shown.tracks[p]
-        track.measured_size = SizeEvidence.add_depth(track.measured_size, stamp_ns, log_size, float(distance[p]))
+        if not track.is_tentative:
+            before = track.measured_size
+            track.measured_size = SizeEvidence.add_depth(before, stamp_ns, log_size, float(distance[p]))
     size = np.array([find_size(shown.tracks[p]).ratio for p in known])
-    ahead = np.zeros((len(core), 2))
+    ahead = np.full((len(core), 2), np.nan)
     ahead[known] = found.find_displacement(core[known], size)
+    ahead[[track.measured_size is None for track in shown.tracks]] = np.nan
     return ahead
 
 

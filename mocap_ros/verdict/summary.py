@@ -151,7 +151,7 @@ def summarise(people: Sequence[PoseSequence], config: Config) -> Summary:
         if sequence.depth is not None:
             for depth, distance in zip(sequence.depth, person.joints[..., 2].mean(axis=1).tolist(), strict=True):
                 depths.add(depth, distance)
-            is_depth_unused = not person.intrinsics.is_focal_known
+            is_depth_unused |= not person.intrinsics.is_focal_known
         if len(measured) < MAX_JUDGED_PEOPLE * MAX_STRETCHES:
             stretches = cut_stretches(
                 keypoints,

@@ -152,6 +152,9 @@ def test_depths_give_the_distance_where_the_camera_is_known(way: str) -> None:
     sequence = make_sequence(is_calibrated=True)
     assert measure_root_error(sequence, way) < 0.015
     assert measure_root_error(replace(sequence, depth=None), way) > 0.02
+    assert sequence.depth is not None
+    of_another = measure_root_error(replace(sequence, depth=2 * sequence.depth), way)
+    assert of_another == pytest.approx(measure_root_error(replace(sequence, depth=None), way), abs=0.02)
     unknown = make_sequence(is_calibrated=False)
     assert measure_root_error(unknown, way) == measure_root_error(replace(unknown, depth=None), way)
 
