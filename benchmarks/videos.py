@@ -3,10 +3,10 @@
 
 """How good are detectors for the pose in 3D, on real video with truth, and how fast are they?
 
-A person balances on a beam: 100 images at 60 Hz of three calibrated cameras, of the demo of Pose2Sim (BSD-3-Clause,
-https://github.com/perfanalytics/pose2sim, `Pose2Sim/Demo_SinglePerson/videos`), with joints triangulated from four
-views. Each model looks at the videos; its keypoints are reconstructed whole and live. MPJPE / PA-MPJPE in mm of the
-twelve joints of the limbs, mean of the cameras; and images per second of processor time, with the decoding.
+A person balances on a beam: 100 images at 60 Hz of three calibrated cameras, of the demo of Pose2Sim
+(BSD-3-Clause, github.com/perfanalytics/pose2sim, `Pose2Sim/Demo_SinglePerson/videos`), with joints triangulated
+from four views. Each model looks at the videos; its keypoints are reconstructed whole and live. MPJPE / PA-MPJPE
+in mm of the twelve joints of the limbs, mean of the cameras; and images per second of processor time.
 `--videos FOLDER` holds `cam01.mp4` and so on; it is skipped without.
 """
 

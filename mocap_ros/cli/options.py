@@ -54,7 +54,18 @@ def parse_count(text: str, low: int = 1, high: int = sys.maxsize) -> int:
 
 CAMERA_HEIGHT_RANGE_M = 0.0, 100.0  # as of `tracker.camera_height`
 # What turns the text of a value into it, by what the help calls the value; any other value is a path.
-TEXTS = ('ADDRESS', 'FOLDER|GLOB|LIST', 'ID', 'KIND', 'NAME', 'NAME=VALUE', 'NAMESPACE', 'SIZE', 'TEXT')
+TEXTS = (
+    'ADDRESS',
+    'FOLDER|GLOB|LIST',
+    'ID',
+    'KIND',
+    'NAME',
+    'NAME=VALUE',
+    'CAMERA|NAMESPACE',
+    'NAMESPACE',
+    'SIZE',
+    'TEXT',
+)
 TYPES: Mapping[str, Callable[[str], object]] = {
     **dict.fromkeys(TEXTS, str),
     **dict.fromkeys(('FACTOR', 'HZ', 'M', 'PX', 'S'), parse_positive),

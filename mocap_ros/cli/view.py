@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,11 +25,19 @@ from mocap_ros.cli.options import (
     option,
     parse_count,
 )
-from mocap_ros.cli.terminal import Report, ShareBar, finish, print_note, print_result
+from mocap_ros.cli.terminal import (
+    Report,
+    ShareBar,
+    finish,
+    interrupt_between_items,
+    print_note,
+    print_result,
+)
 from mocap_ros.config import Config
+from mocap_ros.detectors.detector import load_detector
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.text_files import check_output, replace_output
-from mocap_ros.formats.video import write_video
+from mocap_ros.formats.video import VideoReader, find_camera, write_video
 from mocap_ros.recordings.build_scene import build_scene, read_images
 from mocap_ros.recordings.input_kind import (
     KEYPOINT_FORMATS,
@@ -41,12 +50,17 @@ from mocap_ros.recordings.load_keypoints import LOADERS, InputOptions
 from mocap_ros.recordings.load_results import holds_result, load_recording
 from mocap_ros.recordings.reconstruct import ReconstructionOptions, reconstruct
 from mocap_ros.recordings.recording import Recording
+from mocap_ros.recordings.save_results import save_detections
+from mocap_ros.recordings.watch import NewestImage, Watch
 from mocap_ros.viewing import plots
+from mocap_ros.viewing.live_page import LiveScene, PageServer
 from mocap_ros.viewing.overlay import Overlay, StampedImage, find_frame, pick_images, reduce_images
 from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.scene import Scene
 
 PAGE_SUFFIX, FILM_SUFFIX = '.html', '.mp4'  # any other suffix is that of a picture
+BAG_SUFFIX = '.mcap'  # of what --live records
+MOST_PEOPLE = 6  # whom --live shows, as the detector that ships finds no more
 DEFAULT_PORT, MAX_PORT = 8642, 65535  # of --live
 # Options that apply to no result, and those of the others that apply to one only in a bag
 RECONSTRUCTION_OPTIONS = 'fps', 'image_size', 'layout', 'hfov', 'focal', 'detector', 'model'
@@ -72,9 +86,10 @@ OPTIONS: Options = {
     'in the current folder)',
     '--video FILE': 'video, or bag with images, that the keypoints of IN come from; the video of JSON or Sports2D '
     'also gives times, image size and focal length (default: IN)',
-    '--live NAMESPACE': option(
-        'serve the page of the topics that the running node publishes, of a namespace if there is one, to '
-        'browsers of this machine; needs ROS 2 and no IN (default: show IN)',
+    '--live CAMERA|NAMESPACE': option(
+        'serve a page to browsers of this machine: of a camera (0, /dev/video0), a video at its own pace or a '
+        'stream (rtsp://...), without ROS; or of what the running node publishes, in a namespace if there is one '
+        '(default: show IN)',
         nargs='?',
         const='',
     ),
@@ -91,7 +106,8 @@ OPTIONS: Options = {
 def run(args: argparse.Namespace) -> int:
     """Load the scene of the input, and write its page or its picture."""
     if args.live is not None:
-        return _run_live(args)
+        source = find_live_source(args.live)
+        return _run_live(args) if source is None else _run_camera(args, source)
     if args.input is None:
         raise InputError('what is to be shown? Give a file, or --live')
     if args.port is not None:
@@ -181,6 +197,46 @@ def _run_live(args: argparse.Namespace) -> int:
         ) from None
     serve(DEFAULT_PORT if args.port is None else args.port, args.live, lambda line: print_result(line, flush=True))
     return 0
+
+
+def _run_camera(args: argparse.Namespace, source: Path | str) -> int:
+    for name in ('input', 'video', 'person', 'strict', 'fps', 'image_size', 'layout', 'topic', 'camera_info'):
+        if getattr(args, name):
+            given = args.input if name == 'input' else _name_option(name)
+            raise InputError(f'--live shows {source}; {given} does not apply')
+    if args.output is not None and args.output.suffix != BAG_SUFFIX:
+        raise InputError(f'{args.output}: unknown file type; --live records {BAG_SUFFIX}')
+    config = load_config(args)
+    if args.output is not None:
+        check_output(args.output)
+    is_camera = not isinstance(source, Path) or source.is_char_device()
+    detector = load_detector(args.detector, MOST_PEOPLE)
+    scene = LiveScene(str(source), str(source))
+    watch = Watch(detector, load_models(args, config), config, scene, hfov=args.hfov, focal=args.focal)
+    port = DEFAULT_PORT if args.port is None else args.port
+    with (
+        VideoReader(source, is_camera=is_camera) as reader,
+        NewestImage(reader, is_camera=is_camera) as images,
+        PageServer(scene, port) as server,
+        suppress(KeyboardInterrupt, EOFError),
+        interrupt_between_items() as until_interrupted,
+    ):
+        print_result(f'{server.address} shows {source} in any browser of this machine; Ctrl-C ends', flush=True)
+        for shot in until_interrupted(iter(images.take, ())):
+            if shot is not None:
+                watch.show(shot, reader.find_focal_length((shot.image.shape[1], shot.image.shape[0])))
+    if args.output is not None:
+        with replace_output(args.output) as unfinished:
+            save_detections(unfinished, watch.collect())
+        print_result(args.output)
+    return 0
+
+
+def find_live_source(name: str) -> Path | str | None:
+    """Return the device of a camera, a video file or the address of a stream; None for what is a namespace."""
+    if '://' in name:
+        return name
+    return find_camera(name) or (Path(name) if Path(name).is_file() else None)
 
 
 def _refuse_unused_options(args: argparse.Namespace) -> None:

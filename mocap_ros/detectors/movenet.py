@@ -3,10 +3,10 @@
 
 """MoveNet (Votel and Li, Next-Generation Pose Detection with MoveNet, 2021), for one person or for six.
 
-The single-pose model sees a square around the person (`detectors.following`): centred between the hips, with half a
-side of the larger of 1.9 times the greatest distance of a joint of the trunk from there and 1.2 times that of any
-joint, as its authors' tutorial has it; where no hips are seen, it is about all points. The multi-pose model sees
-the whole image, the longer side of which becomes 256 px. Its keypoints are less exact, but it finds the people.
+The single-pose model sees a square around the person (`detectors.following`): centred between the hips, with half
+a side of the larger of 1.9 times the greatest distance of a joint of the trunk from there and 1.2 times that of
+any joint, as its authors' tutorial has it; where no hips are seen, it is about all points. The multi-pose model
+sees the whole image, the longer side of which becomes 256 px. It is less exact, but finds the people.
 
 The score of a keypoint is the network's. A keypoint is 0.01 or less where there is no person.
 """

@@ -30,6 +30,7 @@ CAMERA_DEVICE = '/dev/video{}'  # of a camera that is named by its number
 FALLBACK_STEP_S = 1 / 30  # s from image to image, where a video gives neither times nor a rate
 FILM_CODECS = ('libx264', 'mpeg4')  # the first that PyAV has encodes a film
 FILM_TICK = Fraction(1, 90000)  # s; the times of a film are multiples of it
+STREAM_TIMEOUT_S = 10.0  # s; for a stream to answer
 READ_AHEAD = 4  # images that are decoded while the detector works; more would only take memory
 MICROSECONDS = 1e6  # in a second; the unit of the times of a container
 MAX_MISSING_S = 1.0  # s; the sound of a video may be longer than its images by less
@@ -57,7 +58,7 @@ class VideoFacts(NamedTuple):
     focal_px: float | None  # px, focal length in images of that size; None where it is not stated
 
 
-def _import_av(path: Path, what: str) -> Any:
+def _import_av(path: Path | str, what: str) -> Any:
     try:
         import av
     except ImportError:
@@ -76,7 +77,8 @@ class VideoReader:
 
     The times are those that the file gives, also where they are uneven. A video that is stored turned or
     mirrored, as upright videos of telephones are, is shown as players do. An image that is damaged, or not later
-    than the one before, is left out. A camera is given as the path of its device, with `is_camera`.
+    than the one before, is left out. With `is_camera`, a camera is given as the path of its device, and a stream as
+    its address.
 
     Attributes:
         image_count: number of images, about; None where it is not known.
@@ -85,7 +87,7 @@ class VideoReader:
             else empty.
     """
 
-    def __init__(self, path: Path, *, is_camera: bool = False) -> None:
+    def __init__(self, path: Path | str, *, is_camera: bool = False) -> None:
         av = _import_av(path, 'a video')
         self._path = path
         self._errors = (av.FFmpegError, ValueError)
@@ -96,7 +98,9 @@ class VideoReader:
         try:  # `file:` and the list of protocols keep a name or a playlist from opening anything but files
             self._container: Any = (
                 av.open(str(path), format=CAMERA_FORMAT)
-                if is_camera
+                if is_camera and isinstance(path, Path)
+                else av.open(path, timeout=STREAM_TIMEOUT_S)
+                if isinstance(path, str)
                 else av.open(f'file:{path}', options={'protocol_whitelist': 'file'}, metadata_errors='ignore')
             )
         except self._errors as error:

@@ -37,6 +37,7 @@ HOST = '127.0.0.1'
 WAIT_S = 5.0  # s; a request without a new frame is answered after it
 VIEWED_S = 10.0  # s; without a request for longer, there is no browser
 LEVEL_STEP = 10  # frames; in every tenth one the floor and the vertical are found
+KEPT_IMAGES = 3  # of the newest frames; a browser asks for that of its frame at once
 LEVEL_FRAMES = 30  # of these frames, from which they are found: 10 s at 30 Hz
 
 
@@ -49,6 +50,7 @@ class LiveScene:
     def __init__(self, title: str, topic: str = '/skeletons') -> None:
         self._title, self._topic = title, topic
         self._number, self._frame, self._asked_s = 0, b'', -VIEWED_S
+        self._jpegs: dict[int, bytes] = {}  # images of the newest frames, by their numbers
         self._arrival_s: float | None = None  # steady clock; when the newest skeletons came
         self._changed = threading.Condition()
         self._skeleton = BODY26
@@ -84,8 +86,9 @@ class LiveScene:
         image_size: tuple[int, int],
         vertical: NDArray[np.float64],
         skeleton: Skeleton,
+        jpeg: bytes = b'',
     ) -> None:
-        """Put the next frame in place of the last one.
+        """Put the next frame in place of the last one, with its image, if there is one.
 
         The people (P,) of this frame are the frames of one person. Each detection has its layout and points (Jk,
         2) in px. The vertical (3,) is upwards in the optical frame; NaN where it is not known with certainty.
@@ -108,13 +111,20 @@ class LiveScene:
                 for layout, points in keypoints
             ],
             'camera': describe_camera(image_size, people.intrinsics),
+            'hasImage': bool(jpeg),
             **self._level,
         }
         with self._changed:
             self._number += 1
+            self._jpegs = {n: j for n, j in self._jpegs.items() if n > self._number - KEPT_IMAGES}
+            self._jpegs[self._number] = jpeg
             self._arrival_s = time.monotonic()
             self._frame = json.dumps({'number': self._number, **frame}, separators=(',', ':')).encode()
             self._changed.notify_all()
+
+    def find_image(self, number: int) -> bytes:
+        """Return the JPEG of a frame; empty if there is none any more."""
+        return self._jpegs.get(number, b'')
 
     def leave_out(self) -> None:
         """Note skeletons that nobody views, so that there is no frame of them; the last one is out of date."""
@@ -186,7 +196,10 @@ class PageServer(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers `/` with the page and `/frame?after=N` with the newest frame and the age of the newest skeletons."""
+    """Answers `/` with the page, `/frame?after=N` with the newest frame, and `/image?of=N` with the image of one.
+
+    With a frame goes the age of the newest skeletons.
+    """
 
     server: PageServer
     protocol_version = 'HTTP/1.1'
@@ -202,6 +215,10 @@ class _Handler(BaseHTTPRequestHandler):
         url = urlsplit(self.path)
         if url.path == '/':
             return self._answer(200, 'text/html; charset=utf-8', self.server.scene.build_page().encode())
+        of_image = parse_qs(url.query).get('of', [''])[0]
+        if url.path == '/image' and of_image.isdecimal() and of_image.isascii():
+            jpeg = self.server.scene.find_image(int(of_image[:18]))
+            return self._answer(200 if jpeg else 404, 'image/jpeg', jpeg)
         number = parse_qs(url.query).get('after', [''])[0]
         if url.path == '/frame' and number.isdecimal() and number.isascii():
             frame = self.server.scene.wait(int(number[:18]))

@@ -25,6 +25,8 @@
   const LIVE_FRAMES = 900; // of a live scene that are kept at least, 30 s at 30 Hz; at most twice as many
   const LIVE_PEOPLE = 60; // people in one image of a live scene at most
   const LIVE_TRAIL = 120; // frames of a trail of a live scene at most
+  const PACE_FRAMES = 30; // of a live scene, whose rate and delay are shown
+  const MAX_DELAY_MS = 5000; // ms; larger ones are those of another clock
   const CURVES_S = 1; // s between two drawings of the curves of a live scene
   const RETRY_MS = 1000; // ms after which a page asks again for frames
   const SILENCE_S = 10; // s without skeletons after which a live scene is grey
@@ -90,6 +92,7 @@
   class LiveScene {
     constructor(scene) {
       Object.assign(this, scene, { isLive: true, palette: scene.people, count: 0, isConnected: true, newestMs: null });
+      this.images = new LiveImages();
       this.clear();
     }
 
@@ -107,10 +110,11 @@
     }
 
     // Add a frame of the server; return how many of the oldest were removed.
-    add({ stampMs, ids, people, keypoints, camera, toLevel, floorY }) {
+    add({ stampMs, ids, people, keypoints, camera, toLevel, floorY, bitmap }) {
       if (stampMs <= this.startMs + 1000 * this.seconds[this.frameCount - 1]) this.clear(); // the clock was put back
       this.startMs ??= stampMs;
       const frame = this.frameCount++;
+      if (bitmap) this.images.put(frame, bitmap);
       this.seconds.push((stampMs - this.startMs) / 1000);
       Object.assign(this, { camera, toLevel, floorY });
       ids.forEach((id, i) => {
@@ -132,6 +136,7 @@
     forget(count) {
       this.seconds.splice(0, count);
       this.frameCount -= count;
+      this.images.frame -= count;
       const shorten = (rows, arrays) => {
         const gone = findLast(rows.frames, count - 1) + 1;
         const total = rows.frames.length;
@@ -156,6 +161,12 @@
       return silentS < SILENCE_S ? '' : `no skeletons for ${silentS} s`;
     }
 
+    // The image of a frame; none if it cannot be had.
+    async receiveImage(number) {
+      const answer = await fetch(`image?of=${number}`);
+      return answer.ok ? createImageBitmap(await answer.blob()).catch(() => null) : null;
+    }
+
     // Ask the server for frames, for ever; it answers with the newest one that is not the last.
     async receive(onFrame) {
       for (let after = 0; ;) {
@@ -169,6 +180,7 @@
           const frame = await answer.json();
           if (frame.skeleton.join() !== this.joints.join()) return location.reload();
           after = frame.number;
+          if (frame.hasImage) frame.bitmap = await this.receiveImage(after);
           onFrame(frame);
         } catch (error) {
           this.isConnected = false;
@@ -176,6 +188,18 @@
         }
       }
     }
+  }
+
+  // The image of the newest frame of a live scene; older ones are not kept.
+  class LiveImages {
+    constructor() { Object.assign(this, { frame: -1, bitmap: null }); }
+
+    put(frame, bitmap) {
+      this.bitmap?.close();
+      Object.assign(this, { frame, bitmap });
+    }
+
+    find(frame) { return frame === this.frame ? this : null; }
   }
 
   // The row of a person in each frame, -1 where there is none. In frames that the tracker skipped it is the one before.
@@ -571,7 +595,8 @@
   class ImageView {
     constructor(scene, onChange) {
       this.scene = scene;
-      this.images = scene.images && new Images(scene.images, $('images').textContent.trim(), onChange);
+      this.images = scene.isLive ? scene.images
+        : scene.images && new Images(scene.images, $('images').textContent.trim(), onChange);
       this.shown = -1; // the frame that is drawn
       this.canvas = $('image-view');
       this.explain();
@@ -887,8 +912,17 @@
       image.update(frame);
       curves.update(seconds);
       $('time').value = frame;
-      $('clock').textContent = scene.isLive ? `${seconds.toFixed(2)} s${isPlaying && !silence ? ', live' : ''}`
+      $('clock').textContent = scene.isLive ? `${seconds.toFixed(2)} s${isPlaying && !silence ? describePace() : ''}`
         : `${seconds.toFixed(2)} s (${frame + 1} / ${scene.frameCount})`;
+    };
+    // Frames per second and the delay, where the stamps are of this clock, of the last frames of a live scene.
+    const describePace = () => {
+      const first = Math.max(scene.frameCount - PACE_FRAMES, 0);
+      const lastS = scene.seconds[scene.frameCount - 1] - scene.seconds[first];
+      const rate = lastS > 0 ? `, ${((scene.frameCount - 1 - first) / lastS).toFixed(0)} Hz` : '';
+      const recent = delays.slice(-PACE_FRAMES).sort((a, b) => a - b);
+      const delay = recent[recent.length >> 1];
+      return `, live${rate}${delay > 0 && delay < MAX_DELAY_MS ? `, ${delay.toFixed(0)} ms` : ''}`;
     };
     const setPlaying = (value) => {
       isPlaying = value;

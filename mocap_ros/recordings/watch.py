@@ -1,0 +1,175 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""People before a camera, in 3D and at once, without ROS: images, detector, tracker, and the page of a live scene.
+
+Only the newest image counts: those that come while the detector works are skipped. A video takes the place of a
+camera at its own pace. Stamps are of the clock, so that the page can say how late it is.
+"""
+
+from __future__ import annotations
+
+import io
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from PIL import Image as Pillow
+
+from mocap_ros.config import Config
+from mocap_ros.detectors.detector import Detector, Image
+from mocap_ros.errors import FrameDropped, InputError
+from mocap_ros.formats.detections import Detections, find_focal_length
+from mocap_ros.formats.video import VideoReader
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.level import MAX_CERTAIN_STD
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.models.base_poses import PoseModel
+from mocap_ros.people import TrackedFrame
+from mocap_ros.recordings.detect_people import detect_people, name_people
+from mocap_ros.recordings.load_results import follow_person
+from mocap_ros.skeleton import skeleton_from_joints
+from mocap_ros.tracking.tracker import PeopleTracker
+from mocap_ros.units import NS_PER_S
+from mocap_ros.viewing.live_page import LiveScene
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+WAIT_S = 0.1  # s; for the next image, after which the end is looked for
+MAX_SHOWN_PX = 640  # px; longer side of the images on the page
+JPEG_QUALITY = 75
+
+
+class Shot(NamedTuple):
+    """An image, and when it was taken, in ns of the clock."""
+
+    image: Image
+    stamp_ns: int
+
+
+class NewestImage:
+    """The newest image of a camera or a video, which another thread reads; a context manager that ends it."""
+
+    def __init__(self, reader: VideoReader, *, is_camera: bool) -> None:
+        self._reader, self._is_camera = reader, is_camera
+        self._newest: Shot | None = None
+        self._error: Exception | None = None
+        self._changed, self._is_closed = threading.Condition(), threading.Event()
+        self._thread = threading.Thread(target=self._read, name='camera', daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._is_closed.set()
+        self._thread.join(1.0)
+
+    def take(self) -> Shot | None:
+        """Return the newest image once, None if there is none for `WAIT_S`; EOFError at the end of a video."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._newest or self._error, WAIT_S)
+            shot, self._newest = self._newest, None
+        if shot is None and self._error is not None:
+            raise self._error
+        return shot
+
+    def _read(self) -> None:
+        start_ns = time.time_ns()
+        try:
+            for image, time_s in self._reader:
+                due_ns = start_ns + round(time_s * NS_PER_S)
+                if not self._is_camera and self._is_closed.wait(max(due_ns - time.time_ns(), 0) / NS_PER_S):
+                    return
+                with self._changed:
+                    self._newest = Shot(image, time.time_ns() if self._is_camera else due_ns)
+                    self._changed.notify_all()
+                if self._is_closed.is_set():
+                    return
+            raise EOFError
+        except Exception as error:  # it is raised in the thread that takes the images
+            with self._changed:
+                self._error = error
+                self._changed.notify_all()
+
+
+class Watch:
+    """Detects and tracks the people in images, and shows them on a live scene."""
+
+    def __init__(
+        self,
+        detector: Detector,
+        models: Mapping[str, PoseModel],
+        config: Config,
+        scene: LiveScene,
+        *,
+        hfov: float | None = None,
+        focal: float | None = None,
+    ) -> None:
+        self._detector, self._config, self._scene = detector, config, scene
+        self._tracker, self._lens = PeopleTracker(models, config), (hfov, focal)
+        self._people: list[list[Person2D]] = []
+        self._stamps_ns: list[int] = []
+        self._size = (0, 0)
+
+    def show(self, shot: Shot, focal_px: float | None = None) -> None:
+        """Show the people in an image; `focal_px` is the focal length that a video states."""
+        size = shot.image.shape[1], shot.image.shape[0]
+        if self._stamps_ns and size != self._size:
+            raise InputError(f'the size of the images changes from {self._size} to {size}')
+        self._size = size
+        start_ns = self._stamps_ns[0] if self._stamps_ns else shot.stamp_ns
+        people = detect_people(self._detector, shot.image, (shot.stamp_ns - start_ns) / NS_PER_S)
+        with suppress(FrameDropped):
+            camera = self._find_camera(focal_px)
+            people = [person.hide_border(size) for person in people]
+            tracked = self._tracker.update(shot.stamp_ns, people, camera)
+            self._people.append(people)
+            self._stamps_ns.append(shot.stamp_ns)
+            if self._scene.is_viewed:
+                self._publish(tracked, people, camera, shot.image)
+            else:
+                self._scene.leave_out()
+            self._tracker.run_deferred_work()
+
+    def collect(self) -> Detections:
+        """Return all that was detected; InputError where nobody was."""
+        if not any(self._people):
+            raise InputError('no person was seen')
+        start_ns = self._stamps_ns[0]
+        stamps_ns = [stamp_ns - start_ns for stamp_ns in self._stamps_ns]
+        return name_people(Detections(self._people, stamps_ns, self._size))[0]
+
+    def _find_camera(self, focal_px: float | None) -> Intrinsics:
+        focal = find_focal_length(self._size[0], *self._lens) or focal_px
+        if focal is None:
+            return Intrinsics.from_image_size(*self._size, self._config.tracker.nominal_focal_length)
+        return Intrinsics(focal, (self._size[0] / 2, self._size[1] / 2), True, image_size=self._size)
+
+    def _publish(self, tracked: TrackedFrame, seen: list[Person2D], camera: Intrinsics, image: Image) -> None:
+        people, vertical = tracked.people, tracked.vertical
+        is_certain = vertical is not None and vertical.std <= MAX_CERTAIN_STD
+        count = range(len(people))
+        self._scene.publish(
+            tracked.stamp_ns,
+            people.ids,
+            follow_person('', count, people, count, camera),  # rows as frames
+            [(skeleton_from_joints(p.joints), np.where(p.score[:, None] > 0, p.points, np.nan)) for p in seen],
+            self._size,
+            vertical.direction if vertical is not None and is_certain else np.full(3, np.nan),
+            people.skeleton,
+            encode_jpeg(image),
+        )
+
+
+def encode_jpeg(image: Image) -> bytes:
+    """Return an image (H, W, 3) as JPEG, reduced to `MAX_SHOWN_PX`."""
+    picture = Pillow.fromarray(image)
+    picture.thumbnail((MAX_SHOWN_PX, MAX_SHOWN_PX), Pillow.Resampling.BILINEAR, reducing_gap=1.0)
+    file = io.BytesIO()
+    picture.save(file, 'JPEG', quality=JPEG_QUALITY)
+    return file.getvalue()
