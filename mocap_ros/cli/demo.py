@@ -31,6 +31,7 @@ from mocap_ros.recordings.build_scene import build_scene, select_true_joints
 from mocap_ros.recordings.load_keypoints import load_sequence_file
 from mocap_ros.recordings.load_results import load_recording
 from mocap_ros.recordings.playback import Playback
+from mocap_ros.skeleton import CMU15, estimate_stature
 from mocap_ros.verdict import accuracy
 from mocap_ros.viewing import plots
 from mocap_ros.viewing.page import build_page
@@ -47,7 +48,7 @@ STOP_TIMEOUT_S = 10.0  # s; guards against a node that does not stop after an in
 DESCRIPTION = (
     'Starts the node in a process of its own, plays the embedded synthetic recording to it over ROS 2 topics at '
     'the recorded pace, records the outputs in a bag, and draws the result beside the input and the truth, as a '
-    'picture and as a page that any browser opens.'
+    'picture and as a page that any browser opens. The node is told how tall the person is.'
 )
 OPTIONS: Options = {
     '-o --output FOLDER': option('folder for the bag, the picture and the page', default=Path('demo_output')),
@@ -69,7 +70,8 @@ def run(args: argparse.Namespace) -> int:
     print_result(
         f'Step 1 of 3: start the node (3 s), play {recording.name} to it ({duration_s:.0f} s)', flush=True
     )
-    with reserve_domain() as domain, _use_environment(domain), _run_node(args.output) as node:
+    height = 0.0 if sequence.truth is None else estimate_stature(sequence.truth.joints, CMU15)
+    with reserve_domain() as domain, _use_environment(domain), _run_node(args.output, height) as node:
         player = Player(Playback(recording), args.rate, START_TIMEOUT_S)
         player.play(lambda messages, total: show_progress(messages, 'play', total))
         if node.poll() is not None:
@@ -124,9 +126,10 @@ def _use_environment(variables: dict[str, str]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _run_node(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+def _run_node(folder: Path, height_m: float) -> Iterator[subprocess.Popen[bytes]]:
     command = [sys.executable, '-m', 'mocap_ros.ros.main', '--ros-args', '--log-level', 'warn']
     command += ['-p', 'recorder.enabled:=true', '-p', f'recorder.folder:={folder.resolve()}']
+    command += ['-p', f'tracker.body_height:={height_m:.2f}'] if height_m else []
     command += ['-p', 'qos_overrides./keypoints.subscription.reliability:=reliable']
     node = subprocess.Popen(command, start_new_session=True)  # an interrupt of this process does not reach it
     try:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap_ros.cli.inputs import list_sources, name_file_in_errors
-from mocap_ros.cli.options import Options, derive_output_stem, option
+from mocap_ros.cli.options import Options, derive_output_stem
 from mocap_ros.cli.terminal import interrupt_between_items, print_note, print_result, show_progress
 from mocap_ros.errors import InputError, tell_installation
 from mocap_ros.formats.detections import Detections, select_person
@@ -38,13 +38,11 @@ DESCRIPTION = (
 )
 OPTIONS: Options = {
     'input VIDEO|CAMERA': 'video, or the number or the device of a camera (0, /dev/video0)',
-    '--model FILE': 'pose landmarker (.task), YOLO-pose, RTMPose or MoveNet (.onnx) (default: the one of '
-    'MediaPipe 0.10.21)',
+    '--model FILE': 'pose landmarker (.task), YOLO-pose, RTMPose or MoveNet (.onnx) (default: the MoveNet that '
+    'comes with the package)',
     '-o --output OUT': '.npz or .mcap (default: IN_2d.npz, of a camera camera_2d.npz, in the current folder)',
     '--person ID': 'person of a video to write to a .npz (default: the one seen most)',
-    '--max-people N': option(
-        'largest number of people to find in an image, by models that find several', default=1
-    ),
+    '--max-people N': 'largest number of people to find in an image (default: 6; of MediaPipe 1)',
     '--duration S': 's, end after this time (default: at the end of the video; for a camera, when interrupted)',
 }
 

@@ -75,7 +75,7 @@ VIDEO_OPTIONS: Options = {
         'keypoint layout of JSON (default: the layout with that number of keypoints)', choices=LAYOUT_NAMES
     ),
     '--detector FILE': 'model that finds the keypoints in a video, as for `mocap-ros detect --model` (default: '
-    'the one that comes with MediaPipe 0.10.21)',
+    'likewise)',
 }
 INPUT_OPTIONS: Options = {
     'input IN': 'sequence file (.npz), bag, folder of OpenPose JSON, COCO keypoints (.json), or video',

@@ -60,7 +60,6 @@ from mocap_ros.viewing.scene import Scene
 
 PAGE_SUFFIX, FILM_SUFFIX = '.html', '.mp4'  # any other suffix is that of a picture
 BAG_SUFFIX = '.mcap'  # of what --live records
-MOST_PEOPLE = 6  # whom --live shows, as the detector that ships finds no more
 DEFAULT_PORT, MAX_PORT = 8642, 65535  # of --live
 # Options that apply to no result, and those of the others that apply to one only in a bag
 RECONSTRUCTION_OPTIONS = 'fps', 'image_size', 'layout', 'hfov', 'focal', 'detector', 'model'
@@ -210,7 +209,7 @@ def _run_camera(args: argparse.Namespace, source: Path | str) -> int:
     if args.output is not None:
         check_output(args.output)
     is_camera = not isinstance(source, Path) or source.is_char_device()
-    detector = load_detector(args.detector, MOST_PEOPLE)
+    detector = load_detector(args.detector)
     scene = LiveScene(str(source), str(source))
     watch = Watch(detector, load_models(args, config), config, scene, hfov=args.hfov, focal=args.focal)
     port = DEFAULT_PORT if args.port is None else args.port

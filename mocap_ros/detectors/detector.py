@@ -46,11 +46,15 @@ SHIPPED_MODEL = SHIPPED / 'movenet_thunder.onnx'  # that looks at each person, w
 FINDER = SHIPPED / 'movenet_multipose.onnx'  # that finds the people
 
 
-def load_detector(model: Path | None, max_people: int = 1) -> Detector:
+MAX_PEOPLE = 6  # in an image, if nothing else is said; those of MoveNet for several people
+
+
+def load_detector(model: Path | None, max_people: int | None = None) -> Detector:
     """Load a model, by default the MoveNet that comes with the package.
 
-    `max_people` is the largest number of people to find in an image. Networks that see one person in a rectangle
-    follow people whom MoveNet for several people finds.
+    `max_people` is the largest number of people to find in an image, by default `MAX_PEOPLE`, of MediaPipe one,
+    which is slow where it looks for more. Networks that see one person in a rectangle follow people whom MoveNet
+    for several people finds.
     """
     model = model or SHIPPED_MODEL
     if not model.is_file():
@@ -58,7 +62,8 @@ def load_detector(model: Path | None, max_people: int = 1) -> Detector:
     if model.suffix.lower() == MEDIAPIPE_SUFFIX:
         from mocap_ros.detectors.mediapipe import MediaPipe
 
-        return MediaPipe(model, max_people)
+        return MediaPipe(model, max_people or 1)
+    max_people = max_people or MAX_PEOPLE
     if model.suffix.lower() != ONNX_SUFFIX:
         raise ModelError(f'{model}: unknown file type; expected {MODEL_FORMATS}')
 
@@ -81,5 +86,5 @@ def load_detector(model: Path | None, max_people: int = 1) -> Detector:
         found = ' and '.join(str(shape) for shape in shapes)
         forms = ', or '.join(module.OUTPUT_FORM for module in (yolo_pose, rtmpose, movenet))
         raise ModelError(f'{model}: gives arrays of the form {found}; expected {forms}')
-    finder = movenet.MultiPoseMoveNet(OnnxModel(FINDER), movenet.MAX_PEOPLE)
+    finder = movenet.MultiPoseMoveNet(OnnxModel(FINDER), MAX_PEOPLE)
     return FollowingDetector(of_one, finder, max_people)

@@ -36,7 +36,6 @@ HALF_BODY_FACTOR = 1.5  # side of the square over the extent of the points, wher
 # px of the input, by which keypoints are too far left and up: of Lightning 0.30 and 0.19, of Thunder 0.19 and
 # 0.40, of MultiPose 0.23 and 0.31, each to 0.1, as found with mirrored and with turned images of real people
 SHIFT = 0.25
-MAX_PEOPLE = 6  # of the multi-pose model
 SIZE_STEP = 32  # px; both sides of the input of the multi-pose model are multiples of it
 HIPS = [COCO.index('lhip'), COCO.index('rhip')]
 TRUNK = [*HIPS, COCO.index('lshoulder'), COCO.index('rshoulder')]

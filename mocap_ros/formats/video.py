@@ -77,8 +77,8 @@ class VideoReader:
 
     The times are those that the file gives, also where they are uneven. A video that is stored turned or
     mirrored, as upright videos of telephones are, is shown as players do. An image that is damaged, or not later
-    than the one before, is left out. With `is_camera`, a camera is given as the path of its device, and a stream as
-    its address.
+    than the one before, is left out. With `is_camera`, a camera is given as the path of its device, and a stream
+    as its address.
 
     Attributes:
         image_count: number of images, about; None where it is not known.

@@ -33,7 +33,7 @@ def detect_people(detector: Detector, image: Image, time_s: float) -> list[Perso
 def detect_in_video(
     path: Path,
     model: Path | None,
-    max_people: int = 1,
+    max_people: int | None = None,
     show_progress: ShowProgress = lambda images, _: images,
     *,
     is_camera: bool = False,
@@ -41,7 +41,7 @@ def detect_in_video(
 ) -> Detections:
     """Run a detector on all images of a video, or of a camera that is given as its device.
 
-    Without a model, the detector is that of some versions of MediaPipe. `show_progress` may end the images of a
+    Model and number of people are those of `load_detector`. `show_progress` may end the images of a
     camera, and `is_interrupted` says whether to end while it gives none. An error ends them, too, once a person
     was detected, as they cannot be shown again.
     """

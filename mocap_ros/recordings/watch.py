@@ -9,7 +9,6 @@ camera at its own pace. Stamps are of the clock, so that the page can say how la
 
 from __future__ import annotations
 
-import io
 import threading
 import time
 from collections.abc import Mapping
@@ -17,7 +16,6 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from PIL import Image as Pillow
 
 from mocap_ros.config import Config
 from mocap_ros.detectors.detector import Detector, Image
@@ -35,13 +33,12 @@ from mocap_ros.skeleton import skeleton_from_joints
 from mocap_ros.tracking.tracker import PeopleTracker
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.live_page import LiveScene
+from mocap_ros.viewing.overlay import encode_jpeg
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
 WAIT_S = 0.1  # s; for the next image, after which the end is looked for
-MAX_SHOWN_PX = 640  # px; longer side of the images on the page
-JPEG_QUALITY = 75
 
 
 class Shot(NamedTuple):
@@ -164,12 +161,3 @@ class Watch:
             people.skeleton,
             encode_jpeg(image),
         )
-
-
-def encode_jpeg(image: Image) -> bytes:
-    """Return an image (H, W, 3) as JPEG, reduced to `MAX_SHOWN_PX`."""
-    picture = Pillow.fromarray(image)
-    picture.thumbnail((MAX_SHOWN_PX, MAX_SHOWN_PX), Pillow.Resampling.BILINEAR, reducing_gap=1.0)
-    file = io.BytesIO()
-    picture.save(file, 'JPEG', quality=JPEG_QUALITY)
-    return file.getvalue()

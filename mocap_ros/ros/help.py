@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from mocap_ros.bags.topics import Source
 from mocap_ros.bridges.bridge import CONSUMERS
 from mocap_ros.config import Parameter
-from mocap_ros.detectors.detector import MODEL_FORMATS
+from mocap_ros.detectors.detector import MAX_PEOPLE, MODEL_FORMATS
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.messages.images import IMAGE, IMAGE_TYPES
@@ -41,14 +41,14 @@ DETECTOR_PARAMETERS = (
         'model',
         str,
         '',
-        f'file of the model: {MODEL_FORMATS}; empty for the model that comes with MediaPipe 0.10.21',
+        f'file of the model: {MODEL_FORMATS}; empty for the MoveNet that comes with the package',
         read_only=True,
     ),
     Parameter(
         'max_people',
         int,
-        1,
-        'largest number of people to find in an image, by models that find several',
+        MAX_PEOPLE,
+        'largest number of people to find in an image',
         low=1,
         high=100,
         read_only=True,

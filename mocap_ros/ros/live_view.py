@@ -20,6 +20,8 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import MAX_CERTAIN_STD
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, decode_camera_info
+from mocap_ros.messages.cdr import read_stamp_ns
+from mocap_ros.messages.images import IMAGE, decode_image
 from mocap_ros.messages.keypoints import KEYPOINTS, KeypointsFrame, decode_keypoints
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
 from mocap_ros.recordings.load_results import find_intrinsics, follow_person
@@ -30,14 +32,16 @@ from mocap_ros.ros.topics import subscribe
 from mocap_ros.skeleton import skeleton_from_joints
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.live_page import LiveScene, PageServer
+from mocap_ros.viewing.overlay import encode_jpeg
 
 # Only the newest messages count: a page that is late must not fall behind.
 KEYPOINTS_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+KEPT_IMAGES = 15  # messages, which wait for their skeletons; with a longer `tracker.lag` no image is shown
 WAITING_NS = 6 * NS_PER_S  # for which keypoints wait for their skeletons; `tracker.lag` is at most 5 s
 
 
 class LiveView(Node):
-    """Node that serves the page of a live scene: the newest skeletons, with the keypoints of their image."""
+    """Node that serves the page of a live scene: the newest skeletons, with their keypoints and their image."""
 
     def __init__(self, port: int, namespace: str, announce: Callable[[str], None]) -> None:
         super().__init__('mocap_view', namespace=namespace)
@@ -49,12 +53,14 @@ class LiveView(Node):
         self._announce = announce
         self._serving = ExitStack()
         self._keypoints: dict[int, KeypointsFrame] = {}  # by stamp in ns
+        self._images: dict[int, bytes] = {}  # messages likewise, the newest
         self._camera: CameraInfo | None = None
         self._size = (640, 480)
         for topic, msgtype, take, qos in (
             ('skeletons', SKELETONS, self._take_skeletons, NEWEST_QOS),
             ('keypoints', KEYPOINTS, self._take_keypoints, KEYPOINTS_QOS),
             ('camera_info', CAMERA_INFO, self._take_camera, NEWEST_QOS),
+            ('image', IMAGE, self._take_image, KEYPOINTS_QOS),
         ):
             self._subscribe(topic, msgtype, take, qos)
 
@@ -80,6 +86,11 @@ class LiveView(Node):
 
     def _take_camera(self, raw: bytes) -> None:
         self._camera = decode_camera_info(raw)
+
+    def _take_image(self, raw: bytes) -> None:
+        if self._scene.is_viewed:
+            self._images[read_stamp_ns(raw)] = raw
+            self._images = dict([*self._images.items()][-KEPT_IMAGES:])
 
     def _take_keypoints(self, raw: bytes) -> None:
         if self._scene.is_viewed:
@@ -115,7 +126,12 @@ class LiveView(Node):
             self._size,
             array.vertical if array.vertical_std <= MAX_CERTAIN_STD else np.full(3, np.nan),
             seen.skeleton,
+            self._encode_image(array.header.stamp_ns),
         )
+
+    def _encode_image(self, stamp_ns: int) -> bytes:
+        raw = self._images.get(stamp_ns)
+        return b'' if raw is None else encode_jpeg(decode_image(raw, IMAGE, self._limits)[1])
 
 
 def serve(port: int, namespace: str, announce: Callable[[str], None]) -> None:

@@ -64,16 +64,21 @@ def reduce_images(scene: Scene, images: Iterable[StampedImage], max_bytes: int =
         number += 1
         if number % step:
             continue
-        picture, buffer = Image.fromarray(pixels), io.BytesIO()
-        picture.thumbnail((PAGE_SIDE_PX, PAGE_SIDE_PX))
-        picture.save(buffer, 'JPEG', quality=JPEG_QUALITY)
-        kept[frame] = buffer.getvalue()
+        kept[frame] = encode_jpeg(pixels)
         size += len(kept[frame])
         if size > max_bytes:
             step, kept = 2 * step, dict(list(kept.items())[::2])
             size = sum(map(len, kept.values()))
     frames = sorted(kept)
     return SceneImages(np.array(frames, np.intp), tuple(kept[frame] for frame in frames), step)
+
+
+def encode_jpeg(pixels: Pixels) -> bytes:
+    """Return an image (H, W, 3) as JPEG, reduced to what a page shows."""
+    picture, buffer = Image.fromarray(pixels), io.BytesIO()
+    picture.thumbnail((PAGE_SIDE_PX, PAGE_SIDE_PX))
+    picture.save(buffer, 'JPEG', quality=JPEG_QUALITY)
+    return buffer.getvalue()
 
 
 def pick_images(scene: Scene, images: Iterable[StampedImage], frames: Iterable[int]) -> dict[int, Pixels]:
