@@ -383,7 +383,8 @@ def test_a_port_that_is_taken_is_named() -> None:
 
 
 def wait_for_clock(page: Any, text: str) -> None:
-    wait_for(page, lambda page: page.inner_text('#clock') == text)
+    """Wait for a text of the clock, but for the rate and the delay after it."""
+    wait_for(page, lambda page: re.sub(r', \d+ (Hz|ms)', '', page.inner_text('#clock')) == text)
 
 
 def wait_for(page: Any, is_met: Callable[[Any], object]) -> None:
