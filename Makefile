@@ -44,8 +44,9 @@ help:  ## show this; config/task.sh lists less frequent work
 setup: $(STAMPS)/package $(STAMPS)/messages  ## make .venv with everything in it
 	@echo 'Ready: $(BIN)/mocap-ros and $(BIN)/mocap_node'
 
-demo: setup  ## run the node on the demo recording, into demo_output/
+demo: setup  ## run the node on the demo recording, and look at a real person, into demo_output/
 	@$(BIN)/mocap-ros demo -o demo_output
+	@$(BIN)/mocap-ros view mocap_ros/demo/balance.mp4 -o demo_output/real.html
 
 test: setup  ## run the tests and print what they cover
 	@$(BIN)/python -m pytest --cov --numprocesses 3 --dist loadfile --no-loadscope-reorder
