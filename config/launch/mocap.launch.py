@@ -30,6 +30,11 @@ ARGUMENTS = {
     'keypoints': ('keypoints', 'topic of the keypoints'),
     'camera_info': ('camera_info', 'topic of the CameraInfo'),
     'depth': ('', 'topic of depth images that are registered to the colour image; starts depth_node'),
+    'output_frame': ('', 'frame of the outputs, such as base_link or map; empty: that of the camera'),
+    'camera_pose': ('', 'x y z roll pitch yaw in m and rad of a camera that stands still in it; empty: from /tf'),
+    'floor_height': ('', 'm, height of the floor in it'),
+    'hfov': ('', 'degrees, horizontal field of view of a camera without CameraInfo'),
+    'vertical': ('', "direction upwards in the camera's optical frame, such as '0 -1 0' of a level camera"),
     'record': ('', 'whether to record a bag in mocap_recordings/'),
     'publish_tf': ('', 'whether to publish the people as frames on /tf'),
     'frame_prefix': ('', 'prefix of the names of these frames; each camera needs its own'),
@@ -39,6 +44,11 @@ ARGUMENTS = {
 # The parameter that an argument sets, and its type.
 PARAMETERS = {
     'input_type': ('node.input_type', str),
+    'output_frame': ('node.output_frame', str),
+    'camera_pose': ('node.camera_pose', str),
+    'floor_height': ('node.floor_height', str),
+    'hfov': ('node.hfov', float),
+    'vertical': ('tracker.vertical', str),
     'publish_tf': ('node.publish_tf', bool),
     'frame_prefix': ('node.frame_prefix', str),
     'record': ('recorder.enabled', bool),

@@ -46,6 +46,7 @@ from tests.support.camera_messages import (
     encode_pixels,
     make_transforms,
 )
+from tests.support.paths import ROOT, load_module
 
 HEADER = Header(5_000_000_007, 'optical')
 LIMITS = NodeConfig()
@@ -430,3 +431,9 @@ def test_a_name_in_a_bag_that_names_no_type_is_not_imported(kind: str, monkeypat
     monkeypatch.setattr('mocap_ros.ros.message_types.import_module', pytest.fail)
     with pytest.raises(ConfigError, match='is not the name of a type'):
         load_interface_class(kind)
+
+
+def test_types_of_ros_that_setup_builds_have_the_fields_of_ros() -> None:
+    own, ros = load_module(ROOT / 'config' / 'env' / 'build_messages.py').OF_ROS, get_typestore(Stores.ROS2_JAZZY)
+    for name, text in own.items():
+        assert get_types_from_msg(text, name)[name][1] == ros.fielddefs[name][1]
