@@ -34,7 +34,7 @@ ARGUMENTS = {
     'camera_pose': ('', 'x y z roll pitch yaw in m and rad of a camera that stands still in it; empty: from /tf'),
     'floor_height': ('', 'm, height of the floor in it'),
     'hfov': ('', 'degrees, horizontal field of view of a camera without CameraInfo'),
-    'vertical': ('', "direction upwards in the camera's optical frame, such as '0 -1 0' of a level camera"),
+    'vertical': ('', 'degrees by which the camera looks down, such as 10, or the direction upwards in its frame'),
     'record': ('', 'whether to record a bag in mocap_recordings/'),
     'publish_tf': ('', 'whether to publish the people as frames on /tf'),
     'frame_prefix': ('', 'prefix of the names of these frames; each camera needs its own'),

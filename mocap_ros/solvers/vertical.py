@@ -73,6 +73,7 @@ OUTLIER_DEG = 10.0  # A: who lies or tumbles does not show the vertical
 MIN_STANDING = 0.02  # L: where no person stands, a vertical is better than none
 WAYS = slice(None), slice(None, None, -1)  # forwards and backwards
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for
+MAX_PITCH_DEG = 90.0  # degrees; of a camera that looks straight down
 UNIT_TOLERANCE = 0.01  # 1; difference of a given direction's length from 1 that rounding may cause
 
 
@@ -182,16 +183,19 @@ def read_given_vertical(config: TrackerConfig) -> Vertical | None:
     """Return the vertical that `tracker.vertical` gives; None where it is to be found, or not to be used.
 
     Raises:
-        ConfigError: The parameter is neither a word that it may be nor a unit vector of three numbers.
+        ConfigError: The parameter is neither a word that it may be nor a pitch nor a unit vector of three numbers.
     """
     text = config.vertical
     if text in (AUTO, NONE):
         return None
     direction = np.array(parse_numbers(text))
+    if direction.shape == (1,) and abs(direction[0]) <= MAX_PITCH_DEG:
+        pitch = math.radians(float(direction[0]))
+        direction = np.array([0.0, -math.cos(pitch), -math.sin(pitch)])
     if direction.shape != (3,) or not abs(float(np.linalg.norm(direction)) - 1) <= UNIT_TOLERANCE:
         raise ConfigError(
-            f'tracker.vertical = {text!r}: expected auto, none, or a unit vector upwards in the optical frame of '
-            "the camera, such as '0 -1 0' of a level camera"
+            f'tracker.vertical = {text!r}: expected auto, none, the degrees by which the camera looks down, or a '
+            "unit vector upwards in its optical frame, such as '0 -1 0' of a level camera"
         )
     return Vertical.give(direction / np.linalg.norm(direction))
 

@@ -25,7 +25,7 @@ from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.people import CameraVertical, Person3D, PoseSequence
 from mocap_ros.skeleton import find_roots
-from mocap_ros.solvers.vertical import MAX_STD_DEG
+from mocap_ros.solvers.vertical import MAX_STD_DEG, read_given_vertical
 from mocap_ros.tracking.body_size import ANKLE_SHARE, ANKLES, BodySize, SizeEvidence, assume_size
 from mocap_ros.tracking.tracker import PeopleTracker
 from mocap_ros.verdict.input_faults import MIN_JUDGED_S, VerticalCheck
@@ -325,3 +325,10 @@ def test_it_holds_at_any_rate_and_begins_anew_with_the_stamps() -> None:
         assert [check.advance(i * 10**9 // hz, lying, UP) for i in range(10 * hz)][-1] is not None
     assert check.advance(0, lying, UP) is None, 'the stamps began anew'
     assert not any(VerticalCheck().advance(t, lying, UP) for t in range(0, 10**12, 60 * 10**9))
+
+
+@pytest.mark.parametrize(('text', 'upward'), [('0', [0, -1, 0]), ('30', [0, -0.866, -0.5]), ('-90', [0, 0, 1])])
+def test_a_vertical_may_be_the_degrees_by_which_the_camera_looks_down(text: str, upward: list[float]) -> None:
+    given = read_given_vertical(with_values(Config(), {'tracker.vertical': text}).tracker)
+    assert given is not None
+    assert given.direction == pytest.approx(np.array(upward), abs=1e-3)
