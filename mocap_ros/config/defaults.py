@@ -163,8 +163,8 @@ class TrackerConfig:
         'auto',
         'vertical of the camera, towards which lifted poses are turned: auto (from a node.output_frame whose z '
         'axis is up: map, odom, world or one with node.floor_height; else found from how people stand and walk), '
-        'none, the degrees by which a camera that is not rolled looks down, such as 10, or the direction upwards in '
-        'its optical frame as three numbers, such as 0 -1 0 of a level camera',
+        'none, the degrees by which a camera that is not rolled looks down, such as 10, or the direction upwards '
+        'in its optical frame as three numbers, such as 0 -1 0 of a level camera',
         read_only=True,
         is_common=True,
         takes_numbers=True,
