@@ -22,7 +22,7 @@ from mocap_ros.arrays import Array
 from mocap_ros.bags.recorder import RECOVERY_HINT, Recorder
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError, RecordingError
-from mocap_ros.formats.bvh import save_bvh
+from mocap_ros.formats.bvh import BvhMotion, save_bvh
 from mocap_ros.formats.detections import MAX_FRAME_RATE_HZ, Detections
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS, compute_joint_angles
@@ -192,13 +192,18 @@ def stand_on_floor(poses: PoseSequence, axes: Array) -> Array:
 
 
 def _save_bvh(path: Path, poses: PoseSequence) -> None:
+    save_bvh(path, animate(poses))
+
+
+def animate(poses: PoseSequence) -> BvhMotion:
+    """Return the armature of a result at a constant rate, y up."""
     resampled = _resample_at_constant_rate(poses, MAX_BVH_GAP_S, WORLD_TO_ANIMATION, is_from_start=True)
     orientation = resampled.orientation
     if orientation is not None:
         orientation /= np.maximum(np.linalg.norm(orientation, axis=-1, keepdims=True), SMALLEST_NORM)
         turn = WORLD_TO_ANIMATION @ poses.world_from_camera[:3, :3]
         orientation = multiply_quaternions(np.array(quaternion_from_rotation(turn)), orientation)
-    save_bvh(path, build_armature(resampled.joints, resampled.fps, orientation))
+    return build_armature(resampled.joints, resampled.fps, orientation)
 
 
 def _save_trc(path: Path, poses: PoseSequence) -> None:

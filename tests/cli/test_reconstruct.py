@@ -9,6 +9,7 @@ import json
 import os
 import re
 import signal
+import socket
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -77,6 +78,24 @@ def test_several_files_of_one_reconstruction_agree(short_recording: Path, tmp_pa
     assert position[:, 1] - position[0, 1] == pytest.approx(heights - heights[0], abs=1e-5)
     moved = [np.linalg.norm(p - p[0], axis=1) for p in (position, pelvis)]
     assert moved[0] == pytest.approx(moved[1], abs=1e-5)
+
+
+def test_a_result_is_sent_by_vmc(short_recording: Path, tmp_path: Path) -> None:
+    osc_bundle = pytest.importorskip('pythonosc.osc_bundle')
+    result, bvh = tmp_path / 'r.npz', tmp_path / 'r.bvh'
+    assert main(['reconstruct', str(short_recording), '-o', str(result), '-o', str(bvh), *QUICK_OPTIONS]) == 0
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(('127.0.0.1', 0))
+        receiver.settimeout(10.0)
+        port = receiver.getsockname()[1]
+        assert main(['play', str(result), '--vmc', f'127.0.0.1:{port}', '--rate', '4']) == 0
+        bundles = [osc_bundle.OscBundle(receiver.recv(65536)) for _ in range(20)]
+    messages = list(bundles[11])
+    assert [m.address for m in messages[:3]] == ['/VMC/Ext/OK', '/VMC/Ext/T', '/VMC/Ext/Root/Pos']
+    bones = {m.params[0]: np.array(m.params[1:]) for m in messages[3:] if m.address == '/VMC/Ext/Bone/Pos'}
+    pelvis = load_bvh(bvh).compute_positions()[11, 0] / 100
+    assert bones['Hips'][:3] == pytest.approx(pelvis * [-1, 1, 1], abs=1e-5)
+    assert [np.linalg.norm(bone[3:]) for bone in bones.values()] == pytest.approx([1.0] * 19, abs=1e-5)
 
 
 def test_a_summary_tells_the_scale(

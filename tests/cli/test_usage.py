@@ -277,6 +277,7 @@ LIVE_REFUSES = (
         (['reconstruct', 'RECORDING', '-o', 'pipe.npz'], 'pipe.npz: cannot be written: '),
         (['reconstruct', r'C:\walk.npz'], 'folders are separated by /'),
         (['replay', 'bag', '-o', 'bag'], 'bag: exists already'),
+        (['play', 'RECORDING', '--vmc', '127.0.0.1:9'], 'demo.npz: is a sequence file; expected a result'),
         (['replay', 'RECORDING', '-o', 'x'], 'demo.npz: is a sequence file; expected a bag'),
         (['evaluate', 'bag'], 'bag: the bag cannot be read'),
         (['evaluate', 'garbage.npz'], 'garbage.npz'),

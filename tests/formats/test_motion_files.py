@@ -17,6 +17,7 @@ from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.bvh import load_bvh, save_bvh
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS, UPRIGHT_DEG, compute_joint_angles
+from mocap_ros.formats.export.vmc import BONES, convert_armature
 from mocap_ros.formats.mocap.asf import load_amc
 from mocap_ros.formats.mocap.joint_maps import LENGTH_UNITS_M, RIGS, infer_unit, load_marker_map, map_to_model
 from mocap_ros.formats.mocap.trials import (
@@ -429,3 +430,25 @@ def test_degenerate_bodies_give_finite_angles_and_bones() -> None:
         bvh = build_armature(joints, FPS)
         assert np.isfinite(bvh.motion).all()
         assert (np.linalg.norm(bvh.offsets[1:], axis=1) > 0.99).all()
+
+
+def test_vmc_has_the_joints_of_the_bvh_in_the_axes_of_unity(poses: np.ndarray) -> None:
+    bvh = build_armature(poses, FPS)
+    expected = bvh.compute_positions()[7] / 100 * [-1, 1, 1]
+    pose = list(convert_armature(bvh))[7]
+    places: dict[str, np.ndarray] = {}
+    turns = {'': Rotation.identity()}
+    for name, position, quaternion in zip(pose.names, pose.positions, pose.quaternions, strict=True):
+        parent = BONES[name][1]
+        places[name] = turns[parent].apply(position) + (places[parent] if parent else 0)
+        turns[name] = turns[parent] * Rotation.from_quat(quaternion)
+    for lower, upper in (
+        ('LowerArm', 'UpperArm'),
+        ('Hand', 'LowerArm'),
+        ('LowerLeg', 'UpperLeg'),
+        ('Foot', 'LowerLeg'),
+    ):
+        for side in ('Left', 'Right'):
+            ends = [bvh.names.index(BONES[side + bone][0]) for bone in (lower, upper)]
+            bone = places[side + lower] - places[side + upper]
+            assert bone == pytest.approx(expected[ends[0]] - expected[ends[1]], abs=1e-9)
