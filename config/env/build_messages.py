@@ -31,6 +31,7 @@ OF_ROS = {
     'shape_msgs/msg/Plane': 'float64[4] coef',
     'shape_msgs/msg/SolidPrimitive': 'uint8 type\nfloat64[<=3] dimensions\ngeometry_msgs/Polygon polygon',
 }
+MARK = 'built_by_mocap_ros'  # file in the share folder of a package, with the hash of its fields
 TEXTS: Mapping[str, str] = {**DEFINITIONS, **OF_ROS}
 
 
@@ -40,7 +41,7 @@ def build(prefix: Path, packages: Sequence[str], sources: Path) -> None:
     for package in packages:
         texts = {n.rpartition('/')[2]: t for n, t in TEXTS.items() if n.startswith(f'{package}/')}
         key = hashlib.sha256(repr(sorted(texts.items())).encode()).hexdigest()
-        done = prefix / 'share' / package / 'built_by_mocap_ros'
+        done = prefix / 'share' / package / MARK
         if done.is_file() and done.read_text() == key:
             continue
         source, binary = sources / package, sources / f'{package}_build'
@@ -77,5 +78,6 @@ def _add_dependencies(text: str, package: str, definitions: Mapping[str, str]) -
 
 
 if __name__ == '__main__':
-    missing = [package for package in sys.argv[2:] if find_spec(package) is None]
-    build(Path(sys.argv[1]).resolve(), missing, ROOT / 'build' / 'messages')
+    target = Path(sys.argv[1]).resolve()
+    ours = [p for p in sys.argv[2:] if find_spec(p) is None or (target / 'share' / p / MARK).is_file()]
+    build(target, ours, ROOT / 'build' / 'messages')

@@ -35,7 +35,7 @@ from mocap_ros.cli.terminal import (
 )
 from mocap_ros.config import Config
 from mocap_ros.detectors.detector import load_detector
-from mocap_ros.errors import InputError, MocapError
+from mocap_ros.errors import InputError, MocapError, ModelError
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.formats.video import VideoReader, find_camera, write_video
 from mocap_ros.recordings.build_scene import build_scene, read_images
@@ -208,26 +208,34 @@ def _run_camera(args: argparse.Namespace, source: Path | str) -> int:
     config = load_config(args)
     if args.output is not None:
         check_output(args.output)
-    is_camera = not isinstance(source, Path) or source.is_char_device()
+    is_camera = not isinstance(source, Path) or not source.is_file()
     detector = load_detector(args.detector)
     scene = LiveScene(str(source), str(source))
-    watch = Watch(detector, load_models(args, config), config, scene, hfov=args.hfov, focal=args.focal)
+    models, is_recorded = load_models(args, config), args.output is not None
+    ending: MocapError | None = None
+    watch = Watch(detector, models, config, scene, hfov=args.hfov, focal=args.focal, is_recorded=is_recorded)
     port = DEFAULT_PORT if args.port is None else args.port
     with (
         VideoReader(source, is_camera=is_camera) as reader,
-        NewestImage(reader, is_camera=is_camera) as images,
+        NewestImage(reader) as images,
         PageServer(scene, port) as server,
         suppress(KeyboardInterrupt, EOFError),
         interrupt_between_items() as until_interrupted,
     ):
         print_result(f'{server.address} shows {source} in any browser of this machine; Ctrl-C ends', flush=True)
-        for shot in until_interrupted(iter(images.take, ())):
-            if shot is not None:
-                watch.show(shot, reader.find_focal_length((shot.image.shape[1], shot.image.shape[0])))
-    if args.output is not None:
+        try:
+            for shot in until_interrupted(iter(images.take, ())):
+                if shot is not None:
+                    watch.show(shot, reader.find_focal_length((shot.image.shape[1], shot.image.shape[0])))
+        except (InputError, ModelError) as error:  # of a camera that breaks off; what it gave is kept
+            ending = error
+    if args.output is not None and (ending is None or watch.has_people):
+        detections = watch.collect()
         with replace_output(args.output) as unfinished:
-            save_detections(unfinished, watch.collect())
-        print_result(args.output)
+            save_detections(unfinished, detections)
+        print_result(f'{args.output}: {len(detections.people)} images')
+    if ending is not None:
+        raise ending
     return 0
 
 

@@ -69,7 +69,8 @@ def _import_av(path: Path | str, what: str) -> Any:
 def find_camera(name: str) -> Path | None:
     """Return the device of a camera that is named by its number or its path, None if it is no camera's name."""
     path = Path(CAMERA_DEVICE.format(name)) if name.isdecimal() and not Path(name).exists() else Path(name)
-    return path if path.is_char_device() or (name.isdecimal() and path != Path(name)) else None
+    is_named = path.parent == Path(CAMERA_DEVICE).parent or (name.isdecimal() and path != Path(name))
+    return path if is_named or path.is_char_device() else None
 
 
 class VideoReader:
@@ -81,6 +82,7 @@ class VideoReader:
     as its address.
 
     Attributes:
+        is_live: whether the images come when they are taken; false for a file, also one that an address names.
         image_count: number of images, about; None where it is not known.
         left_out: number of images that were left out so far.
         ending: after the last image, a line that says where the video ended if the file states that it is longer;
@@ -94,6 +96,7 @@ class VideoReader:
         self.left_out = 0
         self.ending = ''
         self._is_camera = is_camera
+        self._kind = 'camera' if isinstance(path, Path) else 'stream'
         self._container_lock = threading.Lock()  # held while FFmpeg reads, which a camera may keep for ever
         try:  # `file:` and the list of protocols keep a name or a playlist from opening anything but files
             self._container: Any = (
@@ -104,8 +107,10 @@ class VideoReader:
                 else av.open(f'file:{path}', options={'protocol_whitelist': 'file'}, metadata_errors='ignore')
             )
         except self._errors as error:
-            what = 'camera' if is_camera else 'video that can be read'
-            raise InputError(f'{path}: no {what} ({_describe(error)})') from None
+            raise InputError(
+                f'{path}: no {self._kind if is_camera else "video that can be read"} ({_describe(error)})'
+            ) from None
+        self.is_live = is_camera and (isinstance(path, Path) or self._container.duration is None)
         self._stream: Any = next(iter(self._container.streams.video), None)
         if self._stream is None:
             self._container.close()
@@ -113,7 +118,7 @@ class VideoReader:
         if getattr(self._stream, 'codec_context', None) is None:
             self._container.close()
             raise InputError(f'{path}: its codec is not known, so that it cannot be decoded')
-        self._stream.thread_type = 'AUTO'
+        self._stream.thread_type = 'SLICE' if self.is_live else 'AUTO'  # threads of whole images are late by some
         self.focal_mm = _read_focal_length(self._container.metadata, self._stream.metadata)
         self.image_count = None if is_camera else self._count_images()
 
@@ -183,7 +188,7 @@ class VideoReader:
                 return
             except self._errors as error:  # the rest of the file is missing or damaged
                 if self._is_camera:
-                    raise InputError(f'{self._path}: the camera has gone ({_describe(error)})') from None
+                    raise InputError(f'{self._path}: the {self._kind} has gone ({_describe(error)})') from None
                 self.left_out += 1
                 return
             try:

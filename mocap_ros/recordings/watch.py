@@ -20,7 +20,7 @@ import numpy as np
 from mocap_ros.config import Config
 from mocap_ros.detectors.detector import Detector, Image
 from mocap_ros.errors import FrameDropped, InputError
-from mocap_ros.formats.detections import Detections, find_focal_length
+from mocap_ros.formats.detections import MAX_FRAMES, Detections, find_focal_length
 from mocap_ros.formats.video import VideoReader
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import MAX_CERTAIN_STD
@@ -51,8 +51,8 @@ class Shot(NamedTuple):
 class NewestImage:
     """The newest image of a camera or a video, which another thread reads; a context manager that ends it."""
 
-    def __init__(self, reader: VideoReader, *, is_camera: bool) -> None:
-        self._reader, self._is_camera = reader, is_camera
+    def __init__(self, reader: VideoReader) -> None:
+        self._reader = reader
         self._newest: Shot | None = None
         self._error: Exception | None = None
         self._changed, self._is_closed = threading.Condition(), threading.Event()
@@ -80,10 +80,10 @@ class NewestImage:
         try:
             for image, time_s in self._reader:
                 due_ns = start_ns + round(time_s * NS_PER_S)
-                if not self._is_camera and self._is_closed.wait(max(due_ns - time.time_ns(), 0) / NS_PER_S):
+                if not self._reader.is_live and self._is_closed.wait(max(due_ns - time.time_ns(), 0) / NS_PER_S):
                     return
                 with self._changed:
-                    self._newest = Shot(image, time.time_ns() if self._is_camera else due_ns)
+                    self._newest = Shot(image, time.time_ns() if self._reader.is_live else due_ns)
                     self._changed.notify_all()
                 if self._is_closed.is_set():
                     return
@@ -106,37 +106,50 @@ class Watch:
         *,
         hfov: float | None = None,
         focal: float | None = None,
+        is_recorded: bool = False,
     ) -> None:
         self._detector, self._config, self._scene = detector, config, scene
         self._tracker, self._lens = PeopleTracker(models, config), (hfov, focal)
+        self._is_recorded = is_recorded
         self._people: list[list[Person2D]] = []
         self._stamps_ns: list[int] = []
-        self._size = (0, 0)
+        self._size, self._start_ns = (0, 0), -1
+        self._waiting: dict[int, tuple[list[Person2D], Image]] = {}  # by stamp; the tracker may answer later
 
     def show(self, shot: Shot, focal_px: float | None = None) -> None:
         """Show the people in an image; `focal_px` is the focal length that a video states."""
         size = shot.image.shape[1], shot.image.shape[0]
-        if self._stamps_ns and size != self._size:
+        if self._start_ns >= 0 and size != self._size:
             raise InputError(f'the size of the images changes from {self._size} to {size}')
         self._size = size
-        start_ns = self._stamps_ns[0] if self._stamps_ns else shot.stamp_ns
-        people = detect_people(self._detector, shot.image, (shot.stamp_ns - start_ns) / NS_PER_S)
+        self._start_ns = shot.stamp_ns if self._start_ns < 0 else self._start_ns
+        people = detect_people(self._detector, shot.image, (shot.stamp_ns - self._start_ns) / NS_PER_S)
         with suppress(FrameDropped):
             camera = self._find_camera(focal_px)
             people = [person.hide_border(size) for person in people]
             tracked = self._tracker.update(shot.stamp_ns, people, camera)
-            self._people.append(people)
-            self._stamps_ns.append(shot.stamp_ns)
+            if self._is_recorded:
+                if len(self._people) == MAX_FRAMES:
+                    raise InputError(f'more than {MAX_FRAMES} images')
+                self._people.append(people)
+                self._stamps_ns.append(shot.stamp_ns)
+            self._waiting[shot.stamp_ns] = people, shot.image
+            self._waiting = {s: waiting for s, waiting in self._waiting.items() if s >= tracked.stamp_ns}
             if self._scene.is_viewed:
-                self._publish(tracked, people, camera, shot.image)
+                self._publish(tracked, camera, *self._waiting.get(tracked.stamp_ns, ([], None)))
             else:
                 self._scene.leave_out()
             self._tracker.run_deferred_work()
 
+    @property
+    def has_people(self) -> bool:
+        """Whether somebody was recorded."""
+        return any(self._people)
+
     def collect(self) -> Detections:
-        """Return all that was detected; InputError where nobody was."""
-        if not any(self._people):
-            raise InputError('no person was seen')
+        """Return all that was recorded; InputError where nobody was."""
+        if not self.has_people:
+            raise InputError(f'no person was seen ({len(self._people)} images)')
         start_ns = self._stamps_ns[0]
         stamps_ns = [stamp_ns - start_ns for stamp_ns in self._stamps_ns]
         return name_people(Detections(self._people, stamps_ns, self._size))[0]
@@ -147,7 +160,9 @@ class Watch:
             return Intrinsics.from_image_size(*self._size, self._config.tracker.nominal_focal_length)
         return Intrinsics(focal, (self._size[0] / 2, self._size[1] / 2), True, image_size=self._size)
 
-    def _publish(self, tracked: TrackedFrame, seen: list[Person2D], camera: Intrinsics, image: Image) -> None:
+    def _publish(
+        self, tracked: TrackedFrame, camera: Intrinsics, seen: list[Person2D], image: Image | None
+    ) -> None:
         people, vertical = tracked.people, tracked.vertical
         is_certain = vertical is not None and vertical.std <= MAX_CERTAIN_STD
         count = range(len(people))
@@ -159,5 +174,5 @@ class Watch:
             self._size,
             vertical.direction if vertical is not None and is_certain else np.full(3, np.nan),
             people.skeleton,
-            encode_jpeg(image),
+            b'' if image is None else encode_jpeg(image),
         )

@@ -47,9 +47,9 @@ DETECTOR_PARAMETERS = (
     Parameter(
         'max_people',
         int,
-        MAX_PEOPLE,
-        'largest number of people to find in an image',
-        low=1,
+        0,
+        f'largest number of people to find in an image; 0: {MAX_PEOPLE}, of MediaPipe 1',
+        low=0,
         high=100,
         read_only=True,
     ),

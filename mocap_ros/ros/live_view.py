@@ -6,10 +6,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from functools import partial
 
 import numpy as np
 from rclpy.exceptions import InvalidNamespaceException
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.validate_namespace import validate_namespace
@@ -21,7 +23,7 @@ from mocap_ros.geometry.level import MAX_CERTAIN_STD
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, decode_camera_info
 from mocap_ros.messages.cdr import read_stamp_ns
-from mocap_ros.messages.images import IMAGE, decode_image
+from mocap_ros.messages.images import IMAGE, IMAGE_TYPES, decode_image
 from mocap_ros.messages.keypoints import KEYPOINTS, KeypointsFrame, decode_keypoints
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
 from mocap_ros.recordings.load_results import find_intrinsics, follow_person
@@ -36,6 +38,7 @@ from mocap_ros.viewing.overlay import encode_jpeg
 
 # Only the newest messages count: a page that is late must not fall behind.
 KEYPOINTS_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+SEARCH_S = 1.0  # s, between looks for the topic of the images
 KEPT_IMAGES = 15  # messages, which wait for their skeletons; with a longer `tracker.lag` no image is shown
 WAITING_NS = 6 * NS_PER_S  # for which keypoints wait for their skeletons; `tracker.lag` is at most 5 s
 
@@ -53,16 +56,17 @@ class LiveView(Node):
         self._announce = announce
         self._serving = ExitStack()
         self._keypoints: dict[int, KeypointsFrame] = {}  # by stamp in ns
-        self._images: dict[int, bytes] = {}  # messages likewise, the newest
+        self._images: dict[int, tuple[str, bytes]] = {}  # types and messages likewise, the newest
         self._camera: CameraInfo | None = None
         self._size = (640, 480)
         for topic, msgtype, take, qos in (
             ('skeletons', SKELETONS, self._take_skeletons, NEWEST_QOS),
             ('keypoints', KEYPOINTS, self._take_keypoints, KEYPOINTS_QOS),
             ('camera_info', CAMERA_INFO, self._take_camera, NEWEST_QOS),
-            ('image', IMAGE, self._take_image, KEYPOINTS_QOS),
+            ('image', IMAGE, partial(self._take_image, IMAGE), KEYPOINTS_QOS),
         ):
             self._subscribe(topic, msgtype, take, qos)
+        self._search = self.create_timer(SEARCH_S, self._find_images)
 
     def start(self) -> None:
         """Serve the page, and announce its address."""
@@ -84,12 +88,25 @@ class LiveView(Node):
 
         subscribe(self, msgtype, topic, read, qos)
 
+    def _find_images(self) -> None:
+        """Subscribe to the images that the node which publishes the keypoints looks at, whatever their topic."""
+        for publisher in self.get_publishers_info_by_topic(self.resolve_topic_name('keypoints')):
+            with suppress(rclpy_implementation.NodeNameNonExistentError):  # it has just ended
+                inputs = self.get_subscriber_names_and_types_by_node(publisher.node_name, publisher.node_namespace)
+                images = {topic: types[0] for topic, types in inputs if types[0] in IMAGE_TYPES}
+                if len(images) == 1:
+                    self._search.cancel()
+                    ((topic, msgtype),) = images.items()
+                    if topic != self.resolve_topic_name('image'):
+                        self._subscribe(topic, msgtype, partial(self._take_image, msgtype), KEYPOINTS_QOS)
+                    return
+
     def _take_camera(self, raw: bytes) -> None:
         self._camera = decode_camera_info(raw)
 
-    def _take_image(self, raw: bytes) -> None:
+    def _take_image(self, msgtype: str, raw: bytes) -> None:
         if self._scene.is_viewed:
-            self._images[read_stamp_ns(raw)] = raw
+            self._images[read_stamp_ns(raw)] = msgtype, raw
             self._images = dict([*self._images.items()][-KEPT_IMAGES:])
 
     def _take_keypoints(self, raw: bytes) -> None:
@@ -130,8 +147,14 @@ class LiveView(Node):
         )
 
     def _encode_image(self, stamp_ns: int) -> bytes:
-        raw = self._images.get(stamp_ns)
-        return b'' if raw is None else encode_jpeg(decode_image(raw, IMAGE, self._limits)[1])
+        try:
+            if stamp_ns not in self._images:
+                return b''
+            msgtype, raw = self._images[stamp_ns]
+            return encode_jpeg(decode_image(raw, msgtype, self._limits)[1])
+        except InputError as error:
+            self.get_logger().warning(f'image: {error}; shown without images', throttle_duration_sec=10.0)
+            return b''
 
 
 def serve(port: int, namespace: str, announce: Callable[[str], None]) -> None:
@@ -139,5 +162,5 @@ def serve(port: int, namespace: str, announce: Callable[[str], None]) -> None:
     try:
         validate_namespace(f'/{namespace.removeprefix("/")}')
     except InvalidNamespaceException:
-        raise ConfigError(f'--live {namespace}: is no namespace; a file is shown without --live') from None
+        raise ConfigError(f'--live {namespace}: is no file, no camera and no namespace') from None
     run_node([], lambda: LiveView(port, namespace, announce))

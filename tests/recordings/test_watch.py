@@ -14,20 +14,23 @@ import pytest
 
 from mocap_ros.cli import view
 from mocap_ros.cli.main import main
-from mocap_ros.config import Config
+from mocap_ros.config import Config, with_values
 from mocap_ros.detectors.detector import load_detector
 from mocap_ros.errors import InputError
-from mocap_ros.formats.video import VideoImage
+from mocap_ros.formats.video import VideoImage, VideoReader
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.recordings import watch
 from mocap_ros.recordings.load_keypoints import InputOptions, load_people
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.live_page import LiveScene
+from mocap_ros.viewing.overlay import encode_jpeg
 from tests.support.blob_people import draw, save_detector, walk, write_video
 
 
 class FakeReader:
     """Reader of small images, some at once and then nothing more."""
+
+    is_live = False
 
     def __init__(self, times_s: list[float], error: Exception | None = None) -> None:
         self._times_s, self._error = times_s, error
@@ -41,7 +44,7 @@ class FakeReader:
 
 def take_all(reader: Any, taken: list[int]) -> None:
     """Take the newest images, the first one slowly, until there are no more."""
-    with watch.NewestImage(reader, is_camera=False) as images:
+    with watch.NewestImage(reader) as images:
         while True:
             if (shot := images.take()) is not None:
                 taken.append(int(shot.image[0, 0, 0]))
@@ -63,7 +66,9 @@ def test_a_video_keeps_its_pace_and_images_are_skipped_not_queued() -> None:
 def test_people_are_on_the_page_with_their_image(tmp_path: Path) -> None:
     scene = LiveScene('camera')
     models, config = load_base_pose_models('auto'), Config()
-    watching = watch.Watch(load_detector(save_detector(tmp_path / 'detector.onnx')), models, config, scene)
+    watching = watch.Watch(
+        load_detector(save_detector(tmp_path / 'detector.onnx')), models, config, scene, is_recorded=True
+    )
     scene.wait(-1)  # a browser that asks
     people = walk(8)
     for frame, person in enumerate(people):
@@ -87,9 +92,44 @@ def test_the_command_records_what_it_saw(
     assert main(['view', '--live', str(video), '--port', '0', '-o', str(tmp_path / 'me.mcap')]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith('http://127.0.0.1:')
-    assert lines[1] == str(tmp_path / 'me.mcap')
+    assert lines[1].startswith(f'{tmp_path / "me.mcap"}: ')
     (sequence,), _ = load_people(tmp_path / 'me.mcap', InputOptions(), only_one=True)
     assert len(sequence) >= 8
+
+
+def test_what_a_camera_gave_before_it_broke_off_is_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(view, 'load_detector', lambda _: load_detector(save_detector(tmp_path / 'detector.onnx')))
+    images = [draw([p]) for p in walk(12)]
+    last = np.zeros((64, 64, 3), np.uint8)  # of another size
+    video = write_video(tmp_path / 'me.mp4', images, [i / 10 for i in range(12)])
+    read = VideoReader.__iter__
+
+    def break_off(reader: Any) -> Iterator[VideoImage]:
+        yield from read(reader)
+        yield VideoImage(last, 1.3)
+
+    monkeypatch.setattr(VideoReader, '__iter__', break_off)
+    assert main(['view', '--live', str(video), '--port', '0', '-o', str(tmp_path / 'me.mcap')]) == 1
+    assert 'size of the images' in capsys.readouterr().err
+    assert load_people(tmp_path / 'me.mcap', InputOptions(), only_one=True)[0]
+
+
+def test_a_delayed_skeleton_is_on_its_own_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, published = LiveScene('camera'), []
+    config = with_values(Config(), {'tracker.lag': 0.2})
+    detector = load_detector(save_detector(tmp_path / 'detector.onnx'))
+    watching = watch.Watch(detector, load_base_pose_models('auto'), config, scene)
+    scene.wait(-1)
+    monkeypatch.setattr(scene, 'publish', lambda *given: published.append(given))
+    people = walk(12)
+    for frame, person in enumerate(people):
+        watching.show(watch.Shot(draw([person]), NS_PER_S + round(frame * NS_PER_S / 30)))
+    stamp_ns, *_, jpeg = published[-1]
+    shown = round((stamp_ns - NS_PER_S) / NS_PER_S * 30)
+    assert shown < 11
+    assert jpeg == encode_jpeg(draw([people[shown]]))
 
 
 @pytest.mark.parametrize(
@@ -108,4 +148,5 @@ def test_what_is_shown_live(tmp_path: Path) -> None:
     (tmp_path / 'me.mp4').touch()
     assert view.find_live_source(str(tmp_path / 'me.mp4')) == tmp_path / 'me.mp4'
     assert view.find_live_source('rtsp://camera.example/1') == 'rtsp://camera.example/1'
+    assert view.find_live_source('/dev/video91') == Path('/dev/video91')
     assert view.find_live_source('/left') is view.find_live_source('') is None

@@ -169,6 +169,8 @@ def test_the_programs_of_docs_run(peer: Peer, start: StartProgram, start_node: S
 
 
 def test_the_page_gets_the_newest_people_with_their_keypoints(start: StartProgram, peer: Peer) -> None:
+    from sensor_msgs.msg import Image
+
     view = start(sys.executable, '-m', 'mocap_ros.cli.main', 'view', '--live', '/robot', '--port', '0')
     assert view.stdout is not None
     line = view.stdout.readline()
@@ -178,18 +180,24 @@ def test_the_page_gets_the_newest_people_with_their_keypoints(start: StartProgra
         for topic, msgtype in (('skeletons', SKELETONS), ('keypoints', KEYPOINTS))
     )
     peer.wait_until(lambda: skeletons.get_subscription_count() and keypoints.get_subscription_count())
+    # The images are those that the node which publishes the keypoints looks at
+    peer.subscriptions.append(peer.node.create_subscription(Image, '/webcam/rgb', lambda _: None, 10))
+    images = peer.node.create_publisher(Image, '/webcam/rgb', 10)
     person, deadline, content = make_recording().sequence().person(0), time.monotonic() + TIMEOUT_S, b''
     connection = http.client.HTTPConnection(urlsplit(line.split()[0]).netloc, timeout=30)
     frame: dict[str, Any] = {}
     for second in range(1, 1000):
         header = Header(second * 10**9, 'camera')
         keypoints.publish(encode_keypoints(header, (640, 480), [person]))
+        image = Image(height=2, width=2, encoding='rgb8', step=6, data=bytes(12))
+        image.header.stamp.sec = second
+        images.publish(image)
         time.sleep(0.05)
         skeletons.publish(encode_skeletons(header, gather([make_person_3d('ann'), make_person_3d('bob', 1.0)])))
         connection.request('GET', '/frame?after=0')
         content = connection.getresponse().read()
         frame = json.loads(content) if content else {}
-        if frame.get('keypoints'):
+        if frame.get('keypoints') and frame['hasImage']:
             break
         assert time.monotonic() < deadline
     assert frame['ids'] == ['ann', 'bob']

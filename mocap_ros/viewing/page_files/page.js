@@ -92,11 +92,12 @@
   class LiveScene {
     constructor(scene) {
       Object.assign(this, scene, { isLive: true, palette: scene.people, count: 0, isConnected: true, newestMs: null });
-      this.images = new LiveImages();
       this.clear();
     }
 
-    clear() { Object.assign(this, { people: [], seconds: [], frameCount: 0, keypoints: [], startMs: null }); }
+    clear() {
+      Object.assign(this, { people: [], seconds: [], frameCount: 0, keypoints: [], startMs: null, images: new Images() });
+    }
 
     find(id) {
       let person = this.people.find((other) => other.id === id);
@@ -110,11 +111,11 @@
     }
 
     // Add a frame of the server; return how many of the oldest were removed.
-    add({ stampMs, ids, people, keypoints, camera, toLevel, floorY, bitmap }) {
+    add({ stampMs, ids, people, keypoints, camera, toLevel, floorY, jpeg, bitmap }) {
       if (stampMs <= this.startMs + 1000 * this.seconds[this.frameCount - 1]) this.clear(); // the clock was put back
       this.startMs ??= stampMs;
       const frame = this.frameCount++;
-      if (bitmap) this.images.put(frame, bitmap);
+      if (bitmap) this.images.put(frame, jpeg, bitmap);
       this.seconds.push((stampMs - this.startMs) / 1000);
       Object.assign(this, { camera, toLevel, floorY });
       ids.forEach((id, i) => {
@@ -136,7 +137,7 @@
     forget(count) {
       this.seconds.splice(0, count);
       this.frameCount -= count;
-      this.images.frame -= count;
+      this.images.forget(count);
       const shorten = (rows, arrays) => {
         const gone = findLast(rows.frames, count - 1) + 1;
         const total = rows.frames.length;
@@ -161,10 +162,11 @@
       return silentS < SILENCE_S ? '' : `no skeletons for ${silentS} s`;
     }
 
-    // The image of a frame; none if it cannot be had.
+    // The image of a frame, as JPEG and decoded; none if it cannot be had.
     async receiveImage(number) {
       const answer = await fetch(`image?of=${number}`);
-      return answer.ok ? createImageBitmap(await answer.blob()).catch(() => null) : null;
+      const jpeg = await answer.blob();
+      return { jpeg, bitmap: answer.ok ? await createImageBitmap(jpeg).catch(() => null) : null };
     }
 
     // Ask the server for frames, for ever; it answers with the newest one that is not the last.
@@ -180,7 +182,7 @@
           const frame = await answer.json();
           if (frame.skeleton.join() !== this.joints.join()) return location.reload();
           after = frame.number;
-          if (frame.hasImage) frame.bitmap = await this.receiveImage(after);
+          if (frame.hasImage) Object.assign(frame, await this.receiveImage(after));
           onFrame(frame);
         } catch (error) {
           this.isConnected = false;
@@ -188,18 +190,6 @@
         }
       }
     }
-  }
-
-  // The image of the newest frame of a live scene; older ones are not kept.
-  class LiveImages {
-    constructor() { Object.assign(this, { frame: -1, bitmap: null }); }
-
-    put(frame, bitmap) {
-      this.bitmap?.close();
-      Object.assign(this, { frame, bitmap });
-    }
-
-    find(frame) { return frame === this.frame ? this : null; }
   }
 
   // The row of a person in each frame, -1 where there is none. In frames that the tracker skipped it is the one before.
@@ -559,44 +549,61 @@
     return context;
   }
 
-  // The images behind the points, decoded when they are needed.
+  // The images behind the points, as JPEG, decoded when they are needed.
   class Images {
-    constructor({ frames, sizes }, text, onChange) {
-      const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-      let at = 0;
-      this.jpegs = sizes.map((size) => new Blob([bytes.subarray(at, at += size)], { type: 'image/jpeg' }));
-      this.frames = frames;
-      this.onChange = onChange;
-      this.decoded = new Map(); // by index, the oldest first; null while it is being decoded
+    constructor(frames = [], jpegs = []) {
+      Object.assign(this, { frames, jpegs, onChange: () => {} });
+      this.decoded = new Map(); // by JPEG, the oldest first; null while it is being decoded
     }
 
-    load(index) {
-      if (!(index in this.jpegs) || this.decoded.has(index)) return;
-      this.decoded.set(index, null);
-      createImageBitmap(this.jpegs[index]).then((bitmap) => {
-        if (this.decoded.has(index)) this.decoded.set(index, bitmap);
+    static unpack({ frames, sizes }, text) {
+      const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+      let at = 0;
+      return new Images(frames, sizes.map((size) => new Blob([bytes.subarray(at, at += size)], { type: 'image/jpeg' })));
+    }
+
+    put(frame, jpeg, bitmap) {
+      this.frames.push(frame);
+      this.jpegs.push(jpeg);
+      this.keep(jpeg, bitmap);
+    }
+
+    forget(count) {
+      this.jpegs.splice(0, findLast(this.frames, count - 1) + 1);
+      this.frames = this.frames.map((frame) => frame - count).filter((frame) => frame >= 0);
+    }
+
+    keep(jpeg, bitmap) {
+      this.decoded.set(jpeg, bitmap);
+      if (this.decoded.size > KEPT_IMAGES) {
+        const [oldest, old] = this.decoded.entries().next().value;
+        this.decoded.delete(oldest);
+        old?.close();
+      }
+    }
+
+    load(jpeg) {
+      if (!jpeg || this.decoded.has(jpeg)) return;
+      this.keep(jpeg, null);
+      createImageBitmap(jpeg).then((bitmap) => {
+        if (this.decoded.has(jpeg)) this.decoded.set(jpeg, bitmap);
         this.onChange();
       }, () => {});
-      if (this.decoded.size > KEPT_IMAGES) {
-        const [oldest, bitmap] = this.decoded.entries().next().value;
-        this.decoded.delete(oldest);
-        bitmap?.close();
-      }
     }
 
     // The newest image at a frame: its own frame and, when it has been decoded, its bitmap.
     find(frame) {
       const index = findLast(this.frames, frame);
-      for (let i = index; i <= index + READ_AHEAD; i++) this.load(i);
-      return index < 0 ? null : { frame: this.frames[index], bitmap: this.decoded.get(index) };
+      for (let i = index; i <= index + READ_AHEAD; i++) this.load(this.jpegs[i]);
+      return index < 0 ? null : { frame: this.frames[index], bitmap: this.decoded.get(this.jpegs[index]) };
     }
   }
 
   class ImageView {
     constructor(scene, onChange) {
       this.scene = scene;
-      this.images = scene.isLive ? scene.images
-        : scene.images && new Images(scene.images, $('images').textContent.trim(), onChange);
+      if (scene.images && !scene.isLive) scene.images = Images.unpack(scene.images, $('images').textContent.trim());
+      this.onChange = onChange;
       this.shown = -1; // the frame that is drawn
       this.canvas = $('image-view');
       this.explain();
@@ -615,7 +622,8 @@
 
     update(frame) {
       const { context, scene } = this;
-      const image = this.images?.find(frame);
+      if (scene.images) scene.images.onChange = this.onChange;
+      const image = scene.images?.find(frame);
       const hasImage = image && scene.seconds[frame] - scene.seconds[image.frame] < IMAGE_S;
       if (hasImage && !image.bitmap) return; // what is shown stays until the image is there: they are in step
       if (hasImage) frame = image.frame;
