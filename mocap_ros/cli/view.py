@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -51,7 +52,7 @@ from mocap_ros.recordings.load_results import holds_result, load_recording
 from mocap_ros.recordings.reconstruct import ReconstructionOptions, reconstruct
 from mocap_ros.recordings.recording import Recording
 from mocap_ros.recordings.save_results import save_detections
-from mocap_ros.recordings.watch import NewestImage, Watch
+from mocap_ros.recordings.watch import WAIT_S, NewestImage, Watch
 from mocap_ros.viewing import plots
 from mocap_ros.viewing.live_page import LiveScene, PageServer
 from mocap_ros.viewing.overlay import Overlay, StampedImage, find_frame, pick_images, reduce_images
@@ -212,23 +213,11 @@ def _run_camera(args: argparse.Namespace, source: Path | str) -> int:
     detector = load_detector(args.detector)
     scene = LiveScene(str(source), str(source))
     models, is_recorded = load_models(args, config), args.output is not None
-    ending: MocapError | None = None
     watch = Watch(detector, models, config, scene, hfov=args.hfov, focal=args.focal, is_recorded=is_recorded)
     port = DEFAULT_PORT if args.port is None else args.port
-    with (
-        VideoReader(source, is_camera=is_camera) as reader,
-        NewestImage(reader) as images,
-        PageServer(scene, port) as server,
-        suppress(KeyboardInterrupt, EOFError),
-        interrupt_between_items() as until_interrupted,
-    ):
+    with VideoReader(source, is_camera=is_camera) as reader, PageServer(scene, port) as server:
         print_result(f'{server.address} shows {source} in any browser of this machine; Ctrl-C ends', flush=True)
-        try:
-            for shot in until_interrupted(iter(images.take, ())):
-                if shot is not None:
-                    watch.show(shot, reader.find_focal_length((shot.image.shape[1], shot.image.shape[0])))
-        except (InputError, ModelError) as error:  # of a camera that breaks off; what it gave is kept
-            ending = error
+        ending = _watch_images(reader, watch, lambda: reader.is_live or is_recorded or scene.is_viewed)
     if args.output is not None and (ending is None or watch.has_people):
         detections = watch.collect()
         with replace_output(args.output) as unfinished:
@@ -237,6 +226,21 @@ def _run_camera(args: argparse.Namespace, source: Path | str) -> int:
     if ending is not None:
         raise ending
     return 0
+
+
+def _watch_images(reader: VideoReader, watch: Watch, may_begin: Callable[[], bool]) -> MocapError | None:
+    """Watch until the video ends or Ctrl-C; return the error of a camera that breaks off."""
+    with suppress(KeyboardInterrupt, EOFError):
+        while not may_begin():
+            time.sleep(WAIT_S)
+        with NewestImage(reader) as images, interrupt_between_items() as until_interrupted:
+            try:
+                for shot in until_interrupted(iter(images.take, ())):
+                    if shot is not None:
+                        watch.show(shot, reader.find_focal_length((shot.image.shape[1], shot.image.shape[0])))
+            except (InputError, ModelError) as error:
+                return error
+    return None
 
 
 def find_live_source(name: str) -> Path | str | None:

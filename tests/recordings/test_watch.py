@@ -22,7 +22,7 @@ from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.recordings import watch
 from mocap_ros.recordings.load_keypoints import InputOptions, load_people
 from mocap_ros.units import NS_PER_S
-from mocap_ros.viewing.live_page import LiveScene
+from mocap_ros.viewing.live_page import LiveScene, PageServer
 from mocap_ros.viewing.overlay import encode_jpeg
 from tests.support.blob_people import draw, save_detector, walk, write_video
 
@@ -95,6 +95,26 @@ def test_the_command_records_what_it_saw(
     assert lines[1].startswith(f'{tmp_path / "me.mcap"}: ')
     (sequence,), _ = load_people(tmp_path / 'me.mcap', InputOptions(), only_one=True)
     assert len(sequence) >= 8
+
+
+def test_a_video_begins_when_a_browser_looks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(view, 'load_detector', lambda _: load_detector(save_detector(tmp_path / 'detector.onnx')))
+    video = write_video(tmp_path / 'me.mp4', [draw([p]) for p in walk(10)], [i / 10 for i in range(10)])
+    looked: list[bool] = []
+    show, enter = watch.Watch.show, PageServer.__enter__
+
+    def note_whether_somebody_looks(watching: watch.Watch, shot: watch.Shot, *given: Any) -> None:
+        looked.append(watching._scene.is_viewed)
+        show(watching, shot, *given)
+
+    def look_later(server: PageServer) -> PageServer:
+        threading.Timer(0.5, server.scene.wait, [-1]).start()
+        return enter(server)
+
+    monkeypatch.setattr(watch.Watch, 'show', note_whether_somebody_looks)
+    monkeypatch.setattr(PageServer, '__enter__', look_later)
+    assert main(['view', '--live', str(video), '--port', '0']) == 0
+    assert looked[0]
 
 
 def test_what_a_camera_gave_before_it_broke_off_is_kept(
