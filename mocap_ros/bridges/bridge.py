@@ -17,6 +17,7 @@ from mocap_ros.bridges.poses import convert_poses
 from mocap_ros.bridges.prediction_markers import convert_prediction_markers
 from mocap_ros.bridges.ros4hri import TRACKED, BodiesConverter
 from mocap_ros.bridges.seen import Predictions, SeenPeople, read_people, read_predictions, show_nobody
+from mocap_ros.bridges.vmc import Avatar
 from mocap_ros.errors import ConfigError, suggest
 from mocap_ros.messages.cdr import Header, OutputMessage
 from mocap_ros.messages.foreign_types import COLLISION_OBJECT, DETECTIONS_3D, HRI_IDS, OBSTACLES, PEOPLE
@@ -61,9 +62,10 @@ def check_consumers(names: Sequence[str]) -> list[str]:
 
 
 class Bridge:
-    """Converter of successive messages for some consumers, keys of `CONSUMERS`."""
+    """Converter of successive messages for some consumers, keys of `CONSUMERS`, and for an avatar."""
 
-    def __init__(self, names: Sequence[str]) -> None:
+    def __init__(self, names: Sequence[str], avatar: Avatar | None = None) -> None:
+        self._avatar = avatar
         self._consumers = [CONSUMERS[name] for name in names]
         self._bodies = BodiesConverter() if 'bodies' in names else None
         self._numbers = PersonNumbers()
@@ -90,6 +92,8 @@ class Bridge:
 
     def _convert_people(self, people: SeenPeople) -> list[OutputMessage]:
         before, self._people = self._people, people
+        if self._avatar is not None:
+            self._avatar.show(people)
         outputs = self._convert(people, before, reads_predictions=False)
         for topic, msgtype, content in self._bodies.convert(people) if self._bodies else ():
             outputs.append(OutputMessage(topic, msgtype, people.header.stamp_ns, encode_plain(content, msgtype)))

@@ -8,7 +8,8 @@ People who are tentative are left out, because a robot would act on them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,10 @@ class SeenPeople(People):
     header: Header = NO_HEADER  # time of the image, and the frame of the people
     # Number of each person, which is that of the markers of the topic `markers` and of their colours
     numbers: tuple[int, ...] = ()
+    vertical: Array = field(
+        default_factory=lambda: np.zeros(3)
+    )  # unit vector upwards; zeros where it is not known
+    vertical_std: float = math.nan  # rad
 
     def compute_reliability(self) -> Array:
         """Return how sure it is that each person is there: 1 for who is seen, less the longer one is not."""
@@ -85,7 +90,13 @@ def read_people(raw: bytes, numbers: PersonNumbers) -> SeenPeople:
     people = message.people.certain
     if not np.isfinite(people.joints).all():
         raise InputError('people: joints that are not finite')
-    return SeenPeople(**vars(people), header=message.header, numbers=tuple(map(numbers.find, people.ids)))
+    return SeenPeople(
+        **vars(people),
+        header=message.header,
+        numbers=tuple(map(numbers.find, people.ids)),
+        vertical=message.vertical,
+        vertical_std=message.vertical_std,
+    )
 
 
 def read_predictions(raw: bytes, numbers: PersonNumbers) -> Predictions:

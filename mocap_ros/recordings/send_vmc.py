@@ -26,15 +26,15 @@ class VmcSender:
         """Raise `ConfigError` for an address that is none, `MocapError` without python-osc."""
         host, _, port = address.rpartition(':')
         if not host or not port.isdecimal() or not 0 < int(port) <= MAX_PORT:
-            raise ConfigError(f'--vmc {address}: expected HOST:PORT, such as 127.0.0.1:39539')
+            raise ConfigError(f'vmc: {address!r}: expected HOST:PORT, such as 127.0.0.1:39539')
         try:
             from pythonosc.udp_client import UDPClient
         except ImportError:
-            raise MocapError(f'--vmc needs python-osc: {tell_installation("vmc")}') from None
+            raise MocapError(f'vmc needs python-osc: {tell_installation("vmc")}') from None
         try:
             self._client = UDPClient(host, int(port))
         except OSError as error:
-            raise ConfigError(f'--vmc {address}: {error.strerror or error}') from None
+            raise ConfigError(f'vmc: {address}: {error.strerror or error}') from None
 
     def send(self, pose: VmcPose, time_s: float) -> None:
         """Send a frame as one bundle."""

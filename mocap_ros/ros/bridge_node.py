@@ -11,9 +11,11 @@ from typing import Any
 
 from mocap_ros.bridges.bridge import CONSUMERS, Bridge, check_consumers
 from mocap_ros.bridges.ros4hri import BODIES, DESCRIPTION, TRACKED
+from mocap_ros.bridges.vmc import Avatar
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS
+from mocap_ros.recordings.send_vmc import VmcSender
 from mocap_ros.ros.help import BRIDGE_NAME, BRIDGE_PARAMETERS
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.nodes import ManagedNode, declare_parameters
@@ -47,7 +49,8 @@ class BridgeNode(ManagedNode):
 
     def configure(self) -> None:
         """Create the publishers of the consumers whose types are installed."""
-        names = check_consumers(str(self._values['publish']).replace(',', ' ').split())
+        publish, vmc = (str(self._values[name]).replace(',', ' ').split() for name in ('publish', 'vmc'))
+        names = check_consumers(publish) if publish or not vmc else []
         self._versions = MessageVersions()
         self._outputs = Publishers(self, self._versions)
         usable = [
@@ -56,9 +59,9 @@ class BridgeNode(ManagedNode):
             for topic, msgtype, *_ in [CONSUMERS[name]]
             if self._outputs.add_if_installed(topic, msgtype, OUTPUT_QOS, f'{name} cannot be published')
         ]
-        if not usable:
+        if names and not usable:
             raise ConfigError('publish: no message of these consumers can be published')
-        self._bridge = Bridge(usable)
+        self._bridge = Bridge(usable, Avatar(VmcSender(*vmc).send) if vmc else None)
         silence = SilenceMonitor(self, 'skeletons', SKELETONS, START_MOCAP_NODE)
         self._inputs = [(silence, self._bridge.feed_skeletons)]
         if any(CONSUMERS[name].reads_predictions for name in usable):
@@ -77,8 +80,11 @@ class BridgeNode(ManagedNode):
             self._subscribe(silence, feed)
         self._timer = self.create_steady_timer(CHECK_PERIOD_S, self._check_silence)
         listened = ' and '.join(self.resolve_topic_name(silence.name) for silence, _ in self._inputs)
-        published = ', '.join(self.resolve_topic_name(topic) for topic in self._outputs)
-        self.get_logger().info(f'the node is active: it listens on {listened}, and publishes {published}')
+        does = (
+            [f'publishes {", ".join(map(self.resolve_topic_name, self._outputs))}'] if len(self._outputs) else []
+        )
+        does += [f'sends to {self._values["vmc"]}'] if self._values['vmc'] else []
+        self.get_logger().info(f'the node is active: it listens on {listened}, and {" and ".join(does)}')
 
     def stop_run(self) -> None:
         """Unsubscribe, and publish that all people are gone."""

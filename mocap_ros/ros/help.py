@@ -12,6 +12,7 @@ from mocap_ros.bags.topics import Source
 from mocap_ros.bridges.bridge import CONSUMERS
 from mocap_ros.config import Parameter
 from mocap_ros.detectors.detector import MAX_PEOPLE, MODEL_FORMATS
+from mocap_ros.errors import tell_installation
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.messages.images import IMAGE, IMAGE_TYPES
@@ -30,6 +31,14 @@ INPUT_TYPES = {Source.KEYPOINTS.value: KEYPOINTS, Source.CAMERA_INFO.value: CAME
 BRIDGE_PARAMETERS = (
     Parameter(
         'publish', str, '', f'consumers, separated by blanks: some of {", ".join(CONSUMERS)}', read_only=True
+    ),
+    Parameter(
+        'vmc',
+        str,
+        '',
+        'HOST:PORT, to which the person who has been there longest is sent by the VMC protocol, such as '
+        f'127.0.0.1:39539; needs python-osc: {tell_installation("vmc")}; empty: nothing',
+        read_only=True,
     ),
     Parameter('autostart', bool, True, 'the node configures and activates itself', read_only=True),
 )

@@ -27,8 +27,11 @@ from mocap_ros.bridges.ros4hri import (
     describe_body,
     measure_lengths,
 )
+from mocap_ros.bridges.vmc import Avatar
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import ConfigError, InputError
+from mocap_ros.formats.export.armature import build_armature
+from mocap_ros.formats.export.vmc import VmcPose, convert_armature
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header, OutputMessage, decode
 from mocap_ros.messages.foreign_types import HRI_IDS
@@ -40,11 +43,12 @@ from mocap_ros.messages.skeletons import (
     encode_skeletons,
 )
 from mocap_ros.messages.transforms import TRANSFORMS, FrameNames
-from mocap_ros.people import Person3D, PredictedPeople
+from mocap_ros.people import CameraVertical, Person3D, PredictedPeople
 from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton
 from tests.support.bodies import STANDING, gather, make_person_3d, make_standing_person
 from tests.support.camera_messages import encode
+from tests.support.input_files import make_poses
 
 HEADER = Header(12_345_678_901, 'map')
 
@@ -430,3 +434,28 @@ def test_topics_of_bodies_are_not_longer_than_the_middleware_allows() -> None:
     topics = [m.topic for m in show(Bridge(['bodies']), *people)]
     assert len(set(topics)) == 5
     assert max(map(len, topics)) <= MAX_TOPIC_CHARACTERS
+
+
+TO_OPTICAL = np.diag([-1.0, -1.0, 1.0])  # from the axes of animation: x left, y up, z ahead
+TO_ROBOT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # x ahead, y left, z up
+
+
+@pytest.mark.parametrize('frame', [TO_OPTICAL, TO_ROBOT], ids=['optical', 'robot'])
+def test_an_avatar_turns_as_the_bvh_and_stands_on_the_floor(frame: np.ndarray) -> None:
+    poses = make_poses()[:10]
+    expected = list(convert_armature(build_armature(poses, 30.0)))
+    sent: list[tuple[VmcPose, float]] = []
+    bridge = Bridge([], Avatar(lambda pose, time_s: sent.append((pose, time_s))))
+    for number, joints in enumerate(poses):
+        person = replace(make_person_3d('ann'), joints=joints @ frame.T)
+        header = Header((number + 1) * 10**8, 'frame')
+        vertical = CameraVertical(frame[:, 1], 0.05)
+        bridge.feed_skeletons(encode_skeletons(header, gather([person]), vertical=vertical))
+    lowest = np.minimum.accumulate(poses[..., 1].min(axis=1))
+    for number, (pose, time_s) in enumerate(sent):
+        assert time_s == pytest.approx(number / 10)
+        same = np.abs((pose.quaternions * expected[number].quaternions).sum(axis=1))
+        assert same == pytest.approx(np.ones(len(same)), abs=1e-6)
+        hips = expected[number].positions[0] - [0, lowest[number], 0]
+        assert pose.positions[0] == pytest.approx(hips, abs=1e-4)
+    assert len(sent) == 10

@@ -8,6 +8,7 @@ import http.client
 import json
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -316,6 +317,21 @@ def test_bodies_of_ros4hri_have_topics_of_their_own(env: dict[str, str], peer: P
     descriptions = listen(peer, '/humans/bodies/p7/urdf', DESCRIPTION, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     publish_until([person], lambda: descriptions)  # kept for late subscribers
     publish_until([], lambda: not peer.node.count_publishers('/humans/bodies/p7/joint_states'))
+    assert stop_node(bridge) == []
+
+
+def test_a_person_moves_an_avatar(peer: Peer, start: StartProgram) -> None:
+    osc_bundle = pytest.importorskip('pythonosc.osc_bundle')
+    skeletons = peer.node.create_publisher(load_interface_class(SKELETONS), 'skeletons', 10)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(('127.0.0.1', 0))
+        receiver.settimeout(TIMEOUT_S)
+        bridge = start(*BRIDGE, '--ros-args', '-p', f'vmc:=127.0.0.1:{receiver.getsockname()[1]}')
+        peer.wait_until(lambda: peer.node.count_subscribers('/skeletons') == 2)
+        wait_until_discovered(peer.node, peer.executor, 'mocap_bridge')
+        skeletons.publish(encode_skeletons(Header(1, 'camera'), gather([make_person_3d('anna')])))
+        messages = list(osc_bundle.OscBundle(receiver.recv(65536)))
+    assert {m.params[0] for m in messages if m.address == '/VMC/Ext/Bone/Pos'} >= {'Hips', 'Head', 'LeftHand'}
     assert stop_node(bridge) == []
 
 
