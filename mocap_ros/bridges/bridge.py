@@ -92,11 +92,11 @@ class Bridge:
 
     def _convert_people(self, people: SeenPeople) -> list[OutputMessage]:
         before, self._people = self._people, people
-        if self._avatar is not None:
-            self._avatar.show(people)
         outputs = self._convert(people, before, reads_predictions=False)
         for topic, msgtype, content in self._bodies.convert(people) if self._bodies else ():
             outputs.append(OutputMessage(topic, msgtype, people.header.stamp_ns, encode_plain(content, msgtype)))
+        if self._avatar is not None:
+            self._avatar.show(people)
         return outputs
 
     def _convert_predictions(self, predictions: Predictions) -> list[OutputMessage]:

@@ -15,7 +15,7 @@ from mocap_ros.errors import ConfigError, MocapError, tell_installation
 from mocap_ros.recordings.input_kind import BAG_FORMATS, InputKind, require_kind
 from mocap_ros.recordings.load_results import load_result
 from mocap_ros.recordings.playback import Playback
-from mocap_ros.recordings.send_vmc import VmcSender, send_motion
+from mocap_ros.recordings.send_vmc import VmcMotion, VmcSender
 
 CLOCK_HZ = 40.0  # Hz, the default rate of /clock, that of `ros2 bag play --clock`
 
@@ -79,10 +79,13 @@ def run(args: argparse.Namespace) -> int:
 
 def _send_vmc(args: argparse.Namespace) -> int:
     require_kind(args.input, [InputKind.RESULT], 'a result of reconstruct (.npz), for --vmc')
-    poses, sender, sent = load_result(args.input), VmcSender(args.vmc), 0
+    for name in ('topic', 'camera_info', 'all', 'clock'):
+        if getattr(args, name):
+            raise ConfigError(f'--{name.replace("_", "-")} does not apply to --vmc')
+    sender, motion, sent = VmcSender(args.vmc), VmcMotion.convert(load_result(args.input)), 0
     with suppress(*([KeyboardInterrupt] if args.loop else [])):
         while not sent or args.loop:
-            for _ in show_progress(send_motion(poses, sender, args.rate), 'play', len(poses)):
+            for _ in show_progress(motion.play(sender, args.rate), 'play', len(motion.poses)):
                 sent += 1
     print_result(f'{args.input}: {sent} frames sent to {args.vmc}')
     return 0

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -38,7 +38,7 @@ from mocap_ros.config import Config
 from mocap_ros.detectors.detector import load_detector
 from mocap_ros.errors import InputError, MocapError, ModelError
 from mocap_ros.formats.text_files import check_output, replace_output
-from mocap_ros.formats.video import VideoReader, find_camera, write_video
+from mocap_ros.formats.video import VideoReader, find_camera, hide_password, write_video
 from mocap_ros.recordings.build_scene import build_scene, read_images
 from mocap_ros.recordings.input_kind import (
     KEYPOINT_FORMATS,
@@ -210,13 +210,16 @@ def _run_camera(args: argparse.Namespace, source: Path | str) -> int:
     if args.output is not None:
         check_output(args.output)
     is_camera = not isinstance(source, Path) or not source.is_file()
-    detector = load_detector(args.detector)
-    scene = LiveScene(str(source), str(source))
+    scene = LiveScene(shown := hide_password(str(source)), shown)
     models, is_recorded = load_models(args, config), args.output is not None
-    watch = Watch(detector, models, config, scene, hfov=args.hfov, focal=args.focal, is_recorded=is_recorded)
     port = DEFAULT_PORT if args.port is None else args.port
-    with VideoReader(source, is_camera=is_camera) as reader, PageServer(scene, port) as server:
-        print_result(f'{server.address} shows {source} in any browser of this machine; Ctrl-C ends', flush=True)
+    with (
+        closing(load_detector(args.detector)) as detector,
+        VideoReader(source, is_camera=is_camera) as reader,
+        PageServer(scene, port) as server,
+    ):
+        watch = Watch(detector, models, config, scene, hfov=args.hfov, focal=args.focal, is_recorded=is_recorded)
+        print_result(f'{server.address} shows {shown} in any browser of this machine; Ctrl-C ends', flush=True)
         ending = _watch_images(reader, watch, lambda: reader.is_live or is_recorded or scene.is_viewed)
     if args.output is not None and (ending is None or watch.has_people):
         detections = watch.collect()
@@ -247,6 +250,8 @@ def find_live_source(name: str) -> Path | str | None:
     """Return the device of a camera, a video file or the address of a stream; None for what is a namespace."""
     if '://' in name:
         return name
+    if '.' in name and not Path(name).is_file():  # which no namespace has
+        raise InputError(f'--live {name}: no such file, and no camera')
     return find_camera(name) or (Path(name) if Path(name).is_file() else None)
 
 

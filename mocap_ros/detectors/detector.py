@@ -44,8 +44,6 @@ MODEL_FORMATS = "MediaPipe's pose landmarker (.task), or YOLO-pose, RTMPose or M
 SHIPPED = Path(__file__).parent / 'shipped'
 SHIPPED_MODEL = SHIPPED / 'movenet_thunder.onnx'  # that looks at each person, where no other is given
 FINDER = SHIPPED / 'movenet_multipose.onnx'  # that finds the people
-
-
 MAX_PEOPLE = 6  # in an image, if nothing else is said; those of MoveNet for several people
 
 

@@ -6,7 +6,8 @@
 Another detector, which sees the whole image, finds people; each gets a rectangle, at which the network looks
 twice, since the first look shows better where the rectangle should be. From image to image the rectangle follows
 from the keypoints in it. Whoever is not seen any more, or is seen in the rectangle of somebody else, loses it.
-While fewer people are followed than may be, the others are looked for every `SEARCH_S`.
+While fewer people are followed than may be, the others are looked for every `SEARCH_S`, and while there are none,
+in every image.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import re
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -73,6 +74,11 @@ def find_camera(name: str) -> Path | None:
     return path if is_named or path.is_char_device() else None
 
 
+def hide_password(address: str) -> str:
+    """Return the address of a stream without the user's name and password."""
+    return re.sub(r'(?<=://)[^/@]*@', '', address)
+
+
 class VideoReader:
     """The images of a video file or a camera in the order of their times; a context manager that closes it.
 
@@ -91,7 +97,7 @@ class VideoReader:
 
     def __init__(self, path: Path | str, *, is_camera: bool = False) -> None:
         av = _import_av(path, 'a video')
-        self._path = path
+        self._path = hide_password(path) if isinstance(path, str) else path
         self._errors = (av.FFmpegError, ValueError)
         self.left_out = 0
         self.ending = ''
@@ -108,16 +114,16 @@ class VideoReader:
             )
         except self._errors as error:
             raise InputError(
-                f'{path}: no {self._kind if is_camera else "video that can be read"} ({_describe(error)})'
+                f'{self._path}: no {self._kind if is_camera else "video that can be read"} ({_describe(error)})'
             ) from None
         self.is_live = is_camera and (isinstance(path, Path) or self._container.duration is None)
         self._stream: Any = next(iter(self._container.streams.video), None)
         if self._stream is None:
             self._container.close()
-            raise InputError(f'{path}: holds no video')
+            raise InputError(f'{self._path}: holds no video')
         if getattr(self._stream, 'codec_context', None) is None:
             self._container.close()
-            raise InputError(f'{path}: its codec is not known, so that it cannot be decoded')
+            raise InputError(f'{self._path}: its codec is not known, so that it cannot be decoded')
         self._stream.thread_type = 'SLICE' if self.is_live else 'AUTO'  # threads of whole images are late by some
         self.focal_mm = _read_focal_length(self._container.metadata, self._stream.metadata)
         self.image_count = None if is_camera else self._count_images()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from mocap_ros.errors import ConfigError, MocapError, tell_installation
 from mocap_ros.formats.export.vmc import VmcPose, convert_armature
@@ -37,7 +37,7 @@ class VmcSender:
             raise ConfigError(f'vmc: {address}: {error.strerror or error}') from None
 
     def send(self, pose: VmcPose, time_s: float) -> None:
-        """Send a frame as one bundle."""
+        """Send a frame as one bundle; MocapError where the network takes none."""
         from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
         from pythonosc.osc_message_builder import OscMessageBuilder
 
@@ -47,15 +47,29 @@ class VmcSender:
             for argument in arguments:
                 message.add_arg(argument)
             bundle.add_content(message.build())
-        self._client.send(bundle.build())
+        try:
+            self._client.send(bundle.build())
+        except OSError as error:
+            raise MocapError(f'vmc: nothing is sent: {error.strerror or error}') from None
 
 
-def send_motion(poses: PoseSequence, sender: VmcSender, rate: float) -> Iterator[None]:
-    """Send the frames at `rate` times their pace; yields after each."""
-    bvh = animate(poses)
-    start_s = time.monotonic()
-    for frame, pose in enumerate(convert_armature(bvh)):
-        time_s = frame * bvh.frame_time
-        time.sleep(max(start_s + time_s / rate - time.monotonic(), 0.0))
-        sender.send(pose, time_s)
-        yield
+class VmcMotion(NamedTuple):
+    """The poses of a result at a constant rate."""
+
+    poses: list[VmcPose]
+    frame_time: float  # s
+
+    @staticmethod
+    def convert(poses: PoseSequence) -> VmcMotion:
+        """Convert a result."""
+        bvh = animate(poses)
+        return VmcMotion(list(convert_armature(bvh)), bvh.frame_time)
+
+    def play(self, sender: VmcSender, rate: float) -> Iterator[None]:
+        """Send the frames at `rate` times their pace; yields after each."""
+        start_s = time.monotonic()
+        for frame, pose in enumerate(self.poses):
+            time_s = frame * self.frame_time
+            time.sleep(max(start_s + time_s / rate - time.monotonic(), 0.0))
+            sender.send(pose, time_s)
+            yield

@@ -76,14 +76,14 @@ class NewestImage:
         return shot
 
     def _read(self) -> None:
-        start_ns = time.time_ns()
+        start_ns, started_ns = time.time_ns(), time.monotonic_ns()  # the clock may be set meanwhile
         try:
             for image, time_s in self._reader:
-                due_ns = start_ns + round(time_s * NS_PER_S)
-                if not self._reader.is_live and self._is_closed.wait(max(due_ns - time.time_ns(), 0) / NS_PER_S):
+                now_ns, due_ns = start_ns + time.monotonic_ns() - started_ns, start_ns + round(time_s * NS_PER_S)
+                if not self._reader.is_live and self._is_closed.wait(max(due_ns - now_ns, 0) / NS_PER_S):
                     return
                 with self._changed:
-                    self._newest = Shot(image, time.time_ns() if self._reader.is_live else due_ns)
+                    self._newest = Shot(image, now_ns if self._reader.is_live else due_ns)
                     self._changed.notify_all()
                 if self._is_closed.is_set():
                     return
@@ -114,7 +114,7 @@ class Watch:
         self._people: list[list[Person2D]] = []
         self._stamps_ns: list[int] = []
         self._size, self._start_ns = (0, 0), -1
-        self._waiting: dict[int, tuple[list[Person2D], Image]] = {}  # by stamp; the tracker may answer later
+        self._waiting: dict[int, tuple[list[Person2D], bytes]] = {}  # by stamp; the tracker may answer later
 
     def show(self, shot: Shot, focal_px: float | None = None) -> None:
         """Show the people in an image; `focal_px` is the focal length that a video states."""
@@ -133,10 +133,10 @@ class Watch:
                     raise InputError(f'more than {MAX_FRAMES} images')
                 self._people.append(people)
                 self._stamps_ns.append(shot.stamp_ns)
-            self._waiting[shot.stamp_ns] = people, shot.image
+            self._waiting[shot.stamp_ns] = people, encode_jpeg(shot.image) if self._scene.is_viewed else b''
             self._waiting = {s: waiting for s, waiting in self._waiting.items() if s >= tracked.stamp_ns}
             if self._scene.is_viewed:
-                self._publish(tracked, camera, *self._waiting.get(tracked.stamp_ns, ([], None)))
+                self._publish(tracked, camera, *self._waiting.get(tracked.stamp_ns, ([], b'')))
             else:
                 self._scene.leave_out()
             self._tracker.run_deferred_work()
@@ -160,9 +160,7 @@ class Watch:
             return Intrinsics.from_image_size(*self._size, self._config.tracker.nominal_focal_length)
         return Intrinsics(focal, (self._size[0] / 2, self._size[1] / 2), True, image_size=self._size)
 
-    def _publish(
-        self, tracked: TrackedFrame, camera: Intrinsics, seen: list[Person2D], image: Image | None
-    ) -> None:
+    def _publish(self, tracked: TrackedFrame, camera: Intrinsics, seen: list[Person2D], jpeg: bytes) -> None:
         people, vertical = tracked.people, tracked.vertical
         is_certain = vertical is not None and vertical.std <= MAX_CERTAIN_STD
         count = range(len(people))
@@ -174,5 +172,5 @@ class Watch:
             self._size,
             vertical.direction if vertical is not None and is_certain else np.full(3, np.nan),
             people.skeleton,
-            b'' if image is None else encode_jpeg(image),
+            jpeg,
         )

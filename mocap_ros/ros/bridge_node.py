@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from mocap_ros.bridges.bridge import CONSUMERS, Bridge, check_consumers
 from mocap_ros.bridges.ros4hri import BODIES, DESCRIPTION, TRACKED
 from mocap_ros.bridges.vmc import Avatar
-from mocap_ros.errors import ConfigError, InputError
+from mocap_ros.errors import ConfigError, InputError, MocapError
+from mocap_ros.formats.export.vmc import VmcPose
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS
 from mocap_ros.recordings.send_vmc import VmcSender
@@ -49,7 +51,7 @@ class BridgeNode(ManagedNode):
 
     def configure(self) -> None:
         """Create the publishers of the consumers whose types are installed."""
-        publish, vmc = (str(self._values[name]).replace(',', ' ').split() for name in ('publish', 'vmc'))
+        publish, vmc = str(self._values['publish']).replace(',', ' ').split(), str(self._values['vmc']).strip()
         names = check_consumers(publish) if publish or not vmc else []
         self._versions = MessageVersions()
         self._outputs = Publishers(self, self._versions)
@@ -61,7 +63,7 @@ class BridgeNode(ManagedNode):
         ]
         if names and not usable:
             raise ConfigError('publish: no message of these consumers can be published')
-        self._bridge = Bridge(usable, Avatar(VmcSender(*vmc).send) if vmc else None)
+        self._bridge = Bridge(usable, Avatar(partial(self._send_pose, VmcSender(vmc))) if vmc else None)
         silence = SilenceMonitor(self, 'skeletons', SKELETONS, START_MOCAP_NODE)
         self._inputs = [(silence, self._bridge.feed_skeletons)]
         if any(CONSUMERS[name].reads_predictions for name in usable):
@@ -110,6 +112,12 @@ class BridgeNode(ManagedNode):
 
         keep = self._subscriptions_in_use.append
         subscribe(self, silence.type, silence.name, take, OUTPUT_QOS, keep=keep)
+
+    def _send_pose(self, sender: VmcSender, pose: VmcPose, time_s: float) -> None:
+        try:
+            sender.send(pose, time_s)
+        except MocapError as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=10.0)
 
     def _publish(self, outputs: Sequence[OutputMessage]) -> None:
         """Publish outputs; the topics of single bodies of ROS4HRI come and go with them."""

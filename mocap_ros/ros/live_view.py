@@ -91,13 +91,13 @@ class LiveView(Node):
     def _find_images(self) -> None:
         """Subscribe to the images that the node which publishes the keypoints looks at, whatever their topic."""
         for publisher in self.get_publishers_info_by_topic(self.resolve_topic_name('keypoints')):
-            with suppress(rclpy_implementation.NodeNameNonExistentError):  # it has just ended
+            with suppress(rclpy_implementation.RCLError):  # its name is not known yet, or it has just ended
                 inputs = self.get_subscriber_names_and_types_by_node(publisher.node_name, publisher.node_namespace)
                 images = {topic: types[0] for topic, types in inputs if types[0] in IMAGE_TYPES}
                 if len(images) == 1:
                     self._search.cancel()
                     ((topic, msgtype),) = images.items()
-                    if topic != self.resolve_topic_name('image'):
+                    if (topic, msgtype) != (self.resolve_topic_name('image'), IMAGE):
                         self._subscribe(topic, msgtype, partial(self._take_image, msgtype), KEYPOINTS_QOS)
                     return
 

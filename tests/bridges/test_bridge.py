@@ -452,10 +452,14 @@ def test_an_avatar_turns_as_the_bvh_and_stands_on_the_floor(frame: np.ndarray) -
         vertical = CameraVertical(frame[:, 1], 0.05)
         bridge.feed_skeletons(encode_skeletons(header, gather([person]), vertical=vertical))
     lowest = np.minimum.accumulate(poses[..., 1].min(axis=1))
+    hips, own = [pose.quaternions[0] for pose, _ in sent], [pose.quaternions[0] for pose in expected]
+    assert Rotation.from_quat(hips[0]).apply([0, 0, 1]) @ [0, 0, 1] > 0.9, 'looks ahead first'
+    assert sent[0][0].positions[0, [0, 2]] == pytest.approx([0, 0], abs=1e-6)
     for number, (pose, time_s) in enumerate(sent):
         assert time_s == pytest.approx(number / 10)
-        same = np.abs((pose.quaternions * expected[number].quaternions).sum(axis=1))
+        same = np.abs((pose.quaternions * expected[number].quaternions).sum(axis=1))[1:]
         assert same == pytest.approx(np.ones(len(same)), abs=1e-6)
-        hips = expected[number].positions[0] - [0, lowest[number], 0]
-        assert pose.positions[0] == pytest.approx(hips, abs=1e-4)
+        turns = [(Rotation.from_quat(q[0]).inv() * Rotation.from_quat(q[number])).as_matrix() for q in (hips, own)]
+        assert turns[0] == pytest.approx(turns[1], abs=1e-5)
+        assert pose.positions[0, 1] == pytest.approx(expected[number].positions[0, 1] - lowest[number], abs=1e-4)
     assert len(sent) == 10

@@ -304,11 +304,7 @@ LIVE_REFUSES = (
         (['train', 'trials.npz', '--manifest', 'zero.json', '-o', 'x.npz'], 'neither a file'),
         (['view', 'RECORDING', '-o', 'x.html', '--port', '1'], '--port applies only to --live'),
         *((['view', *given, '--live'], f'publishes; {given[0]} does not apply') for given in LIVE_REFUSES),
-        pytest.param(
-            ['view', '--live', 'walk.npz'],
-            'walk.npz: is no file, no camera and no namespace',
-            marks=pytest.mark.ros,
-        ),
+        (['view', '--live', 'walk.npz'], 'walk.npz: no such file'),
         (['detect', 'RECORDING'], 'demo.npz: is a sequence file'),
         (['detect', 'walk.mp4', '-o', 'x.bvh'], 'x.bvh: unknown file type'),
         (['detect', 'walk.mp4', '-o', 'x.mcap', '--person', 'x'], 'x.mcap: holds all people'),
