@@ -30,7 +30,7 @@ from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_imag
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.keypoints.matching import DetectedBody
-from mocap_ros.keypoints.person import Person2D
+from mocap_ros.keypoints.person import Person2D, choose_depth
 from mocap_ros.keypoints.validation import describe_other_unit, mark_unseen
 from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.units import NS_PER_S
@@ -239,11 +239,7 @@ def _join_parts(parts: Sequence[Person2D], min_score: float) -> Person2D:
         if part.joints == whole.joints:
             is_added = (whole.score < min_score) & (part.score >= min_score)
             points = np.where(is_added[:, None], part.points, whole.points)
-            depth = None
-            if whole.depth is not None or part.depth is not None:
-                unknown = np.full(len(is_added), np.nan)
-                own, other = (unknown if p.depth is None else p.depth for p in (whole, part))
-                depth = np.where(is_added, other, own)
+            depth = choose_depth(~is_added, whole.depth, part.depth)
             score = np.where(is_added, part.score, whole.score)
             whole = replace(whole, points=points, score=score, depth=depth)
     return whole

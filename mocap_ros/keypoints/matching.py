@@ -40,7 +40,7 @@ from mocap_ros.keypoints.association import (
     measure_distances,
     measure_sizes,
 )
-from mocap_ros.keypoints.person import Person2D
+from mocap_ros.keypoints.person import Person2D, choose_depth
 from mocap_ros.keypoints.rays import Extremities, convert_to_rays, select_core_depth
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.units import NS_PER_S
@@ -109,12 +109,8 @@ class DetectedBody:
         extremities = Extremities(*_fill_gaps(*self.extremities, *part.extremities))
         (size,) = measure_sizes(rays[None], weight[None]).tolist()
         is_evidence = np.where(self.weight > 0, self.is_evidence, part.is_evidence)
-        given_id, depth = self.given_id or part.given_id, self.depth
-        if depth is None or part.depth is None:
-            depth = part.depth if depth is None else depth
-        else:
-            depth = np.where(self.weight > 0, depth, part.depth)
-        return DetectedBody(given_id, rays, weight, is_evidence, size, extremities, depth)
+        depth = choose_depth(self.weight > 0, self.depth, part.depth)
+        return DetectedBody(self.given_id or part.given_id, rays, weight, is_evidence, size, extremities, depth)
 
 
 def _fill_gaps(rays: Array, weight: Array, other_rays: Array, other_weight: Array) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
 from mocap_ros.keypoints.image_size import ImageSize
@@ -43,3 +44,10 @@ class Person2D:
 def is_person_class(name: object) -> bool:
     """Return whether detections of a class of this name may be people; models name them variously."""
     return not isinstance(name, str) or name.strip().lower() not in OTHER_CLASSES
+
+
+def choose_depth(is_own: NDArray[np.bool_], own: Array | None, other: Array | None) -> Array | None:
+    """Return depths (J,) in m of a person joined from two detections: `own` where `is_own`; None if both are."""
+    if own is None and other is None:
+        return None
+    return np.where(is_own, np.nan if own is None else own, np.nan if other is None else other)

@@ -443,8 +443,8 @@ def _lift(
     joints, std, seen, cameras = map(np.concatenate, zip(*parts, strict=True))
     lifted = LiftedPoses(joints, std)
     if observed.depth is not None:
-        measured = observed.depth, observed.rays, cameras
-        lifted = find_corrections(*measured, lifted, config.body_height).apply(lifted)
+        found = find_corrections(observed.depth, observed.rays, cameras, lifted, config.body_height)
+        lifted = found.apply(lifted)
     if known is None:
         known = choose_vertical(observed, lifted.joints @ cameras, seen, config)
     lifted = turn_towards_vertical(lifted, Stances.of(lifted.joints, cameras, seen), cameras, *known)

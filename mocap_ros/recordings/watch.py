@@ -15,21 +15,16 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
 from mocap_ros.config import Config
 from mocap_ros.detectors.detector import Detector, Image
 from mocap_ros.errors import FrameDropped, InputError
 from mocap_ros.formats.detections import MAX_FRAMES, Detections, find_focal_length
 from mocap_ros.formats.video import VideoReader
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.level import MAX_CERTAIN_STD
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import PoseModel
-from mocap_ros.people import TrackedFrame
 from mocap_ros.recordings.detect_people import detect_people, name_people
-from mocap_ros.recordings.load_results import follow_person
-from mocap_ros.skeleton import skeleton_from_joints
+from mocap_ros.recordings.live_frame import show_people
 from mocap_ros.tracking.tracker import PeopleTracker
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.live_page import LiveScene
@@ -136,7 +131,10 @@ class Watch:
             self._waiting[shot.stamp_ns] = people, encode_jpeg(shot.image) if self._scene.is_viewed else b''
             self._waiting = {s: waiting for s, waiting in self._waiting.items() if s >= tracked.stamp_ns}
             if self._scene.is_viewed:
-                self._publish(tracked, camera, *self._waiting.get(tracked.stamp_ns, ([], b'')))
+                seen, jpeg = self._waiting.get(tracked.stamp_ns, ([], b''))
+                show_people(
+                    self._scene, tracked.stamp_ns, tracked.people, seen, camera, size, tracked.vertical, jpeg
+                )
             else:
                 self._scene.leave_out()
             self._tracker.run_deferred_work()
@@ -159,18 +157,3 @@ class Watch:
         if focal is None:
             return Intrinsics.from_image_size(*self._size, self._config.tracker.nominal_focal_length)
         return Intrinsics(focal, (self._size[0] / 2, self._size[1] / 2), True, image_size=self._size)
-
-    def _publish(self, tracked: TrackedFrame, camera: Intrinsics, seen: list[Person2D], jpeg: bytes) -> None:
-        people, vertical = tracked.people, tracked.vertical
-        is_certain = vertical is not None and vertical.std <= MAX_CERTAIN_STD
-        count = range(len(people))
-        self._scene.publish(
-            tracked.stamp_ns,
-            people.ids,
-            follow_person('', count, people, count, camera),  # rows as frames
-            [(skeleton_from_joints(p.joints), np.where(p.score[:, None] > 0, p.points, np.nan)) for p in seen],
-            self._size,
-            vertical.direction if vertical is not None and is_certain else np.full(3, np.nan),
-            people.skeleton,
-            jpeg,
-        )

@@ -82,11 +82,12 @@ class BridgeNode(ManagedNode):
             self._subscribe(silence, feed)
         self._timer = self.create_steady_timer(CHECK_PERIOD_S, self._check_silence)
         listened = ' and '.join(self.resolve_topic_name(silence.name) for silence, _ in self._inputs)
-        does = (
-            [f'publishes {", ".join(map(self.resolve_topic_name, self._outputs))}'] if len(self._outputs) else []
+        published = [self.resolve_topic_name(topic) for topic in self._outputs]
+        if address := self._values['vmc']:
+            published.append(f'VMC to {address}')
+        self.get_logger().info(
+            f'the node is active: it listens on {listened}, and publishes {", ".join(published)}'
         )
-        does += [f'sends to {self._values["vmc"]}'] if self._values['vmc'] else []
-        self.get_logger().info(f'the node is active: it listens on {listened}, and {" and ".join(does)}')
 
     def stop_run(self) -> None:
         """Unsubscribe, and publish that all people are gone."""

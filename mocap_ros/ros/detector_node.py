@@ -36,9 +36,9 @@ class DetectorNode(Node):
         super().__init__(DETECTOR_NAME)
         values: dict[str, Any] = declare_parameters(self, DETECTOR_PARAMETERS, 'the option --help')
         self._model = Path(values['model']).expanduser() if values['model'] else None
-        self._max_people: int = values['max_people']
+        self._max_people: int | None = values['max_people'] or None
         self._type: str = values['image_type']
-        self._detector: Detector = load_detector(self._model, self._max_people or None)
+        self._detector: Detector = load_detector(self._model, self._max_people)
         self._first_ns = self._last_ns = -1  # stamps of the detector's first and last image
         self._limits = NodeConfig()
         self._log = ThrottledLog(self.get_logger())
@@ -81,7 +81,7 @@ class DetectorNode(Node):
         if stamp_ns < self._last_ns:
             self.get_logger().warning('the stamps of the images go back; the detector starts anew')
             self._detector.close()
-            self._detector = load_detector(self._model, self._max_people or None)
+            self._detector = load_detector(self._model, self._max_people)
             self._first_ns = -1
         self._first_ns = stamp_ns if self._first_ns < 0 else self._first_ns
         self._last_ns = stamp_ns

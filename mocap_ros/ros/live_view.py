@@ -9,7 +9,6 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from functools import partial
 
-import numpy as np
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -19,19 +18,19 @@ from rclpy.validate_namespace import validate_namespace
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.level import MAX_CERTAIN_STD
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, decode_camera_info
 from mocap_ros.messages.cdr import read_stamp_ns
 from mocap_ros.messages.images import IMAGE, IMAGE_TYPES, decode_image
 from mocap_ros.messages.keypoints import KEYPOINTS, KeypointsFrame, decode_keypoints
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
-from mocap_ros.recordings.load_results import find_intrinsics, follow_person
+from mocap_ros.people import CameraVertical
+from mocap_ros.recordings.live_frame import show_people
+from mocap_ros.recordings.load_results import find_intrinsics
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.nodes import run_node
 from mocap_ros.ros.qos import NEWEST_QOS
 from mocap_ros.ros.topics import subscribe
-from mocap_ros.skeleton import skeleton_from_joints
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.live_page import LiveScene, PageServer
 from mocap_ros.viewing.overlay import encode_jpeg
@@ -133,16 +132,14 @@ class LiveView(Node):
             self._size = self._camera.size
         if frame is not None:
             self._size = resolve_image_size(stated=(frame.image_width, frame.image_height), configured=self._size)
-        people = follow_person('', range(len(seen)), seen, range(len(seen)), intrinsics)  # rows as frames
-        found = [] if frame is None else frame.people
-        self._scene.publish(
+        show_people(
+            self._scene,
             array.header.stamp_ns,
-            seen.ids,
-            people,
-            [(skeleton_from_joints(p.joints), np.where(p.score[:, None] > 0, p.points, np.nan)) for p in found],
+            seen,
+            [] if frame is None else frame.people,
+            intrinsics,
             self._size,
-            array.vertical if array.vertical_std <= MAX_CERTAIN_STD else np.full(3, np.nan),
-            seen.skeleton,
+            CameraVertical(array.vertical, array.vertical_std),
             self._encode_image(array.header.stamp_ns),
         )
 

@@ -128,8 +128,8 @@ def plant_newest(
     than the last changes nothing, and if it is the last, it has its core. `footings` (P, N) are `engine.FOOTING`,
     NaN before the first frame; times (P,) in s grow from frame to frame; offsets (P, 11, 3) m of the extremities
     are those of the frame before; `upward` (3,) is None where it is not known; noise (P,) in m is that of the
-    image at the body; `ahead` (P, 2) is as of `plant_sequence`,
-    NaN of people without depths.
+    image at the body; `ahead` (P, 2) is as of `plant_sequence`, NaN of people
+    without depths.
     """
     feet, up = offsets.take(FEET, axis=1), UNKNOWN if upward is None else upward
     engine.follow_contacts(footings, times, windows, frames, core, feet, up, LEGS, FEET)

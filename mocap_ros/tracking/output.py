@@ -114,12 +114,12 @@ def measure_depths(shown: Shown, core: Array, find_size: FindSize, stamp_ns: int
     for p, log_size in zip(known, found.log_size.tolist(), strict=True):
         track = shown.tracks[p]
         if not track.is_tentative:
-            before = track.measured_size
-            track.measured_size = SizeEvidence.add_depth(before, stamp_ns, log_size, float(distance[p]))
+            before = track.size_by_depth
+            track.size_by_depth = SizeEvidence.add_depth(before, stamp_ns, log_size, float(distance[p]))
     size = np.array([find_size(shown.tracks[p]).ratio for p in known])
     ahead = np.full((len(core), 2), np.nan)
     ahead[known] = found.find_displacement(core[known], size)
-    ahead[[track.measured_size is None for track in shown.tracks]] = np.nan
+    ahead[[track.size_by_depth is None for track in shown.tracks]] = np.nan
     return ahead
 
 
@@ -184,7 +184,7 @@ def describe_cores(
     """Return the deviations (P, J) m of joints and the covariances (P, 3, 3) m^2 of roots, of the assumed size."""
     posterior = np.array([s.joint_std / s.stature_ratio for s in shown.solutions])
     shifts = shown.filters[:, SHIFT].copy()
-    shifts[[t.measured_size is not None for t in shown.tracks]] = np.nan
+    shifts[[t.size_by_depth is not None for t in shown.tracks]] = np.nan
     return engine.describe_cores(posterior, seen, joints, np.array(sizes), shifts, _HIPS)
 
 

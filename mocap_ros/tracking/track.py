@@ -69,8 +69,8 @@ class Track:
     solution: TrackSolution | None = None
     schedule: CheckSchedule = field(default_factory=CheckSchedule)  # the checks of the solution that are due
     filters: Array = field(default_factory=UNFILTERED.copy)  # (R,) `FILTERS` of the output
-    floor_contact: SizeEvidence | None = None  # what feet on the floor say of the person's size; None if nothing
-    measured_size: SizeEvidence | None = None  # what measured depths say of it
+    size_by_floor: SizeEvidence | None = None  # what feet on the floor say of the person's size; None if nothing
+    size_by_depth: SizeEvidence | None = None  # what measured depths say of it
     # (F, J) m, depths of the surfaces at joints with the detector's labels, NaN where unknown; None if all were so
     depth: Array | None = None
     correction: Array | None = None  # (J,) of the newest lifted pose by measured depths, as of `solvers.depth`

@@ -200,7 +200,7 @@ class PeopleTracker:
             vertical=self.vertical,
             has_restarted=has_restarted,
             backward_jump_s=backward_jump_s,
-            is_floor_seen=any(t.floor_contact is not None for t in self.tracks),
+            is_floor_seen=any(t.size_by_floor is not None for t in self.tracks),
             swapped=sum(bool(np.count_nonzero(t.swap_filter.is_swapped[-1])) for t in tracks),
             unusable=len(people) - len(tracks),
             faults=tuple(self._who.list_faults()),
@@ -370,8 +370,7 @@ class PeopleTracker:
         surface = [np.full_like(w.weight, np.nan) if w.depth is None else w.depth for w in windows]
         rays, counts = np.concatenate([w.rays for w in windows]), [len(w.times) for w in windows]
         heights = [self.config.tracker.body_height * self._find_size(t).ratio for t in tracks]
-        seen = np.concatenate(surface), rays, cameras
-        found = find_corrections(*seen, lifted, np.repeat(heights, counts))
+        found = find_corrections(np.concatenate(surface), rays, cameras, lifted, np.repeat(heights, counts))
         for track, count, end in zip(tracks, counts, accumulate(counts), strict=True):
             newest, times = found.depth[end - 1], track.observed.times
             if track.correction is not None and count == 1 < len(times):
@@ -465,8 +464,8 @@ class PeopleTracker:
         if floor is not None:
             for p, track in enumerate(tracks):
                 if track.intrinsics.is_focal_known and not track.is_tentative:
-                    track.floor_contact = SizeEvidence.add_floor(
-                        track.floor_contact,
+                    track.size_by_floor = SizeEvidence.add_floor(
+                        track.size_by_floor,
                         shown_ns,
                         motion.joints[p],
                         motion.velocity[p],
@@ -486,7 +485,7 @@ class PeopleTracker:
         hidden = 0.0 if track.solution is None else track.solution.hidden_share
         known = track.intrinsics.is_focal_known, hidden
         assumed = assume_size(settings, person_id, *known)
-        for shown in (track.floor_contact, track.measured_size):
+        for shown in (track.size_by_floor, track.size_by_depth):
             if shown is not None:
                 assumed = shown.find_size(assumed)
         return assumed
