@@ -44,28 +44,31 @@ def read(
     hfov: float | None = None,
     focal: float | None = None,
     video: str | Path | None = None,
+    normalised: bool = False,
 ) -> KeypointSequence:
-    """Read one person's keypoints from a sequence file, a bag, OpenPose files, COCO keypoints, or a video.
+    """Read one person's keypoints from a sequence file, a bag, JSON or a table of a detector, or a video.
 
     What was chosen and assumed is logged as warnings by the logger `mocap_ros`: the person, the messages that were
     left out, and an image size that no file states.
 
     Args:
-        path: sequence file (`.npz`), bag of ROS 2 or ROS 1, folder of OpenPose's JSON, or COCO keypoints
-            (`.json`), or video. A sequence file takes none of the other arguments but `hfov` and `focal`.
+        path: sequence file (`.npz`), bag of ROS 2 or ROS 1, folder of OpenPose's JSON, COCO keypoints (`.json`),
+            table (`.csv`, `.npy`, `.trc`, or a folder of `.txt`), or video. A sequence file takes none of the
+            other arguments but `hfov` and `focal`.
         person: id of the person; by default the person who is seen in most frames.
         topic: topic of the keypoints; needed only for a bag with several.
         camera_info: topic of the CameraInfo; by default that of the keypoints' camera (`frame_id`) and namespace.
-        fps: Hz, frame rate; needed for JSON, which has no times, without its `video`.
+        fps: Hz, frame rate; needed for JSON and tables without times and without their `video`.
         image_size: (width, height) in px, where JSON does not state it.
-        layout: name of the keypoint layout of JSON; by default the one with that number of keypoints.
+        layout: name of the keypoint layout of JSON or a table; by default the one with that number of keypoints.
         detector: file of the model that finds the keypoints in a video: MediaPipe's pose landmarker (`.task`), or
             RTMPose or MoveNet (`.onnx`); by default the one that comes with MediaPipe.
         hfov: degrees, horizontal field of view of a camera without calibration; by default a nominal focal length
             is assumed, to which distances from the camera are proportional.
         focal: px, focal length of a camera without calibration, instead of `hfov`.
-        video: video file in which the keypoints of JSON or Sports2D were detected; it gives the times, the image
+        video: video file in which the keypoints of JSON or a table were detected; it gives the times, the image
             size and, if it states it, the focal length, where the other arguments do not.
+        normalised: whether the coordinates of a table are shares of the width and the height of the image.
 
     Raises:
         InputError: the file has none of these formats, or its content or an argument is not valid; the error names
@@ -90,7 +93,7 @@ def read(
     model = None if detector is None else read_path('detector', detector)
     clip = None if video is None else read_path('video', video)
     try:
-        stated = Video(fps, image_size, layout, model, hfov, focal, clip)
+        stated = Video(fps, image_size, layout, model, hfov, focal, clip, normalised=normalised)
         sequence, lines = load_input(path, InputOptions(stated, NodeConfig(), person, topic, camera_info))
     except InputError as error:
         raise InputError(_name_arguments(str(error))) from None

@@ -281,6 +281,11 @@ class FolderReader(DirectoryReader):
 class Ros1Reader(Reader):
     """A bag of ROS 1; its methods may raise anything where it is damaged."""
 
+    def read_connection(self) -> Connection:
+        """Read a topic; all have absolute names, as in ROS 2."""
+        connection = super().read_connection()
+        return connection._replace(topic=f'/{connection.topic.removeprefix("/")}')
+
     def read_chunk(self) -> Chunk:
         """Read the header of a chunk, which is unpacked later."""
         chunk = super().read_chunk()

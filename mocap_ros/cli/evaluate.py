@@ -45,7 +45,6 @@ COLUMNS = (
     ('pa_mpjpe_mm', 'PA-MPJPE', 'mm', '.1f'),
     ('seq_mpjpe_mm', 'sequence', 'mm', '.1f'),
     ('metric_mpjpe_mm', 'metric', 'mm', '.1f'),
-    ('e_paper_cm', 'e', 'cm', '.2f'),
     ('bone_std_mm', 'bone std', 'mm', '.1f'),
     ('residual_px', 'residual', 'px', '.2f'),
     ('frames', 'frames', '', '.0f'),
@@ -57,7 +56,7 @@ COLUMNS = (
 LEGEND = (
     'MPJPE: mean joint error of centred poses after one scale per sequence, without rotation; '
     'PA-MPJPE: after one similarity transform per frame; sequence: after one similarity transform per sequence; '
-    'metric: without scale; e: eq. 25 of TPAMI 2016; bone std: standard deviation of the bone lengths over time; '
+    'metric: without scale; bone std: standard deviation of the bone lengths over time; '
     'residual: root mean square reprojection error, mean over the frames.'
 )
 MAX_TIME_DIFFERENCE_NS = 1_000_000  # ns; between equal times of two files, of which one may be rounded to ms
@@ -76,7 +75,8 @@ OPTIONS: Options = {
     'made from (default: the input, if it is a sequence file)',
     '--person ID': 'person in a bag of skeletons (default: the person with most skeletons)',
     **MODEL_OPTIONS,
-    '--json FILE': 'file for all numbers as JSON (default: none)',
+    '--json FILE': 'file for all numbers as JSON, also the error e of TPAMI 2016 (eq. 25), `e_paper_cm` (default: '
+    'none)',
     **STRICT_OPTIONS,
     **CONFIG_OPTIONS,
 }

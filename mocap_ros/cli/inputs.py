@@ -65,24 +65,28 @@ LENS_OPTIONS: Options = {
     ),
 }
 VIDEO_OPTIONS: Options = {
-    '--fps HZ': 'frames per second, which JSON needs without its video (default: none)',
+    '--fps HZ': 'frames per second, such as 29.97 or 30000/1001, which JSON and tables without times need without '
+    'their video (default: none)',
     '--image-size WxH': option(
         'px, size of the image if the input gives none (default: a common size that contains all points)',
         type=_parse_image_size,
     ),
+    '--normalised': 'the coordinates of a table are shares of the width and the height of the image (default: px)',
     **LENS_OPTIONS,
     '--layout NAME': option(
-        'keypoint layout of JSON (default: the layout with that number of keypoints)', choices=LAYOUT_NAMES
+        'keypoint layout of JSON or a table (default: the layout with that number of keypoints)',
+        choices=LAYOUT_NAMES,
     ),
     '--detector FILE': 'model that finds the keypoints in a video, as for `mocap-ros detect --model` (default: '
     'likewise)',
 }
 INPUT_OPTIONS: Options = {
-    'input IN': 'sequence file (.npz), bag, folder of OpenPose JSON, COCO keypoints (.json), or video',
+    'input IN': 'sequence file (.npz), bag, folder of OpenPose JSON, COCO keypoints (.json), table (.csv, .npy, '
+    '.trc, or a folder of .txt), or video',
     '--person ID': 'one person of several in the input (default: the one seen in most frames)',
     **TOPIC_OPTIONS,
     **VIDEO_OPTIONS,
-    '--video FILE': 'video in which the keypoints of JSON or Sports2D were detected, which gives times, image '
+    '--video FILE': 'video in which the keypoints of JSON or a table were detected, which gives times, image '
     'size and, if it states it, the focal length (default: none)',
 }
 
@@ -113,7 +117,7 @@ def read_lens_parameters(args: argparse.Namespace) -> dict[str, Value]:
 def read_video_options(args: argparse.Namespace) -> Video:
     """Return what the options of `VIDEO_OPTIONS` state, and the video of `INPUT_OPTIONS`."""
     given = args.fps, args.image_size, args.layout or '', args.detector, args.hfov, args.focal
-    return Video(*given, getattr(args, 'video', None))
+    return Video(*given, getattr(args, 'video', None), normalised=args.normalised)
 
 
 def read_input_options(args: argparse.Namespace, config: Config) -> InputOptions:

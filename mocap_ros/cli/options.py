@@ -32,10 +32,11 @@ def derive_output_stem(input_path: Path) -> str:
 
 
 def parse_positive(text: str, limits: tuple[float, float] = (0.0, math.inf)) -> float:
-    """Parse a positive, finite number in a range for argparse."""
+    """Parse a positive, finite number or fraction, such as 30000/1001, in a range for argparse."""
     try:
-        value = float(text)
-    except ValueError:
+        numerator, slash, denominator = text.partition('/')
+        value = float(numerator) / float(denominator if slash else 1)
+    except (ValueError, ZeroDivisionError):
         raise argparse.ArgumentTypeError(f'{text!r} is not a number') from None
     if not 0 < value < math.inf:
         raise argparse.ArgumentTypeError(f'{text} is not positive and finite')

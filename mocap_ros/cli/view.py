@@ -84,7 +84,7 @@ OPTIONS: Options = {
     'input IN': option(f'{INPUT_OPTIONS["input IN"]} (default: none, for --live)', nargs='?'),
     '-o --output OUT': 'page (.html), film (.mp4) or picture (.png, .svg, .pdf, ...) to write (default: IN.html '
     'in the current folder)',
-    '--video FILE': 'video, or bag with images, that the keypoints of IN come from; the video of JSON or Sports2D '
+    '--video FILE': 'video, or bag with images, that the keypoints of IN come from; the video of JSON or a table '
     'also gives times, image size and focal length (default: IN)',
     '--live CAMERA|NAMESPACE': option(
         'serve a page to browsers of this machine: of a camera (0, /dev/video0), a video at its own pace or a '
@@ -159,7 +159,7 @@ def _load(args: argparse.Namespace, config: Config, report: Report, *, is_one_sh
 
 
 def _read_input_options(args: argparse.Namespace, config: Config) -> InputOptions:
-    """Return how the input is read; a video beside other inputs than JSON and Sports2D has the images alone."""
+    """Return how the input is read; a video beside other inputs than JSON and tables has the images alone."""
     options = read_input_options(args, config)
     if args.video and find_input_kind(args.input) in LOADERS and not is_bag(args.video):
         return options

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import gcd
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ import numpy as np
 from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import InputError
-from mocap_ros.formats.image_names import order_images
+from mocap_ros.formats.image_names import ImageOrder, order_images
 from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.identities import FollowedPerson, Identities
@@ -31,14 +32,21 @@ from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.keypoints.matching import DetectedBody
 from mocap_ros.keypoints.person import Person2D, choose_depth
-from mocap_ros.keypoints.validation import describe_other_unit, mark_unseen
+from mocap_ros.keypoints.validation import describe_other_unit, describe_rate, mark_unseen
 from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.units import NS_PER_S
 
 # The layout that a detector's file means by its number of keypoints. The 133 keypoints of COCO-WholeBody begin
-# with the 17 of COCO, and the 136 of Halpe-FullBody with the 26 of the body.
+# with the 17 of COCO, the 136 of Halpe-FullBody with the 26 of the body, and the 543 or 553 of MediaPipe's body,
+# hands and face with the 33 of the body.
 LAYOUT_BY_KEYPOINT_COUNT = {
     17: 'coco17', 18: 'coco18', 25: 'body25', 26: 'halpe26', 33: 'mediapipe33', 133: 'coco17', 136: 'halpe26',
+    543: 'mediapipe33', 553: 'mediapipe33',
+}  # fmt: skip
+
+# Seconds in the unit of a time, by the key or the column that states it
+SECONDS_BY_KEY = {
+    'timestamp': 1.0, 'timestamp_s': 1.0, 'timestamp_ms': 1e-3, 'timestamp_us': 1e-6, 'timestamp_ns': 1e-9,
 }  # fmt: skip
 
 MAX_FRAME_RATE_HZ = 10_000.0  # far above that of any video of people; keeps times that are rounded to 1 us apart
@@ -67,6 +75,8 @@ class Video:
     clip: Path | None = None  # video in which the keypoints were detected, or None where it is not given
     times_s: tuple[float, ...] = ()  # s, of the images of that video since the first, or empty
     is_lens_of_clip: bool = False  # whether that video states the focal length
+    pixel_aspect: float = 1.0  # width of a pixel of that video per height
+    normalised: bool = False  # whether the coordinates of a table are shares of the width and height of the image
 
 
 def find_focal_length(
@@ -134,21 +144,26 @@ def create_person(
     return Person2D(person_id, joints, points, score)
 
 
-def arrange_frames(people_by_image: Mapping[Any, Sequence[Person2D]], video: Video) -> Detections:
+def arrange_frames(
+    people_by_image: Mapping[Any, Sequence[Person2D]], video: Video, times_s: Mapping[Any, float] | None = None
+) -> Detections:
     """Arrange images in time, by their `ImageName`; frames whose number is missing show no people.
+
+    If `times_s` has the time in s of every image, these count, unless they can be those of no video and the frame
+    rate is given.
 
     An id that two people of one frame have identifies neither, as the 0 that AlphaPose gives to all people if it
     does not track. It is left out wherever it occurs, and a line of `notes` says so.
     """
     if not people_by_image:
         raise InputError('no frames')
-    order = order_images(people_by_image)
+    order = _order_by_times(people_by_image, video, times_s or {}) or order_images(people_by_image)
     notes = [order.note] if order.note else []
     if order.stamps_ns:
         stamps = list(order.stamps_ns.values())
         images = [people_by_image[name] for name in order.stamps_ns]
         if video.fps is not None:
-            notes.append('the names of the images are times; --fps is not used')
+            notes.append('the images have times; --fps is not used')
     else:
         people_by_number = {number: people_by_image[name] for name, number in order.numbers.items()}
         all_numbers, stamps = _number_frames(list(people_by_number), video)
@@ -161,6 +176,18 @@ def arrange_frames(people_by_image: Mapping[Any, Sequence[Person2D]], video: Vid
         notes.append(f'ids left out, because two people of one frame have the same: {ids}')
     size = resolve_image_size(configured=video.image_size)
     return Detections(people, stamps, size, notes=tuple(notes))
+
+
+def _order_by_times(images: Iterable[Any], video: Video, times_s: Mapping[Any, float]) -> ImageOrder | None:
+    stamps = {
+        image: round(times_s[image] * NS_PER_S)
+        for image in images
+        if 0 <= times_s.get(image, -1) < MAX_TIMESTAMP_S
+    }
+    is_whole = len(stamps) == len(set(stamps.values())) == len(list(images))
+    ordered = dict(sorted(stamps.items(), key=itemgetter(1)))
+    is_of_video = not describe_rate(np.array([*ordered.values()]) / NS_PER_S)
+    return ImageOrder({}, ordered) if is_whole and (is_of_video or video.fps is None) else None
 
 
 def _number_frames(numbers: Sequence[int], video: Video) -> tuple[range, list[int]]:

@@ -17,6 +17,8 @@ with the list of `people`, or the list itself. Of single files, these forms are 
 - A mapping of the name of each image to {people} or {bodies}: AlphaPose in the formats of OpenPose and CMU-Pose.
 - {keypoints: [{id: [[y, x, score], ...]} of each frame], skeleton: names}: easy_ViTPose.
 
+Any of these may state the time of an image (`timestamp`, in s, or `timestamp_ms` and the like).
+
 `json_keypoints` reads the keypoints of a person: x, y and the score (or the visibility 0, 1, 2) of the joints of a
 known layout, or of those that the file names.
 """
@@ -31,7 +33,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mocap_ros.errors import InputError, naming
-from mocap_ros.formats.detections import MAX_KEYPOINTS, Detections, Video, arrange_frames, create_person, list_some
+from mocap_ros.formats.detections import (
+    MAX_KEYPOINTS,
+    SECONDS_BY_KEY,
+    Detections,
+    Video,
+    arrange_frames,
+    create_person,
+    list_some,
+)
 from mocap_ros.formats.image_names import MAX_FRAME_NUMBER, ImageName
 from mocap_ros.formats.json_keypoints import (
     NAME_KEYS,
@@ -50,6 +60,7 @@ FILE_SUFFIX = '_keypoints.json'  # end of the names of OpenPose's files
 # Keys of a person's keypoints: of most detectors, of OpenPose since version 1.0 and before, and of CMU-Pose.
 KEYPOINT_KEYS = ('keypoints', 'pose_keypoints_2d', 'pose_keypoints', 'joints')
 MIN_PERSON_SCORE = 0.1  # people with a lower score are left out: COCO results hold many improbable people
+MAX_STATED_TIME = 1e19  # in any unit; guards float(); a time in ns since 1970 has 1.8e18
 VISIBLE = 2.0  # COCO's visibility of a joint that is seen; 1 is a joint that is labelled but hidden
 CLASS_KEYS = ('name', 'class', 'class_name')  # keys of the class of a detection
 ID_KEYS = ('track_id', 'tracker_id', 'idx', 'person_id')  # keys of the id that a tracker gives to a person
@@ -81,6 +92,7 @@ class _Found:
     people: dict[ImageName, list[Person2D]] = field(default_factory=dict)
     # Entry, keypoints and the names of the joints of each person
     entries: list[tuple[_Entry, JsonKeypoints, Names]] = field(default_factory=list)
+    times_s: dict[ImageName, float] = field(default_factory=dict)
     without_keypoints: int = 0  # number of detections without keypoints
     others: int = 0
 
@@ -105,6 +117,7 @@ def load_json_folder(folder: Path, video: Video) -> Detections:
                 sizes |= _read_sizes([content])
             image = path.name.removesuffix(FILE_SUFFIX) if path.name.endswith(FILE_SUFFIX) else path.stem
             found.people[image] = []
+            _add_time(found.times_s, image, content)
             _add_people(found, _iterate_people(image, '', content), _read_categories(content))
     with naming(folder):
         return _arrange(found, video, _choose_size(sizes))
@@ -118,9 +131,10 @@ def load_json_file(path: Path, video: Video) -> Detections:
     """
     content = read_json(path)
     with naming(path):
-        name_by_image, size = _read_images(content)
-        found = _Found({name: [] for name in name_by_image.values()})
-        _add_people(found, _iterate_entries(content, name_by_image, found.people), _read_categories(content))
+        found = _Found()
+        name_by_image, size = _read_images(content, found.times_s)
+        found.people |= {name: [] for name in name_by_image.values()}
+        _add_people(found, _iterate_entries(content, name_by_image, found), _read_categories(content))
         return _arrange(found, video, size)
 
 
@@ -147,7 +161,7 @@ def _arrange(found: _Found, video: Video, size: ImageSize | None) -> Detections:
         if (person.score > 0).any():
             found.people[entry.image].append(person)
     video = replace(video, image_size=resolve_image_size(stated=size, configured=video.image_size))
-    detections = arrange_frames(found.people, video)
+    detections = arrange_frames(found.people, video, found.times_s)
     if not any(found.people.values()):
         raise InputError(_describe_absence(found, has_points=has_points))
     unknown = [repr(key) for key in dict.fromkeys(key for keypoints in everybody for key in keypoints.unknown)]
@@ -202,15 +216,13 @@ def _iterate_people(image: ImageName, place: str, content: Any) -> Iterator[_Ent
         yield _Entry(image, f'{place}[{index}]', person)
 
 
-def _iterate_entries(
-    content: Any, name_by_image: Mapping[Any, ImageName], frames: dict[ImageName, list[Person2D]]
-) -> Iterator[_Entry]:
-    """Yield all people in a file, and add all its frames to `frames`."""
+def _iterate_entries(content: Any, name_by_image: Mapping[Any, ImageName], found: _Found) -> Iterator[_Entry]:
+    """Yield all people in a file, and add all its frames and their times to those that were found."""
     key = ''
     if isinstance(content, dict):
         key = _find_key(content, LIST_KEYS)
         if not key:
-            yield from _iterate_mapping(content, frames)
+            yield from _iterate_mapping(content, found.people)
             return
         content = content[key]
     if not isinstance(content, list):
@@ -231,7 +243,8 @@ def _iterate_entries(
                 _refuse_landmarks(entry)
                 image = entry['image_id']
                 image = name_by_image[image] if image in name_by_image else _parse_image_name(image)
-        frames.setdefault(image, [])
+        found.people.setdefault(image, [])
+        _add_time(found.times_s, image, entry)
         if people is None:
             yield _Entry(image, place, entry)
         else:
@@ -332,8 +345,19 @@ def _parse_image_name(name: Any) -> ImageName:
     return str(name) if isinstance(name, int) and abs(name) >= MAX_FRAME_NUMBER else name
 
 
-def _read_images(content: Any) -> tuple[dict[Any, ImageName], ImageSize | None]:
-    """Return the name of each image by the image's id, and the size in px, None where no image has one."""
+def _add_time(times_s: dict[ImageName, float], image: ImageName, content: Any) -> None:
+    """Add the time of an image in s, if the content of a file states it there."""
+    for key, seconds in SECONDS_BY_KEY.items() if isinstance(content, dict) else ():
+        value = content.get(key)
+        if isinstance(value, (int, float)) and 0 <= value < MAX_STATED_TIME:
+            times_s[image] = float(value) * seconds
+
+
+def _read_images(content: Any, times_s: dict[ImageName, float]) -> tuple[dict[Any, ImageName], ImageSize | None]:
+    """Return the name of each image by the image's id, and the size in px, None where no image has one.
+
+    Their times are added to `times_s`.
+    """
     entries = content.get('images', []) if isinstance(content, dict) else []
     name_by_image: dict[Any, ImageName] = {}
     with naming('image', EXPECTED_SIZE):
@@ -346,6 +370,7 @@ def _read_images(content: Any) -> tuple[dict[Any, ImageName], ImageSize | None]:
             name = _parse_image_name(image.get('frame_id', image.get('file_name', image['id'])))
             sizes |= _read_sizes([{'image': image}])
             name_by_image[image['id']] = name
+            _add_time(times_s, name, image)
             if name in names:
                 raise InputError(f'a second image {name!r}; a file must hold one video')
             names.add(name)

@@ -118,12 +118,12 @@ def _is_column(value: Any, count: int, *kinds: type) -> bool:
 
 
 def _find_scores(beside: Mapping[str, Any], count: int) -> str:
-    keys = [k for k in beside if _rank_score(k) >= 0 and _is_column(beside[k], count, int, float, type(None))]
-    return min(keys, key=_rank_score, default='')
+    keys = [k for k in beside if rank_score(k) >= 0 and _is_column(beside[k], count, int, float, type(None))]
+    return min(keys, key=rank_score, default='')
 
 
 @lru_cache(MAX_CACHED_WORDS)
-def _rank_score(key: str) -> int:
+def rank_score(key: str) -> int:
     """Return the place of a key among those of scores, -1 if it is no such key."""
     return next((rank for rank, part in enumerate(SCORE_PARTS) if part in key.lower()), -1)
 
@@ -179,9 +179,9 @@ def _split_words(key: str) -> tuple[str, ...]:
 
 def _says_nothing(key: str, value: Any, count: int) -> bool:
     """Return whether what is beside keypoints, `count` of them without labels, says nothing about them."""
-    if _is_column(value, count, str) or (_rank_score(key) >= 0 and isinstance(value, list) and len(value) > 1):
+    if _is_column(value, count, str) or (rank_score(key) >= 0 and isinstance(value, list) and len(value) > 1):
         return False
-    return _rank_score(key) >= 0 or _is_joint(key) or not OTHER_WORDS.isdisjoint(_split_words(key))
+    return rank_score(key) >= 0 or _is_joint(key) or not OTHER_WORDS.isdisjoint(_split_words(key))
 
 
 def list_names(names: Any) -> list[str]:

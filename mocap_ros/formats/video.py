@@ -34,6 +34,9 @@ FILM_TICK = Fraction(1, 90000)  # s; the times of a film are multiples of it
 STREAM_TIMEOUT_S = 10.0  # s; for a stream to answer
 READ_AHEAD = 4  # images that are decoded while the detector works; more would only take memory
 MICROSECONDS = 1e6  # in a second; the unit of the times of a container
+MIN_LATE_S = (
+    0.001  # s; from which on images begin late; times of a container are rounded to 1 us, of images to 1 ms
+)
 MAX_MISSING_S = 1.0  # s; the sound of a video may be longer than its images by less
 POLL_S = 0.1  # s; bounds how long the decoder outlives a reader who has gone, and how long an end goes unnoticed
 JOIN_S = 0.5  # s; the decoder of a camera that gives no more images is left after this, far above an image's time
@@ -45,7 +48,7 @@ FILM_DIAGONAL_MM = math.hypot(36, 24)  # mm; of the film of 35 mm to which a tel
 
 
 class VideoImage(NamedTuple):
-    """One image of a video: (H, W, 3) red, green and blue, upright; and its time in s since the first image."""
+    """One image of a video: (H, W, 3) red, green and blue, upright, as players show it; and its time in s."""
 
     image: NDArray[np.uint8]
     time_s: float
@@ -54,9 +57,10 @@ class VideoImage(NamedTuple):
 class VideoFacts(NamedTuple):
     """What a video file states of its images."""
 
-    times_s: tuple[float, ...]  # s since the first image
-    size: tuple[int, int]  # px, width and height of the upright images
-    focal_px: float | None  # px, focal length in images of that size; None where it is not stated
+    times_s: tuple[float, ...]  # s since the beginning
+    size: tuple[int, int]  # width and height of the images in stored pixels, which detectors see
+    pixel_aspect: float  # width of a stored pixel per height
+    focal_px: float | None  # px, focal length in images as players show them; None where it is not stated
 
 
 def _import_av(path: Path | str, what: str) -> Any:
@@ -82,14 +86,16 @@ def hide_password(address: str) -> str:
 class VideoReader:
     """The images of a video file or a camera in the order of their times; a context manager that closes it.
 
-    The times are those that the file gives, also where they are uneven. A video that is stored turned or
-    mirrored, as upright videos of telephones are, is shown as players do. An image that is damaged, or not later
+    The times are those that the file gives, also where they are uneven, since the beginning, which is that of the
+    sound where it begins before the images. A video that is stored turned or mirrored, as upright videos of
+    telephones are, or in pixels that are not square is shown as players do. An image that is damaged, or not later
     than the one before, is left out. With `is_camera`, a camera is given as the path of its device, and a stream
     as its address.
 
     Attributes:
         is_live: whether the images come when they are taken; false for a file, also one that an address names.
         image_count: number of images, about; None where it is not known.
+        pixel_aspect: width of a stored pixel per height.
         left_out: number of images that were left out so far.
         ending: after the last image, a line that says where the video ended if the file states that it is longer;
             else empty.
@@ -127,6 +133,7 @@ class VideoReader:
         self._stream.thread_type = 'SLICE' if self.is_live else 'AUTO'  # threads of whole images are late by some
         self.focal_mm = _read_focal_length(self._container.metadata, self._stream.metadata)
         self.image_count = None if is_camera else self._count_images()
+        self.pixel_aspect = float(self._stream.sample_aspect_ratio or 1)
 
     def __enter__(self) -> Self:
         return self
@@ -148,7 +155,7 @@ class VideoReader:
         return None if self.focal_mm is None else self.focal_mm / FILM_DIAGONAL_MM * math.hypot(*size)
 
     def read_times(self) -> tuple[float, ...]:
-        """Return the times in s of all images since the first, without decoding any, in place of the iteration."""
+        """Return the times in s of all images, without decoding any, in place of the iteration."""
         stamps = set()
         with suppress(*self._errors):  # the rest of the file is missing or damaged
             for packet in self._container.demux(self._stream):
@@ -156,12 +163,18 @@ class VideoReader:
                     stamps.add(packet.pts)
         if not stamps:
             raise InputError(f'{self._path}: states no times of its images')
-        first = min(stamps)
-        return tuple(float((stamp - first) * self._stream.time_base) for stamp in sorted(stamps))
+        start_s = self._find_start(float(min(stamps) * self._stream.time_base))
+        return tuple(float(stamp * self._stream.time_base) - start_s for stamp in sorted(stamps))
+
+    def _find_start(self, first_s: float) -> float:
+        """Return the time in s that players call 0: of the first image, or of the sound before it."""
+        start_s = float(self._container.start_time or 0) / MICROSECONDS
+        is_late = not self._is_camera and self._container.start_time is not None and start_s < first_s - MIN_LATE_S
+        return start_s if is_late else first_s
 
     def __iter__(self) -> Iterator[VideoImage]:
         """Yield the images; InputError where none can be decoded."""
-        first_s = last_s = None
+        begin_s = last_s = None
         for frame in self._decode():
             time_s = frame.time
             if time_s is None:
@@ -170,17 +183,21 @@ class VideoReader:
             if last_s is not None and time_s <= last_s:
                 self.left_out += 1
                 continue
-            if max(frame.width, frame.height) > MAX_IMAGE_SIDE_PX:
-                raise InputError(f'{self._path}: images of {frame.width} x {frame.height} px')
-            first_s, last_s = time_s if first_s is None else first_s, time_s
-            image = _turn_as_players_do(frame.to_ndarray(format='rgb24'), frame.side_data.get('DISPLAYMATRIX'))
-            yield VideoImage(np.ascontiguousarray(image), time_s - first_s)
+            width = max(round(frame.width * self.pixel_aspect), 1)
+            if max(width, frame.height) > MAX_IMAGE_SIDE_PX:
+                raise InputError(f'{self._path}: images of {width} x {frame.height} px')
+            begin_s, last_s = self._find_start(time_s) if begin_s is None else begin_s, time_s
+            pixels = frame.to_ndarray(format='rgb24', width=width, height=frame.height)
+            image = _turn_as_players_do(pixels, frame.side_data.get('DISPLAYMATRIX'))
+            yield VideoImage(np.ascontiguousarray(image), time_s - begin_s)
         if last_s is None:
             reason = f': all {self.left_out} are damaged' if self.left_out else ''
             raise InputError(f'{self._path}: no image can be decoded{reason}')
         start_s, stated_s = (
             float(t or 0) / MICROSECONDS for t in (self._container.start_time, self._container.duration)
         )
+        if 'matroska' in self._container.format.name:
+            start_s = 0.0  # it states the end, and not the length
         if last_s - start_s + MAX_MISSING_S < stated_s:
             self.ending = f'cut off after {last_s - start_s:.1f} s of the {stated_s:.1f} s that the file states'
 
@@ -211,7 +228,8 @@ def read_video_facts(path: Path) -> VideoFacts:
         times_s = reader.read_times()
     with VideoReader(path) as reader:
         height, width = next(iter(reader)).image.shape[:2]
-        return VideoFacts(times_s, (width, height), reader.find_focal_length((width, height)))
+        stored = round(width / reader.pixel_aspect), height
+        return VideoFacts(times_s, stored, reader.pixel_aspect, reader.find_focal_length((width, height)))
 
 
 def _turn_as_players_do(image: NDArray[np.uint8], matrix: Any) -> NDArray[np.uint8]:

@@ -101,9 +101,10 @@ DEFINITIONS = {**INPUT_DEFINITIONS, **OUTPUT_DEFINITIONS}
 
 # Packages by their earlier names, whose messages have the same fields or some of them.
 RENAMED_PACKAGES = {'yolov8_msgs': 'yolo_msgs', 'zed_interfaces': 'zed_msgs'}
+RENAMED_TYPES = {'tf/msg/tfMessage': 'tf2_msgs/msg/TFMessage'}  # of ROS 1
 
 
 def find_current_type(msgtype: str) -> str:
-    """Return the name of a message type in the package as it is called now."""
-    package, _, name = msgtype.partition('/')
+    """Return the name of a message type, and of its package, as it is called now."""
+    package, _, name = RENAMED_TYPES.get(msgtype, msgtype).partition('/')
     return f'{RENAMED_PACKAGES.get(package, package)}/{name}'

@@ -9,20 +9,27 @@ from collections.abc import Collection
 from enum import Enum
 from pathlib import Path
 
+from mocap_ros.bags.mcap_scan import begins_with
 from mocap_ros.bags.reader import is_bag
 from mocap_ros.errors import InputError
 from mocap_ros.formats.npz_arrays import list_keys
 from mocap_ros.formats.result_file import is_result_file
-from mocap_ros.formats.sports2d import PIXEL_FILES
+from mocap_ros.formats.tables import list_tables
 from mocap_ros.input_file import NEITHER_FILE_NOR_FOLDER, is_special_file
 
-VIDEO_SUFFIXES = ('.mp4', '.m4v', '.mov', '.avi', '.mkv', '.webm', '.mpg', '.mpeg', '.wmv', '.flv', '.gif')
+VIDEO_SUFFIXES = (
+    '.mp4', '.m4v', '.mov', '.avi', '.mkv', '.webm', '.mpg', '.mpeg', '.wmv', '.flv', '.gif',
+    '.ts', '.mts', '.m2ts',
+)  # fmt: skip
 IMAGE_SUFFIXES = ('.png', '.jpg', '.jpeg', '.bmp', '.tif', '.tiff', '.webp', '.heic')
-WRITTEN_SUFFIXES = ('.csv', '.bvh')  # of files that are written, but not read
+TABLE_SUFFIXES = ('.csv', '.npy', '.trc')
+WRITTEN_SUFFIXES = ('.bvh',)  # of files that are written, but not read
+WRITTEN_TABLE = b'time_s,'  # the beginning of tables (.csv) that are written
 
 # What the commands read, in the words of messages.
 KEYPOINT_FORMATS = (
-    'a sequence file (.npz), a bag, JSON of a detector (a file, or a folder as of OpenPose), or a video'
+    'a sequence file (.npz), a bag, JSON of a detector (a file, or a folder as of OpenPose), a table (.csv, '
+    '.npy, .trc), or a video'
 )
 BAG_FORMATS = 'a bag (folder, .mcap, .db3 or .bag)'
 
@@ -36,26 +43,26 @@ class InputKind(Enum):
     BAG = 'is a bag'
     OPENPOSE = 'is a folder of JSON files'
     JSON = 'is a JSON file'
-    SPORTS2D = 'is a file or folder of Sports2D'
+    TABLE = 'is a table, or a folder of tables'
     VIDEO = 'is a video'
     IMAGE = 'is an image'
     IMAGES = 'is a folder of images'
     EMPTY_FILE = 'is an empty file'
-    FOLDER = 'is a folder without a bag and without JSON files of a detector'
+    FOLDER = 'is a folder without a bag and without files of a detector'
     OTHER = 'is a file of an unknown type'
     SPECIAL = NEITHER_FILE_NOR_FOLDER
     MISSING = 'No such file or directory'
 
 
 KEYPOINT_KINDS = (
-    InputKind.SEQUENCE, InputKind.BAG, InputKind.OPENPOSE, InputKind.JSON, InputKind.SPORTS2D, InputKind.VIDEO,
+    InputKind.SEQUENCE, InputKind.BAG, InputKind.OPENPOSE, InputKind.JSON, InputKind.TABLE, InputKind.VIDEO,
 )  # fmt: skip
 KIND_BY_SUFFIXES = {
     VIDEO_SUFFIXES: InputKind.VIDEO,
     IMAGE_SUFFIXES: InputKind.IMAGE,
     WRITTEN_SUFFIXES: InputKind.WRITTEN,
     ('.json',): InputKind.JSON,
-    ('.trc',): InputKind.SPORTS2D,
+    TABLE_SUFFIXES: InputKind.TABLE,
 }
 
 
@@ -76,7 +83,7 @@ def find_input_kind(path: Path) -> InputKind:
         return InputKind.EMPTY_FILE
     for suffixes, kind in KIND_BY_SUFFIXES.items():
         if path.suffix.lower() in suffixes:
-            return kind
+            return InputKind.WRITTEN if begins_with(path, WRITTEN_TABLE) else kind
     if is_result_file(path):
         return InputKind.RESULT
     return InputKind.SEQUENCE if path.suffix.lower() == '.npz' or list_keys(path) else InputKind.OTHER
@@ -86,9 +93,9 @@ def _find_folder_kind(folder: Path) -> InputKind:
     names = [path.name.lower() for path in folder.iterdir()]
     if any(name.endswith('.json') for name in names):
         return InputKind.OPENPOSE
-    if any(folder.glob(PIXEL_FILES)):
-        return InputKind.SPORTS2D
-    return InputKind.IMAGES if any(name.endswith(IMAGE_SUFFIXES) for name in names) else InputKind.FOLDER
+    if any(name.endswith(IMAGE_SUFFIXES) for name in names):
+        return InputKind.IMAGES
+    return InputKind.TABLE if list_tables(folder) else InputKind.FOLDER
 
 
 def require_kind(path: Path, accepted: Collection[InputKind], formats: str) -> InputKind:

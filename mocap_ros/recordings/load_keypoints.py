@@ -32,7 +32,7 @@ from mocap_ros.formats.detections import (
 )
 from mocap_ros.formats.detector_json import load_json_file, load_json_folder
 from mocap_ros.formats.sequence_file import find_longest_gap, load_sequence
-from mocap_ros.formats.sports2d import load_pixel_files
+from mocap_ros.formats.tables import load_tables
 from mocap_ros.formats.video import read_video_facts
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
@@ -66,18 +66,18 @@ OPTIONS_BY_KIND = {
     InputKind.VIDEO: ('--person', '--detector'),
     InputKind.OPENPOSE: ('--person', '--fps', '--image-size', '--layout', '--video'),
     InputKind.JSON: ('--person', '--fps', '--image-size', '--layout', '--video'),
-    InputKind.SPORTS2D: ('--person', '--image-size', '--video'),
+    InputKind.TABLE: ('--person', '--fps', '--image-size', '--layout', '--video', '--normalised'),
 }
 
 LOADERS = {
-    InputKind.OPENPOSE: load_json_folder, InputKind.JSON: load_json_file, InputKind.SPORTS2D: load_pixel_files,
+    InputKind.OPENPOSE: load_json_folder, InputKind.JSON: load_json_file, InputKind.TABLE: load_tables,
 }  # fmt: skip
 
 
 class InputOptions(NamedTuple):
     """How an input is read; a value of an option that does not apply to the kind of the input is an error."""
 
-    # Frame rate, image size and keypoint layout, which JSON files do not state; the detector of a video
+    # Frame rate, image size and keypoint layout, which files do not state; the detector of a video
     video: Video = Video()
     # Limits on people, joints and text in a message of a bag, and the image size of a bag without one
     node: NodeConfig = NodeConfig()
@@ -146,10 +146,11 @@ def _add_lens(options: InputOptions) -> InputOptions:
 def _read_clip(video: Video, clip: Path) -> Video:
     """Return what the video of the keypoints states, where it is not given: times, image size and focal length."""
     facts = read_video_facts(clip)
-    video = replace(video, times_s=facts.times_s, image_size=video.image_size or facts.size)
+    size, aspect = video.image_size or facts.size, facts.pixel_aspect
+    video = replace(video, times_s=facts.times_s, image_size=size, pixel_aspect=aspect)
     if facts.focal_px is None or video.hfov or video.focal:
         return video
-    hfov = math.degrees(2 * math.atan2(facts.size[0] / 2, facts.focal_px))
+    hfov = math.degrees(2 * math.atan2(facts.size[0] * aspect / 2, facts.focal_px))
     return replace(video, hfov=hfov, is_lens_of_clip=True)
 
 
@@ -204,7 +205,7 @@ def _load_detections(path: Path, kind: InputKind, options: InputOptions) -> Dete
     if kind is InputKind.VIDEO:
         found = detect_in_video(path, video.detector, show_progress=options.show_detection)
         return replace(found, intrinsics=None) if video.hfov or video.focal else found
-    detections = LOADERS[kind](path, video)
+    detections = _stretch(LOADERS[kind](path, video), video.pixel_aspect)
     if not all(detections.image_size) and (video.hfov or video.focal):
         raise InputError(f'{path}: --hfov and --focal need --image-size, as the input does not state it')
     end_s, length_s = detections.stamps_ns[-1] / NS_PER_S, max(video.times_s, default=0.0)
@@ -214,11 +215,21 @@ def _load_detections(path: Path, kind: InputKind, options: InputOptions) -> Dete
     return detections
 
 
+def _stretch(detections: Detections, pixel_aspect: float) -> Detections:
+    """Return detections in the stored pixels of a video in those of its images as players show them."""
+    if pixel_aspect == 1.0:
+        return detections
+    people = [[replace(p, points=p.points * [pixel_aspect, 1.0]) for p in image] for image in detections.people]
+    width, height = detections.image_size
+    return replace(detections, people=people, image_size=(round(width * pixel_aspect), height))
+
+
 def _refuse_options(path: Path, kind: InputKind, options: InputOptions) -> None:
     video = options.video
     given: dict[str, Any] = {'--person': options.person, '--topic': options.topic}
     given |= {'--camera-info': options.camera_info, '--fps': video.fps, '--image-size': video.image_size}
     given |= {'--layout': video.layout, '--detector': video.detector, '--video': video.clip}
+    given |= {'--normalised': video.normalised}
     unused = [name for name, value in given.items() if value and name not in OPTIONS_BY_KIND[kind]]
     if unused:
         raise InputError(f'{path}: {kind.value}, to which {", ".join(unused)} does not apply')

@@ -253,7 +253,7 @@ PUBLIC: dict[str, str] = {
     'Tracker': "(joint_names, *, image_size, camera_matrix=None, distortion=None, model='auto', parameters=None)",
     'evaluate': "(joints, truth=None, *, truth_names='cmu15', times=None, limbs_only=False)",
     'read': "(path, *, person=None, topic=None, camera_info=None, fps=None, image_size=None, layout='', "
-    'detector=None, hfov=None, focal=None, video=None)',
+    'detector=None, hfov=None, focal=None, video=None, normalised=False)',
     'reconstruct': '(keypoints, joint_names=None, times=None, *, image_size=None, camera_matrix=None, '
     "distortion=None, depth=None, model='auto', parameters=None, method='whole')",
     'write': '(path, result)',

@@ -75,7 +75,10 @@ def test_help_waits_for_no_slow_package(arguments: list[str]) -> None:
         (['x.npz', 'view'], "'x.npz' comes before the command; write: mocap-ros view"),
         (['x.npz'], "no command 'x.npz'; known: demo, reconstruct"),
         (['config', '\x1b[31m\r\n\u202e'], r'unrecognized arguments: \x1b[31m \u202e'),
-        (['reconstruct', 'x.json', '--fps', 'fast'], "argument --fps: 'fast' "),
+        *(
+            (['reconstruct', 'x.json', '--fps', f], f"argument --fps: '{f}' ")
+            for f in ('fast', '30/', '30/0', '1/x')
+        ),
         (['reconstruct', 'a.json', '--image-size', '640'], "argument --image-size: '640': "),
         (['reconstruct', 'a.json', '--image-size', '0x480'], "argument --image-size: '0x480': "),
         (['reconstruct', 'a.json', '--hfov', '0.5'], 'argument --hfov: '),
@@ -97,6 +100,11 @@ def test_wrong_usage_exits_with_2(capsys: pytest.CaptureFixture[str], arguments:
         main(arguments)
     assert stopped.value.code == 2
     assert reason in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_rate_may_be_a_fraction() -> None:
+    args = build_parser().parse_args(['reconstruct', 'x.json', '-o', 'y', '--fps', '30000/1001'])
+    assert args.fps == 30000 / 1001
 
 
 @pytest.fixture(autouse=True)

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""JSON of detectors and files of Sports2D: every form gives the same people, others are refused by their place."""
+"""JSON of detectors: every form gives the same people, others are refused by their place."""
 
 import json
 import re
@@ -12,12 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError
 from mocap_ros.formats.detections import Detections, Video, associate_people, select_person
 from mocap_ros.formats.detector_json import MIN_PERSON_SCORE, load_json_file, load_json_folder
-from mocap_ros.formats.export.trc import save_trc
-from mocap_ros.recordings.load_keypoints import InputOptions, load_input, load_people
+from mocap_ros.recordings.load_keypoints import InputOptions, load_input
 from mocap_ros.skeleton import keypoint_layout
 from tests.support.input_files import FPS, FRAMES, VIDEO, check_same_keypoints, flatten_keypoints, make_walker
 
@@ -238,6 +236,22 @@ def test_images_whose_names_are_times_need_no_frame_rate(tmp_path: Path) -> None
     assert sequence.timestamps[0] == 1305031102
 
 
+@pytest.mark.parametrize('key', ['timestamp', 'timestamp_ms', 'timestamp_ns'])
+@pytest.mark.parametrize('form', ['AlphaPose', 'MMPose', 'COCO annotations'])
+def test_times_of_images_need_no_frame_rate(tmp_path: Path, form: str, key: str) -> None:
+    """Every second image is there, so that the numbers of the images would give other times."""
+    content, per_s = FORMS[form](flatten_keypoints(WALKER)), {'timestamp': 1, 'timestamp_ms': 1e3}.get(key, 1e9)
+    images = content if isinstance(content, list) else content['images']
+    for index, image in enumerate(images):
+        image[key] = (7 + 2 * index / FPS) * per_s
+    for video in (Video(image_size=(640, 480)), VIDEO):
+        sequence, lines = select_person(load(tmp_path, content, video))
+        assert sequence.timestamps == pytest.approx(7 + 2 * np.arange(FRAMES) / FPS)
+        assert any('--fps' in line for line in lines) == (video is VIDEO)
+    images[0][key] = None
+    check_same_keypoints(load(tmp_path, content), WALKER)
+
+
 H36M = [
     'root', *(f'{s}_{j}' for s in ('right', 'left') for j in ('hip', 'knee', 'foot')), 'spine', 'thorax',
     'neck_base', 'head', *(f'{s}_{j}' for s in ('left', 'right') for j in ('shoulder', 'elbow', 'wrist')),
@@ -417,47 +431,3 @@ def test_an_invalid_folder_is_refused_in_one_line(tmp_path: Path, contents: dict
     with pytest.raises(InputError, match=place) as caught:
         load_json_folder(write_folder(tmp_path, {f'{n}_keypoints.json': c for n, c in contents.items()}), VIDEO)
     assert str(caught.value).startswith(str(tmp_path))
-
-
-WALK = make_recording().sequence()
-# Such as LShoulder.
-NAMES = [n[:2].upper() + n[2:] if n[0] in 'lr' else n.title() for n in WALK.joint_names]
-OPTIONS = InputOptions(Video(image_size=WALK.image_size))
-
-
-def write(path: Path, shift: float = 0.0, depth: float = 0.0) -> Path:
-    count = len(NAMES)
-    axes = '\t\t' + '\t'.join(f'X{i}\tY{i}\tZ{i}' for i in range(1, count + 1))
-    head = [f'PathFileType\t4\t(X/Y/Z)\t{path}', 'DataRate\t...', '30\t...']
-    lines = [*head, 'Frame#\tTime\t' + '\t\t\t'.join(NAMES) + '\t\t\t', axes]
-    for frame, keypoints in enumerate(WALK.keypoints):
-        cells = ['\t\t0.0' if np.isnan(x) else f'{x + shift}\t{y}\t{depth}' for x, y, _ in keypoints]
-        lines.append('\t'.join([str(frame), f'{frame / 30}', *cells]))
-    path.write_text('\n'.join(lines) + '\n')
-    return path
-
-
-def test_a_file_or_a_folder_of_people_is_read(tmp_path: Path) -> None:
-    folder = tmp_path / 'walk_Sports2D'
-    folder.mkdir()
-    path = write(folder / 'walk_Sports2D_px_person00.trc')
-    write(folder / 'walk_Sports2D_px_person01.trc', 3000.0)
-    write(folder / 'walk_Sports2D_m_person00.trc', depth=1.0)
-    sequence, _ = load_input(path, OPTIONS)
-    assert sequence.joint_names == WALK.joint_names
-    seen = WALK.keypoints[..., 2] > 0
-    np.testing.assert_allclose(sequence.keypoints[seen, :2], WALK.keypoints[seen, :2], atol=1e-3)
-    np.testing.assert_array_equal(sequence.keypoints[..., 2] > 0, seen)
-    np.testing.assert_allclose(sequence.timestamps, np.arange(len(WALK)) / 30, atol=1e-9)
-    assert [s.person_id for s in load_people(folder, InputOptions())[0]] == ['00', '01']
-
-
-def test_other_files_are_refused_by_line(tmp_path: Path) -> None:
-    save_trc(tmp_path / 'own.trc', ['lhip', 'rhip'], np.ones((3, 2, 3)), 30.0)
-    write(tmp_path / 'walk_m_person00.trc', depth=0.1)
-    damaged = write(tmp_path / 'walk_px_person00.trc')
-    damaged.write_text(damaged.read_text() + '3\tlater\n')
-    problems = {'own': '3D markers', 'walk_m_person00': '3D', 'walk_px_person00': r'line \d+: expec'}
-    for name, problem in problems.items():
-        with pytest.raises(InputError, match=rf'{re.escape(name)}\.trc: .*{problem}'):
-            load_input(tmp_path / f'{name}.trc', OPTIONS)

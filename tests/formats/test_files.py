@@ -23,8 +23,9 @@ from mocap_ros import npz_file
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.sequence_file import load_sequence, save_sequence, validate_sequence
 from mocap_ros.formats.text_files import replace_output
-from mocap_ros.formats.video import VideoReader, find_camera, read_ahead
+from mocap_ros.formats.video import VideoReader, find_camera, read_ahead, read_video_facts
 from mocap_ros.keypoints.keypoint_sequence import GroundTruth, KeypointSequence
+from mocap_ros.recordings.input_kind import InputKind, find_input_kind
 from mocap_ros.skeleton import keypoint_layout
 from tests.support.blob_people import write_video
 
@@ -275,8 +276,39 @@ def test_uneven_times_are_kept_and_begin_with_0(tmp_path: Path) -> None:
         images, times, reader = read_all(write_video(tmp_path / name, make_images(), late, codec, pixels))
         assert times == pytest.approx(TIMES_S, abs=1e-9)
         assert images[:, -1, -1, 0] == pytest.approx([20 * i for i in range(len(times))], abs=6)
-        assert reader.left_out == 0
+        assert (reader.left_out, reader.ending) == (0, '')
     assert reader.image_count == len(times)
+
+
+@pytest.mark.parametrize('name', ['a.mp4', 'a.ts'])
+def test_pixels_that_are_not_square_are_shown_as_players_do(tmp_path: Path, name: str) -> None:
+    path = write_video(tmp_path / name, make_images(), TIMES_S, 'libx264', 'yuv420p', aspect=1.5)
+    images, times, reader = read_all(path)
+    assert times == pytest.approx(TIMES_S, abs=1e-4)
+    assert images.shape[1:] == (48, 96, 3)
+    assert np.flatnonzero((images[0, ..., 0] > 128).any(axis=0)).tolist() == list(range(24))
+    assert find_input_kind(path) is InputKind.VIDEO
+    facts = read_video_facts(path)
+    assert (facts.size, facts.pixel_aspect, reader.ending) == ((64, 48), 1.5, '')
+
+
+def test_images_that_begin_later_than_the_sound_have_the_times_of_players(tmp_path: Path) -> None:
+    import av
+
+    with av.open(str(tmp_path / 'a.mkv'), 'w') as container:
+        sound, images = container.add_stream('pcm_s16le', rate=8000), container.add_stream('ffv1', rate=25)
+        images.width, images.height, images.pix_fmt = 64, 48, 'bgr0'
+        heard = av.AudioFrame.from_ndarray(np.zeros((1, 8000), np.int16), format='s16', layout='mono')
+        heard.sample_rate, heard.pts = 8000, 0
+        container.mux(sound.encode(heard))
+        for index, image in enumerate(make_images()):
+            frame = av.VideoFrame.from_ndarray(image, format='rgb24').reformat(format='bgr0')
+            frame.pts = 50 + index
+            container.mux(images.encode(frame))
+        container.mux(images.encode(None))
+    _, times, _ = read_all(tmp_path / 'a.mkv')
+    assert times == pytest.approx([2 + i / 25 for i in range(len(TIMES_S))], abs=1e-3)
+    assert read_video_facts(tmp_path / 'a.mkv').times_s == pytest.approx(times)
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,7 @@ from mocap_ros.formats.mocap.joint_maps import load_marker_map
 from mocap_ros.formats.mocap.trials import TrialOptions, load_trials
 from mocap_ros.formats.result_file import load_result_file
 from mocap_ros.formats.sequence_file import load_sequence
+from mocap_ros.formats.tables import load_tables
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.cdr import Header, typestore
 from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON, OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS
@@ -62,6 +63,7 @@ from tests.support.camera_messages import camera_info, encode, encode_ros1_camer
 from tests.support.foreign_messages import create_blank_message, make_inputs
 from tests.support.input_files import Z_UP_TO_Y_UP, make_bvh, make_poses
 from tests.support.pipeline_inputs import BAG_STEP_NS, START_NS, make_keypoints
+from tests.support.table_files import FORMS
 
 IMAGE_SIZE = 640, 480  # px
 LIMITS = NodeConfig()
@@ -142,6 +144,14 @@ def read_json(data: bytes, folder: Path) -> None:
     _read_all(partial(load_input, place, InputOptions(VIDEO)) for place in (path, folder))
 
 
+def read_tables(data: bytes, folder: Path) -> None:
+    """Read bytes as a table of every suffix."""
+    paths = [folder / f'a.{suffix}' for suffix in ('csv', 'trc', 'npy')]
+    for path in [*paths, folder / 'a_0.txt']:
+        path.write_bytes(data)
+    _read_all(partial(load_tables, place, VIDEO) for place in (*paths, folder))
+
+
 def read_npz(data: bytes, folder: Path) -> None:
     """Read an .npz file as everything that it may be."""
     path = folder / 'a.npz'
@@ -213,6 +223,7 @@ def _as_file(name: str, read: Callable[[Path], object]) -> Read:
 TARGETS: dict[str, Read] = {
     'messages': read_message,
     'json': read_json,
+    'tables': read_tables,
     'bvh': _as_file('a.bvh', load_trials),
     'c3d': _as_file('a.c3d', load_trials),
     'npz': read_npz,
@@ -302,6 +313,17 @@ def make_json() -> list[bytes]:
         [{'predictions': [{'keypoints': _name_points(f)}], 'image': {'width': 640, 'height': 480}} for f in flat],
     ]
     return [json.dumps(form).encode() for form in forms]
+
+
+def make_tables() -> list[bytes]:
+    """Return a table of each form."""
+    points = np.nan_to_num(make_recording().keypoints[:2]).round(1)
+    tables = []
+    for write in FORMS.values():
+        with TemporaryDirectory() as folder:
+            path = write(Path(folder), points)
+            tables.append((path if path.is_file() else next(path.iterdir())).read_bytes())
+    return tables
 
 
 def make_bvhs() -> list[bytes]:
@@ -465,6 +487,7 @@ def make_folders() -> list[bytes]:
 EXAMPLES: dict[str, Examples] = {
     'messages': make_messages,
     'json': make_json,
+    'tables': make_tables,
     'bvh': make_bvhs,
     'c3d': make_c3ds,
     'npz': make_npzs,

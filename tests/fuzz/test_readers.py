@@ -272,7 +272,7 @@ def test_arrays(data: st.DataObject, file: int) -> None:
 
 
 pieces = st.binary(min_size=1, max_size=4) | st.sampled_from([b'\xff' * 4, b'\x7f' + b'\xff' * 7])
-DAMAGED = 'messages', 'json', 'bvh', 'npz', 'yaml', 'mcap', 'db3', 'ros1', 'recovery', 'folder'
+DAMAGED = 'messages', 'json', 'tables', 'bvh', 'npz', 'yaml', 'mcap', 'db3', 'ros1', 'recovery', 'folder'
 EXAMPLES_BY_SOURCE = {source: EXAMPLES[source]() for source in DAMAGED}
 
 

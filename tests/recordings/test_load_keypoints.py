@@ -229,11 +229,13 @@ def test_kinds_by_name_and_content(tmp_path: Path) -> None:
     save_sequence(tmp_path / 'walk.npz', make_walker())
     (tmp_path / 'walk.dat').write_bytes((tmp_path / 'walk.npz').read_bytes())
     np.savez(tmp_path / 'result.npz', joints3d=np.zeros(1), theta=np.zeros(1), residual_px=np.zeros(1))
-    in_folders = 'bag/bag_0.mcap bag.npz/metadata.yaml openpose/a_0_keypoints.json images/1.PNG folder/a.txt'
-    alone = 'a.mcap a.db3 a.bag a.json a.JSON a.MP4 a.gif a.jpeg a.csv a.xyz bad.npz'
+    in_folders = 'bag/bag_0.mcap bag.npz/metadata.yaml openpose/a_0_keypoints.json images/1.PNG folder/a.log'
+    in_folders += ' images/a.txt labels/a.txt'
+    alone = 'a.mcap a.db3 a.bag a.json a.JSON a.MP4 a.m2ts a.gif a.jpeg a.csv a.npy a.bvh a.xyz bad.npz'
     for place in f'{in_folders} {alone}'.split():
         (tmp_path / place).parent.mkdir(exist_ok=True)
         (tmp_path / place).write_bytes(b'content')
+    (tmp_path / 'own.csv').write_text('time_s,head_x')
     (tmp_path / 'empty.mp4').touch()
     os.mkfifo(tmp_path / 'pipe.npz')
     os.mkfifo(tmp_path / 'pipe.mcap')
@@ -245,10 +247,11 @@ def test_kinds_by_name_and_content(tmp_path: Path) -> None:
         InputKind.BAG: 'bag bag.npz a.mcap a.db3 a.bag',
         InputKind.OPENPOSE: 'openpose',
         InputKind.JSON: 'a.json a.JSON',
-        InputKind.VIDEO: 'a.MP4 a.gif',
+        InputKind.VIDEO: 'a.MP4 a.m2ts a.gif',
+        InputKind.TABLE: 'a.csv a.npy labels',
         InputKind.IMAGE: 'a.jpeg',
         InputKind.IMAGES: 'images',
-        InputKind.WRITTEN: 'a.csv',
+        InputKind.WRITTEN: 'a.bvh own.csv',
         InputKind.OTHER: 'a.xyz',
         InputKind.FOLDER: 'folder',
         InputKind.EMPTY_FILE: 'empty.mp4',

@@ -18,6 +18,7 @@ from mcap.reader import make_reader
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from mocap_ros.bags.journal import Acceptance, Journal, read_run
 from mocap_ros.bags.reader import Bag
@@ -33,7 +34,7 @@ from mocap_ros.messages import cdr
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.cdr import decode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.messages.skeletons import SKELETON_DEFINITION
+from mocap_ros.messages.skeletons import SKELETON_DEFINITION, SKELETONS
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.recordings.load_results import load_recording
@@ -107,13 +108,16 @@ def test_bags_of_every_storage_and_version_give_the_same_skeletons(
         assert replay_skeletons(bare[0], tmp_path / 'out2') == skeletons
 
 
+def make_ros1_store() -> Typestore:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    for file in (Path(cdr.__file__).parent / 'msg').glob('Keypoints*.msg'):
+        store.register(get_types_from_msg(file.read_text(), f'mocap_ros_msgs/msg/{file.stem}'))
+    return store
+
+
 def test_a_bag_of_ros_1_gives_the_same(tmp_path: Path, stream: list[bytes], skeletons: list[bytes]) -> None:
     """The bag has the header and the CameraInfo of ROS 1, which differ from those of ROS 2."""
-    store = get_typestore(Stores.ROS1_NOETIC)
-    own: dict[str, Any] = {}
-    for file in (Path(cdr.__file__).parent / 'msg').glob('Keypoints*.msg'):
-        own |= get_types_from_msg(file.read_text(), f'mocap_ros_msgs/msg/{file.stem}')
-    store.register(own)
+    store = make_ros1_store()
     writer = Ros1Writer(tmp_path / 'old.bag')
     with writer:
         camera = writer.add_connection('/camera_info', CAMERA_INFO, typestore=store)
@@ -125,6 +129,31 @@ def test_a_bag_of_ros_1_gives_the_same(tmp_path: Path, stream: list[bytes], skel
             writer.write(points, START_NS + i * BAG_STEP_NS, store.serialize_ros1(message, KEYPOINTS))
     assert replay_skeletons(tmp_path / 'old.bag', tmp_path / 'out') == skeletons
     assert read_messages(tmp_path / 'out', '/camera_info') == [INFO]
+
+
+def test_the_first_tf_of_ros_1_says_where_the_camera_is(tmp_path: Path, stream: list[bytes]) -> None:
+    """Its type is of a package that is gone, and the name of its topic has no slash."""
+    times = [START_NS + i * BAG_STEP_NS for i in range(len(stream))]
+    stamps = [decode(raw, KEYPOINTS).header.stamp for raw in stream]
+    moves = [('map', 'camera', s.sec * 10**9 + s.nanosec, (i, 0, 1)) for i, s in enumerate(stamps)]
+    writer, store = Ros1Writer(tmp_path / 'old.bag'), make_ros1_store()
+    store.register(get_types_from_msg('geometry_msgs/TransformStamped[] transforms', 'tf/msg/tfMessage'))
+    with writer, Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        transforms = writer.add_connection('tf', 'tf/msg/tfMessage', typestore=store)
+        points = writer.add_connection('keypoints', KEYPOINTS, typestore=store)
+        for time_ns, move, raw in zip(times, moves, stream, strict=True):
+            recorder.write('/tf', TRANSFORMS, make_transforms(move), time_ns, time_ns)
+            recorder.write('/keypoints', KEYPOINTS, raw, time_ns, time_ns)
+            (place,), message = decode(make_transforms(move), TRANSFORMS).transforms, decode(raw, KEYPOINTS)
+            for stamped in (place, message):
+                stamped.header = make_ros1_header(store, stamped.header)
+            tf = store.types['tf/msg/tfMessage'](transforms=[place])
+            writer.write(transforms, time_ns, store.serialize_ros1(tf, 'tf/msg/tfMessage'))
+            writer.write(points, time_ns, store.serialize_ros1(message, KEYPOINTS))
+    options = ReplayOptions(with_values(FAST_CONFIG, {'node.output_frame': 'map', 'node.hfov': 56.0}))
+    expected = replay_skeletons(tmp_path / 'bag', tmp_path / 'new', options)
+    assert {decode(raw, SKELETONS).header.frame_id for raw in expected} == {'map'}
+    assert replay_skeletons(tmp_path / 'old.bag', tmp_path / 'out', options) == expected
 
 
 def test_a_split_bag_and_its_files_replay(tmp_path: Path, stream: list[bytes], skeletons: list[bytes]) -> None:

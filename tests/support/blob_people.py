@@ -69,15 +69,20 @@ def write_video(
     times_s: Sequence[float],
     codec: str = 'ffv1',
     pixels: str = 'bgr0',
+    aspect: float = 1.0,
     **tags: str,
 ) -> Path:
-    """Write images (H, W, 3) with their times; without loss by default. Only .mov has tags of any name."""
+    """Write images (H, W, 3) with their times, without loss by default, in pixels of some width per height.
+
+    Only .mov has tags of any name.
+    """
     av = pytest.importorskip('av', reason="needs PyAV: pip install -e '.[video]'")
     with av.open(str(path), 'w', options={'movflags': 'use_metadata_tags'} if tags else {}) as container:
         container.metadata.update(tags)
         stream = container.add_stream(codec, rate=30)
         stream.height, stream.width = images[0].shape[:2]
         stream.pix_fmt = pixels
+        stream.codec_context.sample_aspect_ratio = Fraction(aspect)
         stream.time_base = stream.codec_context.time_base = TIME_BASE
         for image, time_s in zip(images, times_s, strict=True):
             frame = av.VideoFrame.from_ndarray(image, format='rgb24').reformat(format=pixels)
