@@ -75,6 +75,8 @@ OPTIONS: Options = {
     'made from (default: the input, if it is a sequence file)',
     '--person ID': 'person in a bag of skeletons (default: the person with most skeletons)',
     **MODEL_OPTIONS,
+    '--limbs-only': 'compare the twelve joints of the limbs, in the frames in which most of them were seen '
+    '(default: all joints and frames)',
     '--json FILE': 'file for all numbers as JSON, also the error e of TPAMI 2016 (eq. 25), `e_paper_cm` (default: '
     'none)',
     **STRICT_OPTIONS,
@@ -113,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
                 if args.truth is None:
                     raise InputError(f'{path}: holds no truth; give the sequence file that does by --truth')
             with name_file_in_errors(path):
-                record, warning = compare_with_truth(result, truths[place])
+                record, warning = compare_with_truth(result, truths[place], limbs_only=args.limbs_only)
             if warning:
                 print_note(f'{path}: {warning}')
             records.append({'file': path.name, **record, **timing})
@@ -147,13 +149,15 @@ def _get_truth(sequence: KeypointSequence) -> GroundTruth:
     return sequence.truth
 
 
-def compare_with_truth(result: PoseSequence, reference: KeypointSequence) -> tuple[dict[str, Any], str]:
+def compare_with_truth(
+    result: PoseSequence, reference: KeypointSequence, *, limbs_only: bool = False
+) -> tuple[dict[str, Any], str]:
     """Compare a result with the truth of a sequence in the frames whose times both have.
 
     Joints that are unknown in every frame of the truth are not compared. Of the frames, only those are compared in
-    which the truth of all other joints is known. Returns the errors, with the shares of true errors within the
-    covariances if the result has any, and a warning if fewer than half of the frames of the shorter recording are
-    compared.
+    which the truth of all other joints is known. With `limbs_only` only the joints of the limbs are compared, where
+    most of them were seen. Returns the errors, with the shares of true errors within the covariances if the result
+    has any, and a warning if fewer than half of the frames of the shorter recording are compared.
     """
     truth = _get_truth(reference)
     frames, reference_frames = _match_times(result.stamps_ns, reference.stamps_ns)
@@ -179,6 +183,8 @@ def compare_with_truth(result: PoseSequence, reference: KeypointSequence) -> tup
         true_joints,
         truth.joint_names,
         estimate_frame_rate(result.times[frames]),
+        reference.joint_names,
+        reference.keypoints[reference_frames, :, 2] if limbs_only else None,
         times=reference.timestamps[reference_frames],
     )
     coverage: dict[str, float] = {}
