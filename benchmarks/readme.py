@@ -21,7 +21,7 @@ import mocap_ros
 from mocap_ros.skeleton import BODY26
 from mocap_ros.verdict.accuracy import LIMB_JOINTS, find_well_seen_frames
 
-# Errors in mm that papers give of lifters that were trained on Human3.6M, with the points and the data of their tests
+# Errors in mm that papers give of lifters that were trained on Human3.6M: the data, the points, protocols 1 and 2
 PUBLISHED = (
     ('VideoPose3D, as PoseAug gives it (arXiv 2105.02465)', 'MPI-INF-3DHP', 'true points', '86.6', '-'),
     ('VideoPose3D with PoseAug (arXiv 2105.02465)', 'MPI-INF-3DHP', 'true points', '73.0', '-'),

@@ -74,9 +74,17 @@ class Report:
         header = list(dict.fromkeys(k for r in records for k in r))
         self.table(header, ([r.get(k) for k in header] for r in records), title, page)
 
-    def quantities(self, found: Mapping[str, float], targets: Mapping[str, object], page: str) -> None:
-        """Print quantities beside their targets, and keep them as results."""
-        shown = ((k, f'{v:.3g}' if abs(v) < 1000 else f'{v:.0f}', targets.get(k)) for k, v in found.items())
+    def quantities(
+        self,
+        found: Mapping[str, float],
+        targets: Mapping[str, object],
+        page: str,
+        words: Mapping[str, str] | None = None,
+    ) -> None:
+        """Print quantities, in words if there are any, beside their targets, and keep them as results."""
+        words = words or {}
+        values = {k: f'{v:.3g}' if abs(v) < 1000 else f'{v:.0f}' for k, v in found.items()}
+        shown = ((words.get(k, k), value, targets.get(k)) for k, value in values.items())
         self.table(['quantity', 'measured', 'target'], shown, page=page)
         self.results |= found
 

@@ -49,6 +49,27 @@ TARGETS = {
     'prediction_ratio_walk_run': '0.7', 'prediction_ratio_general': '0.9', 'capsule_inside': '0.95',
 }  # fmt: skip
 
+WORDS = {  # what the page calls the quantities
+    'root_share_nothing': 'median error of the distance, share of it: nothing known',
+    'root_share_height': 'the same: height known',
+    'root_share_floor': 'the same: floor known',
+    'velocity_rms_walk': 'error of the velocity, RMS, m/s: walking',
+    'velocity_rms_general': 'the same: neither walking nor running',
+    'velocity_over_differences': 'the same: all, over that of differences of positions',
+    'coverage95_joints': 'true joints in their ellipsoids of 95 %, share',
+    'coverage95_roots': 'true roots likewise: height known',
+    'coverage95_roots_floor': 'the same: floor known',
+    'coverage95_roots_nothing': 'the same: nothing known',
+    'capsule_inside': "share of the body's volume in its capsules, root in its true place",
+    'capsule_inside_published': 'the same: as published',
+    'prediction_ratio_walk_run': 'error 0.4 s ahead over that of standing still or going on: walking, running',
+    'prediction_ratio_general': 'the same: other motion',
+    'coverage95_prediction_0.4': 'joints 0.4 s ahead in their ellipsoids of 95 %, share',
+    'coverage95_predicted_root_0.4': 'roots 0.4 s ahead likewise',
+    'coverage95_prediction_1': 'joints 1 s ahead likewise',
+    'coverage95_predicted_root_1': 'roots 1 s ahead likewise',
+}
+
 STATURE_M = 1.75  # m; of the body with the girths below, those of an adult of usual weight without clothes
 POINTS = 400  # of a body, shared by volume
 HEAD_HALF_AXES_M = np.array([0.1, 0.078, 0.115])  # m; forward, to the left, up: a head 0.2 m long and 0.23 m high
@@ -256,7 +277,7 @@ def report_people(report: Report) -> None:
         for way in WAYS:
             records[way] += follow(scene, way, model, parameters)
     predictions, rows = score_predictions(records['height'])
-    report.quantities({**score_places(records), **predictions}, TARGETS, 'robots.quantities')
+    report.quantities({**score_places(records), **predictions}, TARGETS, 'robots.quantities', WORDS)
     header = ['motion', 's ahead', 'standing still, mm', 'constant velocity, mm', 'prediction, mm', 'ratio']
     report.table(header, rows, 'Predictions', 'robots.predictions')
     by_detector = []

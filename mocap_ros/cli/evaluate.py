@@ -155,8 +155,8 @@ def compare_with_truth(
     """Compare a result with the truth of a sequence in the frames whose times both have.
 
     Joints that are unknown in every frame of the truth are not compared. Of the frames, only those are compared in
-    which the truth of all other joints is known. With `limbs_only` only the joints of the limbs are compared, where
-    most of them were seen. Returns the errors, with the shares of true errors within the covariances if the result
+    which the truth of all other joints is known; with `limbs_only`, only the joints of the limbs, where most of
+    them were seen. Returns the errors, with the shares of true errors within the covariances if the result
     has any, and a warning if fewer than half of the frames of the shorter recording are compared.
     """
     truth = _get_truth(reference)

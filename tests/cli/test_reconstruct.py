@@ -334,10 +334,13 @@ def test_the_table_and_the_json(short_recording: Path, tmp_path: Path, capsys: p
     out = tmp_path / 'e.json'
     assert main(['evaluate', str(short_recording), '--json', str(out)]) == 0
     (record,) = json.loads(out.read_text())
+    assert record['joints'] == 15
     assert 10 < record['pa_mpjpe_mm'] < record['mpjpe_mm'] < 60
     assert record['failed_frames'] == 0
     assert {'bone_std_mm', 'residual_px', 'fps', 'seconds', 'e_paper_cm'} <= record.keys()
     titles, units, row, legend = capsys.readouterr().out.splitlines()
+    assert main(['evaluate', str(short_recording), '--limbs-only', '--json', str(out)]) == 0
+    assert json.loads(out.read_text())[0]['joints'] == 12
     assert titles.split()[:2] == ['MPJPE', 'PA-MPJPE']
     assert {'mm', 'px', 'fps', 's'} == set(units.split())
     assert re.fullmatch(r'\$x\^\{_\$\.npz( +\d+\.\d+){6} +20 +0 +30 +\d+\.\d', row)
