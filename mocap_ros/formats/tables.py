@@ -110,7 +110,7 @@ def _read_columns(path: Path, video: Video) -> Iterator[_Row]:
     lines = read_text(path).splitlines()
     is_trc = path.suffix.lower() == '.trc'
     file_id = path.stem.rpartition('person')[2] if is_trc else ''
-    separator = '\t' if is_trc else max(',;\t', key=(lines or [''])[0].count)
+    separator = max(',;\t', key=(lines or [''])[0].count)
     rows = [_split(line, separator) for line in lines[:HEAD_ROWS]]
     if any(len(row) > MAX_COLUMNS for row in rows):
         raise InputError(f'more than {MAX_COLUMNS} columns')

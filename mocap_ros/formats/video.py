@@ -155,11 +155,15 @@ class VideoReader:
         return None if self.focal_mm is None else self.focal_mm / FILM_DIAGONAL_MM * math.hypot(*size)
 
     def read_times(self) -> tuple[float, ...]:
-        """Return the times in s of all images, without decoding any, in place of the iteration."""
-        stamps = set()
+        """Return the times in s of all images, without decoding any, in place of the iteration.
+
+        Images before the first that can be decoded alone, as in a recording of a broadcast, are none.
+        """
+        stamps, has_begun = set(), False
         with suppress(*self._errors):  # the rest of the file is missing or damaged
             for packet in self._container.demux(self._stream):
-                if packet.pts is not None and not packet.is_discard:
+                has_begun = has_begun or packet.is_keyframe
+                if has_begun and packet.pts is not None and not packet.is_discard:
                     stamps.add(packet.pts)
         if not stamps:
             raise InputError(f'{self._path}: states no times of its images')

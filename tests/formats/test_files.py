@@ -292,6 +292,14 @@ def test_pixels_that_are_not_square_are_shown_as_players_do(tmp_path: Path, name
     assert (facts.size, facts.pixel_aspect, reader.ending) == ((64, 48), 1.5, '')
 
 
+def test_a_broadcast_begins_with_the_first_image_that_can_be_decoded(tmp_path: Path) -> None:
+    path = write_video(tmp_path / 'a.ts', make_images(12) * 50, [i / 25 for i in range(600)], 'libx264', 'yuv420p')
+    path.write_bytes(path.read_bytes()[188 * 60 :])  # in packets of 188 bytes
+    _, times, _ = read_all(path)
+    assert 100 < len(times) < 590
+    assert read_video_facts(path).times_s == pytest.approx(times)
+
+
 def test_images_that_begin_later_than_the_sound_have_the_times_of_players(tmp_path: Path) -> None:
     import av
 

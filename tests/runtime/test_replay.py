@@ -108,52 +108,46 @@ def test_bags_of_every_storage_and_version_give_the_same_skeletons(
         assert replay_skeletons(bare[0], tmp_path / 'out2') == skeletons
 
 
+OLD_TRANSFORMS = 'tf/msg/tfMessage'
+
+
 def make_ros1_store() -> Typestore:
     store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg('geometry_msgs/TransformStamped[] transforms', OLD_TRANSFORMS))
     for file in (Path(cdr.__file__).parent / 'msg').glob('Keypoints*.msg'):
         store.register(get_types_from_msg(file.read_text(), f'mocap_ros_msgs/msg/{file.stem}'))
     return store
 
 
 def test_a_bag_of_ros_1_gives_the_same(tmp_path: Path, stream: list[bytes], skeletons: list[bytes]) -> None:
-    """The bag has the header and the CameraInfo of ROS 1, which differ from those of ROS 2."""
+    """The bag has the header and the CameraInfo of ROS 1, which differ from those of ROS 2, and its first /tf.
+
+    The type of this is of a package that is gone, and the name of its topic has no slash.
+    """
     store = make_ros1_store()
-    writer = Ros1Writer(tmp_path / 'old.bag')
-    with writer:
-        camera = writer.add_connection('/camera_info', CAMERA_INFO, typestore=store)
-        points = writer.add_connection('/keypoints', KEYPOINTS, typestore=store)
-        writer.write(camera, START_NS, encode_ros1_camera_info(store, INFO))
+    with Ros1Writer(tmp_path / 'old.bag') as writer, Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        types = {'/camera_info': CAMERA_INFO, 'tf': OLD_TRANSFORMS, '/keypoints': KEYPOINTS}
+        topics = {name: writer.add_connection(name, t, typestore=store) for name, t in types.items()}
+        writer.write(topics['/camera_info'], START_NS, encode_ros1_camera_info(store, INFO))
+        recorder.write('/camera_info', CAMERA_INFO, INFO, START_NS, START_NS)
         for i, raw in enumerate(stream):
-            message = decode(raw, KEYPOINTS)
-            message.header = make_ros1_header(store, message.header)
-            writer.write(points, START_NS + i * BAG_STEP_NS, store.serialize_ros1(message, KEYPOINTS))
-    assert replay_skeletons(tmp_path / 'old.bag', tmp_path / 'out') == skeletons
-    assert read_messages(tmp_path / 'out', '/camera_info') == [INFO]
-
-
-def test_the_first_tf_of_ros_1_says_where_the_camera_is(tmp_path: Path, stream: list[bytes]) -> None:
-    """Its type is of a package that is gone, and the name of its topic has no slash."""
-    times = [START_NS + i * BAG_STEP_NS for i in range(len(stream))]
-    stamps = [decode(raw, KEYPOINTS).header.stamp for raw in stream]
-    moves = [('map', 'camera', s.sec * 10**9 + s.nanosec, (i, 0, 1)) for i, s in enumerate(stamps)]
-    writer, store = Ros1Writer(tmp_path / 'old.bag'), make_ros1_store()
-    store.register(get_types_from_msg('geometry_msgs/TransformStamped[] transforms', 'tf/msg/tfMessage'))
-    with writer, Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        transforms = writer.add_connection('tf', 'tf/msg/tfMessage', typestore=store)
-        points = writer.add_connection('keypoints', KEYPOINTS, typestore=store)
-        for time_ns, move, raw in zip(times, moves, stream, strict=True):
-            recorder.write('/tf', TRANSFORMS, make_transforms(move), time_ns, time_ns)
+            time_ns, message = START_NS + i * BAG_STEP_NS, decode(raw, KEYPOINTS)
+            stamp = message.header.stamp
+            move = make_transforms(('map', 'camera', stamp.sec * 10**9 + stamp.nanosec, (i, 0, 1)))
+            recorder.write('/tf', TRANSFORMS, move, time_ns, time_ns)
             recorder.write('/keypoints', KEYPOINTS, raw, time_ns, time_ns)
-            (place,), message = decode(make_transforms(move), TRANSFORMS).transforms, decode(raw, KEYPOINTS)
+            (place,) = decode(move, TRANSFORMS).transforms
             for stamped in (place, message):
                 stamped.header = make_ros1_header(store, stamped.header)
-            tf = store.types['tf/msg/tfMessage'](transforms=[place])
-            writer.write(transforms, time_ns, store.serialize_ros1(tf, 'tf/msg/tfMessage'))
-            writer.write(points, time_ns, store.serialize_ros1(message, KEYPOINTS))
-    options = ReplayOptions(with_values(FAST_CONFIG, {'node.output_frame': 'map', 'node.hfov': 56.0}))
+            tf = store.types[OLD_TRANSFORMS](transforms=[place])
+            writer.write(topics['tf'], time_ns, store.serialize_ros1(tf, OLD_TRANSFORMS))
+            writer.write(topics['/keypoints'], time_ns, store.serialize_ros1(message, KEYPOINTS))
+    assert replay_skeletons(tmp_path / 'old.bag', tmp_path / 'out') == skeletons
+    assert read_messages(tmp_path / 'out', '/camera_info') == [INFO]
+    options = ReplayOptions(with_values(FAST_CONFIG, {'node.output_frame': 'map'}))
     expected = replay_skeletons(tmp_path / 'bag', tmp_path / 'new', options)
     assert {decode(raw, SKELETONS).header.frame_id for raw in expected} == {'map'}
-    assert replay_skeletons(tmp_path / 'old.bag', tmp_path / 'out', options) == expected
+    assert replay_skeletons(tmp_path / 'old.bag', tmp_path / 'moved', options) == expected
 
 
 def test_a_split_bag_and_its_files_replay(tmp_path: Path, stream: list[bytes], skeletons: list[bytes]) -> None:
