@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mocap_ros.api.base_poses import BasePoses
     from mocap_ros.api.evaluate import evaluate
     from mocap_ros.api.files import read, write
+    from mocap_ros.api.merge import merge
     from mocap_ros.api.reconstruct import reconstruct
     from mocap_ros.api.tracker import Tracker
     from mocap_ros.config import Config
@@ -59,6 +60,7 @@ __all__ = [
     'SkeletonError',
     'Tracker',
     'evaluate',
+    'merge',
     'read',
     'reconstruct',
     'write',
@@ -69,6 +71,7 @@ _MODULES = {
     'mocap_ros.api.base_poses': ('BasePoses',),
     'mocap_ros.api.evaluate': ('evaluate',),
     'mocap_ros.api.files': ('read', 'write'),
+    'mocap_ros.api.merge': ('merge',),
     'mocap_ros.api.reconstruct': ('reconstruct',),
     'mocap_ros.api.tracker': ('Tracker',),
     'mocap_ros.config': ('Config',),

@@ -29,6 +29,7 @@ INTERRUPTED = 130  # exit code: 128 and the number of SIGINT
 COMMANDS = {
     'demo': 'run the live node on the embedded recording',
     'reconstruct': 'reconstruct a whole sequence in 3D',
+    'merge': 'merge the people whom several cameras saw',
     'detect': 'find 2D keypoints in a video or the images of a camera',
     'replay': 'run the live pipeline over bags',
     'batch': 'replay or reconstruct many recordings, on the cores of a machine or on a cluster',

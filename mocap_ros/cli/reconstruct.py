@@ -47,16 +47,17 @@ DESCRIPTION = (
     '.angles.csv (joint angles), or .trc (markers for OpenSim, in mm). In .bvh and .trc, y points up and the '
     'frame rate is constant.'
 )
+OUTPUT_OPTION = option(
+    f'file to write: {", ".join(save_results.SUFFIXES)}; may be repeated (default: IN_3d.npz, of `merge` '
+    'IN_merged.npz, in the current folder)',
+    action='append',
+    default=[],
+)
 OPTIONS: Options = {
     **INPUT_OPTIONS,
     '--all-people': 'reconstruct every person who is seen in ten frames or more, into files whose names end with '
     "the person's id (default: one person)",
-    '-o --output OUT': option(
-        f'file to write: {", ".join(save_results.SUFFIXES)}; may be repeated (default: IN_3d.npz in the '
-        'current folder)',
-        action='append',
-        default=[],
-    ),
+    '-o --output OUT': OUTPUT_OPTION,
     '--method METHOD': option(
         'whole: all frames are solved together; keyframes: key poses are fitted to the image, for minutes of '
         'mixed action with outliers',
@@ -93,31 +94,28 @@ def run(args: argparse.Namespace) -> int:
     for note in recording.notes:
         named = note if args.floor_height is None else note.replace('tracker.camera_height', '--floor-height', 1)
         print_note(named)
-    people, is_all_saved = recording.people, True
-    endings = choose_endings([poses.id for poses in people]) if args.all_people else ['']
-    for poses, ending in zip(people, endings, strict=True):
-        try:
-            _save(args, poses, [add_ending(path, ending) for path in outputs], sources)
-        except InputError as error:  # noqa: PERF203 # one whom a format cannot hold does not stop the others
-            if len(people) == 1:
-                raise
-            print_note(f'{error} (person {poses.id!r} is not saved)')
-            is_all_saved = False
+    endings = choose_endings([poses.id for poses in recording.people]) if args.all_people else ['']
+    is_all_saved = save_people(args.input, recording.people, endings, outputs, sources)
     summary = recording.summary
     return finish(args.input, summary, summary.is_wrong, is_strict=args.strict) or int(not is_all_saved)
 
 
 def _check_options(args: argparse.Namespace, outputs: Sequence[Path], sources: Sequence[Path]) -> None:
-    for output in outputs:
-        if not save_results.find_suffix(output):
-            raise InputError(f'{output}: unknown file type; expected {", ".join(save_results.SUFFIXES)}')
-        check_output(output, *sources)
+    check_outputs(outputs, sources)
     if args.all_people and args.person is not None:
         raise InputError(f'{args.input}: --person and --all-people exclude each other')
     if args.floor_height is not None and args.method == 'keyframes':
         raise InputError(f'{args.input}: --floor-height does not apply to --method keyframes')
     if args.choices is not None and args.method != 'keyframes':
         raise InputError(f'{args.choices}: --choices needs --method keyframes')
+
+
+def check_outputs(outputs: Sequence[Path], sources: Sequence[Path]) -> None:
+    """Check the files to write, which must be of a known type and none of the sources."""
+    for output in outputs:
+        if not save_results.find_suffix(output):
+            raise InputError(f'{output}: unknown file type; expected {", ".join(save_results.SUFFIXES)}')
+        check_output(output, *sources)
 
 
 def choose_endings(person_ids: Sequence[str]) -> list[str]:
@@ -151,16 +149,36 @@ def _choose_method(args: argparse.Namespace) -> Method:
     return by_keyframes if args.method == 'keyframes' else solve_sequence
 
 
-def _save(args: argparse.Namespace, poses: PoseSequence, outputs: Sequence[Path], sources: Sequence[Path]) -> None:
+def save_people(
+    source: Path,
+    people: Sequence[PoseSequence],
+    endings: Sequence[str],
+    outputs: Sequence[Path],
+    sources: Sequence[Path],
+) -> bool:
+    """Save people of a source, whose files have these endings; return whether all could be saved."""
+    is_all_saved = True
+    for poses, ending in zip(people, endings, strict=True):
+        try:
+            _save(source, poses, [add_ending(path, ending) for path in outputs], sources)
+        except InputError as error:  # noqa: PERF203 # one whom a format cannot hold does not stop the others
+            if len(people) == 1:
+                raise
+            print_note(f'{error} (person {poses.id!r} is not saved)')
+            is_all_saved = False
+    return is_all_saved
+
+
+def _save(source: Path, poses: PoseSequence, outputs: Sequence[Path], sources: Sequence[Path]) -> None:
     """Write the files, put them in place when all of them are written, and print their names."""
     with ExitStack() as replacements:
         for output in outputs:
             unfinished = replacements.enter_context(replace_output(output, *sources))
-            with name_file_in_errors(args.input, InputError):
+            with name_file_in_errors(source, InputError):
                 save_results.save(unfinished, poses)
     missing = int((~poses.in_sight).sum())
     if missing:
-        print_note(f'{args.input}: {missing} frames in which the person was out of sight have no skeleton')
+        print_note(f'{source}: {missing} frames in which the person was out of sight have no skeleton')
     for output in outputs:
         print_result(output if poses.success else f'{output}: {poses.message}')
         if output.suffix == '.bvh':

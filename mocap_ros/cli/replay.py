@@ -27,11 +27,13 @@ from mocap_ros.cli.terminal import finish, interrupt_between_items, print_note, 
 from mocap_ros.errors import InputError, MocapError, RecordingError, make_printable_line
 from mocap_ros.recordings.input_kind import BAG_FORMATS, InputKind, require_kind
 from mocap_ros.runtime.replay import ReplayOptions, replay
+from mocap_ros.runtime.skeleton_merging import holds_merged_run, replay_merging
 
 DESCRIPTION = (
     'Runs the keypoints of a bag through the pipeline of the live node, as fast as the machine allows, and writes '
     'a new bag with the keypoints and the outputs. A bag that the node recorded is replayed with the parameters '
     'of the recording and gives the same skeletons: --set changes single ones of them, and --config replaces all. '
+    'One that mocap_merge recorded is merged again. '
     'A new bag is called NAME.partial until it is complete.'
 )
 OPTIONS: Options = {
@@ -94,6 +96,9 @@ def _replay_one(path: Path, out: Path, options: ReplayOptions, *, is_strict: boo
         def show(messages: Iterable[BagMessage], total: int) -> Iterable[BagMessage]:
             return show_progress(stop_at_interrupt(messages), path.name, total)
 
+        if holds_merged_run(bag):
+            print_result(f'{out}: {replay_merging(bag, out)} messages of skeletons merged')
+            return 0
         result = replay(bag, out, options, show)
     for traceback in result.tracebacks:
         print(*map(make_printable_line, traceback.splitlines()), sep='\n', file=sys.stderr)

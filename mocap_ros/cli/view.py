@@ -48,9 +48,8 @@ from mocap_ros.recordings.input_kind import (
     require_kind,
 )
 from mocap_ros.recordings.load_keypoints import LOADERS, InputOptions
-from mocap_ros.recordings.load_results import holds_result, load_recording
-from mocap_ros.recordings.reconstruct import ReconstructionOptions, reconstruct
-from mocap_ros.recordings.recording import Recording
+from mocap_ros.recordings.load_results import holds_result
+from mocap_ros.recordings.reconstruct import ReconstructionOptions, load_or_reconstruct
 from mocap_ros.recordings.save_results import save_detections
 from mocap_ros.recordings.watch import WAIT_S, NewestImage, Watch
 from mocap_ros.viewing import plots
@@ -122,7 +121,11 @@ def run(args: argparse.Namespace) -> int:
     sources = list_sources(args, config)
     check_output(output, *sources)
     with ShareBar('view') as report:
-        recording = _load(args, config, report, is_one_shown=is_picture)
+        count = 1 if is_picture or args.person else MAX_PEOPLE
+        options = ReconstructionOptions(
+            config, load_models(args, config), _read_input_options(args, config), count
+        )
+        recording = load_or_reconstruct(args.input, options, report)
         scene = build_scene(args.input.name, recording)
     for line in recording.notes:
         print_note(line)
@@ -146,16 +149,6 @@ def run(args: argparse.Namespace) -> int:
         print_note(line)
     print_result(output)
     return finish(args.input, scene.summary, scene.is_wrong, is_strict=args.strict) if scene.summary else 0
-
-
-def _load(args: argparse.Namespace, config: Config, report: Report, *, is_one_shown: bool) -> Recording:
-    """Load a result as it is, or reconstruct another input."""
-    reading = _read_input_options(args, config)
-    if holds_result(args.input):
-        return load_recording(args.input, reading, config, report)
-    is_one = is_one_shown or bool(args.person) or find_input_kind(args.input) is InputKind.SEQUENCE
-    models, count = load_models(args, config), 1 if is_one else MAX_PEOPLE
-    return reconstruct(args.input, ReconstructionOptions(config, models, reading, count), report)
 
 
 def _read_input_options(args: argparse.Namespace, config: Config) -> InputOptions:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.arrays import Array
+from mocap_ros.arrays import Array, Mask
 from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.npz_arrays import ArrayReader, iterate_arrays, list_keys
 from mocap_ros.formats.sequence_file import RESULT_KEYS, make_camera_arrays, validate_sequence
@@ -31,7 +31,7 @@ POSE_KEYS = 'joints3d', 'joint_names', 'timestamps', 'seen', 'residual_px'
 # Those that older results, and those of others, do not have
 OPTIONAL_KEYS = (
     'scale', 'translation', 'scale_known', 'vertical', 'vertical_std', 'contact', 'world_from_camera', 'floor_std',
-    'grade', 'summary',
+    'grade', 'summary', 'joint_std', 'root_covariance', 'orientation', 'turn_inferred',
 )  # fmt: skip
 UNKNOWN_CAMERA = Intrinsics.from_image_size(640, 480, 1.0)  # px and sides; of a camera of which nothing is known
 
@@ -43,19 +43,11 @@ def is_result_file(path: Path) -> bool:
 
 def save_result_file(path: Path, poses: PoseSequence) -> None:
     """Write a reconstructed person with the keypoints and the camera."""
-    sequence = poses.sequence
-    if sequence is None:
-        raise InputError('the result is without its keypoints')
-    known = replace(poses.intrinsics, is_focal_known=True)
-    camera_matrix, distortion = make_camera_arrays(replace(sequence, calibration=known))
     arrays: dict[str, NDArray[np.generic]] = {
         'joints3d': poses.joints.astype('f4'),
         'joint_names': np.array(poses.joint_names),
         'parents': np.array(poses.parents),
         'timestamps': poses.times,
-        'keypoints': sequence.keypoints.astype('f4'),
-        'keypoint_names': np.array(sequence.joint_names),
-        'image_size': np.array(sequence.image_size),
         'seen': ~poses.inferred,
         'scale': poses.scale,
         'rotation': poses.rotation,
@@ -66,19 +58,31 @@ def save_result_file(path: Path, poses: PoseSequence) -> None:
         'vertical': poses.vertical,
         'vertical_std': poses.vertical_std,
         'contact': poses.contact.astype('f4'),
+        'joint_std': poses.joint_std.astype('f4'),
+        'root_covariance': poses.root_covariance.astype('f4'),
         'world_from_camera': poses.world_from_camera,
         'floor_std': np.array(poses.floor_std),
     }
-    if camera_matrix is not None:
-        arrays['camera_matrix'] = camera_matrix
-    if distortion is not None:
-        arrays['distortion'] = distortion
+    if poses.sequence is not None:
+        arrays |= _make_input_arrays(poses.sequence, poses.intrinsics)
     if poses.summary is not None:
         arrays |= {'grade': np.array(poses.summary.grade), 'summary': np.array(str(poses.summary))}
     if np.isfinite(poses.joint_orientation).any():
         arrays |= {'orientation': poses.joint_orientation.astype('f4'), 'orientation_order': np.array('xyzw')}
         arrays['turn_inferred'] = poses.turn_inferred
     write_npz(path, arrays)
+
+
+def _make_input_arrays(sequence: KeypointSequence, intrinsics: Intrinsics) -> dict[str, NDArray[np.generic]]:
+    known = replace(intrinsics, is_focal_known=True)
+    camera_matrix, distortion = make_camera_arrays(replace(sequence, calibration=known))
+    camera = {'camera_matrix': camera_matrix, 'distortion': distortion}
+    return {
+        'keypoints': sequence.keypoints.astype('f4'),
+        'keypoint_names': np.array(sequence.joint_names),
+        'image_size': np.array(sequence.image_size),
+        **{key: values for key, values in camera.items() if values is not None},
+    }
 
 
 def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
@@ -116,6 +120,9 @@ def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
         def read(key: str, *shape: int) -> Array:
             return arrays.read_numbers(key, (frames, *shape)) if key in arrays else UNKNOWN_COLUMN
 
+        turn_inferred: Mask = UNKNOWN_COLUMN
+        if 'turn_inferred' in arrays:
+            turn_inferred = arrays.read_flags('turn_inferred', joints.shape[:2])
         poses = PoseSequence(
             id='',
             times=times,
@@ -125,6 +132,10 @@ def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
             reprojection_residual=arrays.read_numbers('residual_px', (frames,)),
             intrinsics=replace(intrinsics, is_focal_known=is_scale_known),
             contact=read('contact', 2),
+            joint_std=read('joint_std', len(names)),
+            root_covariance=read('root_covariance', 3, 3),
+            joint_orientation=read('orientation', len(names), 4),
+            turn_inferred=turn_inferred,
             vertical=read('vertical', 3),
             vertical_std=read('vertical_std'),
             predicted=np.asarray(~seen[:, :CORE_COUNT].any(axis=1)),

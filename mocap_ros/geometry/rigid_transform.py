@@ -67,6 +67,11 @@ class RigidTransform:
         x, y, z, w = (q / length for q in numbers[3:7])
         return RigidTransform(np.array(numbers[:3], np.float64), (x, y, z, w))
 
+    @staticmethod
+    def from_matrix(matrix: Array) -> RigidTransform:
+        """Return the transform of a matrix (4, 4)."""
+        return RigidTransform(matrix[:3, 3].copy(), quaternion_from_rotation(matrix[:3, :3]))
+
     @property
     def rotation(self) -> Array:
         """(3, 3) rotation from the child frame to the parent frame."""

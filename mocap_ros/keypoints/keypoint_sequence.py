@@ -5,7 +5,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from mocap_ros.arrays import Array
 from mocap_ros.geometry.distortion import Distortion
@@ -91,6 +94,21 @@ class KeypointSequence:
     def stamps_ns(self) -> list[int]:
         """Timestamps (F,) in ns."""
         return list(self.recorded_ns) or [round(float(t) * NS_PER_S) for t in self.timestamps]
+
+    def resample(self, stamps_ns: Sequence[int]) -> KeypointSequence:
+        """Return the sequence at other stamps in ns, at which nothing is seen where it has no frame.
+
+        Truth and depth are left out.
+        """
+        own = {stamp_ns: frame for frame, stamp_ns in enumerate(self.stamps_ns)}
+        keypoints = np.full((len(stamps_ns), *self.keypoints.shape[1:]), np.nan)
+        keypoints[..., 2] = 0.0
+        frames = [frame for frame, stamp_ns in enumerate(stamps_ns) if stamp_ns in own]
+        keypoints[frames] = self.keypoints[[own[stamps_ns[frame]] for frame in frames]]
+        times = np.array(stamps_ns) / NS_PER_S
+        return replace(
+            self, keypoints=keypoints, timestamps=times, recorded_ns=tuple(stamps_ns), truth=None, depth=None
+        )
 
     def person(self, frame: int, person_id: str = '') -> Person2D:
         """Return the keypoints in one frame as a person with this id."""

@@ -33,6 +33,11 @@ class CameraPlacement(NamedTuple):
     before: RigidTransform | None = None
     step_s: float = 0.0  # h, s by which that was earlier
 
+    @property
+    def centre(self) -> Array:
+        """(3,) m, the camera in the frame of the outputs."""
+        return np.zeros(3) if self.pose is None else self.pose.translation
+
     def place(self, people: People) -> People:
         """Return the people with joints, orientations, velocities and covariances in the frame of the outputs.
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.arrays import Array, copy_with
+from mocap_ros.arrays import Array
 from mocap_ros.config import Config, parse_numbers
 from mocap_ros.errors import ConfigError, InputError, naming
 from mocap_ros.geometry.rigid_transform import SAME_POSE, RigidTransform
@@ -115,9 +115,10 @@ class ReceivedSkeletons(NamedTuple):
     """What is read of a Skeleton3DArray."""
 
     header: Header
-    people: People  # without rotations, orientations and categories of motions
+    people: People  # without rotations and categories of motions
     vertical: Array  # (3,) unit vector upwards; zeros where it is not known
     vertical_std: float  # rad
+    camera: CameraPlacement  # in the frame of the header
 
 
 def decode_skeletons(raw: bytes, *, is_in_camera: bool = True) -> ReceivedSkeletons:
@@ -128,17 +129,14 @@ def decode_skeletons(raw: bytes, *, is_in_camera: bool = True) -> ReceivedSkelet
     message = decode_plain(raw, SKELETONS)
     header, pose = Header(read_stamp(message.header.stamp), message.header.frame_id), None
     with naming('camera_pose'):
-        if is_in_camera and tuple(message.camera_pose) != SAME_POSE:
-            pose = RigidTransform.from_numbers(message.camera_pose.tolist()).inverse()
-    people = _read_people(message.people)
-    if pose is not None and len(people):
-        people = copy_with(
-            people,
-            joints=pose.apply(people.joints),
-            root_covariance=pose.rotate_covariance(people.root_covariance),
-        )
-    vertical = message.vertical if pose is None else pose.rotate(message.vertical)
-    return ReceivedSkeletons(header, people, vertical, message.vertical_std)
+        if tuple(message.camera_pose) != SAME_POSE:
+            pose = RigidTransform.from_numbers(message.camera_pose.tolist())
+    camera = CameraPlacement(message.camera_frame_id or header.frame_id, pose)
+    people, vertical = _read_people(message.people), message.vertical
+    if is_in_camera and pose is not None:
+        to_camera = pose.inverse()
+        people, vertical = CameraPlacement('', to_camera).place(people), to_camera.rotate(vertical)
+    return ReceivedSkeletons(header, people, vertical, message.vertical_std, camera)
 
 
 def _read_people(rows: Sequence[SimpleNamespace]) -> People:
@@ -175,6 +173,11 @@ def _read_people(rows: Sequence[SimpleNamespace]) -> People:
         tentative=read_numbers('tentative', bool),
         root_covariance=read_numbers('root_covariance').reshape(-1, 3, 3),
         joint_velocity=read('joint_velocity', count, 3),
+        joint_velocity_std=read('joint_velocity_std', count),
+        root_velocity_covariance=read_numbers('root_velocity_covariance').reshape(-1, 3, 3),
+        joint_orientation=read('joint_orientation', count, 4),
+        turn_inferred=read('turn_inferred', count) != 0,
+        age=read_numbers('age'),
         scale=cameras[:, 0],
         translation=cameras[:, 5:7],
         unseen_for=read_numbers('unseen_for'),

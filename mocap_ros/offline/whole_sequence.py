@@ -45,6 +45,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array, Mask
 from mocap_ros.config import Config, SolverConfig, TrackerConfig
+from mocap_ros.engine import motion as engine
 from mocap_ros.geometry.level import CALIBRATED_TILT_STD, MAX_CERTAIN_STD, Floor, average_vertical, build_world
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
@@ -54,13 +55,19 @@ from mocap_ros.models.joint_std import expect_stature
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.model_file import load_prior_lifter
 from mocap_ros.models.upward_direction import Stances
-from mocap_ros.people import UNKNOWN_COLUMN, PoseSequence
-from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
+from mocap_ros.people import PoseSequence
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, HIPS
 from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.classification import choose_category
 from mocap_ros.solvers.depth import compare_depths, find_corrections
-from mocap_ros.solvers.extremities import SEGMENT_OF, attach, collect_evidence, smooth_extremities
-from mocap_ros.solvers.floor import POSE_SHARE, SIZE_RANGE, Stander, fit_floor
+from mocap_ros.solvers.extremities import (
+    SEGMENT_OF,
+    ExtremityEvidence,
+    attach,
+    collect_evidence,
+    smooth_extremities,
+)
+from mocap_ros.solvers.floor import FOCAL_SHARE, POSE_SHARE, SIZE_RANGE, Stander, fit_floor
 from mocap_ros.solvers.footing import find_contacts, plant_sequence
 from mocap_ros.solvers.image_roll import find_camera_roll, find_roll, turn_about_axis
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
@@ -251,17 +258,48 @@ def _complete(
     core = plant_sequence(observed, core, found.offsets, poses.vertical, image_noise or NOISE_REFERENCE, ahead)
     evidence = collect_evidence(core, windows, noise, range(count))
     found = smooth_extremities(observed.times, evidence, config.body_height)
+    std, root_covariance = _find_deviations(evidence, solved.solution, config, is_focal_known=poses.is_scale_known)
+    poses = replace(poses, root_covariance=root_covariance)
     if config.skeleton == CMU15.name:
-        return replace(poses, joints=core, joint_orientation=found.quaternions, turn_inferred=~found.is_turn_seen)
+        return replace(
+            poses,
+            joints=core,
+            joint_std=std,
+            joint_orientation=found.quaternions,
+            turn_inferred=~found.is_turn_seen,
+        )
+    offset_std = np.pad(found.offset_std, ((0, 0), (CORE_COUNT, 0)))
     return replace(
         poses,
         skeleton=BODY26,
         joints=attach(core, found.offsets),
-        joint_std=UNKNOWN_COLUMN,
+        joint_std=np.hypot(std[:, SEGMENT_OF], offset_std),
         inferred=~(evidence.weight > 0),
         joint_orientation=found.quaternions[:, SEGMENT_OF],
         turn_inferred=~found.is_turn_seen[:, SEGMENT_OF],
     )
+
+
+def _find_deviations(
+    evidence: ExtremityEvidence, solution: Reconstruction, config: TrackerConfig, *, is_focal_known: bool
+) -> tuple[Array, Array]:
+    """Return the deviations (F, 15) m of joints and the covariances (F, 3, 3) m^2 of roots."""
+    count = len(evidence.core)
+    posterior = solution.joint_std if isinstance(solution, joint.JointReconstruction) else None
+    size = 1.0, _assume_size_share(config), 0.0 if is_focal_known else FOCAL_SHARE
+    return engine.describe_cores(
+        np.full((count, CORE_COUNT), np.nan if posterior is None else posterior),
+        evidence,
+        evidence.core,
+        np.tile(size, (count, 1)),
+        np.full((count, 3), np.nan),
+        np.array(HIPS),
+    )
+
+
+def _assume_size_share(config: TrackerConfig) -> float:
+    """Return the standard deviation of a person's size, as a share of it, before anything shows it."""
+    return math.hypot(config.body_height_std / config.body_height, POSE_SHARE)
 
 
 def find_height_fault(*, is_focal_known: bool, tilt_std: float) -> str:
@@ -332,7 +370,7 @@ class _Standing(NamedTuple):
 
 def _stand_on(found: Sequence[Solved], before: Floor, config: TrackerConfig) -> list[_Standing]:
     """Return people on a floor, of the sizes that it shows; who cannot be of such a size has a fault instead."""
-    share = math.hypot(config.body_height_std / config.body_height, POSE_SHARE)
+    share = _assume_size_share(config)
     standers = [
         Stander(s.poses.joints, s.contact, s.poses.times, MEASURED_SHARE if s.is_size_measured else share)
         for s in found
@@ -355,7 +393,13 @@ def _stand_on(found: Sequence[Solved], before: Floor, config: TrackerConfig) -> 
             vertical = np.tile(fit.floor.upward, (len(poses), 1))
             poses = replace(poses, vertical=vertical, vertical_std=np.full(len(poses), fit.floor.tilt_std))
         if is_scale_shown and not math.isnan(size) and not person.is_size_measured:
-            poses = replace(poses, joints=fit.place(p, poses.joints), body_height=size * poses.body_height)
+            poses = replace(
+                poses,
+                joints=fit.place(p, poses.joints),
+                joint_std=size * poses.joint_std,
+                root_covariance=size * size * poses.root_covariance,
+                body_height=size * poses.body_height,
+            )
             if before.camera_height and not USUAL_SIZES[0] < size < USUAL_SIZES[1]:
                 fault = UNUSUAL.format(size)
         people.append(_Standing(poses, fit.floor, fault))

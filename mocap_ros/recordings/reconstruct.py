@@ -17,7 +17,9 @@ from mocap_ros.errors import InputError
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.offline.whole_sequence import Report, Solved, report_part, share_floor, solve_sequence
+from mocap_ros.recordings.input_kind import InputKind, find_input_kind
 from mocap_ros.recordings.load_keypoints import InputOptions, load_people
+from mocap_ros.recordings.load_results import holds_result, load_recording
 from mocap_ros.recordings.recording import Recording
 from mocap_ros.verdict.summary import summarise
 
@@ -78,3 +80,12 @@ def reconstruct(
     together = summaries[0] if len(people) == 1 else summarise(people, config)
     judged = [replace(poses, summary=summary) for poses, summary in zip(people, summaries, strict=True)]
     return Recording(tuple(judged), together, tuple(notes))
+
+
+def load_or_reconstruct(path: Path, options: ReconstructionOptions, report: Report = lambda _: None) -> Recording:
+    """Load the people of a result, or of a bag with skeletons, as they are; reconstruct those of another input."""
+    if holds_result(path):
+        return load_recording(path, options.reading, options.config, report)
+    if find_input_kind(path) is InputKind.SEQUENCE:  # of one person
+        options = options._replace(max_people=1)
+    return reconstruct(path, options, report)

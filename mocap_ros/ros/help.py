@@ -23,7 +23,7 @@ from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, SWITCHED_OUTPUTS
 
 MOCAP_NAME, BRIDGE_NAME, DETECTOR_NAME = 'mocap_node', 'mocap_bridge', 'detector_node'
-DEPTH_NAME = 'depth_node'
+DEPTH_NAME, MERGE_NAME = 'depth_node', 'mocap_merge'
 # Type of each service of the node, by name.
 SERVICES = {'~/reset': 'std_srvs/srv/Trigger', '~/record': 'std_srvs/srv/SetBool'}
 # Message type of each input with the default parameters, by relative topic name.
@@ -77,6 +77,29 @@ DEPTH_PARAMETERS = (
     ),
 )
 
+MERGE_PARAMETERS = (
+    Parameter(
+        'inputs',
+        str,
+        '',
+        'topics of the skeletons of two cameras or more, separated by blanks, such as /left/skeletons '
+        "/right/skeletons; the first that is alive leads; all in one frame, which is no camera's",
+        read_only=True,
+    ),
+    Parameter(
+        'tolerance',
+        float,
+        0.15,
+        's, for which people of a camera that is behind or ahead are carried on by their velocities',
+        low=0.0,
+        high=1.0,
+        read_only=True,
+    ),
+    Parameter('publish_tf', bool, False, 'publish people on /tf', read_only=True),
+    Parameter('record', str, '', 'folder for a recording of inputs and outputs; empty: none', read_only=True),
+    Parameter('autostart', bool, True, 'the node configures and activates itself', read_only=True),
+)
+
 
 def build_parser(name: str) -> argparse.ArgumentParser:
     """Return the parser of a node's command line without the arguments that rclpy parses."""
@@ -126,9 +149,9 @@ def _describe_nodes() -> dict[str, tuple[str, dict[str, Mapping[str, str]]]]:
         **{f'published with -p node.{field}:=true': {t: kind} for field, (t, kind) in SWITCHED_OUTPUTS.items()},
         'services': SERVICES,
     }
-    bridge, detector, depth = (
+    bridge, detector, depth, merge = (
         {'parameters, after --ros-args -p': {f'{p.name}:={p.default!r}': _describe(p) for p in given}}
-        for given in (BRIDGE_PARAMETERS, DETECTOR_PARAMETERS, DEPTH_PARAMETERS)
+        for given in (BRIDGE_PARAMETERS, DETECTOR_PARAMETERS, DEPTH_PARAMETERS, MERGE_PARAMETERS)
     )
     return {
         MOCAP_NAME: ('Estimate 3D people live from 2D keypoints.', mocap),
@@ -160,6 +183,16 @@ def _describe_nodes() -> dict[str, tuple[str, dict[str, Mapping[str, str]]]]:
                     DEPTH_TOPIC: ' or '.join(IMAGE_TYPES),
                 },
                 'published topic': {KEYPOINTS_DEPTH_TOPIC: KEYPOINTS},
+            },
+        ),
+        MERGE_NAME: (
+            'Merge the people whom the mocap_nodes of several cameras find.',
+            {
+                **merge,
+                'subscribed topics': {'those of inputs': SKELETONS},
+                'published topics': OUTPUTS
+                | LATCHED_OUTPUTS
+                | {'/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray', '/tf': 'with -p publish_tf:=true'},
             },
         ),
     }

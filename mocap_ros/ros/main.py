@@ -36,6 +36,11 @@ def depth_main(args: Sequence[str] | None = None) -> int:
     return _run('depth_node', 'depth_node:DepthNode', args)
 
 
+def merge_main(args: Sequence[str] | None = None) -> int:
+    """Run `mocap_merge` likewise."""
+    return _run('mocap_merge', 'merge_node:MergeNode', args)
+
+
 def _run(name: str, node_class: str, args: Sequence[str] | None) -> int:
     """Run the node of a `module:class`; imports are here, so that a SIGINT during one ends without a traceback."""
     arguments = sys.argv[1:] if args is None else args

@@ -41,6 +41,7 @@ HEEL_M, TOE_M, ANKLE_M = 0.027, 0.042, 0.083
 HEIGHT_STD_M = 0.04  # m; of these heights, with the errors of the image
 EVIDENCE_S = 0.5  # s; frames within it have the same error
 DEPTH_SHARE, DEPTH_S = 0.04, 0.5  # 1 and s; S and T
+FOCAL_SHARE = 0.2  # 1; usual focal lengths are 0.6 to 0.9 of the longer side of the image, the nominal one is 0.75
 POSE_SHARE = 0.04  # 1; of the size, measured on training persons of known height seen by four detectors
 SIZE_RANGE = 0.4, 1.3  # 1; of r, from children of 0.7 m to adults of 2.2 m; another is that of a wrong height
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for

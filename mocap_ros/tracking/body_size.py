@@ -48,10 +48,9 @@ from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import ConfigError
 from mocap_ros.geometry.level import Floor
 from mocap_ros.skeleton import CMU15
-from mocap_ros.solvers.floor import POSE_SHARE, SIZE_RANGE
+from mocap_ros.solvers.floor import FOCAL_SHARE, POSE_SHARE, SIZE_RANGE
 from mocap_ros.units import NS_PER_S
 
-FOCAL_SHARE = 0.2  # 1; usual focal lengths are 0.6 to 0.9 of the longer side of the image, the nominal one is 0.75
 KNOWN_HEIGHT_STD_M = 0.02  # m; of a height that a user stated, shoes and posture included
 HEIGHT_RANGE_M = 0.3, 2.6  # m; range of body heights, as of `tracker.body_height`
 ANKLE_SHARE = 0.042  # 1; f, share of the body height: 0.03 to 0.055 in motion capture, more in a walk

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -16,14 +17,20 @@ import numpy as np
 import pytest
 
 from mocap_ros.bags.reader import Bag
+from mocap_ros.cli.main import main as mocap_ros_main
 from mocap_ros.config import Config, to_yaml
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
-from mocap_ros.messages.skeletons import SKELETONS
-from mocap_ros.ros.main import bridge_main, depth_main, detector_main, main
+from mocap_ros.messages.skeletons import (
+    SKELETON_DEFINITION,
+    SKELETONS,
+    decode_skeletons,
+    encode_skeletons,
+)
+from mocap_ros.ros.main import bridge_main, depth_main, detector_main, main, merge_main
 from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.runtime.replay import replay
 from mocap_ros.skeleton import keypoint_layout
@@ -39,6 +46,7 @@ from tests.support.ros_node import (
     stop_node,
     wait_until_discovered,
 )
+from tests.support.several_cameras import CENTRES, FPS, make_truth, place_camera, see
 
 pytestmark = pytest.mark.ros
 
@@ -263,6 +271,7 @@ DETECTOR = sys.executable, '-c', 'import sys; from mocap_ros.ros import main; sy
         (detector_main, ['--ros-args', '-p', 'model:=none.onnx'], 1, 'none.onnx'),
         (detector_main, ['--ros-args', '-p', 'image_type:=std_msgs/msg/String'], 1, 'image_type'),
         (depth_main, ['--ros-args', '-p', 'depth_type:=std_msgs/msg/String'], 1, 'depth_type'),
+        (merge_main, ['--ros-args', '-p', 'inputs:=/left/skeletons'], 1, 'inputs'),
     ],
 )
 def test_wrong_arguments_are_reported_in_one_line(
@@ -287,7 +296,7 @@ def test_wrong_arguments_are_reported_in_one_line(
         found = int(stopped.code or 0)
     *usage, line = capfd.readouterr().err.splitlines()
     assert (found, len(usage)) == (code, code - 1)
-    assert line.startswith(('mocap_node: ', 'mocap_bridge: ', 'detector_node: ', 'depth_node: '))
+    assert line.startswith(('mocap_node: ', 'mocap_bridge: ', 'detector_node: ', 'depth_node: ', 'mocap_merge: '))
     assert reason in line
 
 
@@ -459,3 +468,31 @@ def test_keypoints_get_the_depths_of_a_registered_image(peer: Peer, start: Start
     assert len(send(2000, 'another')) == 0
     (line,) = stop_node(node)
     assert 'aligned_depth_to_color' in line
+
+
+def test_people_of_two_cameras_are_merged_and_recorded(peer: Peer, start: StartProgram, tmp_path: Path) -> None:
+    """One camera is lost for a while, and its tracker comes back with other ids."""
+    topics = ('/left/skeletons', '/right/skeletons')
+    options = (f'inputs:={" ".join(topics)}', f'record:={tmp_path / "bags"}', 'publish_tf:=true')
+    words = [word for option in options for word in ('-p', option)]
+    node = start(*DETECTOR[:2], DETECTOR[2].replace('detector_main', 'merge_main'), '--ros-args', *words)
+    publishers = [peer.node.create_publisher(load_interface_class(SKELETONS), topic, 10) for topic in topics]
+    peer.wait_until(lambda: all(p.get_subscription_count() for p in publishers))
+    wait_until_discovered(peer.node, peer.executor, 'mocap_merge')
+    frames, rng = 60, np.random.default_rng(0)
+    cameras = [see(make_truth(frames), centre, 1.03, rng, 'ab') for centre in CENTRES[:2]]
+    for frame in range(frames):
+        for number, (publisher, seen) in enumerate(zip(publishers, cameras, strict=True)):
+            if number == 0 or not 20 <= frame < 40:
+                people = replace(seen[frame], ids=('new',)) if number and frame >= 40 else seen[frame]
+                header = Header(10**9 + frame * round(1e9 / FPS), 'map')
+                publisher.publish(encode_skeletons(header, people, None, place_camera(CENTRES[number])))
+        peer.wait_until(lambda: len(peer.received['skeletons']) == frame + 1)  # noqa: B023 # called at once
+    merged = [decode_skeletons(raw, is_in_camera=False).people for raw in peer.received['skeletons']]
+    assert {people.ids for people in merged} == {('1',)}
+    assert decode(peer.received['skeleton_definition'][0], SKELETON_DEFINITION).name == 'cmu15'
+    assert stop_node(node) == []
+    (folder,) = (tmp_path / 'bags').iterdir()
+    assert mocap_ros_main(['replay', str(folder), '-o', str(tmp_path / 'again')]) == 0
+    with Bag(tmp_path / 'again') as bag:
+        assert [m.raw for m in bag.messages(['/skeletons'])] == peer.received['skeletons']

@@ -1,0 +1,166 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Merge the people of recordings of several cameras, in the optical frame and at the times of the first one.
+
+The recordings are merged twice: the second time the sizes of people, and who is who, are known from the start.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from mocap_ros.arrays import Array, Mask
+from mocap_ros.errors import InputError
+from mocap_ros.geometry.interpolation import MAX_STEP_S, find_nearest, interpolate_linearly
+from mocap_ros.geometry.level import average_vertical, build_world
+from mocap_ros.geometry.rigid_transform import RigidTransform
+from mocap_ros.messages.camera_placement import CameraPlacement
+from mocap_ros.offline.whole_sequence import Report
+from mocap_ros.people import People, PoseSequence
+from mocap_ros.recordings.load_results import follow_person
+from mocap_ros.solvers.merging import CameraView, MergedPeople, PeopleMerger
+from mocap_ros.units import NS_PER_S
+
+PASSES = 2
+MIN_FRAMES = 10  # frames; who is there for less is a mistake of a camera
+ROUNDING_S = 1e-6  # s; times that differ by less are equal
+
+
+def merge_recordings(
+    recordings: Sequence[Sequence[PoseSequence]],
+    poses: Array,
+    offsets: Array,
+    report: Report = lambda _: None,
+) -> tuple[PoseSequence, ...]:
+    """Return the people whom C cameras saw, in the optical frame and at the times of the first camera.
+
+    `poses` (C, 4, 4) take the optical frame of each camera to a common frame; `offsets` (C,) s are added to the
+    times of each. Who is seen by the first camera has the keypoints of that.
+
+    Raises:
+        InputError: a person has no deviations, or nobody of a recording is there at the times of the first one; it
+            begins with the number of the recording.
+    """
+    first = recordings[0]
+    stamps = sorted({stamp for person in first for stamp in person.stamps_ns})
+    times = np.array(stamps) / NS_PER_S
+    cameras = [
+        CameraPlacement('', RigidTransform.from_matrix(matrix)) for matrix in np.linalg.inv(poses[0]) @ poses
+    ]
+    sampled = [
+        [_sample(person, times + offsets[0] - offset, camera) for person in people]
+        for people, offset, camera in zip(recordings, offsets, cameras, strict=True)
+    ]
+    for number, people in enumerate(sampled, 1):
+        if not any(person.is_known.any() for person in people):
+            raise InputError(f'recording {number}: nobody is seen at any time of the first recording')
+    merger, frames = PeopleMerger(math.inf), list[MergedPeople]()
+    for turn in range(PASSES):
+        merger.rewind()
+        frames = []
+        for frame, time_s in enumerate(times.tolist()):
+            report((turn + frame / len(times)) / PASSES)
+            views = [
+                CameraView(_show(people, frame), camera.centre)
+                for camera, people in zip(cameras, sampled, strict=True)
+            ]
+            frames.append(merger.merge(time_s, views))
+    return _collect(frames, first, stamps)
+
+
+class _Sampled(NamedTuple):
+    """A person whom a camera sees, in the frame of the first camera, at the times of the first recording."""
+
+    people: People  # a row a frame in which the person is known
+    is_known: Mask  # (F,) whether the person is known in a frame
+
+
+def _sample(person: PoseSequence, times: Array, camera: CameraPlacement) -> _Sampled:
+    """Return a person at times (F,) in s, interpolated between frames that are not too far apart."""
+    seen = person.in_sight
+    if not np.isfinite(person.joint_std[seen]).all() or not np.isfinite(person.root_covariance[seen]).all():
+        raise InputError(f'person {person.id!r} has no standard deviations: reconstruct the recording anew')
+    own = person.select(seen)
+    before = np.searchsorted(own.times, times + ROUNDING_S, side='right') - 1
+    after = np.searchsorted(own.times, times - ROUNDING_S)
+    is_known = (before >= 0) & (after < len(own))
+    is_known[is_known] = own.times[after[is_known]] - own.times[before[is_known]] <= MAX_STEP_S
+    at = times[is_known]
+    nearest = find_nearest(at, own.times)
+
+    def interpolate(values: Array) -> Array:
+        flat = interpolate_linearly(at, own.times, values.reshape(len(own), -1))
+        return flat.reshape(len(at), *values.shape[1:])
+
+    turns = interpolate(own.joint_orientation)
+    people = People(
+        ids=(person.id,) * len(at),
+        skeleton=person.skeleton,
+        joints=interpolate(own.joints),
+        joint_std=interpolate(own.joint_std),
+        inferred=own.inferred[nearest],
+        root_covariance=interpolate(own.root_covariance),
+        joint_orientation=turns / np.linalg.norm(turns, axis=-1, keepdims=True),
+        turn_inferred=own.turn_inferred[nearest],
+        contact=interpolate(own.contact),
+        predicted=own.predicted[nearest],
+        tentative=own.tentative[nearest],
+        is_scale_known=person.is_scale_known,
+    )
+    return _Sampled(camera.place(people), is_known)
+
+
+def _show(people: Sequence[_Sampled], frame: int) -> People:
+    """Return those of a camera's people who are known in a frame."""
+    rows = [p.people.select([int(p.is_known[:frame].sum())]) for p in people if p.is_known[frame]]
+    return People.concatenate(rows) if rows else People.none()
+
+
+def _collect(
+    frames: Sequence[MergedPeople], first: Sequence[PoseSequence], stamps: Sequence[int]
+) -> tuple[PoseSequence, ...]:
+    """Return the merged people over time, those first whom the first camera sees, in its order."""
+    rows: dict[str, list[People]] = {}
+    row_stamps: dict[str, list[int]] = {}
+    names: dict[str, Counter[str]] = {}
+    for stamp_ns, frame in zip(stamps, frames, strict=True):
+        for number, person_id in enumerate(frame.people.ids):
+            rows.setdefault(person_id, []).append(frame.people.select([number]))
+            row_stamps.setdefault(person_id, []).append(stamp_ns)
+            if (shown := frame.tracks[number].get(0)) is not None:
+                names.setdefault(person_id, Counter())[shown] += 1
+    people = []
+    for person_id, own_rows in rows.items():
+        if len(own_rows) < min(MIN_FRAMES, max(map(len, rows.values()))):
+            continue
+        own_id = max(names[person_id], key=names[person_id].__getitem__) if person_id in names else None
+        own = next((person for person in first if person.id == own_id), None)
+        merged = follow_person(
+            f'person_{person_id}', stamps, People.concatenate(own_rows), row_stamps[person_id], first[0].intrinsics
+        )
+        people.append(_add_first_camera(merged, own or first[0], is_seen=own is not None))
+    return tuple(people)
+
+
+def _add_first_camera(merged: PoseSequence, own: PoseSequence, *, is_seen: bool) -> PoseSequence:
+    """Return a merged person with what the first camera shows: vertical, floor and, if it sees them, keypoints."""
+    nearest = find_nearest(merged.times, own.times)
+    upward = average_vertical(own.vertical, own.vertical_std)
+    sequence = own.sequence
+    if sequence is not None and is_seen and sequence.stamps_ns != merged.stamps_ns:
+        sequence = sequence.resample(merged.stamps_ns)
+    return replace(
+        merged,
+        vertical=own.vertical[nearest],
+        vertical_std=own.vertical_std[nearest],
+        world_from_camera=build_world(merged.joints, upward, own.camera_height),
+        floor_std=own.floor_std,
+        sequence=sequence if is_seen else None,
+    )

@@ -1,0 +1,139 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The lifecycle node `mocap_merge`: one person a person, from the `skeletons` of several cameras."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from functools import partial
+from typing import Any
+
+from mocap_ros.bags.background import BackgroundRecorder, start_recorder
+from mocap_ros.config import RecorderConfig
+from mocap_ros.errors import RecordingError
+from mocap_ros.messages.cdr import Header, OutputMessage
+from mocap_ros.messages.plain import encode_plain
+from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.messages.transforms import TRANSFORMS
+from mocap_ros.ros.diagnostics import DIAGNOSTICS, Level
+from mocap_ros.ros.help import MERGE_NAME, MERGE_PARAMETERS
+from mocap_ros.ros.message_types import MessageVersions
+from mocap_ros.ros.nodes import ManagedNode, declare_parameters
+from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS, TF_QOS
+from mocap_ros.ros.throttled_log import ThrottledLog
+from mocap_ros.ros.topics import Publishers, SilenceMonitor, subscribe
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS
+from mocap_ros.runtime.skeleton_merging import MergedRun
+
+DIAGNOSTICS_TOPIC = '/diagnostics'
+CHECK_PERIOD_S = 1.0  # s; between two diagnostics
+WARN_AFTER_S = 15.0  # s without messages, after which the log says so; mocap_node takes its time to start
+SILENT_AFTER_S = 2.0  # s without messages, after which a camera counts as dead
+START_MOCAP_NODE = 'start the mocap_node of that camera, or correct the parameter inputs'
+
+
+class MergeNode(ManagedNode):
+    """Lifecycle node that feeds a `MergedRun` while it is active."""
+
+    def __init__(self) -> None:
+        super().__init__(MERGE_NAME)
+        self._values = declare_parameters(self, MERGE_PARAMETERS, 'the option --help')
+        self.has_autostart = bool(self._values['autostart'])
+        self._versions = MessageVersions()
+        self._outputs = Publishers(self, self._versions)
+        self._run: MergedRun | None = None
+        self._recorder: BackgroundRecorder | None = None  # while active
+        self._silences: dict[str, SilenceMonitor] = {}
+        self._subscriptions_in_use: list[Any] = []  # while active
+        self._timer: Any = None  # while active
+        self._log, self._counts = ThrottledLog(self.get_logger()), Counter[str]()
+
+    def configure(self) -> None:
+        """Create the publishers."""
+        topics = [self.resolve_topic_name(name) for name in str(self._values['inputs']).split()]
+        prefix = self.get_namespace().rstrip('/') + '/'
+        self._run = MergedRun(self._values | {'inputs': ' '.join(topics)}, prefix)
+        self._silences = {topic: SilenceMonitor(self, topic, SKELETONS, START_MOCAP_NODE) for topic in topics}
+        self._versions = MessageVersions()
+        self._versions.add_input(SKELETONS)
+        self._outputs = Publishers(self, self._versions)
+        for topic, msgtype in OUTPUTS.items():
+            self._outputs.add(topic, msgtype, OUTPUT_QOS)
+        for topic, msgtype in LATCHED_OUTPUTS.items():
+            self._outputs.add(topic, msgtype, LATCHED_QOS)
+        self._outputs.add_if_installed(DIAGNOSTICS_TOPIC, DIAGNOSTICS, OUTPUT_QOS, 'there are no diagnostics')
+        if self._values['publish_tf']:
+            self._outputs.add_if_installed('/tf', TRANSFORMS, TF_QOS, 'people are not published on /tf')
+
+    def clean_up(self) -> None:
+        """Destroy the publishers."""
+        self._outputs.destroy()
+
+    def start_run(self) -> None:
+        """Subscribe, and start the recording."""
+        if (run := self._run) is None:
+            return
+        if folder := str(self._values['record']):
+            now_ns = time.time_ns()
+            self._recorder = start_recorder(now_ns, RecorderConfig(folder=folder))
+            self._recorder.put(run.start(now_ns))
+        for topic, silence in self._silences.items():
+            silence.restart()
+            keep = self._subscriptions_in_use.append
+            subscribe(self, SKELETONS, topic, partial(self._take, run, topic), OUTPUT_QOS, keep=keep)
+        self._timer = self.create_steady_timer(CHECK_PERIOD_S, self._check)
+        recorded = f', and records to {self._recorder.folder}' if self._recorder else ''
+        published = self.resolve_topic_name('skeletons')
+        self.get_logger().info(
+            f'the node is active: it merges {", ".join(self._silences)} on {published}{recorded}'
+        )
+
+    def stop_run(self) -> None:
+        """Unsubscribe, and finish the recording."""
+        for subscription in self._subscriptions_in_use:
+            self.destroy_subscription(subscription)
+        self._subscriptions_in_use = []
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+            self._timer = None
+        if self._recorder is not None:
+            recorder, self._recorder = self._recorder, None
+            try:
+                recorder.close()
+            except RecordingError as error:
+                self.get_logger().error(str(error))
+
+    def _take(self, run: MergedRun, topic: str, raw: bytes) -> None:
+        self._silences[topic].restart(has_input=True)
+        self._counts[topic] += 1
+        now_ns = time.time_ns()
+        merged = run.feed(topic, self._versions.read(SKELETONS, raw), (now_ns, now_ns))
+        for output in merged.outputs:
+            self._outputs.publish(self._versions.write_output(output))
+        if merged.reason:
+            self._log.report(topic, self._counts[topic], merged.reason)
+        if self._recorder is not None:
+            try:
+                self._recorder.put(merged.records, even_if_full=True)
+            except RecordingError as error:
+                self.get_logger().error(f'{error}; the recording has ended')
+                self._recorder = None
+
+    def _check(self) -> None:
+        for silence in self._silences.values():
+            silence.check(WARN_AFTER_S)
+        silent = [topic for topic, silence in self._silences.items() if silence.silence_s > SILENT_AFTER_S]
+        count = 0 if self._run is None else len(self._run.merger.people)
+        status = {
+            'level': Level.WARN if silent else Level.OK,
+            'name': MERGE_NAME,
+            'message': f'nothing on {", ".join(silent)}' if silent else f'{count} people',
+            'values': [(topic, str(self._counts[topic])) for topic in self._silences],
+        }
+        now_ns = self.get_clock().now().nanoseconds
+        raw = encode_plain({'header': Header(now_ns, ''), 'status': [status]}, DIAGNOSTICS)
+        self._outputs.publish(
+            self._versions.write_output(OutputMessage(DIAGNOSTICS_TOPIC, DIAGNOSTICS, now_ns, raw))
+        )
