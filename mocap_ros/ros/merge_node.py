@@ -31,6 +31,7 @@ DIAGNOSTICS_TOPIC = '/diagnostics'
 CHECK_PERIOD_S = 1.0  # s; between two diagnostics
 WARN_AFTER_S = 15.0  # s without messages, after which the log says so; mocap_node takes its time to start
 SILENT_AFTER_S = 2.0  # s without messages, after which a camera counts as dead
+SENDING_S = 0.3  # s; a camera from which nothing has come for longer is about to be silent
 START_MOCAP_NODE = 'start the mocap_node of that camera, or correct the parameter inputs'
 
 
@@ -124,12 +125,19 @@ class MergeNode(ManagedNode):
     def _check(self) -> None:
         for silence in self._silences.values():
             silence.check(WARN_AFTER_S)
-        silent = [topic for topic, silence in self._silences.items() if silence.silence_s > SILENT_AFTER_S]
+        problems = []
+        if silent := [topic for topic, silence in self._silences.items() if silence.silence_s > SILENT_AFTER_S]:
+            problems.append(f'nothing on {", ".join(silent)}')
+        elif self._run is not None and (late := self._run.merger.find_late_topics()):
+            problems.append(
+                f'{", ".join(late)}: other stamps than the first camera, so not merged: set the clocks'
+            )
+            self.get_logger().warning(problems[0], throttle_duration_sec=10.0)
         count = 0 if self._run is None else len(self._run.merger.people)
         status = {
-            'level': Level.WARN if silent else Level.OK,
+            'level': Level.WARN if problems else Level.OK,
             'name': MERGE_NAME,
-            'message': f'nothing on {", ".join(silent)}' if silent else f'{count} people',
+            'message': '; '.join(problems) or f'{count} people',
             'values': [(topic, str(self._counts[topic])) for topic in self._silences],
         }
         now_ns = self.get_clock().now().nanoseconds

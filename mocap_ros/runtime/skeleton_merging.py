@@ -65,6 +65,15 @@ class SkeletonMerger:
         self._stamp_ns = -1  # of the newest outputs
         self._merger, self._outputs = PeopleMerger(), OutputEncoder()
 
+    def find_late_topics(self) -> list[str]:
+        """Return the topics whose newest people are too far from the newest outputs to count."""
+        stamps = (None if newest is None else newest.header.stamp_ns for newest in self._newest)
+        return [
+            topic
+            for topic, stamp_ns in zip(self._topics, stamps, strict=True)
+            if stamp_ns is not None and abs(stamp_ns - self._stamp_ns) > self._tolerance_s * NS_PER_S
+        ]
+
     def feed(self, topic: str, raw: bytes) -> tuple[OutputMessage, ...]:
         """Return the messages that a Skeleton3DArray causes.
 
