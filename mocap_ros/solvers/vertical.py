@@ -137,9 +137,9 @@ class Vertical:
     sign: float = 1.0
 
     @staticmethod
-    def give(direction: Array, stamp_ns: int = 0) -> Vertical:
-        """Return a vertical that is given, (3,) unit vector."""
-        return Vertical(direction, math.radians(GIVEN_STD_DEG), True, stamp_ns)
+    def give(direction: Array, stamp_ns: int = 0, std: float = 0.0) -> Vertical:
+        """Return a vertical that is given, (3,) unit vector, with a standard deviation in rad if that is known."""
+        return Vertical(direction, max(std, math.radians(GIVEN_STD_DEG)), True, stamp_ns)
 
     @staticmethod
     def begin(stamp_ns: int, stances: Stances, sign: float = 1.0) -> Vertical:
