@@ -16,11 +16,15 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.bags.journal import Acceptance
 from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source
-from mocap_ros.config import with_values
+from mocap_ros.config import RecorderConfig, with_values
 from mocap_ros.errors import ConfigError
+from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header, decode
+from mocap_ros.messages.imu import IMU
+from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS
 from mocap_ros.messages.skeletons import decode_skeletons as read_skeletons
 from mocap_ros.messages.transforms import TRANSFORMS
@@ -476,3 +480,23 @@ def test_an_imu_that_cannot_be_read_is_refused(long_stream: list[bytes], raw: by
     pipeline = make_calibrated()
     assert len(feed_imu(pipeline, raw, long_stream)) == 3
     assert (pipeline.counters.invalid, pipeline.counters.accepted) == (3, 3)
+
+
+@pytest.mark.parametrize('topics', [('/cam/imu',), ('/cam/imu', '/base/imu')])
+def test_a_replay_takes_the_only_imu_of_a_bag(
+    tmp_path: Path, stream: list[bytes], topics: tuple[str, ...]
+) -> None:
+    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
+        recorder.write('/camera_info', CAMERA_INFO, camera_info(), 0, 0)
+        recorder.write('/tf_static', TRANSFORMS, IMU_OF_CAMERA, 0, 0)
+        for number, raw in enumerate(stream):
+            for topic in topics:
+                imu = make_imu(Header(number * STEP_NS, 'imu_link'), TILTED)
+                recorder.write(topic, IMU, imu, number * STEP_NS, number * STEP_NS)
+            recorder.write('/keypoints', KEYPOINTS, raw, number * STEP_NS + 1, number * STEP_NS + 1)
+    with Bag(tmp_path / 'bag') as bag:
+        replay(bag, tmp_path / 'out')
+    last = decode(read_messages(tmp_path / 'out', '/skeletons')[-1], SKELETONS)
+    is_shown = last.vertical_std < math.radians(2.0)
+    assert is_shown == (len(topics) == 1), 'which of several is unknown'
+    assert not is_shown or last.vertical.z == pytest.approx(-math.sin(PITCH), abs=1e-6)
