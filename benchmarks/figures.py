@@ -38,6 +38,7 @@ BENCHMARKS: Mapping[str, Sequence[str]] = {
     'robots': (),
     'engine': (),
     'faults': (),
+    'verticals': (),
     'stream': (),
     'feet': (),
     'depth': (),

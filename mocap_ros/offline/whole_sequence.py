@@ -286,7 +286,7 @@ def share_floor(found: Sequence[Solved], config: TrackerConfig) -> tuple[list[Po
     agree = length > trust.sum() / 2  # opposite verticals show none
     vertical = total / length if agree else np.full(3, np.nan)
     std = float(trust.sum()) ** -0.5 if agree else math.nan
-    tilt_std = min(FOUND_TILT_FACTOR * std, MAX_CERTAIN_STD) if std <= MAX_CERTAIN_STD else math.nan
+    tilt_std = std if std <= MAX_CERTAIN_STD else math.nan
     if read_given_vertical(config) is not None:
         std = tilt_std = CALIBRATED_TILT_STD
     standing: list[_Standing] = []
@@ -515,7 +515,6 @@ LIFTED_FRAMES = 3600  # that are lifted at once; their histories take 20 MB
 MIN_MEASURED_FRAMES = 10  # with depths; fewer show no size
 MEASURED_SHARE = 0.015  # 1; standard deviation of sizes that depths show, by surfaces and the depth camera
 MIN_TILT_STD = 1e-3  # rad; a smaller deviation of a vertical is not believed
-FOUND_TILT_FACTOR = 1.5  # 1; by which a vertical counts less that people show, who share its errors
 USUAL_SIZES = 0.75, 1.2  # 1; three standard deviations of the size of adults
 UNUSUAL = 'makes a person {:.2f} times as tall as tracker.body_height: one of both is wrong, or it is a child'
 # why `tracker.camera_height` is not used where feet show another one

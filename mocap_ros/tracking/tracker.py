@@ -275,7 +275,7 @@ class PeopleTracker:
         if self.config.tracker.vertical != AUTO_VERTICAL:
             return
         if floor is not None:
-            self._vertical = Vertical.give(floor.upward, stamp_ns)
+            self._vertical = Vertical.give(floor.upward, stamp_ns, floor.tilt_std)
         elif self._vertical is not None and self._vertical.is_given:
             self._vertical = None
 
