@@ -40,6 +40,7 @@ BENCHMARKS: Mapping[str, Sequence[str]] = {
     'faults': (),
     'stream': (),
     'feet': (),
+    'postures': (),
     'depth': (),
     'videos': (),
     'readme': (),

@@ -39,7 +39,7 @@ from mocap_ros.formats.export.vmc import VmcPose, convert_armature
 from mocap_ros.geometry.level import build_world
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header, OutputMessage, decode
-from mocap_ros.messages.foreign_types import HRI_IDS
+from mocap_ros.messages.foreign_types import HRI_IDS, HRI_POSTURE
 from mocap_ros.messages.markers import DELETE
 from mocap_ros.messages.skeletons import (
     PREDICTIONS,
@@ -48,7 +48,7 @@ from mocap_ros.messages.skeletons import (
     encode_skeletons,
 )
 from mocap_ros.messages.transforms import TRANSFORMS, FrameNames
-from mocap_ros.people import CameraVertical, Person3D, PredictedPeople
+from mocap_ros.people import CameraVertical, Person3D, Posture, PredictedPeople
 from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton
 from tests.support.bodies import STANDING, gather, make_person_3d, make_standing_person
@@ -384,19 +384,25 @@ def show(bridge: Bridge, *people: Person3D) -> list[OutputMessage]:
 def test_each_body_has_topics_of_its_own_and_is_described_once() -> None:
     bridge = Bridge(['bodies'])
     anna, ben = map(make_standing_person, ('anna', '7'))
+    anna = replace(anna, posture=Posture.LYING)
     first, second = show(bridge, anna, ben), show(bridge, anna)
     assert [o.topic for o in first] == [
         TRACKED,
         *(f'/humans/bodies/{i}/urdf' for i in ('anna', 'p7')),
-        *(f'/humans/bodies/{i}/joint_states' for i in ('anna', 'p7')),
+        *(f'/humans/bodies/{i}/{topic}' for i in ('anna', 'p7') for topic in ('joint_states', 'posture')),
     ]
-    assert [o.topic for o in second] == [TRACKED, '/humans/bodies/anna/joint_states']
+    assert [o.topic for o in second] == [
+        TRACKED,
+        *(f'/humans/bodies/anna/{t}' for t in ('joint_states', 'posture')),
+    ]
     tracked = decode(first[0].data, HRI_IDS)
     assert (tracked.header.frame_id, tracked.ids) == ('map', ['anna', 'p7'])
     state = decode(first[3].data, JOINT_STATES)
     assert state.name == [f'{name}_anna' for name in MOVED_JOINTS]
     np.testing.assert_allclose(state.position, list(find_angles(STANDING).values()))
     assert (len(state.velocity), len(state.effort), state.header.frame_id) == (0, 0, 'body_anna')
+    posture = decode(first[4].data, HRI_POSTURE)
+    assert (posture.header.frame_id, posture.posture) == ('map', 4), 'LAYING'
     assert 'l_elbow_p7' in decode(first[2].data, DESCRIPTION).data
     grown = replace(anna, joints=STANDING * 1.2)
     assert '/humans/bodies/anna/urdf' in [o.topic for o in show(bridge, grown)]
@@ -438,7 +444,7 @@ def test_people_whose_ids_make_one_name_are_two_bodies_with_the_same_names_on_tf
 def test_topics_of_bodies_are_not_longer_than_the_middleware_allows() -> None:
     people = [make_standing_person('x' * length) for length in (1000, 1001)]
     topics = [m.topic for m in show(Bridge(['bodies']), *people)]
-    assert len(set(topics)) == 5
+    assert len(set(topics)) == 7
     assert max(map(len, topics)) <= MAX_TOPIC_CHARACTERS
 
 
