@@ -4,8 +4,9 @@
 """Are people named as standing, sitting, crouching and lying who are?
 
 Persons on whom no model was trained, in motion capture and in the postures of `training.postures`, which are moved
-into for 0.8 s and held for 1.2 s; 4 m before a camera that looks down by 10 degrees, which is known. Every view is
-by the next detector in turn. The true posture of a frame is that of the synthesised kind, or by the true joints:
+into for 0.8 s and held for 1.2 s; 4 m before a camera that looks down by 10 degrees, which is known, or found
+with `--found`. Every view is by the next detector in turn. The true posture of a frame is that of the synthesised
+kind, or by the true joints:
 
     lying      shoulders below 0.45, hips below 0.4 legs over the lowest joint, the trunk 37 degrees from level
     standing   hips more than 0.8 legs over the lower ankle
@@ -131,7 +132,8 @@ def report_postures(report: Report) -> dict[str, Any]:
     counts: dict[tuple[str, str], NDArray[np.int_]] = {}  # (truth, named) of a source and a way
     for source, kind, view, upward in list_views(report):
         truth = label(kind, view.select_truth(BODY26.joints), upward)
-        known = parameters | {'tracker.vertical': '{} {} {}'.format(*upward)}
+        vertical = 'auto' if report.args.found else '{} {} {}'.format(*upward)
+        known = parameters | {'tracker.vertical': vertical}
         given = {**view.camera, 'model': model, 'parameters': known}
         for way in WAYS:
             pairs = (truth * size + find_named(way, view, **given))[truth != LEFT_OUT]
@@ -151,6 +153,7 @@ def report_postures(report: Report) -> dict[str, Any]:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--persons', choices=('held-out', 'training'), default='held-out')
+    parser.add_argument('--found', action='store_true', help='the vertical is found and not given')
 
 
 if __name__ == '__main__':

@@ -23,7 +23,7 @@ two frames, p the probabilities, and q those of people of whom nothing is known 
 
 In a whole sequence, p is also multiplied by p' / q, with p' the first of these two of the frames after, from the
 last one backwards. What is none of the four, such as on the hands or upside down, is a fifth posture, which is not
-named. None is `FORGET_S` after a frame in which a thigh was seen with both its ends and the vertical was known.
+named. Nor is any more than `FORGET_S` after the last frame in which a thigh was seen and the vertical was known.
 
 `SHAPES` are those of the live poses of training persons, in motion capture and in the postures of
 `training.postures`, by the detectors of the protocol.
