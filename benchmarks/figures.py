@@ -41,6 +41,7 @@ BENCHMARKS: Mapping[str, Sequence[str]] = {
     'verticals': (),
     'stream': (),
     'feet': (),
+    'postures': (),
     'depth': (),
     'videos': (),
     'readme': (),

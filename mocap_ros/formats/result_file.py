@@ -18,7 +18,7 @@ from mocap_ros.formats.sequence_file import RESULT_KEYS, make_camera_arrays, val
 from mocap_ros.geometry.intrinsics import Intrinsics, recover_intrinsics
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.npz_file import write_npz
-from mocap_ros.people import UNKNOWN_COLUMN, PoseSequence
+from mocap_ros.people import UNKNOWN_COLUMN, PoseSequence, Posture
 from mocap_ros.skeleton import CORE_COUNT, skeleton_from_joints
 from mocap_ros.summary import UNKNOWN_SUMMARY, StoredSummary
 
@@ -31,7 +31,7 @@ POSE_KEYS = 'joints3d', 'joint_names', 'timestamps', 'seen', 'residual_px'
 # Those that older results, and those of others, do not have
 OPTIONAL_KEYS = (
     'scale', 'translation', 'scale_known', 'vertical', 'vertical_std', 'contact', 'world_from_camera', 'floor_std',
-    'grade', 'summary',
+    'grade', 'summary', 'posture', 'posture_probability',
 )  # fmt: skip
 UNKNOWN_CAMERA = Intrinsics.from_image_size(640, 480, 1.0)  # px and sides; of a camera of which nothing is known
 
@@ -66,6 +66,8 @@ def save_result_file(path: Path, poses: PoseSequence) -> None:
         'vertical': poses.vertical,
         'vertical_std': poses.vertical_std,
         'contact': poses.contact.astype('f4'),
+        'posture': poses.posture.astype('u1'),
+        'posture_probability': poses.posture_probability.astype('f4'),
         'world_from_camera': poses.world_from_camera,
         'floor_std': np.array(poses.floor_std),
     }
@@ -125,6 +127,8 @@ def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
             reprojection_residual=arrays.read_numbers('residual_px', (frames,)),
             intrinsics=replace(intrinsics, is_focal_known=is_scale_known),
             contact=read('contact', 2),
+            posture=Posture.read(read('posture')) if 'posture' in arrays else UNKNOWN_COLUMN,
+            posture_probability=read('posture_probability'),
             vertical=read('vertical', 3),
             vertical_std=read('vertical_std'),
             predicted=np.asarray(~seen[:, :CORE_COUNT].any(axis=1)),

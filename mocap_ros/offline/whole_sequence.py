@@ -70,6 +70,7 @@ from mocap_ros.solvers.observed_window import (
     observe_sequence,
     sample_unlifted_histories,
 )
+from mocap_ros.solvers.posture import find_postures, measure_likelihood
 from mocap_ros.solvers.vertical import (
     AUTO,
     Vertical,
@@ -306,7 +307,7 @@ def share_floor(found: Sequence[Solved], config: TrackerConfig) -> tuple[list[Po
     world = first.build_world()
     people = [
         replace(
-            s.poses,
+            _name_postures(s.poses),
             world_from_camera=world if len(standing) > 1 else s.build_world(),
             floor_std=math.nan if s.floor is None else s.floor.height_std,
             predicted=np.asarray(s.poses.inferred[:, :CORE_COUNT].all(axis=1)),
@@ -314,6 +315,12 @@ def share_floor(found: Sequence[Solved], config: TrackerConfig) -> tuple[list[Po
         for s in standing
     ]
     return people, [words for words in dict.fromkeys(s.height_fault for s in standing) if words]
+
+
+def _name_postures(poses: PoseSequence) -> PoseSequence:
+    likelihood = measure_likelihood(poses.joints, poses.inferred, poses.vertical, poses.vertical_std)
+    posture, probability = find_postures(poses.times, likelihood)
+    return replace(poses, posture=posture, posture_probability=probability)
 
 
 class _Standing(NamedTuple):
