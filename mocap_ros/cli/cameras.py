@@ -53,8 +53,8 @@ OPTIONS: Options = {
     '-o --output OUT.yaml': 'file for the poses and clock offsets (default: print them only)',
     '--picture OUT.png': 'picture from above of the cameras and the paths of the people (default: none)',
     '--distance DISTANCE': option(
-        'two cameras, by their names or their numbers from 1, and the distance between them in m, which sets the '
-        "scale (default: that of the people's body height)",
+        'two cameras, by the names that are printed, and the distance between them in m, which sets the scale '
+        "(default: that of the people's body height)",
         nargs=3,
         metavar=('A', 'B', 'M'),
         type=str,
@@ -98,19 +98,16 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _parse_distance(texts: Sequence[str], names: Sequence[str]) -> MeasuredDistance:
-    numbers = {str(number): index for index, number in enumerate(range(1, len(names) + 1))}
-    by_name = numbers | {name: index for index, name in enumerate(names)}
     for text in texts[:2]:
-        if text not in by_name:
+        if text not in names:
             raise InputError(f'--distance: no camera {text!r}; {suggest(text, names)}')
     try:
         distance = parse_positive(texts[2])
     except argparse.ArgumentTypeError as error:
         raise InputError(f'--distance: {error}') from None
-    first, second = (by_name[text] for text in texts[:2])
-    if first == second:
-        raise InputError(f'--distance: {texts[0]} and {texts[1]} are one camera')
-    return MeasuredDistance(first, second, distance)
+    if texts[0] == texts[1]:
+        raise InputError(f'--distance: {texts[0]} is one camera, not two')
+    return MeasuredDistance(names.index(texts[0]), names.index(texts[1]), distance)
 
 
 def print_cameras(located: LocatedCameras) -> None:

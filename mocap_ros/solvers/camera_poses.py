@@ -25,7 +25,7 @@ The start is the rotation that fits the joints about the root best (Procrustes, 
 
 Who is who is not known. Each person of one camera is tried as each of another, at the likeliest clock offsets
 (`solvers.seen_people`). Camera by camera, the hypothesis wins under which the people of the new camera agree with
-those of all cameras before for the most seconds.
+those of all cameras before for the most seconds. The angle to a rival that is nearly as good is a deviation, too.
 
 Variances are those of the last linearisation, of samples `SAMPLE_STEP_S` apart, times C - 1, for each of C cameras
 is in so many pairs with the same errors. `COMMON_STD` is added: what all frames share, such as where a detector
@@ -44,7 +44,7 @@ import numpy as np
 from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import InputError
-from mocap_ros.geometry.rotations import cross_matrix, fit_rotation, rotation_from_vector
+from mocap_ros.geometry.rotations import cross_matrix, fit_rotation, rotation_from_vector, vector_from_rotation
 from mocap_ros.models.joint_std import compute_joint_covariance
 from mocap_ros.people import PoseSequence
 from mocap_ros.solvers.seen_people import SeenPerson, find_clock_offsets
@@ -63,6 +63,9 @@ ROOT_TOLERANCE_M, POSE_TOLERANCE_M = (
     1.0,
     0.25,
 )  # m; median differences, by a start, beyond which two people are not one
+# 1, share of the weighted seconds of the best hypothesis with which another one might be right, as the cycles of a
+# walk in a circle look alike; and rad, by which it then turns the camera: other starts differ by less
+RIVAL_SHARE, MIN_DOUBT = 0.8, 0.35
 CLOCK_SCALE_S = 10.0  # s; of offsets that fit alike, as the cycles of a walk do, the smaller is likelier
 # rad of rotations, and share of the distance of translations, with which as many errors of training people are
 # within a deviation after 20 s as after 5 s
@@ -121,11 +124,14 @@ def find_camera_poses(
     """
     config, numbers = config or TrackerConfig(), count()
     seen = [[SeenPerson.of(person, next(numbers), config) for person in people] for people in views]
-    start, offsets = _find_start(seen)
+    start, offsets, doubts = _find_start(seen)
     pairs = list(_list_pairs(seen, start, offsets))
-    poses, rotation_std, translation_std = _refine(pairs, start, sum(map(len, seen)))
+    step = slice(None, None, math.ceil(sum(len(pair.people[0].times) for pair in pairs) / MAX_SAMPLES))
+    thinned = [_Pair(cameras, (a.select(step), b.select(step))) for cameras, (a, b) in pairs]
+    poses, rotation_std, translation_std = _refine(thinned, start, sum(map(len, seen)))
     lengths = [(pair.cameras, len(pair.people[0].times) * SAMPLE_STEP_S) for pair in pairs]
     seconds = [max((s for cameras, s in lengths if c in cameras), default=0.0) for c in range(len(views))]
+    rotation_std = np.hypot(rotation_std, doubts)
     return FoundCameras(poses, rotation_std, translation_std, offsets, np.array(seconds))
 
 
@@ -134,8 +140,8 @@ def _sample(first: SeenPerson, other: SeenPerson, offset: float) -> tuple[SeenPe
     begin, end = max(first.times[0], other.times[0] + offset), min(first.times[-1], other.times[-1] + offset)
     times = np.arange(begin, end, SAMPLE_STEP_S)
     pair = first.at(times), other.at(times - offset)
-    both = np.isfinite(pair[0].joints + pair[1].joints).all(axis=(1, 2))
-    return tuple(SeenPerson(*(values[both] for values in person)) for person in pair)  # type: ignore[return-value]
+    both = np.asarray(np.isfinite(pair[0].joints + pair[1].joints).all(axis=(1, 2)))
+    return pair[0].select(both), pair[1].select(both)
 
 
 def _fit_start(first: SeenPerson, other: SeenPerson) -> Array:
@@ -188,33 +194,43 @@ def _list_links(first: Sequence[SeenPerson], other: Sequence[SeenPerson]) -> Ite
                     yield _Link(_fit_start(*samples), offset, correlation)
 
 
-def _find_start(seen: Sequence[Sequence[SeenPerson]]) -> tuple[Array, Array]:
-    """Return poses (C, 4, 4) and clock offsets (C,) s, camera by camera."""
-    poses, offsets = np.tile(np.eye(4), (len(seen), 1, 1)), np.zeros(len(seen))
-    pairs = combinations(range(len(seen)), 2)
-    links = {(a, b): list(_list_links(seen[a], seen[b])) for a, b in pairs}
+class _Start(NamedTuple):
+    """Where a hypothesis puts a camera, and the seconds for which people agree with it, weighted."""
+
+    gain: float
+    camera: int
+    pose: Array
+    offset: float
+
+
+def _find_start(seen: Sequence[Sequence[SeenPerson]]) -> tuple[Array, Array, Array]:
+    """Return poses (C, 4, 4), clock offsets (C,) s, and angles (C,) in rad to rivals that fit nearly as well."""
+    poses, offsets, doubts = np.tile(np.eye(4), (len(seen), 1, 1)), np.zeros(len(seen)), np.zeros(len(seen))
+    links = {(a, b): list(_list_links(seen[a], seen[b])) for a, b in combinations(range(len(seen)), 2)}
     links |= {
         (b, a): [_Link(np.asarray(np.linalg.inv(pose), float), -offset, r) for pose, offset, r in found]
         for (a, b), found in links.items()
     }
     known = [0]
     while missing := [c for c in range(len(seen)) if c not in known]:
-        best, chosen = 0.0, -1
+        starts = []
         for a, new in product(known, missing):
             for link in links[a, new]:
                 pose, offset = poses[a] @ link.pose, offsets[a] + link.offset
-                gain = sum(
-                    _match(seen[c], seen[new], np.linalg.inv(poses[c]) @ pose, offset - offsets[c])[0]
-                    for c in known
-                )
-                gain *= link.correlation / (1 + abs(offset) / CLOCK_SCALE_S)
-                if gain > best:
-                    best, chosen, found = gain, new, (pose, offset)
-        if chosen < 0:
+                relative = [(c, np.linalg.inv(poses[c]) @ pose, offset - offsets[c]) for c in known]
+                seconds = sum(_match(seen[c], seen[new], between, lag)[0] for c, between, lag in relative)
+                gain = seconds * link.correlation / (1 + abs(offset) / CLOCK_SCALE_S)
+                starts.append(_Start(gain, new, pose, offset))
+        best = max(starts, key=lambda start: start.gain, default=None)
+        if best is None or not best.gain > 0:
             raise InputError(f'camera {missing[0] + 1} sees nobody whom another camera sees at the same time')
-        poses[chosen], offsets[chosen] = found
-        known.append(chosen)
-    return poses, offsets
+        rivals = [s.pose for s in starts if s.camera == best.camera and s.gain > RIVAL_SHARE * best.gain]
+        turns = vector_from_rotation(best.pose[:3, :3].T @ np.array(rivals)[:, :3, :3])
+        angle = float(np.linalg.norm(turns, axis=1).max())
+        poses[best.camera], offsets[best.camera] = best.pose, best.offset
+        doubts[best.camera] = angle if angle > MIN_DOUBT else 0.0
+        known.append(best.camera)
+    return poses, offsets, doubts
 
 
 def _list_pairs(seen: Sequence[Sequence[SeenPerson]], poses: Array, offsets: Array) -> Iterator[_Pair]:
@@ -229,45 +245,27 @@ def _list_pairs(seen: Sequence[Sequence[SeenPerson]], poses: Array, offsets: Arr
             yield _Pair((a, b), (first, other))
 
 
-class _Differences(NamedTuple):
-    """Whitened differences of a pair of cameras for N samples."""
-
-    root: Array  # (N, 3)
-    pose: Array  # (N, 15, 3)
-    line: Array  # (N, 15)
-
-
-class _Whitening(NamedTuple):
-    """L_r (N, 3, 3) and L_p (N, 15, 3, 3) of a pair of cameras, in 1/m."""
-
-    root: Array
-    pose: Array
-
-    @staticmethod
-    def of(pair: _Pair, poses: Array) -> _Whitening:
-        root, joints = np.zeros((3, 3)), np.zeros((3, 3))
-        for camera, person in zip(pair.cameras, pair.people, strict=True):
-            rotation = poses[camera, :3, :3]
-            root = root + rotation @ person.root_covariance @ rotation.T
-            joints = joints + rotation @ compute_joint_covariance(person.std, person.joints) @ rotation.T
-        factors = (np.linalg.cholesky(np.linalg.inv(c)) for c in (root, joints))
-        return _Whitening(*(np.swapaxes(factor, -1, -2) for factor in factors))
+def _whiten(pair: _Pair, poses: Array) -> tuple[Array, Array]:
+    """Return L_r (N, 3, 3) and L_p (N, 15, 3, 3) of a pair of cameras with these poses, in 1/m."""
+    root, joints = np.zeros((3, 3)), np.zeros((3, 3))
+    for camera, person in zip(pair.cameras, pair.people, strict=True):
+        rotation = poses[camera, :3, :3]
+        root = root + rotation @ person.root_covariance @ rotation.T
+        joints = joints + rotation @ compute_joint_covariance(person.std, person.joints) @ rotation.T
+    root, joints = (np.linalg.cholesky(np.linalg.inv(covariance)) for covariance in (root, joints))
+    return np.swapaxes(root, -1, -2), np.swapaxes(joints, -1, -2)
 
 
-def compare(pair: _Pair, whitening: _Whitening, poses: Array, sizes: Array) -> _Differences:
-    """Return the differences of the module's formula for a pair of cameras with these poses and size factors."""
-    roots, about, signs = 0.0, 0.0, (1, -1)
-    for camera, person, sign in zip(pair.cameras, pair.people, signs, strict=True):
+def _compare(pair: _Pair, whitening: tuple[Array, Array], poses: Array, sizes: Array) -> Array:
+    """Return the differences of the module's formula: those of roots (3 N), poses (45 N) and lines (15 N)."""
+    root, about = np.zeros(3), np.zeros(3)
+    for camera, person, sign in zip(pair.cameras, pair.people, (1, -1), strict=True):
         turned, size = poses[camera, :3, :3].T, sign * sizes[person.number.astype(int), None]
-        roots = roots + size * (person.roots @ turned) + sign * poses[camera, :3, 3]
+        root = root + size * (person.roots @ turned) + sign * poses[camera, :3, 3]
         about = about + size[..., None] * (person.about_root @ turned)
-    a, b = pair.cameras
-    between = np.linalg.inv(poses[a]) @ poses[b]
-    return _Differences(
-        np.einsum('nij,nj->ni', whitening.root, roots),
-        np.einsum('nkij,nkj->nki', whitening.pose, about),
-        find_line_distances(*pair.people, between) / LINE_STD_M,
-    )
+    parts = [(factor @ d[..., None]).ravel() for factor, d in zip(whitening, (root, about), strict=True)]
+    between = np.linalg.inv(poses[pair.cameras[0]]) @ poses[pair.cameras[1]]
+    return np.concatenate([*parts, find_line_distances(*pair.people, between).ravel() / LINE_STD_M])
 
 
 def find_line_distances(first: SeenPerson, other: SeenPerson, pose: Array) -> Array:
@@ -284,10 +282,10 @@ def find_line_distances(first: SeenPerson, other: SeenPerson, pose: Array) -> Ar
     return np.nan_to_num((p * line_p).sum(axis=-1) / np.maximum(np.hypot(*slope), MIN_SLOPE))
 
 
-def _weigh_samples(person: SeenPerson, step: int) -> Array:
-    """Return w (N,) of samples of which every `step`-th is left."""
+def _weigh_samples(person: SeenPerson) -> Array:
+    """Return the weights w (N,)."""
     sector = np.floor(person.headings / (2 * math.pi / SECTORS)).astype(int) % SECTORS
-    return np.minimum(1.0, CORRELATED_SAMPLES / (step * np.bincount(sector, minlength=SECTORS)[sector]))
+    return np.minimum(1.0, CORRELATED_SAMPLES / np.bincount(sector, minlength=SECTORS)[sector])
 
 
 def _refine(pairs: Sequence[_Pair], start: Array, people: int) -> tuple[Array, Array, Array]:
@@ -295,31 +293,21 @@ def _refine(pairs: Sequence[_Pair], start: Array, people: int) -> tuple[Array, A
     from scipy.optimize import least_squares  # which takes time to load
 
     others = len(start) - 1
-    step = math.ceil(sum(len(pair.people[0].times) for pair in pairs) / MAX_SAMPLES)
-    thinned = [
-        _Pair(cameras, (SeenPerson(*(v[::step] for v in a)), SeenPerson(*(v[::step] for v in b))))
-        for cameras, (a, b) in pairs
-    ]
-    whitening = [_Whitening.of(pair, start) for pair in thinned]
+    whitening = [_whiten(pair, start) for pair in pairs]
 
     def unpack(x: Array) -> tuple[Array, Array]:
         poses = start.copy()
-        turns, poses[1:, :3, 3], sizes = (
-            x[: 3 * others],
-            x[3 * others : 6 * others].reshape(-1, 3),
-            x[6 * others :],
-        )
-        poses[1:, :3, :3] = rotation_from_vector(turns.reshape(-1, 3)) @ start[1:, :3, :3]
-        return poses, np.exp(sizes - sizes.mean())
+        turns, poses[1:, :3, 3] = x[: 6 * others].reshape(2, others, 3)
+        poses[1:, :3, :3] = rotation_from_vector(turns) @ start[1:, :3, :3]
+        return poses, np.exp(x[6 * others :] - x[6 * others :].mean())
 
     def find_residuals(x: Array) -> Array:
-        found = (compare(pair, own, *unpack(x)) for pair, own in zip(thinned, whitening, strict=True))
-        prior = math.sqrt(max(CORRELATED_SAMPLES / step, 1.0)) / SIZE_STD * x[6 * others :]
-        return np.concatenate([prior, *(values.ravel() for differences in found for values in differences)])
+        found = [_compare(pair, own, *unpack(x)) for pair, own in zip(pairs, whitening, strict=True)]
+        return np.concatenate([math.sqrt(CORRELATED_SAMPLES) / SIZE_STD * x[6 * others :], *found])
 
     weights = [np.ones(people)]
-    for pair in thinned:
-        own = _weigh_samples(pair.people[0], step)
+    for pair in pairs:
+        own = _weigh_samples(pair.people[0])
         weights += [np.repeat(own, 3), np.repeat(POSE_WEIGHT * own, 45), np.repeat(own, 15)]
     weight = np.concatenate(weights)
 
@@ -329,8 +317,8 @@ def _refine(pairs: Sequence[_Pair], start: Array, people: int) -> tuple[Array, A
 
     x0 = np.concatenate([np.zeros(3 * others), start[1:, :3, 3].ravel(), np.zeros(people)])
     solution = least_squares(find_residuals, x0, loss=rho, x_scale='jac', xtol=TOLERANCE, ftol=TOLERANCE)
-    covariance = others * step * np.linalg.inv(solution.jac.T @ solution.jac)
-    variance = np.diag(covariance)[: 6 * others].reshape(2, -1, 3).sum(axis=2)
+    covariance = others * np.linalg.inv(solution.jac.T @ solution.jac)
+    variance = np.diag(covariance)[: 6 * others].reshape(2, others, 3).sum(axis=2)
     poses, _ = unpack(solution.x)
     distance = np.linalg.norm(poses[1:, :3, 3], axis=1)
     shared = COMMON_STD * np.stack([np.ones(others), distance])

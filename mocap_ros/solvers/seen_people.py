@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocap_ros.arrays import Array
+from mocap_ros.arrays import Array, Mask
 from mocap_ros.config import TrackerConfig
 from mocap_ros.geometry.interpolation import MAX_STEP_S, interpolate_linearly
 from mocap_ros.people import PoseSequence
@@ -90,6 +90,10 @@ class SeenPerson(NamedTuple):
             np.where(is_seen[..., None], rays, np.nan),
             np.full(len(person), float(number)),
         )
+
+    def select(self, samples: Mask | slice) -> SeenPerson:
+        """Return the person at some of the times."""
+        return SeenPerson(*(values[samples] for values in self))
 
     def at(self, times: Array) -> SeenPerson:
         """Return the person at other times, interpolated; NaN outside and in gaps of more than `MAX_STEP_S`."""
