@@ -3,13 +3,14 @@
 
 """Where cameras are, found from the people whom they see.
 
-Walks of people on whom no model was trained are continued along a figure of eight of changing curvature, before
-cameras on tripods about it at frame rates of 30, 15 and 10 Hz, whose clocks are seconds apart. Keypoints are as
-OpenPose and MediaPipe give them; each recording is reconstructed as a whole. Measures: the angle of the error of
-rotations; that of the direction from the first camera; the error of the place after one scale for all cameras, and
-of the distance before it (median), in per cent of the distance; that of the clock in ms (median); the root mean
-squares of both errors over their standard deviations; the worst angle that the command does not refuse, and the
-share that it refuses. Recorded: one and two people before three cameras for 1.7 s.
+Walks of people on whom no model was trained are continued along a figure of eight of changing curvature, and others
+of them exercise, mop, fight, give signs or sit down, before cameras on tripods at frame rates of 30, 15 and 10 Hz,
+whose clocks are seconds apart. Keypoints are as OpenPose and MediaPipe give them; each recording is reconstructed as
+a whole. Measures: the angle of the error of rotations; that of the direction from the first camera; the error of the
+place after one scale for all cameras, and of the distance before it (median), in per cent of the distance; that of
+the clock in ms (median); the root mean squares of both errors over their standard deviations; the worst angle that
+the command does not refuse, and the share that it refuses. Recorded: one and two people before three cameras for
+1.7 s.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ Array = common.Array
 
 WALKS = ('35_29', 'UW_24', 'UW_22', '12_02', '05_01')  # of held-out subjects, straight ahead
 TRAINING_WALKS = ('07_01', '16_15', '38_02', '32_01', '02_01')
+OTHERS = ('14_06', '14_15', '135_02', 'UT_04', '86_09')  # exercises, mopping, martial arts, signs, sitting down
+TRAINING_OTHERS = ('03_04', '29_23', '17_10', '85_12', '61_09')
 SECONDS = (5, 10, 20)
 CYCLE_FRAMES = (25, 45)  # of two steps at 30 Hz
 RADIUS_M, BENDING = 1.2, 0.5  # of the figure of eight, and by which share its curvature changes
@@ -88,6 +91,12 @@ def walk_about(trial: str, frames: int) -> Array:
     sway[:, 2] = 0.0
     body = (cycle[at] + sway[:, None]) @ np.swapaxes(turned, 1, 2) + place[:, None]
     return body - [*body.mean(axis=(0, 1))[[0]], body[..., 1].min(), *body.mean(axis=(0, 1))[[2]]]
+
+
+def stay_about(trial: str, frames: int) -> Array:
+    """Return the motion (F, 26, 3) m of a trial from its fourth second on, in the middle."""
+    body = load_motion()[0][trial][90 : 90 + frames].astype(float) / 1e3
+    return body - [body[..., 0].mean(), body[..., 1].min(), body[..., 2].mean()]
 
 
 def place_cameras(rng: np.random.Generator) -> list[Camera]:
@@ -177,14 +186,17 @@ def provide_options() -> ReconstructionOptions:
 
 
 def report_walks(report: Report) -> Record:
-    """Measure one and two walkers."""
+    """Measure one and two walkers, and people who stay more or less where they are."""
     options, records = provide_options(), list[dict[str, Any]]()
-    walks = TRAINING_WALKS if report.args.persons == 'train' else WALKS
-    bodies = {trial: walk_about(trial, 30 * SECONDS[-1] + 30) for trial in walks}
-    scenes = [(trial, None) for trial in walks] + list(zip(walks, (*walks[1:], walks[0]), strict=True))[::2]
-    for number, (trial, other) in enumerate(common.show_progress(scenes[:: 3 if report.quick else 1], 'scenes')):
+    walks, others = (TRAINING_WALKS, TRAINING_OTHERS) if report.args.persons == 'train' else (WALKS, OTHERS)
+    frames = 30 * SECONDS[-1] + 30
+    bodies = {trial: walk_about(trial, frames) for trial in walks}
+    scenes = [('1 walking', [bodies[trial]]) for trial in walks]
+    pairs = list(zip(walks, (*walks[1:], walks[0]), strict=True))[::2]
+    scenes += [('2 walking', [bodies[p], bodies[q][:, :, [2, 1, 0]] * [1, 1, -1]]) for p, q in pairs]
+    scenes += [('1 on the spot', [stay_about(trial, frames)]) for trial in others]
+    for number, (people, shown) in enumerate(common.show_progress(scenes[:: 3 if report.quick else 1], 'scenes')):
         rng = np.random.default_rng(number)
-        shown = [bodies[trial]] if other is None else [bodies[trial], bodies[other][:, :, [2, 1, 0]] * [1, 1, -1]]
         splines = [CubicSpline(np.arange(len(body)) / 30, body) for body in shown]
         detector, cameras = common.RECORDED_DETECTORS[number % 2], place_cameras(rng)
         truth = relate(np.array([c.rotation for c in cameras]), np.array([c.translation for c in cameras]))
@@ -202,8 +214,7 @@ def report_walks(report: Report) -> Record:
             for chosen in CHOSEN:
                 found = find_camera_poses([views[c] for c in chosen])
                 true_poses = np.linalg.inv(truth[chosen[0]]) @ truth[list(chosen)]
-                people = f'{len(shown)} walking'
-                about = {'people': people, 'cameras': len(chosen), 'seconds': seconds, 'trial': trial}
+                about = {'people': people, 'cameras': len(chosen), 'seconds': seconds, 'scene': number}
                 errors = measure(found, true_poses, [cameras[c].clock_s for c in chosen])
                 records += ({**about, **error} for error in errors)
     groups = group(records, 'people', 'cameras', 'seconds')

@@ -50,27 +50,27 @@ def make_bodies(person: int, seconds: float, rate_hz: float) -> tuple[Array, Arr
 
 def see(camera: Camera, people: Sequence[int], seconds: float, seed: int = 0) -> list[PoseSequence]:
     """Return what the tracker of a camera makes of people."""
-    rng, found = np.random.default_rng(seed), []
-    for person in people:
-        bodies, times = make_bodies(person, seconds, camera.rate_hz)
-        true = (bodies - camera.pose[:3, 3]) @ camera.pose[:3, :3]
-        pixels = INTRINSICS.project(true) + rng.normal(size=(*true.shape[:2], 2))
-        joints = true * rng.normal(1, 0.02) * (1 + DEPTH_STD * rng.normal(size=(1, len(CMU15.joints), 1)))
-        joints += JITTER_M * rng.normal(size=joints.shape)
-        seen = np.concatenate([pixels, np.ones((*pixels.shape[:2], 1))], axis=-1)
-        count, stamps = len(times), times + camera.clock_s
-        found.append(
-            PoseSequence(
-                id=f'{seed}_{person}',
-                times=stamps,
-                skeleton=CMU15,
-                joints=joints,
-                inferred=np.zeros(joints.shape[:2], bool),
-                reprojection_residual=np.ones(count),
-                intrinsics=INTRINSICS,
-                vertical=np.tile(-camera.pose[1, :3], (count, 1)),
-                vertical_std=np.full(count, 0.05),
-                sequence=KeypointSequence(seen, CMU15.joints, stamps, (1280, 960), calibration=INTRINSICS),
-            )
-        )
-    return found
+    rng = np.random.default_rng(seed)
+    return [watch(camera, *make_bodies(person, seconds, camera.rate_hz), rng) for person in people]
+
+
+def watch(camera: Camera, bodies: Array, times: Array, rng: np.random.Generator) -> PoseSequence:
+    """Return what the tracker of a camera makes of joints (F, 15, 3) m in the world at times (F,) s."""
+    true = (bodies - camera.pose[:3, 3]) @ camera.pose[:3, :3]
+    pixels = INTRINSICS.project(true) + rng.normal(size=(*true.shape[:2], 2))
+    joints = true * rng.normal(1, 0.02) * (1 + DEPTH_STD * rng.normal(size=(1, len(CMU15.joints), 1)))
+    joints += JITTER_M * rng.normal(size=joints.shape)
+    seen = np.concatenate([pixels, np.ones((*pixels.shape[:2], 1))], axis=-1)
+    count, stamps = len(times), times + camera.clock_s
+    return PoseSequence(
+        id=str(rng.integers(1000)),
+        times=stamps,
+        skeleton=CMU15,
+        joints=joints,
+        inferred=np.zeros(joints.shape[:2], bool),
+        reprojection_residual=np.ones(count),
+        intrinsics=INTRINSICS,
+        vertical=np.tile(-camera.pose[1, :3], (count, 1)),
+        vertical_std=np.full(count, 0.05),
+        sequence=KeypointSequence(seen, CMU15.joints, stamps, (1280, 960), calibration=INTRINSICS),
+    )
