@@ -3,14 +3,14 @@
 
 """Where cameras are, found from the people whom they see.
 
-Walks of people on whom no model was trained are continued along a figure of eight of changing curvature, and others
-of them exercise, mop, fight, give signs or sit down, before cameras on tripods at frame rates of 30, 15 and 10 Hz,
-whose clocks are seconds apart. Keypoints are as OpenPose and MediaPipe give them; each recording is reconstructed as
-a whole. Measures: the angle of the error of rotations; that of the direction from the first camera; the error of the
-place after one scale for all cameras, and of the distance before it (median), in per cent of the distance; that of
-the clock in ms (median); the root mean squares of both errors over their standard deviations; the worst angle that
-the command does not refuse, and the share that it refuses. Recorded: one and two people before three cameras for
-1.7 s.
+Walks of people on whom no model was trained are continued along a figure of eight of changing curvature, and
+others of them exercise, mop, fight, give signs or sit down, before cameras on tripods at frame rates of 30, 15
+and 10 Hz, whose clocks are seconds apart. Keypoints are as OpenPose and MediaPipe give them; each recording is
+reconstructed as a whole. Measures: the angle of the error of rotations; that of the direction from the first
+camera; the error of the place after one scale for all cameras, and of the distance before it (median), in per
+cent of the distance; that of the clock in ms (median); the root mean squares of both errors over their standard
+deviations; the worst angle that the command does not refuse, and the share that it refuses. Recorded: one and
+two people before three cameras for 1.7 s.
 """
 
 from __future__ import annotations
