@@ -43,6 +43,7 @@ BENCHMARKS: Mapping[str, Sequence[str]] = {
     'feet': (),
     'postures': (),
     'depth': (),
+    'cameras': (),
     'videos': (),
     'readme': (),
 }
