@@ -38,10 +38,13 @@ BENCHMARKS: Mapping[str, Sequence[str]] = {
     'robots': (),
     'engine': (),
     'faults': (),
+    'verticals': (),
     'stream': (),
     'feet': (),
+    'postures': (),
     'depth': (),
     'merging': (),
+    'cameras': (),
     'videos': (),
     'readme': (),
 }

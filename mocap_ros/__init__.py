@@ -38,7 +38,7 @@ if TYPE_CHECKING:
         SkeletonError,
     )
     from mocap_ros.keypoints.keypoint_sequence import GroundTruth, KeypointSequence
-    from mocap_ros.people import Motion, MotionKind, Person3D, PoseSequence
+    from mocap_ros.people import Motion, MotionKind, Person3D, PoseSequence, Posture
     from mocap_ros.verdict.accuracy import Evaluation
 
 __all__ = [
@@ -56,6 +56,7 @@ __all__ = [
     'MotionKind',
     'Person3D',
     'PoseSequence',
+    'Posture',
     'RecordingError',
     'SkeletonError',
     'Tracker',
@@ -86,7 +87,7 @@ _MODULES = {
     ),
     'mocap_ros.verdict.accuracy': ('Evaluation',),
     'mocap_ros.keypoints.keypoint_sequence': ('GroundTruth', 'KeypointSequence'),
-    'mocap_ros.people': ('Motion', 'MotionKind', 'Person3D', 'PoseSequence'),
+    'mocap_ros.people': ('Motion', 'MotionKind', 'Person3D', 'PoseSequence', 'Posture'),
 }
 
 if not TYPE_CHECKING:  # type checkers know the names from above, and so report names that do not exist

@@ -91,8 +91,8 @@ class Fault(Enum):
         "direction upwards in the camera's optical frame, whose y axis is down, unless everybody lies"
     )
     FLOOR = (
-        'node.output_frame = {frame!r}, whose z axis is taken as up: people seem to stand at {angle_deg:.0f} '
-        'degrees to it; check the pose of the camera, unless everybody lies'
+        '{source} is taken as up: people seem to stand at {angle_deg:.0f} degrees to it; check the pose of the '
+        'camera, unless everybody lies'
     )
     # Measured depths.
     DEPTH_UNIT = 'depth: {far:.0%} of the values exceed {limit_m:g} m: they look like mm, and m are expected'

@@ -31,6 +31,21 @@ class MotionKind(IntEnum):
     NON_PERIODIC = 2
 
 
+class Posture(IntEnum):
+    """What a person does, numbered as in `mocap_ros_msgs/msg/Skeleton3D` and `hri_msgs/msg/BodyPosture`."""
+
+    UNKNOWN = 0
+    STANDING = 1
+    SITTING = 2
+    CROUCHING = 3
+    LYING = 4
+
+    @staticmethod
+    def read(numbers: Array) -> NDArray[np.int_]:
+        """Return numbers as postures, unknown where they are none of them."""
+        return np.where(np.isin(numbers, [*Posture]), numbers, Posture.UNKNOWN).astype(int)
+
+
 @dataclass(frozen=True)
 class Motion:
     """Classification of the motion in a window of frames.
@@ -91,6 +106,8 @@ _SHARED_COLUMNS = {
     'joint_orientation': _Column((4,), is_of_joints=True),
     'turn_inferred': _Column((), True, is_of_joints=True),
     'contact': _Column((2,)),
+    'posture': _Column((), 0),
+    'posture_probability': _Column((), 0.0),
     'predicted': _Column((), False),
     'tentative': _Column((), False),
 }
@@ -124,6 +141,8 @@ class Person3D:
             frame of `joints` (`solvers.extremities` has the axes); NaN if unknown.
         turn_inferred: (J,) True where nothing in the image shows how that segment is turned about its own axis.
         contact: (2,) probabilities that the left and the right foot stand; NaN if unknown.
+        posture: a `Posture`.
+        posture_probability: its probability; 0 if unknown.
         scale: px/m, scale of the weak-perspective camera.
         rotation: (3, 3) rotation from the body frame to the camera's optical frame.
         translation: (2,) px, image point of the body's origin, which is the mean of its joints.
@@ -148,6 +167,8 @@ class Person3D:
     joint_orientation: Array
     turn_inferred: Mask
     contact: Array
+    posture: int
+    posture_probability: float
     scale: float
     rotation: Array
     translation: Array
@@ -209,6 +230,8 @@ class People:
     joint_orientation: Array = field(default_factory=_leave_unknown)
     turn_inferred: Mask = field(default_factory=_leave_unknown)
     contact: Array = field(default_factory=_leave_unknown)
+    posture: NDArray[np.integer[Any]] = field(default_factory=_leave_unknown)
+    posture_probability: Array = field(default_factory=_leave_unknown)
     predicted: Mask = field(default_factory=_leave_unknown)
     tentative: Mask = field(default_factory=_leave_unknown)
     joint_velocity: Array = field(default_factory=_leave_unknown)
@@ -356,6 +379,8 @@ class PoseSequence:
         root_covariance: (F, 3, 3) m^2, covariance of the place between the hips.
         contact: (F, 2) probabilities that the left and the right foot stand; NaN as the joints, where the image
             shows nothing of it, or with the method `keyframes`.
+        posture: (F,) what the person does, a `Posture`.
+        posture_probability: (F,) its probability; 0 where unknown.
         vertical: (F, 3) unit vectors upwards in the camera's optical frame.
         vertical_std: (F,) rad, standard deviations of the direction of `vertical`.
         motion: (F,) kind of motion, a `MotionKind`.
@@ -392,6 +417,8 @@ class PoseSequence:
     turn_inferred: Mask = field(default_factory=_leave_unknown)
     root_covariance: Array = field(default_factory=_leave_unknown)
     contact: Array = field(default_factory=_leave_unknown)
+    posture: NDArray[np.integer[Any]] = field(default_factory=_leave_unknown)
+    posture_probability: Array = field(default_factory=_leave_unknown)
     vertical: Array = field(default_factory=_leave_unknown)
     vertical_std: Array = field(default_factory=_leave_unknown)
     motion: NDArray[np.integer[Any]] = field(default_factory=_leave_unknown)

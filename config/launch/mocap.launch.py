@@ -29,6 +29,7 @@ ARGUMENTS = {
     'input_type': ('', 'message type of the keypoints'),
     'keypoints': ('keypoints', 'topic of the keypoints'),
     'camera_info': ('camera_info', 'topic of the CameraInfo'),
+    'imu': ('imu', 'topic of the Imu of the camera or its robot, which shows which way is up'),
     'depth': ('', 'topic of depth images that are registered to the colour image; starts depth_node'),
     'output_frame': ('', 'frame of the outputs, such as base_link or map; empty: that of the camera'),
     'camera_pose': ('', 'x y z roll pitch yaw in m and rad of a camera that stands still in it; empty: from /tf'),
@@ -79,6 +80,7 @@ def create_nodes(context: LaunchContext) -> list[Node]:
         remappings=[
             ('keypoints', 'keypoints_depth' if depth else configurations['keypoints']),
             ('camera_info', configurations['camera_info']),
+            ('imu', configurations['imu']),
         ],
     )
     nodes = [node]

@@ -15,6 +15,7 @@ from mocap_ros.errors import ConfigError, InputError, suggest
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON, find_current_type
+from mocap_ros.messages.imu import IMU
 from mocap_ros.messages.input_types import KEYPOINT_TYPES
 from mocap_ros.messages.transforms import TRANSFORMS
 
@@ -34,6 +35,7 @@ class Source(Enum):
     BODY = '/humans/bodies'  # the 2D keypoints of one body (ROS4HRI)
     TRANSFORMS = '/tf'  # transforms between coordinate frames, each at its time
     STATIC_TRANSFORMS = '/tf_static'  # transforms that hold at all times
+    IMU = 'imu'  # the accelerations of the camera or its robot
 
 
 PEOPLE_SOURCES = (Source.KEYPOINTS, Source.TRACKED_BODIES, Source.BODY)  # the sources that describe people
@@ -42,8 +44,8 @@ TRANSFORM_SOURCES = (Source.TRANSFORMS, Source.STATIC_TRANSFORMS)  # the sources
 
 
 def list_input_types(keypoints_type: str) -> dict[Source, str]:
-    """Return the types of keypoints and CameraInfo, given the former as in the parameter `node.input_type`."""
-    camera = {Source.CAMERA_INFO: CAMERA_INFO}
+    """Return the types of all inputs but transforms, given that of keypoints as in `node.input_type`."""
+    camera = {Source.CAMERA_INFO: CAMERA_INFO, Source.IMU: IMU}
     current_type = find_current_type(keypoints_type)
     if current_type == HRI_SKELETON:
         return {Source.TRACKED_BODIES: HRI_IDS, Source.BODY: HRI_SKELETON, **camera}
@@ -55,9 +57,11 @@ def list_input_types(keypoints_type: str) -> dict[Source, str]:
     return {Source.KEYPOINTS: keypoints_type, **camera}
 
 
-def reads_transforms(node: NodeConfig) -> bool:
-    """Return whether the outputs need the transforms on /tf and /tf_static."""
-    return bool(node.output_frame and not node.camera_pose)
+def list_transform_sources(node: NodeConfig, *, has_imu: bool = True) -> tuple[Source, ...]:
+    """Return the sources of the transforms that the outputs need, or an IMU that is fixed to the camera."""
+    if node.output_frame and not node.camera_pose:
+        return TRANSFORM_SOURCES
+    return (Source.STATIC_TRANSFORMS,) if has_imu and not node.imu_pose else ()
 
 
 def find_latched_inputs(bag: Bag) -> set[str]:
@@ -65,17 +69,20 @@ def find_latched_inputs(bag: Bag) -> set[str]:
     return bag.latched_topics & set(bag.topics_of_type({CAMERA_INFO, TRANSFORMS, *PEOPLE_TYPES}))
 
 
-def find_transform_topics(bag: Bag, node: NodeConfig, recorded: AbstractSet[str]) -> dict[str, Source]:
-    """Return the sources of the topics of transforms in a bag that are inputs.
+def find_robot_topics(bag: Bag, node: NodeConfig, recorded: AbstractSet[str]) -> dict[str, Source]:
+    """Return the sources of the topics of transforms and of an IMU in a bag that are inputs.
 
-    Their names end as in ROS, but for `recorded` inputs of a recorded run, which may have been remapped.
+    The IMU is the only one of the `recorded` inputs of a recorded run or, where there are none, of the bag. Names
+    of topics of transforms end as in ROS, but for recorded ones, which may have been remapped.
     """
-    found = {}
+    imus = [topic for topic in bag.topics_of_type([IMU]) if topic in recorded or not recorded]
+    found = dict.fromkeys(imus, Source.IMU) if len(imus) == 1 else {}
+    wanted = list_transform_sources(node, has_imu=bool(found))
     for topic in bag.topics_of_type([TRANSFORMS]):
         source = next((s for s in TRANSFORM_SOURCES if topic.endswith(s.value)), None)
         if topic in recorded:
             found[topic] = source or TRANSFORM_SOURCES[topic in bag.latched_topics]
-        elif source is not None and reads_transforms(node):
+        elif source in wanted:
             found[topic] = source
     return found
 

@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 from mocap_ros.bridges.capsules import CAPSULES, convert_capsule_markers, convert_capsules
 from mocap_ros.bridges.collision_objects import Content, convert_collision_objects
 from mocap_ros.bridges.detections_3d import convert_detections
+from mocap_ros.bridges.joint_angles import ANGLES_TOPIC, AnglesConverter
 from mocap_ros.bridges.obstacles import convert_obstacles
 from mocap_ros.bridges.people import convert_people
 from mocap_ros.bridges.poses import convert_poses
 from mocap_ros.bridges.prediction_markers import convert_prediction_markers
-from mocap_ros.bridges.ros4hri import TRACKED, BodiesConverter
+from mocap_ros.bridges.ros4hri import JOINT_STATES, TRACKED, BodiesConverter
 from mocap_ros.bridges.seen import Predictions, SeenPeople, read_people, read_predictions, show_nobody
 from mocap_ros.bridges.vmc import Avatar
 from mocap_ros.errors import ConfigError, suggest
@@ -48,7 +49,14 @@ CONSUMERS = {
     'prediction_markers': Consumer(
         'prediction_markers', MARKERS, convert_prediction_markers, reads_predictions=True
     ),
-    'bodies': Consumer(TRACKED, HRI_IDS, lambda *_: []),  # made by `BodiesConverter`, for its topics come and go
+    # made by `FOLLOWERS`
+    'joint_angles': Consumer(ANGLES_TOPIC, JOINT_STATES, lambda *_: []),
+    'bodies': Consumer(TRACKED, HRI_IDS, lambda *_: []),
+}
+# Those of the consumers that need more than the message before, or have topics that come and go.
+FOLLOWERS: dict[str, type[AnglesConverter | BodiesConverter]] = {
+    'joint_angles': AnglesConverter,
+    'bodies': BodiesConverter,
 }
 
 
@@ -67,7 +75,7 @@ class Bridge:
     def __init__(self, names: Sequence[str], avatar: Avatar | None = None) -> None:
         self._avatar = avatar
         self._consumers = [CONSUMERS[name] for name in names]
-        self._bodies = BodiesConverter() if 'bodies' in names else None
+        self._followers = [follower() for name, follower in FOLLOWERS.items() if name in names]
         self._numbers = PersonNumbers()
         self._people = show_nobody(Header(0, ''))
         self._predictions = Predictions(Header(0, ''))
@@ -93,8 +101,10 @@ class Bridge:
     def _convert_people(self, people: SeenPeople) -> list[OutputMessage]:
         before, self._people = self._people, people
         outputs = self._convert(people, before, reads_predictions=False)
-        for topic, msgtype, content in self._bodies.convert(people) if self._bodies else ():
-            outputs.append(OutputMessage(topic, msgtype, people.header.stamp_ns, encode_plain(content, msgtype)))
+        for follower in self._followers:
+            for topic, msgtype, content in follower.convert(people):
+                raw = encode_plain(content, msgtype)
+                outputs.append(OutputMessage(topic, msgtype, people.header.stamp_ns, raw))
         if self._avatar is not None:
             self._avatar.show(people)
         return outputs

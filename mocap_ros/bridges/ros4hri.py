@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""ROS4HRI (REP-155): the ids of all bodies, and the kinematic model and the joint states of each.
+"""ROS4HRI (REP-155): the ids of all bodies, and the kinematic model, the joint states and the posture of each.
 
 The model is that of the package human_description: a trunk, a head, arms and legs with 20 joints, all links with x
 forward, y to the left and z up where the joints are at 0. Let R_a(t) be a rotation about the axis a, s = 1 on the
@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from mocap_ros.arrays import Array
 from mocap_ros.bridges.seen import SeenPeople
 from mocap_ros.messages.cdr import Header
-from mocap_ros.messages.foreign_types import HRI_IDS
+from mocap_ros.messages.foreign_types import HRI_IDS, HRI_POSTURE
 from mocap_ros.messages.transforms import FrameNames, compute_links
 from mocap_ros.skeleton import CMU15, CORE_COUNT
 
@@ -216,9 +216,9 @@ class BodiesConverter:
         self._lengths: dict[str, Array] = {}  # of the bodies that were described, by name
 
     def convert(self, people: SeenPeople) -> list[tuple[str, str, Any]]:
-        """Return topic, type and content of the messages: ids, models of new or changed bodies, joint states.
+        """Return topic, type and content of the messages: ids, models of new or changed bodies, states.
 
-        The frame of joint states is that of the body.
+        The frame of joint states is that of the body; postures have the numbers of `Posture`.
         """
         names = self._names.assign(people.ids)
         joints = people.joints[:, :CORE_COUNT]
@@ -240,5 +240,6 @@ class BodiesConverter:
                 'position': angles[n],
             }
             states.append((f'{BODIES}{body}/joint_states', JOINT_STATES, state))
+            states.append((f'{BODIES}{body}/posture', HRI_POSTURE, (people.header, people.posture[n])))
         tracked = {'header': people.header, 'ids': list(self._lengths)}
         return [(TRACKED, HRI_IDS, tracked), *models, *states]

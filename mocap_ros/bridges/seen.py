@@ -16,6 +16,7 @@ import numpy as np
 
 from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError
+from mocap_ros.geometry.level import LEVEL_UP, MAX_CERTAIN_STD
 from mocap_ros.geometry.rigid_transform import NO_ROTATION
 from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.cdr import Header, read_stamp
@@ -27,6 +28,7 @@ from mocap_ros.people import People
 from mocap_ros.skeleton import CORE_COUNT
 
 RELIABILITY_FADE_S = 1.0  # s; the reliability of a person who has not been seen for so long is a third
+MIN_SINE = 0.1  # of the angle between up and where somebody looks, who else looks along the vertical
 FLESH_M = 0.1  # m; how far a body reaches beyond its joints: half a trunk's depth, a hand beyond its wrist
 
 NO_HEADER = Header(0, '')  # ns and frame before the first message
@@ -61,6 +63,23 @@ class SeenPeople(People):
         _, _, axes = compute_links(self.joints)
         found = [quaternion_from_rotation(a) if np.isfinite(a).all() else NO_ROTATION for a in axes]
         return np.array(found).reshape(-1, 4)
+
+    def compute_headings(self) -> Array:
+        """Return the directions forward (N, 3) of the bodies; zeros of a body whose axes are not known."""
+        _, _, axes = compute_links(self.joints)
+        return np.nan_to_num(axes[:, :, 0])
+
+    def find_world_axes(self, ahead: Array) -> Array:
+        """Return the axes left, up and ahead, in rows (3, 3), of a world in which somebody looks ahead (3,).
+
+        Up is the vertical, or against y where it is not known.
+        """
+        is_known = self.vertical.any() and self.vertical_std <= MAX_CERTAIN_STD
+        up = self.vertical / np.linalg.norm(self.vertical) if is_known else LEVEL_UP
+        ahead = ahead if np.linalg.norm(np.cross(up, ahead)) > MIN_SINE else np.roll(up, 1)
+        left = np.cross(up, ahead)
+        left /= np.linalg.norm(left)
+        return np.stack([left, up, np.cross(left, up)])
 
 
 class NumberedPeople(NamedTuple):

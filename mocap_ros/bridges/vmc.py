@@ -10,19 +10,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mocap_ros.arrays import Array
 from mocap_ros.bridges.seen import SeenPeople
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.vmc import VmcPose, convert_armature
-from mocap_ros.geometry.level import MAX_CERTAIN_STD
 from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_rotation
-from mocap_ros.messages.transforms import compute_links
 from mocap_ros.units import NS_PER_S
 
 FLOOR_NS = 2 * NS_PER_S  # over which the lowest joint shows the floor: longer than a jump, shorter than a climb
-MIN_SINE = 0.1  # of the angle between up and where somebody looks, who else looks along the vertical
 FRAME_RATE_HZ = 30.0  # a rate that an armature must have; of one frame it says nothing
-OPTICAL_UP = np.array([0.0, -1.0, 0.0])  # upwards in an optical frame, if nothing else is known
 
 
 class Avatar:
@@ -48,12 +43,11 @@ class Avatar:
         if self._number not in people.numbers:
             self._number, self._start_ns = min(people.numbers), stamp_ns
             row = people.numbers.index(self._number)
-            _, _, bodies = compute_links(people.joints[row : row + 1])
-            self._ahead = np.nan_to_num(bodies[0][:, 0])
+            self._ahead = people.compute_headings()[row]
             self._origin = people.joints[row, people.skeleton.index('pelvis')]
             self._lowest.clear()
         row = people.numbers.index(self._number)
-        axes = _find_axes(people, self._ahead)
+        axes = people.find_world_axes(self._ahead)
         joints = (people.joints[row] - self._origin) @ axes.T
         while self._lowest and not 0 <= stamp_ns - self._lowest[0][0] <= FLOOR_NS:
             self._lowest.popleft()
@@ -65,13 +59,3 @@ class Avatar:
             turned = multiply_quaternions(np.array(quaternion_from_rotation(axes)), orientation[None])
         (pose,) = convert_armature(build_armature(joints[None], FRAME_RATE_HZ, turned))
         self._send(pose, (stamp_ns - self._start_ns) / NS_PER_S)
-
-
-def _find_axes(people: SeenPeople, ahead: Array) -> Array:
-    """Return the axes of animation, left, up and ahead, in rows (3, 3) in the frame of the header."""
-    is_known = people.vertical.any() and people.vertical_std <= MAX_CERTAIN_STD
-    up = people.vertical / np.linalg.norm(people.vertical) if is_known else OPTICAL_UP
-    ahead = ahead if np.linalg.norm(np.cross(up, ahead)) > MIN_SINE else np.roll(up, 1)
-    left = np.cross(up, ahead)
-    left /= np.linalg.norm(left)
-    return np.stack([left, up, np.cross(left, up)])

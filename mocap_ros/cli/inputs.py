@@ -124,7 +124,7 @@ def read_input_options(args: argparse.Namespace, config: Config) -> InputOptions
     """Return what the options of `INPUT_OPTIONS` state."""
     video, topics = read_video_options(args), (args.topic, args.camera_info)
     show = lambda images, count: show_progress(images, 'detect', count)  # noqa: E731
-    return InputOptions(video, config.node, args.person, *topics, show, config.tracker)
+    return InputOptions(video, config.node, getattr(args, 'person', None), *topics, show, config.tracker)
 
 
 def load_sequences(

@@ -35,6 +35,7 @@ COMMANDS = {
     'batch': 'replay or reconstruct many recordings, on the cores of a machine or on a cluster',
     'play': 'publish recorded keypoints at the recorded pace',
     'recover': 'recover the messages of a bag that was cut off or damaged',
+    'cameras': 'find where cameras are from the people whom they see',
     'keyframes': 'summarise a long sequence by a few poses',
     'view': 'show any recording or result in 3D, as a page for any browser or as a picture',
     'evaluate': 'print the errors of a reconstruction against the truth',

@@ -57,6 +57,7 @@ CAMERA_HEIGHT_RANGE_M = 0.0, 100.0  # as of `tracker.camera_height`
 # What turns the text of a value into it, by what the help calls the value; any other value is a path.
 TEXTS = (
     'ADDRESS',
+    'DEG',
     'FOLDER|GLOB|LIST',
     'ID',
     'KIND',
@@ -94,6 +95,7 @@ CONFIG_OPTIONS: Options = {
         action='append',
         default=[],
     ),
+    '--pitch DEG': 'degrees by which the camera looks down, such as 10 (default: the parameter tracker.vertical)',
 }
 STRICT_OPTIONS: Options = {'--strict': 'exit with 1 if the input turns out to be wrong (default: with 0)'}
 
@@ -136,8 +138,8 @@ def load_config_file(args: argparse.Namespace) -> Config | None:
 
 
 def parse_changes(args: argparse.Namespace) -> dict[str, Value]:
-    """Return the values that the options `--set` give, by the names of the parameters."""
-    changes: dict[str, Value] = {}
+    """Return the values that the options `--set` and `--pitch` give, by the names of the parameters."""
+    changes: dict[str, Value] = {} if args.pitch is None else {'tracker.vertical': args.pitch}
     for assignment in args.set:
         name, equals, value = assignment.partition('=')
         if not equals:

@@ -63,7 +63,7 @@ BAG_SUFFIX = '.mcap'  # of what --live records
 DEFAULT_PORT, MAX_PORT = 8642, 65535  # of --live
 # Options that apply to no result, and those of the others that apply to one only in a bag
 RECONSTRUCTION_OPTIONS = 'fps', 'image_size', 'layout', 'hfov', 'focal', 'detector', 'model'
-BAG_OPTIONS = 'topic', 'camera_info', 'config', 'set'
+BAG_OPTIONS = 'topic', 'camera_info', 'config', 'set', 'pitch'
 VIEWED_FORMATS = f'{KEYPOINT_FORMATS}, or a result (.npz, .mcap)'
 VIEWED_KINDS = (*KEYPOINT_KINDS, InputKind.RESULT)
 MAX_PEOPLE = 16  # people who are reconstructed; those who are seen most, since each one takes seconds

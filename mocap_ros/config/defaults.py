@@ -162,7 +162,8 @@ class TrackerConfig:
     vertical: str = define_parameter(
         'auto',
         'vertical of the camera, towards which lifted poses are turned: auto (from a node.output_frame whose z '
-        'axis is up: map, odom, world or one with node.floor_height; else found from how people stand and walk), '
+        'axis is up: map, odom, world or one with node.floor_height; else from accelerations on the topic imu; '
+        'else from node.camera_pose alone; else found from how people stand and walk), '
         'none, the degrees by which a camera that is not rolled looks down, such as 10, or the direction upwards '
         'in its optical frame as three numbers, such as 0 -1 0 of a level camera',
         read_only=True,
@@ -331,6 +332,12 @@ class NodeConfig:
         '0 it looks along x with z up, and a positive pitch lowers its view; empty: from /tf',
         read_only=True,
         is_common=True,
+    )
+    imu_pose: str = define_parameter(
+        '',
+        'x y z in m and roll pitch yaw in rad of the IMU on the camera, whose accelerations on the topic imu show '
+        'which way is up; with angles of 0 its x axis is where the camera looks, and z is up; empty: from /tf',
+        read_only=True,
     )
     floor_height: str = define_parameter(
         '',

@@ -22,6 +22,20 @@ def add_frame(
     standing: Array,
     shown: Array,
 ) -> tuple[Array, float, float, float, float, float]: ...
+def judge(
+    found: Array,
+    sums: Array,
+    sign: float,
+    is_turned: bool,
+    level_pitch_deg: float,
+    shrinkage: float,
+    standing_share: float,
+    usual_deg: float,
+    body_deg: float,
+    second_deg: float,
+    max_deg: float,
+    askew_deg: float,
+) -> tuple[Array, Array]: ...
 def turn_poses(
     joints: Array,
     std: Array,

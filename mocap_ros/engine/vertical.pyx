@@ -16,7 +16,7 @@ from mocap_ros.engine.geometry cimport Rows, Stack, Vector, dot
 
 cdef double DEGREE = 3.14159265358979323846 / 180
 cdef double LEAN_PER_DEPTH = 0.36  # KAPPA: share of the depths' errors that is a lean of the whole body
-cdef double BALANCE_STD_DEG = 6.0  # s_u
+cdef double BALANCE_STD_DEG = 4.0  # s_u
 cdef double MAX_TURN_DEG = 20.0  # C: a larger angle is rather a person who does not stand
 
 
@@ -63,6 +63,49 @@ def add_frame(
     for i in range(3):
         out[i] = out[i] / norm if norm > 0 else direction[i]
     return result, weight, certain, seen, upright, askew
+
+
+cdef inline void normalise(double* v) noexcept nogil:
+    cdef double length = max(sqrt(dot(v, v)), 1e-300)
+    v[0], v[1], v[2] = v[0] / length, v[1] / length, v[2] / length
+
+
+def judge(
+    Rows found, Rows sums, double sign, bint is_turned, double level_pitch_deg, double shrinkage,
+    double standing_share, double usual_deg, double body_deg, double second_deg, double max_deg, double askew_deg,
+):
+    """Return verticals (N, 3) and their standard deviations (N,) in rad.
+
+    By v_t (N, 3), of any length, and `Sums` (N, 5) in s; `sign` -1 where the camera is upside down; `is_turned`
+    whether q is 1; then the pitch of v_0, K, `STANDING_SHARE`, A_0, B, S, and the two of v_0, in degrees.
+    """
+    cdef Py_ssize_t n
+    cdef int i
+    cdef double seen, r, own, beyond, prior
+    cdef double[3] level, v
+    level[0], level[1] = 0, -sign * cos(level_pitch_deg * DEGREE)
+    level[2] = -sin(level_pitch_deg * DEGREE)
+    direction, std = np.empty((found.shape[0], 3)), np.empty(found.shape[0])
+    cdef double[:, ::1] out = direction
+    cdef double[::1] deviation = std
+    for n in range(found.shape[0]):
+        v[0], v[1], v[2] = found[n, 0], found[n, 1], found[n, 2]
+        normalise(v)
+        for i in range(1, 3):
+            v[i] += shrinkage * (v[i] - level[i])
+        normalise(v)
+        seen = max(sums[n, 2], 1e-12)
+        r = min(max(1 - sums[n, 3] / (standing_share * seen), 0.0), 1.0)
+        own = sqrt((body_deg * body_deg * sums[n, 3] + second_deg * second_deg) / max(sums[n, 1], 1e-9))
+        own = min(own, max_deg)
+        beyond = max(acos(min(max(dot(v, level), -1.0), 1.0)) / DEGREE - usual_deg, 0.0)
+        prior = max_deg + (askew_deg - max_deg) * (1.0 if is_turned else sums[n, 4] / seen)
+        deviation[n] = ((1 - r) * sqrt(own * own + beyond * beyond) + r * prior) * DEGREE
+        for i in range(3):
+            v[i] = (1 - r) * v[i] + r * level[i]
+        normalise(v)
+        out[n, 0], out[n, 1], out[n, 2] = v[0], v[1], v[2]
+    return direction, std
 
 
 def turn_poses(

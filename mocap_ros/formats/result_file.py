@@ -18,7 +18,7 @@ from mocap_ros.formats.sequence_file import RESULT_KEYS, make_camera_arrays, val
 from mocap_ros.geometry.intrinsics import Intrinsics, recover_intrinsics
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.npz_file import write_npz
-from mocap_ros.people import UNKNOWN_COLUMN, PoseSequence
+from mocap_ros.people import UNKNOWN_COLUMN, PoseSequence, Posture
 from mocap_ros.skeleton import CORE_COUNT, skeleton_from_joints
 from mocap_ros.summary import UNKNOWN_SUMMARY, StoredSummary
 
@@ -31,7 +31,8 @@ POSE_KEYS = 'joints3d', 'joint_names', 'timestamps', 'seen', 'residual_px'
 # Those that older results, and those of others, do not have
 OPTIONAL_KEYS = (
     'scale', 'translation', 'scale_known', 'vertical', 'vertical_std', 'contact', 'world_from_camera', 'floor_std',
-    'grade', 'summary', 'joint_std', 'root_covariance', 'orientation', 'turn_inferred',
+    'grade', 'summary', 'posture', 'posture_probability', 'joint_std', 'root_covariance', 'orientation',
+    'turn_inferred',
 )  # fmt: skip
 UNKNOWN_CAMERA = Intrinsics.from_image_size(640, 480, 1.0)  # px and sides; of a camera of which nothing is known
 
@@ -60,6 +61,8 @@ def save_result_file(path: Path, poses: PoseSequence) -> None:
         'contact': poses.contact.astype('f4'),
         'joint_std': poses.joint_std.astype('f4'),
         'root_covariance': poses.root_covariance.astype('f4'),
+        'posture': poses.posture.astype('u1'),
+        'posture_probability': poses.posture_probability.astype('f4'),
         'world_from_camera': poses.world_from_camera,
         'floor_std': np.array(poses.floor_std),
     }
@@ -136,6 +139,8 @@ def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
             root_covariance=read('root_covariance', 3, 3),
             joint_orientation=read('orientation', len(names), 4),
             turn_inferred=turn_inferred,
+            posture=Posture.read(read('posture')) if 'posture' in arrays else UNKNOWN_COLUMN,
+            posture_probability=read('posture_probability'),
             vertical=read('vertical', 3),
             vertical_std=read('vertical_std'),
             predicted=np.asarray(~seen[:, :CORE_COUNT].any(axis=1)),

@@ -64,13 +64,14 @@ class Floor(NamedTuple):
     camera_height: float | None
     tilt_std: float = CALIBRATED_TILT_STD  # rad, standard deviation of the direction
     height_std: float = CALIBRATED_HEIGHT_STD_M  # m, that of the height
+    source: str = ''  # what of a parameter or a topic shows it, in words
 
     @staticmethod
-    def find(camera_pose: RigidTransform, height: float | None) -> Floor:
+    def find(camera_pose: RigidTransform, height: float | None, source: str = '') -> Floor:
         """Return the floor at a height in m in the frame with z up in which the pose of the camera is given."""
         camera_height = None if height is None else float(camera_pose.translation[2]) - height
         is_below = camera_height is not None and camera_height > 0
-        return Floor(camera_pose.rotation[2], camera_height if is_below else None)
+        return Floor(camera_pose.rotation[2], camera_height if is_below else None, source=source)
 
 
 def build_world(joints: Array, upward: Array, camera_height: float | None) -> Array:

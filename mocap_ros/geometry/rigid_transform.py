@@ -13,6 +13,7 @@ the shortest arc of unit quaternions q_0 and q_1.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -84,6 +85,11 @@ class RigidTransform:
             ]
         )
 
+    @property
+    def matrix(self) -> Array:
+        """(4, 4) transform from the child frame to the parent frame."""
+        return np.block([[self.rotation, self.translation[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
+
     def apply(self, points: Array) -> Array:
         """Return points (..., 3) of the child frame in the parent frame."""
         return np.asarray(points @ self.rotation.T + self.translation)
@@ -152,3 +158,13 @@ def parse_camera_pose(text: str, name: str) -> RigidTransform:
     about_x, about_y, about_z = rotation_from_vector(np.diag(numbers[3:]))
     rotation = about_z @ about_y @ about_x @ OPTICAL_TO_BODY
     return RigidTransform(np.array(numbers[:3]), quaternion_from_rotation(rotation))
+
+
+def format_camera_pose(pose: Array) -> str:
+    """Return the text that `parse_camera_pose` reads, of a transform (4, 4) in m from a camera's optical frame."""
+    from scipy.spatial.transform import Rotation
+
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', UserWarning)  # of a camera that looks straight down: its roll becomes 0
+        angles = Rotation.from_matrix(pose[:3, :3] @ OPTICAL_TO_BODY.T).as_euler('xyz')
+    return ' '.join(f'{number + 0.0:.4f}' for number in np.round([*pose[:3, 3], *angles], 4))

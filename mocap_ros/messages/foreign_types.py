@@ -5,8 +5,8 @@
 
 With these definitions the messages are read and written although their packages are not installed. The definitions
 of inputs are those of yolo_msgs (yolo_ros), hri_msgs (ROS4HRI, REP-155), zed_msgs (ZED wrapper) and
-openpose_ros2_msgs; those of outputs are of people_msgs, vision_msgs, nav2_dynamic_msgs and moveit_msgs. A message
-in another version of a type is converted to or from these fields by name, on live topics and in bags.
+openpose_ros2_msgs; those of outputs of people_msgs, vision_msgs, nav2_dynamic_msgs, moveit_msgs and hri_msgs. A
+message in another version of a type is converted to or from these fields by name, on live topics and in bags.
 
 The definitions are not beside the readers, because `cdr` registers them and the readers import `cdr`.
 """
@@ -16,6 +16,7 @@ from __future__ import annotations
 YOLO_DETECTIONS = 'yolo_msgs/msg/DetectionArray'
 HRI_SKELETON = 'hri_msgs/msg/Skeleton2D'
 HRI_IDS = 'hri_msgs/msg/IdsList'
+HRI_POSTURE = 'hri_msgs/msg/BodyPosture'
 ZED_OBJECTS = 'zed_msgs/msg/ObjectsStamped'
 OPENPOSE_POSES = 'openpose_ros2_msgs/msg/PoseKeyPointsList'
 PEOPLE = 'people_msgs/msg/People'
@@ -68,6 +69,7 @@ INPUT_DEFINITIONS = {
 }
 # Definitions of messages that are published for robots.
 OUTPUT_DEFINITIONS = {
+    HRI_POSTURE: 'std_msgs/Header header\nuint8 posture',
     'people_msgs/msg/Person': (
         'string name\ngeometry_msgs/Point position\ngeometry_msgs/Point velocity\nfloat64 reliability\n'
         'string[] tagnames\nstring[] tags'

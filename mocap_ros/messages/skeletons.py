@@ -25,7 +25,7 @@ from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, read_stamp
 from mocap_ros.messages.plain import decode_plain, encode_plain
-from mocap_ros.people import CameraVertical, Motion, MotionKind, People, PredictedPeople
+from mocap_ros.people import CameraVertical, Motion, MotionKind, People, Posture, PredictedPeople
 from mocap_ros.skeleton import CMU15, Skeleton, find_roots, keypoint_layout
 
 SKELETONS = MOCAP_ROS_MSGS + 'Skeleton3DArray'
@@ -88,6 +88,8 @@ def _list_rows(people: People, cameras: Array) -> list[dict[str, Any]]:
         'joint_orientation': people.joint_orientation,
         'turn_inferred': people.turn_inferred,
         'contact': [feet if np.isfinite(feet).any() else () for feet in people.contact],
+        'posture': people.posture.tolist(),
+        'posture_probability': people.posture_probability.tolist(),
     }
     return [{name: values[row] for name, values in columns.items()} for row in range(count)]
 
@@ -182,6 +184,8 @@ def _read_people(rows: Sequence[SimpleNamespace]) -> People:
         translation=cameras[:, 5:7],
         unseen_for=read_numbers('unseen_for'),
         contact=read('contact', FEET),
+        posture=Posture.read(read_numbers('posture')),
+        posture_probability=read_numbers('posture_probability'),
     )
 
 

@@ -77,6 +77,7 @@ from mocap_ros.solvers.observed_window import (
     observe_sequence,
     sample_unlifted_histories,
 )
+from mocap_ros.solvers.posture import find_postures, measure_likelihood
 from mocap_ros.solvers.vertical import (
     AUTO,
     Vertical,
@@ -324,7 +325,7 @@ def share_floor(found: Sequence[Solved], config: TrackerConfig) -> tuple[list[Po
     agree = length > trust.sum() / 2  # opposite verticals show none
     vertical = total / length if agree else np.full(3, np.nan)
     std = float(trust.sum()) ** -0.5 if agree else math.nan
-    tilt_std = min(FOUND_TILT_FACTOR * std, MAX_CERTAIN_STD) if std <= MAX_CERTAIN_STD else math.nan
+    tilt_std = std if std <= MAX_CERTAIN_STD else math.nan
     if read_given_vertical(config) is not None:
         std = tilt_std = CALIBRATED_TILT_STD
     standing: list[_Standing] = []
@@ -344,7 +345,7 @@ def share_floor(found: Sequence[Solved], config: TrackerConfig) -> tuple[list[Po
     world = first.build_world()
     people = [
         replace(
-            s.poses,
+            _name_postures(s.poses),
             world_from_camera=world if len(standing) > 1 else s.build_world(),
             floor_std=math.nan if s.floor is None else s.floor.height_std,
             predicted=np.asarray(s.poses.inferred[:, :CORE_COUNT].all(axis=1)),
@@ -352,6 +353,12 @@ def share_floor(found: Sequence[Solved], config: TrackerConfig) -> tuple[list[Po
         for s in standing
     ]
     return people, [words for words in dict.fromkeys(s.height_fault for s in standing) if words]
+
+
+def _name_postures(poses: PoseSequence) -> PoseSequence:
+    likelihood = measure_likelihood(poses.joints, poses.inferred, poses.vertical, poses.vertical_std)
+    posture, probability = find_postures(poses.times, likelihood)
+    return replace(poses, posture=posture, posture_probability=probability)
 
 
 class _Standing(NamedTuple):
@@ -559,7 +566,6 @@ LIFTED_FRAMES = 3600  # that are lifted at once; their histories take 20 MB
 MIN_MEASURED_FRAMES = 10  # with depths; fewer show no size
 MEASURED_SHARE = 0.015  # 1; standard deviation of sizes that depths show, by surfaces and the depth camera
 MIN_TILT_STD = 1e-3  # rad; a smaller deviation of a vertical is not believed
-FOUND_TILT_FACTOR = 1.5  # 1; by which a vertical counts less that people show, who share its errors
 USUAL_SIZES = 0.75, 1.2  # 1; three standard deviations of the size of adults
 UNUSUAL = 'makes a person {:.2f} times as tall as tracker.body_height: one of both is wrong, or it is a child'
 # why `tracker.camera_height` is not used where feet show another one

@@ -38,8 +38,8 @@ MAX_GIVEN_STD = math.radians(2.0)  # rad; verticals that are given have 1 degree
 # Columns of `People` that a `PoseSequence` has as well, each with its value where there is no skeleton
 COLUMNS = {
     'joints': np.nan, 'joint_std': np.nan, 'inferred': True, 'reprojection_residual': np.nan, 'predicted': False,
-    'tentative': False, 'root_covariance': np.nan, 'contact': np.nan, 'joint_orientation': np.nan,
-    'turn_inferred': True,
+    'tentative': False, 'root_covariance': np.nan, 'contact': np.nan, 'posture': 0, 'posture_probability': 0.0,
+    'joint_orientation': np.nan, 'turn_inferred': True,
 }  # fmt: skip
 
 

@@ -182,6 +182,8 @@ def _iterate_people(poses: PoseSequence) -> Iterator[People]:
             joint_orientation=poses.joint_orientation[now],
             turn_inferred=poses.turn_inferred[now],
             contact=poses.contact[now],
+            posture=poses.posture[now],
+            posture_probability=poses.posture_probability[now],
         )
 
 

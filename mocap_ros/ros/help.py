@@ -16,6 +16,7 @@ from mocap_ros.errors import tell_installation
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.foreign_types import HRI_SKELETON
 from mocap_ros.messages.images import IMAGE, IMAGE_TYPES
+from mocap_ros.messages.imu import IMU
 from mocap_ros.messages.input_types import KEYPOINT_TYPES
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS
@@ -27,7 +28,7 @@ DEPTH_NAME, MERGE_NAME = 'depth_node', 'mocap_merge'
 # Type of each service of the node, by name.
 SERVICES = {'~/reset': 'std_srvs/srv/Trigger', '~/record': 'std_srvs/srv/SetBool'}
 # Message type of each input with the default parameters, by relative topic name.
-INPUT_TYPES = {Source.KEYPOINTS.value: KEYPOINTS, Source.CAMERA_INFO.value: CAMERA_INFO}
+INPUT_TYPES = {Source.KEYPOINTS.value: KEYPOINTS, Source.CAMERA_INFO.value: CAMERA_INFO, Source.IMU.value: IMU}
 BRIDGE_PARAMETERS = (
     Parameter(
         'publish', str, '', f'consumers, separated by blanks: some of {", ".join(CONSUMERS)}', read_only=True
@@ -143,9 +144,9 @@ def _describe_nodes() -> dict[str, tuple[str, dict[str, Mapping[str, str]]]]:
             '-r keypoints:=/camera/keypoints': 'rename a topic; may be repeated',
             '--log-level warn': 'log only warnings and errors',
         },
-        'subscribed topics': INPUT_TYPES,
+        'subscribed topics': {**INPUT_TYPES, '/tf_static': TRANSFORMS},
         'published topics': OUTPUTS | LATCHED_OUTPUTS | {'/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray'},
-        'subscribed with -p node.output_frame:=FRAME': {'/tf': TRANSFORMS, '/tf_static': TRANSFORMS},
+        'subscribed with -p node.output_frame:=FRAME': {'/tf': TRANSFORMS},
         **{f'published with -p node.{field}:=true': {t: kind} for field, (t, kind) in SWITCHED_OUTPUTS.items()},
         'services': SERVICES,
     }

@@ -15,11 +15,10 @@ from rclpy.node import Node
 
 from mocap_ros.bags.topics import (
     PEOPLE_SOURCES,
-    TRANSFORM_SOURCES,
     Source,
     list_input_types,
+    list_transform_sources,
     make_body_topic,
-    reads_transforms,
 )
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import ConfigError, InputError
@@ -68,7 +67,7 @@ class LostMessages:
 
 
 class InputSubscriptions:
-    """Subscriptions to keypoints, CameraInfo and transforms, and for ROS4HRI to each tracked body.
+    """Subscriptions to keypoints, CameraInfo, Imu and transforms, and for ROS4HRI to each tracked body.
 
     `silence` observes when no people arrive. The types of the inputs are added to `versions`; `types` has that of
     each source, without transforms whose type is not installed.
@@ -83,15 +82,16 @@ class InputSubscriptions:
         self.types = list_input_types(input_type)
         for msgtype in self.types.values():
             versions.add_input(msgtype)
-        if reads_transforms(get_limits()):
+        if sources := list_transform_sources(get_limits()):
             try:
                 versions.add_input(TRANSFORMS)
-                self.types |= dict.fromkeys(TRANSFORM_SOURCES, TRANSFORMS)
+                self.types |= dict.fromkeys(sources, TRANSFORMS)
             except ConfigError as error:
-                node.get_logger().warning(
-                    f'node.output_frame: {error}; transforms cannot be received, so people are published in the '
-                    f'frame of the camera; install {TRANSFORMS.partition("/")[0]}, or set node.camera_pose'
-                )
+                if Source.TRANSFORMS in sources:
+                    node.get_logger().warning(
+                        f'node.output_frame: {error}; transforms cannot be received, so people are published in '
+                        f'the frame of the camera; install {TRANSFORMS.partition("/")[0]}, or set node.camera_pose'
+                    )
         self._subscriptions: dict[str, Any] = {}  # by topic
         self._body_topics: set[str] = set()
         self._run: LiveRun | None = None

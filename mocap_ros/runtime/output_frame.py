@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where the camera and the floor are in `node.output_frame`, by parameters or /tf, and the world of the people."""
+"""Where the camera and the floor are in `node.output_frame`, which way is up, and the world of the people."""
 
 from __future__ import annotations
 
@@ -12,16 +12,19 @@ import numpy as np
 from mocap_ros.arrays import Array
 from mocap_ros.config import Config, NodeConfig, parse_numbers
 from mocap_ros.errors import ConfigError, InputError
+from mocap_ros.geometry.gravity import Gravity
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import MAX_CERTAIN_STD, Floor, build_world, is_level
-from mocap_ros.geometry.rigid_transform import RigidTransform, parse_camera_pose
+from mocap_ros.geometry.rigid_transform import OPTICAL_TO_BODY, RigidTransform, parse_camera_pose
 from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.imu import decode_acceleration
 from mocap_ros.messages.transform_tree import TransformTree
 from mocap_ros.people import CameraVertical, People
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.solvers.floor import ANKLE_M, HEEL_M, MAX_STEP_S
+from mocap_ros.solvers.vertical import AUTO as AUTO_VERTICAL
 from mocap_ros.units import NS_PER_S
 
 CAMERA_MOTION_S = 0.1  # s; over which the motion of the camera is found: as long as velocities are smoothed over
@@ -32,7 +35,7 @@ LEDGE_M = 0.3  # m; feet higher than that over others, or over the floor so far,
 
 
 class OutputFrame:
-    """The camera and the floor in the frame of the outputs, by the parameters or by /tf and /tf_static."""
+    """The camera and the floor in the frame of the outputs, by the parameters, /tf, /tf_static and an IMU."""
 
     def __init__(self, node: NodeConfig) -> None:
         self.transforms = TransformTree()
@@ -40,11 +43,16 @@ class OutputFrame:
         self._floor_height: float | None = None  # m, likewise
         if node.output_frame.startswith('/'):
             raise ConfigError(f'node.output_frame = {node.output_frame!r}: frames begin without a slash')
-        for name in ('camera_pose', 'floor_height'):
-            if getattr(node, name) and not node.output_frame:
-                raise ConfigError(f'node.{name}: needs node.output_frame, the frame in which it is given')
+        self._gravity = Gravity()
+        self._imu_frame: str | None = None  # of the accelerations, if any have come
+        self._imu_rotation: Array | None = None  # that the parameters give, from the IMU to the optical frame
+        if node.floor_height and not node.output_frame:
+            raise ConfigError('node.floor_height: needs node.output_frame, the frame in which it is given')
         if node.camera_pose:
             self._pose = parse_camera_pose(node.camera_pose, 'node.camera_pose')
+        if node.imu_pose:
+            from_optical = parse_camera_pose(node.imu_pose, 'node.imu_pose').rotation
+            self._imu_rotation = OPTICAL_TO_BODY.T @ from_optical @ OPTICAL_TO_BODY.T
         if node.floor_height:
             numbers = parse_numbers(node.floor_height)
             if len(numbers) != 1 or not math.isfinite(numbers[0]):
@@ -80,20 +88,22 @@ class OutputFrame:
         return placed, CameraPlacement(header.frame_id, pose, before, CAMERA_MOTION_S), ''
 
     def find_floor(self, header: Header, intrinsics: Intrinsics, config: Config) -> tuple[Floor | None, str]:
-        """Return the floor at the time of an image, and what `node.floor_height` is not used for, if anything.
+        """Return the floor at the time of an image, and what a parameter or an IMU does not show, if anything.
 
-        Without `node.floor_height`, a frame whose name says that its z axis is up shows which way is up. With
-        `tracker.lag`, people of an earlier image are published, so a camera that may move shows no more either.
+        Without `node.floor_height`, a frame whose name says that its z axis is up shows which way is up, else the
+        IMU does, or `node.camera_pose` alone. With `tracker.lag`, people of an earlier image are published, so a
+        camera that may move shows no more either.
         """
         height, pose, node = self._floor_height, self._pose, config.node
-        if not node.output_frame or (height is None and not is_level(node.output_frame)):
-            return None, ''
+        if height is None and not is_level(node.output_frame):
+            return self._find_upward(header, config)
         if pose is None:
             try:
                 pose = self._find_pose(header, node)
             except InputError:  # `place_camera` says so
-                return None, ''
-        floor, fault = Floor.find(pose, height), ''
+                return self._find_upward(header, config)
+        source = f'node.output_frame = {node.output_frame!r}, whose z axis'
+        floor, fault = Floor.find(pose, height, source), ''
         if height is None:
             return floor, ''
         if floor.camera_height is None:
@@ -104,6 +114,41 @@ class OutputFrame:
             fault = 'with tracker.lag it needs node.camera_pose; people keep the assumed size'
             floor = floor._replace(camera_height=None)
         return floor, fault and f'node.floor_height = {height:g}: {fault}'
+
+    def add_imu(self, raw: bytes, node: NodeConfig) -> None:
+        """Add a sensor_msgs/Imu; `find_floor` says why it shows nothing."""
+        header, acceleration = decode_acceleration(raw, node)
+        if header.frame_id != self._imu_frame:
+            self.forget_imu()
+            self._imu_frame = header.frame_id
+        if acceleration is not None:
+            self._gravity.add(header.stamp_ns, acceleration)
+
+    def forget_imu(self) -> None:
+        """Begin without accelerations."""
+        self._gravity, self._imu_frame = Gravity(), None
+
+    def _find_upward(self, header: Header, config: Config) -> tuple[Floor | None, str]:
+        """Return which way is up, and how far below the floor is by `tracker.camera_height`."""
+        if config.tracker.vertical != AUTO_VERTICAL:
+            return None, ''
+        camera_height, fault = config.tracker.camera_height or None, ''
+        if self._imu_frame is not None:
+            try:
+                upward, std = self._gravity.find(header.stamp_ns)
+                upward = self._find_imu_rotation(header, self._imu_frame, config.node) @ upward
+                return Floor(upward, camera_height, std, source='imu, whose mean acceleration'), ''
+            except InputError as error:
+                fault = f'imu does not show which way is up: {error}'
+        if self._pose is None or config.node.output_frame:  # which may tilt with the robot
+            return None, fault
+        return Floor(self._pose.rotation[2], camera_height, source='node.camera_pose, whose z axis'), fault
+
+    def _find_imu_rotation(self, header: Header, imu_frame: str, node: NodeConfig) -> Array:
+        if self._imu_rotation is not None:
+            return self._imu_rotation
+        frames = header.frame_id, imu_frame
+        return self.transforms.find(*frames, header.stamp_ns, node.transform_tolerance).rotation
 
     def _find_pose(self, header: Header, node: NodeConfig, earlier_s: float = 0.0) -> RigidTransform:
         frames = node.output_frame, header.frame_id

@@ -218,6 +218,7 @@ class Pipeline:
         self._tracker.recall_names(memory.names)
         self._assembler.reset()
         self._camera.reset()
+        self._output_frame.forget_imu()
         self.checks = InputChecks()
         self.summary.restart()
         self._wait = CalibrationWait(is_over=self._wait.is_over or memory.has_waited)
@@ -248,6 +249,9 @@ class Pipeline:
             return []
         if source in TRANSFORM_SOURCES:
             self.transforms.add(raw, is_static=source is Source.STATIC_TRANSFORMS)
+            return []
+        if source is Source.IMU:
+            self._output_frame.add_imu(raw, self.config.node)
             return []
         size, restart_after = self._find_size(read_frame_id(raw)), self.config.tracker.restart_after
         return self._assembler.assemble(source, raw, topic, self.config.node, size, restart_after)

@@ -24,7 +24,7 @@ from mocap_ros.bags.topics import (
     Source,
     find_people_topics,
     find_people_type,
-    find_transform_topics,
+    find_robot_topics,
     make_repeat_keys,
 )
 from mocap_ros.config import Config, Value, settings, values, with_values
@@ -128,7 +128,7 @@ class _Replay:
         repeated = self._run.parameters if self._repeats_parameters else {}
         if WAIT_PARAMETER not in repeated if repeated else camera_info is None:
             config = with_values(config, {WAIT_PARAMETER: 0.0})
-        self._inputs |= find_transform_topics(bag, config.node, self._run.input_topics)
+        self._inputs |= find_robot_topics(bag, config.node, self._run.input_topics)
         # that of the outputs in the bag, whatever the parameters of the replay say
         self._frame_prefix = str(self._run.parameters.get(PREFIX_PARAMETER, config.node.frame_prefix))
         self._pipeline = Pipeline(config)

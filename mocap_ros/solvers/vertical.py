@@ -8,7 +8,7 @@ direction upwards u (`models.upward_direction`); the vertical v of a camera is t
 some time:
 
     v_t = normalise(sum_i max(p_i, L) k_i u_i),    k_i = exp(-|t - t_i| / T) dt_i / (1 + (angle(u_i, v) / A)^2)
-    s_v = min(sqrt(B^2 + S^2 / sum_i p_i k_i), MAX_STD_DEG)
+    s_v^2 = min((B^2 sum_i p_i dt_i + S^2) / sum_i p_i k_i, MAX_STD_DEG^2) + max(angle(v_t, v_0) - A_0, 0)^2
 
 with p_i the share to which the pose stands and dt_i the time since the frame before. Live, the sums are over the
 frames up to t, each with the v that was known then. In a whole sequence the same goes forwards and backwards, and
@@ -16,10 +16,16 @@ both sums are added: on 21 views that is 6.0 degrees off in the mean; sums with 
 Who lies or stands on the hands has straight hips as well, and cameras are mostly level:
 p_i is multiplied by a share that falls from 1 to 0 as the angle from u_i to -y grows from `LEVEL_DEG`[0] to [1].
 It is also multiplied by the share to which hips and knees are seen, for inferred legs nearly always stand.
-Part of the error of a direction lasts, for it is that of a body, B; the rest is another one after a second.
+Part of the error of a direction lasts, for it is that of a body, B; the rest is another one after a second. Both
+count more where poses disagree. Who reclines looks like one who stands before a camera that looks far down, A_0.
 
-Where hardly anybody stands, the likeliest vertical is that of a level camera that looks down a little, v_0: with n
-the seconds in which people are seen and m those in which people stand, by the same weights,
+The lifter errs towards the cameras that it knows: of one that looks down by theta, lifted poses show 0.85 theta
+and 1 degree, as least squares demand. With v_0 the vertical of a level camera that looks down a little, half of
+that is undone in y and z, before all that follows: v_t <- normalise(v_t + K (v_t - v_0)). The errors of bodies
+would grow by more than that of the lifter falls if all of it was undone.
+
+Where hardly anybody stands, the likeliest vertical is v_0: with n the seconds in which people are seen and m those
+in which people stand, by the same weights,
 
     v = normalise((1 - r) v_t + r v_0),    r = clip((n - m / STANDING_SHARE) / n, 0, 1)
     s = (1 - r) s_v + r (MAX_STD_DEG + q (ASKEW_STD_DEG - MAX_STD_DEG))
@@ -61,8 +67,10 @@ AUTO, NONE = 'auto', 'none'  # values of `tracker.vertical` besides three number
 # Constants of the formulas above; angles in degrees. All were measured on training persons seen by the protocol's
 # detectors from elevations of 0 to 32 degrees.
 MEMORY_S = 20.0  # s; T: long for people who turn about, short enough for a camera that is moved
-BODY_STD_DEG = 2.5  # B: of the directions that all poses of a person show
-SECOND_STD_DEG = 2.8  # S: besides, of the mean direction of a second
+BODY_STD_DEG = 4.0  # B: of the directions that all poses of a person show
+SECOND_STD_DEG = 4.0  # S: besides, of the mean direction of a second
+SHRINKAGE = 0.08  # 1; K
+USUAL_DEG = 30.0  # A_0: between v_0 and the verticals of nearly all cameras
 MAX_STD_DEG = 12.0  # of v_0: that of cameras before people who sit all the time
 GIVEN_STD_DEG = 1.0  # s_v of a vertical that is given: that of a spirit level or an accelerometer at rest
 LEVEL_DEG = 50.0, 60.0  # between up in the image of a level camera and who stands: cameras look down by up to 45
@@ -77,30 +85,6 @@ MAX_PITCH_DEG = 90.0  # degrees; of a camera that looks straight down
 UNIT_TOLERANCE = 0.01  # 1; difference of a given direction's length from 1 that rounding may cause
 
 
-def _add_prior(
-    found: Array, std_deg: Array, sign: float, seen: Array, standing: Array, askew: Array
-) -> tuple[Array, Array]:
-    """Return directions (N, 3) and standard deviations (N,) in rad with r of v_0 (formulas of this module).
-
-    Args:
-        found: (N, 3) v_t.
-        std_deg: (N,) degrees, s_v.
-        sign: 1, or -1 for a camera that is upside down.
-        seen: (N,) s, n.
-        standing: (N,) s, m.
-        askew: (N,) s, q n.
-    """
-    n = np.maximum(seen, 1e-12)
-    r = ((n - standing / STANDING_SHARE) / n).clip(0, 1)
-    pitch = math.radians(LEVEL_PITCH_DEG)
-    level = np.array([0.0, -sign * math.cos(pitch), -math.sin(pitch)])
-    direction = np.where(r[:, None] > 0, (1 - r)[:, None] * found + r[:, None] * level, found)
-    length = np.linalg.norm(direction, axis=1, keepdims=True)
-    direction = np.where(r[:, None] > 0, direction / np.maximum(length, 1e-12), found)
-    prior_deg = MAX_STD_DEG + (ASKEW_STD_DEG - MAX_STD_DEG) * askew / n
-    return direction, np.radians(np.where(r > 0, (1 - r) * std_deg + r * prior_deg, std_deg))
-
-
 class Sums(NamedTuple):
     """Seconds of people, those of long ago counting less."""
 
@@ -112,6 +96,20 @@ class Sums(NamedTuple):
 
 
 NO_SUMS = Sums()
+
+
+def _judge(found: Array, sums: Array, sign: float, *, is_turned: bool) -> tuple[Array, Array]:
+    """Return directions (N, 3) and their standard deviations (N,) in rad (formulas of this module).
+
+    Args:
+        found: (N, 3) v_t, of any length.
+        sums: (N, 5) s, the `Sums`.
+        sign: 1, or -1 for a camera that is upside down.
+        is_turned: whether the image was turned, so that q is 1.
+    """
+    limits = LEVEL_PITCH_DEG, SHRINKAGE, STANDING_SHARE, USUAL_DEG
+    deviations = BODY_STD_DEG, SECOND_STD_DEG, MAX_STD_DEG, ASKEW_STD_DEG
+    return engine.judge(found, sums, sign, is_turned, *limits, *deviations)
 
 
 @dataclass(eq=False)
@@ -137,9 +135,9 @@ class Vertical:
     sign: float = 1.0
 
     @staticmethod
-    def give(direction: Array, stamp_ns: int = 0) -> Vertical:
-        """Return a vertical that is given, (3,) unit vector."""
-        return Vertical(direction, math.radians(GIVEN_STD_DEG), True, stamp_ns)
+    def give(direction: Array, stamp_ns: int = 0, std: float = 0.0) -> Vertical:
+        """Return a vertical that is given, (3,) unit vector, with a standard deviation in rad if that is known."""
+        return Vertical(direction, max(std, math.radians(GIVEN_STD_DEG)), True, stamp_ns)
 
     @staticmethod
     def begin(stamp_ns: int, stances: Stances, sign: float = 1.0) -> Vertical:
@@ -165,14 +163,9 @@ class Vertical:
         faded, step_s = math.exp(-age_s / MEMORY_S), min(age_s, MAX_STEP_S)
         limits = *LEVEL_DEG, OUTLIER_DEG, MIN_STANDING
         found, *seconds = engine.add_frame(self.found, self.sums, faded, step_s, sign, *limits, *stances)
-        sums = Sums(*seconds)
-        second_deg = SECOND_STD_DEG / math.sqrt(max(sums.certain, 1e-9))
-        std_deg = min(math.hypot(BODY_STD_DEG, second_deg), MAX_STD_DEG)
-        direction, std = found, math.radians(std_deg)
-        if sums.standing < STANDING_SHARE * sums.seen:
-            counted = np.array(sums[2:] if self.sign > 0 else (sums.seen, sums.standing, sums.seen))[:, None]
-            ((direction,), (std,)) = _add_prior(found[None], np.array([std_deg]), self.sign, *counted)
-        return Vertical(direction, float(std), False, stamp_ns, found, sums, self.sign)
+        is_turned = self.sign < 0
+        (direction,), (std,) = _judge(found[None], np.array([seconds]), self.sign, is_turned=is_turned)
+        return Vertical(direction, float(std), False, stamp_ns, found, Sums(*seconds), self.sign)
 
     def forget(self) -> Vertical | None:
         """Return what is left when the camera may have changed: a vertical that was given."""
@@ -252,10 +245,8 @@ def find_vertical(times: Array, stances: Stances, *, is_turned: bool = False) ->
     if not known.any():
         return np.full(stances.upward.shape, np.nan), np.full(len(times), np.nan)
     ahead, back = (_follow(times[way], Stances(*(values[way] for values in stances)))[way] for way in WAYS)
-    weighted, (_, certain, seen, standing, askew) = (ahead + back)[:, :3], (ahead + back)[:, 3:].T
-    found = weighted / np.maximum(np.linalg.norm(weighted, axis=1, keepdims=True), 1e-300)
-    std_deg = np.hypot(BODY_STD_DEG, SECOND_STD_DEG / np.sqrt(np.maximum(certain, 1e-9))).clip(None, MAX_STD_DEG)
-    return _add_prior(found, std_deg, 1.0, seen, standing, seen if is_turned else askew)
+    found, sums = np.split(ahead + back, [3], axis=1)
+    return _judge(np.ascontiguousarray(found), np.ascontiguousarray(sums), 1.0, is_turned=is_turned)
 
 
 def _follow(times: Array, stances: Stances) -> Array:

@@ -38,9 +38,17 @@ import numpy as np
 from mocap_ros.arrays import Array
 from mocap_ros.engine import extremities, footing, motion
 from mocap_ros.solvers.extremities import START
+from mocap_ros.solvers.posture import STATE
 
 # All that is filtered of a person, up to the frame that was shown last.
-FILTERS = np.dtype([('motion', motion.MOTION), ('footing', footing.FOOTING), ('extremities', extremities.STATE)])
+FILTERS = np.dtype(
+    [
+        ('motion', motion.MOTION),
+        ('footing', footing.FOOTING),
+        ('extremities', extremities.STATE),
+        ('posture', STATE),
+    ]
+)
 
 
 def _select(*names: str) -> slice:
@@ -53,15 +61,16 @@ def _select(*names: str) -> slice:
 
 
 # Columns of the filters (P, R) of people.
-OF_MOTION, OF_FOOTING, OF_EXTREMITIES = map(_select, ('motion', 'footing', 'extremities'))
+OF_MOTION, OF_FOOTING, OF_EXTREMITIES, OF_POSTURE = map(_select, ('motion', 'footing', 'extremities', 'posture'))
 STANDING_TIME, STANDING_CORE, STANDING, _FOUND = (
     _select('footing', name) for name in ('time_s', 'core', 'standing', 'found')
 )
 SHIFT = slice(_FOUND.start + 9, _FOUND.start + 12)  # c, the first of the 9 unknowns of the newest frame
 OFFSETS = _select('extremities', 'offsets')
-UNFILTERED = np.concatenate([np.full(OF_EXTREMITIES.start, np.nan), START])  # (R,) before the first frame
+# (R,) before the first frame
+UNFILTERED = np.concatenate([np.full(OF_EXTREMITIES.start, np.nan), START, np.full(STATE.shape, np.nan)])
 
 
 def restart_motion(filters: Array) -> Array:
     """Return the filters (R,) of a person of whom motion and footing are not known, as under another camera."""
-    return np.concatenate([UNFILTERED[: OF_EXTREMITIES.start], filters[OF_EXTREMITIES]])
+    return np.concatenate([UNFILTERED[: OF_EXTREMITIES.start], filters[OF_EXTREMITIES.start :]])

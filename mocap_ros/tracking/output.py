@@ -21,17 +21,19 @@ from mocap_ros.engine import motion as engine
 from mocap_ros.geometry.interpolation import central_velocity
 from mocap_ros.models.model_file import load_velocity_correction
 from mocap_ros.models.velocity_correction import SPANS_S, VelocityPast
-from mocap_ros.people import Motion, People
+from mocap_ros.people import CameraVertical, Motion, People
 from mocap_ros.skeleton import HIPS, Skeleton
 from mocap_ros.solvers.depth import compare_depths
 from mocap_ros.solvers.extremities import BODY, ExtremityEvidence, collect_evidence
 from mocap_ros.solvers.footing import plant_newest
 from mocap_ros.solvers.observed_window import ObservedWindow
+from mocap_ros.solvers.posture import follow_postures, measure_likelihood, name_postures
 from mocap_ros.tracking.body_size import BodySize, SizeEvidence
 from mocap_ros.tracking.motion_filter import (
     OF_EXTREMITIES,
     OF_FOOTING,
     OF_MOTION,
+    OF_POSTURE,
     OFFSETS,
     SHIFT,
     STANDING,
@@ -79,19 +81,23 @@ class CoreMotion(NamedTuple):
 
 
 def follow_motion(
-    shown: Shown, upward: Array | None, find_size: FindSize, stamp_ns: int, *, is_steady: bool
+    shown: Shown, vertical: CameraVertical | None, find_size: FindSize, stamp_ns: int, *, is_steady: bool
 ) -> tuple[CoreMotion, ExtremityEvidence]:
-    """Filter the motion of people, if `is_steady`, plant their feet and follow their extremities.
+    """Filter the motion of people, if `is_steady`, plant their feet, and follow their extremities and postures.
 
     Where depths are measured, sizes of people follow, and their distances, stamp of the frame in ns.
     """
     filters, times, located = shown.filters, shown.times, locate_past(shown)
     motion = find_published_motion(shown, *located, is_steady=is_steady)
     offsets, core = filters[:, OFFSETS].reshape(len(times), -1, 3), motion.joints
+    upward = None if vertical is None else vertical.direction
     seen = shown.windows, shown.frames, core, offsets, upward, shown.noise
     plant_newest(filters[:, OF_FOOTING], times, *seen, measure_depths(shown, core, find_size, stamp_ns))
     evidence = collect_evidence(core, shown.windows, shown.noise, shown.frames)
     follow_extremities(shown, evidence, times, is_steady=is_steady)
+    if vertical is not None:
+        known = core, evidence.weight == 0, vertical.direction[None], np.array([vertical.std])
+        follow_postures(filters[:, OF_POSTURE], times, measure_likelihood(*known))
     for track, own in zip(shown.tracks, filters, strict=True):
         track.filters = own
     return motion, evidence
@@ -212,6 +218,7 @@ def make_people(
     ages, count = shown.times, len(shown.tracks)
     away = np.zeros(count) if unseen_for is None else np.array(unseen_for)
     at = list(zip(shown.frames, shown.solutions, strict=True))
+    posture, posture_probability = name_postures(shown.filters[:, OF_POSTURE], ages + away)
     return People(
         ids=tuple(track.id for track in shown.tracks),
         skeleton=skeleton,
@@ -240,6 +247,8 @@ def make_people(
         joint_orientation=turns,
         turn_inferred=turn_inferred,
         contact=shown.filters[:, STANDING].copy() if is_seen else np.full((count, 2), np.nan),
+        posture=posture,
+        posture_probability=posture_probability,
     )
 
 

@@ -275,7 +275,7 @@ class PeopleTracker:
         if self.config.tracker.vertical != AUTO_VERTICAL:
             return
         if floor is not None:
-            self._vertical = Vertical.give(floor.upward, stamp_ns)
+            self._vertical = Vertical.give(floor.upward, stamp_ns, floor.tilt_std)
         elif self._vertical is not None and self._vertical.is_given:
             self._vertical = None
 
@@ -457,7 +457,7 @@ class PeopleTracker:
             return People.none(self._skeleton)
         self._at_work, shown, settings = tracks, Shown.of(tracks, frames), self.config.tracker
         is_steady = settings.steady_output and self._is_newest_shown
-        motion, seen = follow_motion(shown, self._upward, self._find_size, shown_ns, is_steady=is_steady)
+        motion, seen = follow_motion(shown, self.vertical, self._find_size, shown_ns, is_steady=is_steady)
         if floor is None and (height := settings.camera_height) and self._vertical is not None:
             std = CALIBRATED_TILT_STD if self._vertical.is_given else self._vertical.std
             floor = Floor(self._vertical.direction, height, std)

@@ -165,7 +165,7 @@ class InputChecks:
         The floor, if it is known, comes with what it cannot be used for, in words; `points` is what was found in
         them (`summary.RunSummary`), and `other_camera` why the CameraInfo is not used, in words.
         """
-        stamp_ns, has_floor = frame.header.stamp_ns, floor[0] is not None
+        stamp_ns = frame.header.stamp_ns
         if frame.people or stamp_ns < self._newest_seen_ns:
             self._newest_seen_ns = stamp_ns
         elif self._last_ns - self._newest_seen_ns > find_absence(config.tracker) * NS_PER_S:
@@ -175,7 +175,7 @@ class InputChecks:
         calibration = SOUND if other_camera else self._check_calibration(stamp_ns, intrinsics, config)
         of_people = [
             Fault.OTHER.found(Grade.GOOD, words=floor[1]),
-            _check_camera_height(intrinsics, config.tracker, has_floor=has_floor),
+            _check_camera_height(intrinsics, config.tracker, floor[0]),
             calibration,
             *(Fault.OTHER.found(Grade.GOOD, words=words) for words in tracked.faults),
         ]
@@ -183,7 +183,7 @@ class InputChecks:
             *(of_people if frame.people else ()),
             self._check_keypoints(frame),
             self._check_usable(stamp_ns, tracked),
-            self._check_vertical(tracked, config, has_floor=has_floor),
+            self._check_vertical(tracked, config, floor[0]),
             self._check_depth(frame, tracked, intrinsics),
             points._replace(words=f'people: {points.words}') if points.grade is not Grade.GOOD else SOUND,
             find_worst(SOUND, *(find_misspelt_joint(p.joints) for p in frame.people)),
@@ -238,20 +238,21 @@ class InputChecks:
             self._depth.add(depth, float(distances[nearest]))
         return self._depth.judge()
 
-    def _check_vertical(self, tracked: TrackedFrame, config: Config, *, has_floor: bool) -> Finding:
+    def _check_vertical(self, tracked: TrackedFrame, config: Config, floor: Floor | None) -> Finding:
         given, vertical = config.tracker.vertical, tracked.vertical
         is_parameter = given not in (AUTO, NONE)
-        if vertical is None or not (is_parameter or (has_floor and given == AUTO)):
+        if vertical is None or not (is_parameter or (floor is not None and given == AUTO)):
             return SOUND
         angle_deg = self._vertical.advance(tracked.stamp_ns, tracked.people, vertical.direction)
         if angle_deg is None:
             return SOUND
-        if is_parameter:
+        if floor is None or is_parameter:
             return Fault.VERTICAL.found(given=given, angle_deg=angle_deg)
-        return Fault.FLOOR.found(frame=config.node.output_frame, angle_deg=angle_deg)
+        return Fault.FLOOR.found(source=floor.source, angle_deg=angle_deg)
 
 
-def _check_camera_height(intrinsics: Intrinsics, tracker: TrackerConfig, *, has_floor: bool) -> Finding:
+def _check_camera_height(intrinsics: Intrinsics, tracker: TrackerConfig, floor: Floor | None) -> Finding:
+    has_floor = floor is not None and floor.camera_height != tracker.camera_height
     if not tracker.camera_height or (intrinsics.is_focal_known and not has_floor and tracker.vertical != NONE):
         return SOUND
     why = 'the focal length is not known, and distances with it; publish camera_info or set node.hfov'

@@ -242,14 +242,14 @@ PUBLIC: dict[str, str] = {
     'is_size_assumed=False, recording_start=None, depth=None)',
     'Motion': 'cadence category kind residual',
     'Person3D': 'age contact core id inferred is_scale_known joint_names joint_orientation joint_std '
-    'joint_velocity joint_velocity_std joints motion predicted reprojection_residual root root_covariance '
-    'root_velocity root_velocity_covariance rotation scale skeleton tentative translation turn_inferred '
-    'unseen_for',
+    'joint_velocity joint_velocity_std joints motion posture posture_probability predicted reprojection_residual '
+    'root root_covariance root_velocity root_velocity_covariance rotation scale skeleton tentative '
+    'translation turn_inferred unseen_for',
     'PoseSequence': 'base_poses body_height cadence camera_height contact core cost floor_std id in_sight '
     'inferred intrinsics is_scale_known iterations joint_names joint_orientation joint_std joints message motion '
-    'parents predicted recorded_ns reprojection_residual root_covariance rotation scale select sequence skeleton '
-    'stamps_ns success summary tentative times translation turn_inferred vertical vertical_std weights '
-    'world_from_camera',
+    'parents posture posture_probability predicted recorded_ns reprojection_residual root_covariance rotation '
+    'scale select sequence skeleton stamps_ns success summary tentative times translation turn_inferred '
+    'vertical vertical_std weights world_from_camera',
     'Tracker': "(joint_names, *, image_size, camera_matrix=None, distortion=None, model='auto', parameters=None)",
     'evaluate': "(joints, truth=None, *, truth_names='cmu15', times=None, limbs_only=False)",
     'read': "(path, *, person=None, topic=None, camera_info=None, fps=None, image_size=None, layout='', "

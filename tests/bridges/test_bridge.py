@@ -3,9 +3,11 @@
 
 """Messages for robots: what they say of people in known poses, and bodies as REP-155 names them."""
 
+import csv
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,9 +16,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from mocap_ros import PoseSequence, write
 from mocap_ros.bridges.bridge import CONSUMERS, Bridge, check_consumers
 from mocap_ros.bridges.capsules import MAX_PARTS, compute_capsules, list_body_parts
 from mocap_ros.bridges.collision_objects import ADD, REMOVE
+from mocap_ros.bridges.joint_angles import ANGLES, ANGLES_TOPIC, PAST_NS
 from mocap_ros.bridges.ros4hri import (
     DESCRIPTION,
     JOINT_STATES,
@@ -32,9 +36,10 @@ from mocap_ros.config import Config, with_values
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.vmc import VmcPose, convert_armature
+from mocap_ros.geometry.level import build_world
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header, OutputMessage, decode
-from mocap_ros.messages.foreign_types import HRI_IDS
+from mocap_ros.messages.foreign_types import HRI_IDS, HRI_POSTURE
 from mocap_ros.messages.markers import DELETE
 from mocap_ros.messages.skeletons import (
     PREDICTIONS,
@@ -43,12 +48,13 @@ from mocap_ros.messages.skeletons import (
     encode_skeletons,
 )
 from mocap_ros.messages.transforms import TRANSFORMS, FrameNames
-from mocap_ros.people import CameraVertical, Person3D, PredictedPeople
+from mocap_ros.people import CameraVertical, Person3D, Posture, PredictedPeople
 from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton
 from tests.support.bodies import STANDING, gather, make_person_3d, make_standing_person
 from tests.support.camera_messages import encode
 from tests.support.input_files import make_poses
+from tests.support.scenes import INTRINSICS
 
 HEADER = Header(12_345_678_901, 'map')
 
@@ -378,19 +384,25 @@ def show(bridge: Bridge, *people: Person3D) -> list[OutputMessage]:
 def test_each_body_has_topics_of_its_own_and_is_described_once() -> None:
     bridge = Bridge(['bodies'])
     anna, ben = map(make_standing_person, ('anna', '7'))
+    anna = replace(anna, posture=Posture.LYING)
     first, second = show(bridge, anna, ben), show(bridge, anna)
     assert [o.topic for o in first] == [
         TRACKED,
         *(f'/humans/bodies/{i}/urdf' for i in ('anna', 'p7')),
-        *(f'/humans/bodies/{i}/joint_states' for i in ('anna', 'p7')),
+        *(f'/humans/bodies/{i}/{topic}' for i in ('anna', 'p7') for topic in ('joint_states', 'posture')),
     ]
-    assert [o.topic for o in second] == [TRACKED, '/humans/bodies/anna/joint_states']
+    assert [o.topic for o in second] == [
+        TRACKED,
+        *(f'/humans/bodies/anna/{t}' for t in ('joint_states', 'posture')),
+    ]
     tracked = decode(first[0].data, HRI_IDS)
     assert (tracked.header.frame_id, tracked.ids) == ('map', ['anna', 'p7'])
     state = decode(first[3].data, JOINT_STATES)
     assert state.name == [f'{name}_anna' for name in MOVED_JOINTS]
     np.testing.assert_allclose(state.position, list(find_angles(STANDING).values()))
     assert (len(state.velocity), len(state.effort), state.header.frame_id) == (0, 0, 'body_anna')
+    posture = decode(first[4].data, HRI_POSTURE)
+    assert (posture.header.frame_id, posture.posture) == ('map', 4), 'LAYING'
     assert 'l_elbow_p7' in decode(first[2].data, DESCRIPTION).data
     grown = replace(anna, joints=STANDING * 1.2)
     assert '/humans/bodies/anna/urdf' in [o.topic for o in show(bridge, grown)]
@@ -432,7 +444,7 @@ def test_people_whose_ids_make_one_name_are_two_bodies_with_the_same_names_on_tf
 def test_topics_of_bodies_are_not_longer_than_the_middleware_allows() -> None:
     people = [make_standing_person('x' * length) for length in (1000, 1001)]
     topics = [m.topic for m in show(Bridge(['bodies']), *people)]
-    assert len(set(topics)) == 5
+    assert len(set(topics)) == 7
     assert max(map(len, topics)) <= MAX_TOPIC_CHARACTERS
 
 
@@ -463,3 +475,43 @@ def test_an_avatar_turns_as_the_bvh_and_stands_on_the_floor(frame: np.ndarray) -
         assert turns[0] == pytest.approx(turns[1], abs=1e-5)
         assert pose.positions[0, 1] == pytest.approx(expected[number].positions[0, 1] - lowest[number], abs=1e-4)
     assert len(sent) == 10
+
+
+def read_angles(path: Path, joints: np.ndarray, times: np.ndarray, world: np.ndarray) -> np.ndarray:
+    """Return the angles (F, A) in rad of the table that a result becomes."""
+    unseen, residual = np.zeros(joints.shape[:2], bool), np.zeros(len(times))
+    result = PoseSequence('ann', times, CMU15, joints, unseen, residual, INTRINSICS, world_from_camera=world)
+    write(path, result)
+    with path.open(newline='') as file:
+        rows = [*csv.DictReader(file)]
+    return np.radians([[float(row[f'{name}_deg']) for name in ANGLES] for row in rows])
+
+
+def test_live_angles_are_those_of_the_table_of_the_same_skeletons(tmp_path: Path) -> None:
+    joints, upward = make_poses(), np.array([0.0, 0.0, 1.0])
+    times = np.arange(len(joints)) / 30
+    world, vertical = build_world(joints[:1], upward, None), CameraVertical(upward, 0.05)
+    bridge, live = Bridge(['joint_angles']), []
+    for now, time_s in zip(joints, times, strict=True):
+        header = Header(round(time_s * 1e9), 'camera')
+        person = replace(make_person_3d('7'), joints=now)
+        (output,) = bridge.feed_skeletons(encode_skeletons(header, gather([person]), vertical=vertical))
+        state = decode(output.data, JOINT_STATES)
+        assert (output.topic, output.type, state.header.frame_id) == (ANGLES_TOPIC, JOINT_STATES, 'body_p7')
+        assert tuple(state.name) == ANGLES
+        live.append(state.position)
+    found = np.array(live)
+    first = read_angles(tmp_path / 'x.angles.csv', joints[:1], times[:1], world)
+    heading = ANGLES.index('pelvis_rotation')  # which a table counts from the mean of the first frames
+    found[:, heading] += first[0, heading] - found[0, heading]
+    for frame in (0, 10, 25, 39):
+        past = (times <= times[frame]) & (times > times[frame] - PAST_NS / 1e9)
+        expected = read_angles(tmp_path / 'x.angles.csv', joints[past], times[past], world)[-1]
+        np.testing.assert_allclose(found[frame], expected, atol=1e-6)
+    whole = read_angles(tmp_path / 'x.angles.csv', joints, times, world)
+    off = (found - whole + np.pi) % (2 * np.pi) - np.pi
+    for limb in (f'{name}_{side}' for name in ('knee_angle', 'elbow_flex') for side in 'lr'):
+        end = ANGLES.index(limb) + 1
+        is_bent = np.minimum(whole[:, end - 1], np.roll(whole[:, end - 1], -1)) > 0.3
+        assert is_bent.sum() > 5
+        np.testing.assert_allclose(off[is_bent, end - 4 : end], 0, atol=1e-6)

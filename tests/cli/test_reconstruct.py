@@ -60,7 +60,7 @@ from tests.support.pipeline_inputs import FAST_CONFIG, make_calibrated
 def test_several_files_of_one_reconstruction_agree(short_recording: Path, tmp_path: Path) -> None:
     names = ('r.npz', 'r.angles.csv', 'r.trc', 'r.csv')
     outputs = [word for name in names for word in ('-o', str(tmp_path / name))]
-    options = ['--set', 'solver.method=alternation', '--set', 'tracker.vertical=0 -0.96 0.28', *QUICK_OPTIONS]
+    options = ['--set', 'solver.method=alternation', '--pitch', '-16.26', *QUICK_OPTIONS]
     assert main(['reconstruct', str(short_recording), *outputs, *options]) == 0
     assert {path.name for path in tmp_path.iterdir()} == {short_recording.name, *names}
     with np.load(tmp_path / 'r.npz') as result:

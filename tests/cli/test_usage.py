@@ -267,7 +267,7 @@ def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 LIVE_REFUSES = (
     *(['x.npz'], ['--output', 'x.html'], ['--video', 'x.mp4'], ['--person', '1'], ['--topic', '/x']),
-    *(['--config', 'x.yaml'], ['--set', 'node.hfov=60'], ['--model', 'walk'], ['--strict']),
+    *(['--config', 'x.yaml'], ['--set', 'node.hfov=60'], ['--pitch', '0'], ['--model', 'walk'], ['--strict']),
 )
 
 
@@ -292,6 +292,7 @@ LIVE_REFUSES = (
         (['evaluate', 'RECORDING', '--person', '1'], 'demo.npz: --person does not apply'),
         (['evaluate', 'RECORDING', '--json', 'folder'], 'folder: cannot be written: is a folder'),
         (['config', '--config', 'nowhere.yaml'], 'nowhere.yaml'),
+        (['reconstruct', 'RECORDING', '--pitch', '100'], "tracker.vertical = '100'"),
         (['config', '--config', 'bomb.yaml'], 'bomb.yaml: not YAML: line 2: '),
         (['config', '--set', f'solver.max_iterations=1{"0" * 400}'], 'expected 1 to 10000'),
         (['train', 'RECORDING', '-o', 'x.npz'], '_joints'),

@@ -38,6 +38,7 @@ from mocap_ros.config import Config, NodeConfig, RecorderConfig, from_yaml, to_y
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import MAX_MESSAGE_CHARACTERS, MocapError
 from mocap_ros.formats.bvh import save_bvh
+from mocap_ros.formats.cameras_file import load_cameras
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.mocap.joint_maps import load_marker_map
@@ -161,13 +162,13 @@ def read_npz(data: bytes, folder: Path) -> None:
 
 
 def read_yaml(data: bytes, folder: Path) -> None:
-    """Read parameters, a map of markers, and a manifest of trials, which is CSV."""
+    """Read parameters, cameras, a map of markers, and a manifest of trials, which is CSV."""
     text = data.decode(errors='replace')
     (folder / 'a.yaml').write_text(text, encoding='utf-8', newline='')
     (folder / 'a.npz').write_bytes(b'')
     options = TrialOptions(manifest=folder / 'a.yaml')
     files = partial(load_marker_map, folder / 'a.yaml'), partial(load_trials, folder / 'a.npz', options)
-    _read_all((partial(from_yaml, text, 'a.yaml'), *files))
+    _read_all((partial(from_yaml, text, 'a.yaml'), partial(load_cameras, folder / 'a.yaml'), *files))
 
 
 def _read_bag(path: Path) -> None:

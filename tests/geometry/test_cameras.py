@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation, Slerp
 
 from mocap_ros.arrays import Array
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, camera_jacobian
 from mocap_ros.geometry.distortion import Distortion
+from mocap_ros.geometry.gravity import FIRST_STD, GRAVITY, LOW_PASS_S, Gravity
 from mocap_ros.geometry.interpolation import find_nearest, interpolate_linearly, interpolate_rotations
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import LEVEL_UP, average_vertical, rotation_to_level
@@ -23,6 +25,7 @@ from mocap_ros.geometry.rotations import quaternion_from_rotation, rotation_from
 from mocap_ros.geometry.virtual_camera import VirtualCamera, rotate_rays, rotation_to_optical_axis
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.skeleton import CMU15
+from mocap_ros.units import NS_PER_S
 from tests.support.bodies import make_swinging_body
 
 
@@ -319,3 +322,44 @@ def test_any_text_is_a_pose_or_an_error_that_names_the_parameter(text: str) -> N
         parse_camera_pose(text, 'node.camera_pose')
     except ConfigError as error:
         assert str(error).startswith('node.camera_pose = ')  # noqa: PT017
+
+
+IMU_HZ = 200
+AT_REST = np.array([0.0, -GRAVITY * math.cos(0.3), -GRAVITY * math.sin(0.3)])  # m/s^2; looks down by 0.3 rad
+
+
+def add_accelerations(gravity: Gravity, accelerations: Array, start_s: float = 0.0) -> tuple[Array, float]:
+    """Add accelerations (F, 3) that begin at a time; return the direction and its deviation in the end."""
+    stamps_ns = np.round((start_s + np.arange(len(accelerations)) / IMU_HZ) * NS_PER_S).astype(int).tolist()
+    for stamp_ns, acceleration in zip(stamps_ns, accelerations, strict=True):
+        gravity.add(stamp_ns, acceleration)
+    return gravity.find(stamps_ns[-1])
+
+
+def test_gravity_is_the_low_passed_acceleration() -> None:
+    accelerations = AT_REST + np.random.default_rng(0).normal(0, 0.5, (400, 3))
+    share = 1 - math.exp(-1 / IMU_HZ / LOW_PASS_S)
+    low_passed = lfilter([share], [1, share - 1], accelerations[1:], axis=0, zi=(1 - share) * accelerations[:1])[0]
+    found, _ = add_accelerations(gravity := Gravity(), accelerations)
+    assert found == pytest.approx(low_passed[-1] / np.linalg.norm(low_passed[-1]), abs=1e-9)
+    gravity.add(0, np.array([GRAVITY, 0, 0]))
+    assert gravity.find(2 * NS_PER_S)[0] is not None
+    assert gravity.find(2 * NS_PER_S)[0] == pytest.approx(found), 'one that is too late has no effect'
+    turned = gravity, np.array([[GRAVITY, 0, 0]]), 60.0
+    assert add_accelerations(*turned)[0] == pytest.approx([1, 0, 0]), 'after a gap it begins anew'
+    assert add_accelerations(*turned)[1] == pytest.approx(FIRST_STD / GRAVITY, rel=0.1)
+
+
+@pytest.mark.parametrize(('hz', 'size', 'largest_deg'), [(0.0, 0.0, 1.3), (15.0, 3.0, 1.5), (0.1, 0.6, 5.0)])
+def test_the_deviation_of_gravity_is_that_of_a_robot_that_vibrates_or_drives(
+    hz: float, size: float, largest_deg: float
+) -> None:
+    times = np.arange(20 * IMU_HZ) / IMU_HZ
+    driving = size * np.sin(2 * np.pi * hz * times)[:, None] * [0, np.sin(0.3), -np.cos(0.3)]
+    gravity, errors = Gravity(), list[float]()
+    for first in range(10 * IMU_HZ, len(times), IMU_HZ):  # s by s, after ten seconds
+        before = 0 if not errors else first - IMU_HZ
+        found, std = add_accelerations(gravity, (AT_REST + driving)[before:first], times[before])
+        assert std < math.radians(largest_deg)
+        errors.append(math.acos(min(float(found @ AT_REST) / GRAVITY, 1.0)) / std)
+    assert max(errors) < 2.5

@@ -316,15 +316,21 @@ MARKER = 'visualization_msgs/msg/Marker'
 
 
 @pytest.mark.parametrize('contact', [[0.9, 0.25], [0.9, np.nan], [np.nan, np.nan]])
-def test_skeletons_have_contacts_but_for_those_of_older_bags(tmp_path: Path, contact: list[float]) -> None:
+def test_skeletons_have_contacts_and_postures_but_for_those_of_older_bags(
+    tmp_path: Path, contact: list[float]
+) -> None:
     older = get_typestore(Stores.ROS2_JAZZY)
     text = typestore().generate_msgdef(SKELETONS)[0]
-    older.register(get_types_from_msg(text.replace('float32[] contact\n', ''), SKELETONS))
+    for field in ('float32[] contact\n', 'uint8 posture\n', 'float32 posture_probability\n'):
+        text = text.replace(field, '')
+    older.register(get_types_from_msg(text, SKELETONS))
     assert 'contact' not in dict(older.fielddefs[MOCAP_ROS_MSGS + 'Skeleton3D'][1])
-    assert compare_versions(typestore(), older, SKELETONS) == ([MOCAP_ROS_MSGS + 'Skeleton3D.contact'], [])
-    person = replace(make_person_3d('anna'), contact=np.array(contact))
+    newer = [f'{MOCAP_ROS_MSGS}Skeleton3D.{field}' for field in ('contact', 'posture', 'posture_probability')]
+    assert compare_versions(typestore(), older, SKELETONS) == (newer, [])
+    person = replace(make_person_3d('anna'), contact=np.array(contact), posture=4, posture_probability=0.75)
     raw = encode_skeletons(Header(1, 'camera'), gather([person]))
-    for name, store, expected in (('new', typestore(), contact), ('old', older, [np.nan, np.nan])):
+    stores = (('new', typestore(), contact, (4, 0.75)), ('old', older, [np.nan, np.nan], (0, 0.0)))
+    for name, store, expected, posture in stores:
         with Rosbag2Writer(tmp_path / name, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
             connection = writer.add_connection('/skeletons', SKELETONS, typestore=store)
             writer.write(connection, 1, make_converter(typestore(), store, SKELETONS)(raw))
@@ -332,6 +338,7 @@ def test_skeletons_have_contacts_but_for_those_of_older_bags(tmp_path: Path, con
             (message,) = bag.messages(['/skeletons'])
         (read,) = decode_skeletons(message.raw).people
         assert read.contact == pytest.approx(expected, nan_ok=True)
+        assert (read.posture, read.posture_probability) == posture
         assert read.joints == pytest.approx(person.joints)
 
 

@@ -35,7 +35,7 @@ from mocap_ros.messages.skeletons import (
     encode_skeletons,
 )
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
-from mocap_ros.people import Motion, MotionKind, Person3D, PredictedPeople
+from mocap_ros.people import Motion, MotionKind, Person3D, Posture, PredictedPeople
 from mocap_ros.runtime.outputs import SWITCHED_OUTPUTS, OutputEncoder
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton, find_roots, keypoint_layout
 from tests.support.bodies import STANDING, gather, make_person_3d, make_standing_person
@@ -305,6 +305,8 @@ def make_person(draw: st.DrawFn, skeleton: Skeleton) -> Person3D:
         joint_orientation=Rotation.random(count, rng).as_quat(),
         turn_inferred=rng.random(count) < 0.5,
         contact=rng.random(2) * draw(st.sampled_from([1.0, np.nan])),
+        posture=draw(st.sampled_from(Posture)),
+        posture_probability=rng.random(),
     )
 
 

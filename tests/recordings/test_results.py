@@ -29,7 +29,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.messages.skeletons import CAMERAS, SKELETONS, encode_skeletons
 from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.people import Motion, MotionKind, Person3D
+from mocap_ros.people import Motion, MotionKind, Person3D, Posture
 from mocap_ros.recordings import save_results
 from mocap_ros.recordings.build_scene import build_scene
 from mocap_ros.recordings.load_keypoints import InputOptions
@@ -51,7 +51,7 @@ def make_person(name: str, height: float) -> Person3D:
     return replace(make_person_3d(name), joints=np.full((15, 3), height), reprojection_residual=height / 10)
 
 
-def test_a_result_file_and_a_bag_hold_the_same(results: Path) -> None:
+def test_a_result_file_and_a_bag_hold_the_same(results: Path, tmp_path: Path) -> None:
     assert not holds_result(results / 'walk.npz')
     assert holds_result(results / 'r.npz')
     assert holds_result(results / 'r.mcap')
@@ -67,6 +67,12 @@ def test_a_result_file_and_a_bag_hold_the_same(results: Path) -> None:
     assert file.inferred.any()
     assert bag.stamps_ns == file.stamps_ns
     assert (bag.skeleton, file.skeleton) == (BODY26, BODY26)
+    assert np.array_equal(bag.posture, file.posture)
+    assert np.array_equal(bag.posture_probability, file.posture_probability)
+    assert (file.posture == Posture.STANDING).mean() > 0.8, 'who walks'
+    with np.load(results / 'r.npz') as arrays:
+        np.savez(tmp_path / 'older.npz', **{k: v for k, v in arrays.items() if 'posture' not in k})
+    assert not load_result(tmp_path / 'older.npz').posture.any()
 
 
 def test_the_person_with_most_skeletons_is_read_from_a_bag(tmp_path: Path) -> None:
@@ -92,17 +98,18 @@ def test_the_person_with_most_skeletons_is_read_from_a_bag(tmp_path: Path) -> No
 
 
 def test_what_others_write_into_skeletons_is_read(tmp_path: Path) -> None:
-    """A stamp that was not set, a kind of motion that is none, and cameras that are not filled in."""
+    """A stamp that was not set, a motion and a posture that are none, and cameras that are not filled in."""
     stamps = [0, 10**18, 10**18 + 10**9]
     with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
         for stamp in stamps:
             array = decode(encode_skeletons(Header(stamp, 'c'), gather([make_person('a', 2.0)])), SKELETONS)
-            array.people[0].motion.state = 7
+            array.people[0].motion.state = array.people[0].posture = 7
             recorder.write('/skeletons', SKELETONS, encode(array, SKELETONS), stamp, stamp)
     scene = build_scene('bag', load_recording(tmp_path / 'bag'))
     (person,) = scene.people
     assert scene.find_frames(person).tolist() == [0, 1]
     assert person.motion.tolist() == [MotionKind.UNKNOWN] * 2
+    assert person.posture.tolist() == [Posture.UNKNOWN] * 2
     with Recorder(tmp_path / 'other', RecorderConfig(min_free_mb=0)) as recorder:
         people = gather([replace(make_person('a', 2.0), scale=0.0)])
         recorder.write('/skeletons', SKELETONS, encode_skeletons(Header(1, 'c'), people), 1, 1)

@@ -128,7 +128,7 @@ def test_the_player_has_what_the_policies_allow(peer: Peer, start: StartProgram,
         for i in range(10):
             recorder.write('/keypoints', KEYPOINTS, keypoints_at(i), i * 10**8, i * 10**8)
     start(sys.executable, '-m', 'mocap_ros.cli.main', 'play', tmp_path / 'bag', '--loop', '--clock')
-    missing = {BODIES, '/humans/bodies/tracked', '/tf', '/tf_static'}  # they are not in this bag
+    missing = {BODIES, '/humans/bodies/tracked', 'imu', '/tf', '/tf_static'}  # they are not in this bag
     wait_for_permissions(peer, 'mocap_player', missing)
 
 
@@ -171,7 +171,8 @@ def test_the_launch_file_starts_the_node_with_parameters_and_topics_that_it_has(
     (node,) = launch_file.create_nodes(dict.fromkeys(declared, ''))
     assert (node.package, node.executable, node.name) == ('mocap_ros', 'mocap_node', 'mocap_node')
     assert [p.args[0] for p in node.parameters] == ['params_file']
-    assert {topic for topic, _ in node.remappings} == {Source.KEYPOINTS.value, Source.CAMERA_INFO.value}
+    inputs = {Source.KEYPOINTS.value, Source.CAMERA_INFO.value, Source.IMU.value}
+    assert {topic for topic, _ in node.remappings} == inputs
     assert all(substitution.args == (topic,) for topic, substitution in node.remappings)
     (node,) = launch_file.create_nodes({**dict.fromkeys(declared, ''), 'record': 'true'})
     _, given = node.parameters

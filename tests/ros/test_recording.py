@@ -4,6 +4,7 @@
 """Bags that the node records and the player plays: content, ends, replay, loop, clock, rate; subscriptions: QoS,
 silence, topics of single bodies, and messages that do not arrive."""
 
+import math
 import re
 import shutil
 import signal
@@ -25,6 +26,8 @@ from rosbags.rosbag2.metadata import parse_qos
 pytest.importorskip('rclpy')
 pytest.importorskip('mocap_ros_msgs')
 
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
 from mocap_ros.bags.journal import INPUT, Acceptance, decode_entry
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
@@ -35,6 +38,7 @@ from mocap_ros.demo.scene import make_recording
 from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.messages.cdr import Header, decode, typestore
 from mocap_ros.messages.foreign_types import HRI_IDS, HRI_SKELETON
+from mocap_ros.messages.imu import IMU
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION, encode_skeleton_definition
@@ -47,9 +51,21 @@ from mocap_ros.ros.qos import choose_playback_profile
 from mocap_ros.ros.subscriptions import MAX_PUBLISHERS, InputSubscriptions, LostMessages
 from mocap_ros.ros.topics import SilenceMonitor
 from mocap_ros.runtime.outputs import OUTPUTS
+from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import CMU15
+from tests.support.camera_messages import make_imu, make_transforms
 from tests.support.pipeline_inputs import read_messages
-from tests.support.ros_node import TIMEOUT_S, Peer, StartNode, StartProgram, keypoints_at, stack_joints, stop_node
+from tests.support.ros_node import (
+    RELIABLE_INPUT,
+    TIMEOUT_S,
+    Peer,
+    StartNode,
+    StartProgram,
+    keypoints_at,
+    stack_joints,
+    stop_node,
+    wait_until_discovered,
+)
 
 pytestmark = pytest.mark.ros
 
@@ -94,6 +110,39 @@ def test_a_live_run_is_replayed(start: StartProgram, peer: Peer, start_node: Sta
     replayed = read_messages(tmp_path / 'again', '/skeletons')
     assert len(replayed) == FRAMES
     np.testing.assert_allclose(stack_joints(replayed), stack_joints(recorded['skeletons']), atol=1e-9, rtol=0)
+
+
+def test_accelerations_show_which_way_is_up_also_in_a_replay(
+    peer: Peer, start_node: StartNode, tmp_path: Path
+) -> None:
+    reliable = ('node.queue:=100', RELIABLE_INPUT, 'qos_overrides./imu.subscription.reliability:=reliable')
+    node = start_node('recorder.enabled:=true', f'recorder.folder:={tmp_path}/bags', *reliable)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    static = peer.node.create_publisher(load_interface_class(TRANSFORMS), 'tf_static', latched)
+    imu = peer.node.create_publisher(load_interface_class(IMU), 'imu', 100)
+    peer.wait_for_node()
+    for publisher in (static, imu, peer.keypoints):
+        peer.wait_until(publisher.get_subscription_count)
+    wait_until_discovered(peer.node, peer.executor, 'mocap_node')
+    static.publish(make_transforms(('camera', 'imu', 0, (0.1, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))))  # upside down
+    wait_until_discovered(peer.node, peer.executor, 'mocap_node')
+    for number, frame in enumerate(islice(encode_sequence(make_recording().sequence()), 12), 1):
+        for part in range(3):
+            header = Header(frame.due_ns + part * 10_000_000, 'imu')
+            imu.publish(make_imu(header, (0.1 * part, 9.7, 0.0) if number < 10 else (0.0, math.nan, 0.0)))
+        wait_until_discovered(peer.node, peer.executor, 'mocap_node')  # which has then taken the accelerations
+        peer.keypoints.publish(frame.raw)
+        peer.wait_for_frames(number)
+    (line,) = stop_node(node)
+    assert 'linear_acceleration: 0, nan, 0 is not finite' in line
+
+    (folder,) = (tmp_path / 'bags').iterdir()
+    assert len(read_messages(folder, '/imu')) == 36
+    for changes, is_same in (({}, True), ({'node.imu_pose': '0 0 0 -1.5708 0 -1.5708'}, False)):  # not upside down
+        with Bag(folder) as bag:
+            replay(bag, tmp_path / f'again_{is_same}', ReplayOptions(changes=changes))
+        again = read_messages(tmp_path / f'again_{is_same}', '/skeletons')
+        assert (again == peer.received['skeletons']) == is_same
 
 
 def test_a_recording_ends_when_its_folder_is_removed(peer: Peer, start_node: StartNode, tmp_path: Path) -> None:

@@ -16,11 +16,15 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.bags.journal import Acceptance
 from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source
-from mocap_ros.config import with_values
+from mocap_ros.config import RecorderConfig, with_values
 from mocap_ros.errors import ConfigError
+from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.camera_placement import CameraPlacement
-from mocap_ros.messages.cdr import decode
+from mocap_ros.messages.cdr import Header, decode
+from mocap_ros.messages.imu import IMU
+from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS
 from mocap_ros.messages.skeletons import decode_skeletons as read_skeletons
 from mocap_ros.messages.transforms import TRANSFORMS
@@ -33,7 +37,7 @@ from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.floor import ANKLE_M
 from mocap_ros.units import NS_PER_S
 from tests.support.bodies import gather, make_person_3d
-from tests.support.camera_messages import camera_info, make_transforms
+from tests.support.camera_messages import camera_info, make_imu, make_transforms
 from tests.support.pipeline_inputs import (
     FAST_CONFIG,
     STEP_NS,
@@ -161,7 +165,7 @@ def test_without_transforms_people_are_in_the_camera_frame(stream: list[bytes], 
     ('values', 'message'),
     [
         ({'node.output_frame': '/map'}, r'node\.output_frame = .*slash'),
-        ({'node.camera_pose': '0 0 1 0 0 0'}, r'node\.camera_pose: needs node\.output_frame'),
+        ({'node.imu_pose': '0 0 1'}, r"node\.imu_pose = '0 0 1': expected six"),
         ({'node.camera_pose': '0 0 1', 'node.output_frame': 'map'}, r"node\.camera_pose = '0 0 1': expected six"),
         ({'node.camera_pose': '0 0 nan 0 0 0', 'node.output_frame': 'map'}, r'expected six numbers'),
         ({'node.camera_pose': '0 0 1 0 90 0', 'node.output_frame': 'map'}, r'angles are in rad, not in degrees'),
@@ -397,3 +401,102 @@ def test_the_world_rests_on_the_floor(
     assert find_floor(150, 0.0, (0.0,)) == pytest.approx(0.0, abs=0.01)
     frames = 1 if gap_s else 30 * seconds
     assert find_floor(frames, 5.0 + gap_s, heights) == pytest.approx(expected, abs=tolerance)
+
+
+PITCH = 0.2  # rad, by which the camera looks down
+IMU_OF_CAMERA = make_transforms(('camera', 'imu_link', 0, (0.0, 0.0, 0.0), OPTICAL.inv().as_quat()))
+BY_TF: dict[str, object] = {}
+BY_POSE = {'node.imu_pose': '0 0 0 0 0 0'}
+BY_CAMERA = {'node.camera_pose': f'0 0 1.5 0 {PITCH} 0'}
+TILTED = 9.81 * np.array([-math.sin(PITCH), 0.0, math.cos(PITCH)])  # m/s^2; x forward, z up
+
+
+def feed_imu(pipeline: Pipeline, raw: bytes, long_stream: list[bytes]) -> list[str]:
+    """Feed an Imu before each of three images; return the reasons that are given."""
+    reasons = []
+    for frame in long_stream[:3]:
+        reasons += [pipeline.feed(Source.IMU, raw).reason, pipeline.feed(Source.KEYPOINTS, frame).reason]
+    return [reason for reason in reasons if reason]
+
+
+@pytest.mark.parametrize(
+    ('values', 'std'),
+    [
+        (BY_TF, 0.03),
+        (BY_POSE, 0.03),
+        ({**BY_TF, 'node.output_frame': 'base_link'}, 0.03),  # it is placed nowhere
+        (BY_CAMERA, math.radians(1)),
+        ({**BY_CAMERA, 'tracker.camera_height': 1.5}, math.radians(1)),
+    ],
+)
+def test_up_is_what_an_imu_or_the_pose_of_the_camera_shows(
+    long_stream: list[bytes], values: dict[str, object], std: float
+) -> None:
+    pipeline = make_calibrated(with_values(FAST_CONFIG, values))
+    pipeline.feed(Source.STATIC_TRANSFORMS, IMU_OF_CAMERA)
+    raw = make_imu(Header(STEP_NS, 'imu_link'), TILTED)
+    reasons = feed_imu(pipeline, raw, long_stream) if std > 0.02 else list_reasons(pipeline, long_stream[:3])
+    assert [r for r in reasons if r and 'frame of the camera' not in r] == []
+    vertical = pipeline._tracker.vertical
+    assert vertical is not None
+    assert vertical.direction == pytest.approx([0, -math.cos(PITCH), -math.sin(PITCH)], abs=1e-6)
+    assert vertical.is_given
+    assert vertical.std == pytest.approx(std, rel=0.1)
+    pipeline.reset()
+    pipeline.feed(Source.KEYPOINTS, long_stream[0])
+    assert (pipeline._tracker.vertical is not None) == ('node.camera_pose' in values), (
+        'accelerations are forgotten'
+    )
+
+
+@pytest.mark.parametrize(
+    ('imu', 'values', 'reason'),
+    [
+        (make_imu(Header(STEP_NS, 'other'), TILTED), {}, "imu .* no transform from 'other' to 'camera'"),
+        (make_imu(Header(STEP_NS, ''), TILTED), {}, "imu .* no transform from '' to 'camera'"),
+        (make_imu(Header(60 * NS_PER_S, 'imu_link'), TILTED), {}, r'imu .* 60\.0 s away from the image'),
+        (make_imu(Header(STEP_NS, 'imu_link'), TILTED / 9.81), {}, r'imu .* linear_acceleration is 1\.00 m/s\^2'),
+        (
+            make_imu(Header(STEP_NS, 'imu_link'), TILTED, -1),
+            {},
+            r'imu .* linear_acceleration_covariance\[0\] is -1',
+        ),
+        (make_imu(Header(STEP_NS, 'other'), TILTED), BY_POSE, ''),
+        (make_imu(Header(STEP_NS, 'other'), TILTED), {'tracker.vertical': '10'}, ''),
+    ],
+)
+def test_an_imu_that_shows_nothing_is_named_once(
+    long_stream: list[bytes], imu: bytes, values: dict[str, object], reason: str
+) -> None:
+    pipeline = make_calibrated(with_values(FAST_CONFIG, values))
+    pipeline.feed(Source.STATIC_TRANSFORMS, IMU_OF_CAMERA)
+    reasons = feed_imu(pipeline, imu, long_stream)
+    assert [bool(re.search(reason, r)) for r in reasons] == [True] * bool(reason)
+    assert len(pipeline.people) == 1
+
+
+@pytest.mark.parametrize('raw', [b'', make_imu(Header(0, 'imu_link'), TILTED * math.nan)])
+def test_an_imu_that_cannot_be_read_is_refused(long_stream: list[bytes], raw: bytes) -> None:
+    pipeline = make_calibrated()
+    assert len(feed_imu(pipeline, raw, long_stream)) == 3
+    assert (pipeline.counters.invalid, pipeline.counters.accepted) == (3, 3)
+
+
+@pytest.mark.parametrize('topics', [('/cam/imu',), ('/cam/imu', '/base/imu')])
+def test_a_replay_takes_the_only_imu_of_a_bag(
+    tmp_path: Path, stream: list[bytes], topics: tuple[str, ...]
+) -> None:
+    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
+        recorder.write('/camera_info', CAMERA_INFO, camera_info(), 0, 0)
+        recorder.write('/tf_static', TRANSFORMS, IMU_OF_CAMERA, 0, 0)
+        for number, raw in enumerate(stream):
+            for topic in topics:
+                imu = make_imu(Header(number * STEP_NS, 'imu_link'), TILTED)
+                recorder.write(topic, IMU, imu, number * STEP_NS, number * STEP_NS)
+            recorder.write('/keypoints', KEYPOINTS, raw, number * STEP_NS + 1, number * STEP_NS + 1)
+    with Bag(tmp_path / 'bag') as bag:
+        replay(bag, tmp_path / 'out')
+    last = decode(read_messages(tmp_path / 'out', '/skeletons')[-1], SKELETONS)
+    is_shown = last.vertical_std < math.radians(2.0)
+    assert is_shown == (len(topics) == 1), 'which of several is unknown'
+    assert not is_shown or last.vertical.z == pytest.approx(-math.sin(PITCH), abs=1e-6)

@@ -85,8 +85,21 @@ def test_who_sits_hardly_counts(rng: np.random.Generator) -> None:
     both, standing = np.concatenate([seated, upright]), np.repeat([0.0, 1.0], [1800, 150])
     directions, std = find_vertical(np.arange(1950) / 30, show(both, standing))
     assert angles_deg(directions[-1], UP) < 4
-    assert std[-1] < math.radians(4)
+    assert std[-1] < math.radians(6)
     assert std[0] > MAX_CERTAIN_STD
+
+
+@pytest.mark.parametrize(('pitch_deg', 'is_certain'), [(-10, True), (10, True), (35, True), (48, False)])
+def test_lifted_poses_err_towards_usual_cameras_and_few_look_far_down(pitch_deg: float, is_certain: bool) -> None:
+    pitch = math.radians(pitch_deg)
+    upward = np.tile([0.0, -math.cos(pitch), -math.sin(pitch)], (300, 1))
+    directions, std = find_vertical(np.arange(300) / 30, show(upward))
+    live = advance(None, upward[:, None])
+    for direction, std_rad in ((live.direction, live.std), (directions[150], std[150])):
+        shown_deg = math.degrees(math.atan2(-direction[2], -direction[1]))
+        assert shown_deg == pytest.approx(10 + (1 + module.SHRINKAGE) * (pitch_deg - 10), abs=0.3)
+        assert (std_rad < MAX_CERTAIN_STD) == is_certain
+        assert std_rad > math.radians(module.BODY_STD_DEG)
 
 
 def test_inferred_legs_show_no_balance(rng: np.random.Generator) -> None:
@@ -123,7 +136,7 @@ def test_a_camera_that_was_tilted_is_forgotten(rng: np.random.Generator) -> None
     before, after = scatter(rng, 600, 4.0), scatter(rng, 1800, 4.0, tilted)
     assert angles_deg(advance(advance(None, before[:, None]), after[:, None]).direction, tilted) < 2
     directions, _ = find_vertical(np.arange(2400) / 30, show(np.concatenate([before, after])))
-    assert angles_deg(directions[0], UP) < 10, 'about half of the tilt: later frames count a little'
+    assert angles_deg(directions[0], UP) < 12, 'about half of the tilt: later frames count a little'
     assert angles_deg(directions[-1], tilted) < 2
 
 

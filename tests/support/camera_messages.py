@@ -12,6 +12,7 @@ from rosbags.typesys.store import Typestore
 
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header, decode, pad, typestore
+from mocap_ros.messages.imu import IMU
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.messages.transforms import StampedTransform, write_transforms
 from mocap_ros.units import NS_PER_S
@@ -57,6 +58,13 @@ def encode_ros1_camera_info(store: Typestore, raw: bytes | None = None) -> bytes
     fields = {name: by_name[name.lower()] for name, _ in store.fielddefs[CAMERA_INFO][1]}
     old = store.types[CAMERA_INFO](**{**fields, 'header': make_ros1_header(store, message.header)})
     return bytes(store.serialize_ros1(old, CAMERA_INFO))
+
+
+def make_imu(header: Header, acceleration: Any, covariance: float = 0.0) -> bytes:
+    """Return an Imu of an acceleration in m/s^2, without orientation; its covariance is -1 where it is none."""
+    covariances = {'orientation_covariance': (-1.0, *(0.0,) * 8)}
+    covariances['linear_acceleration_covariance'] = (covariance, *(0.0,) * 8)
+    return encode_plain({'header': header, 'linear_acceleration': acceleration, **covariances}, IMU)
 
 
 def make_transforms(*transforms: Any) -> bytes:

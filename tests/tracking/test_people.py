@@ -18,7 +18,7 @@ from mocap_ros.engine.motion import MOTION, describe_cores, filter_motion
 from mocap_ros.geometry.interpolation import central_velocity
 from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.people import Person3D
+from mocap_ros.people import Person3D, Posture
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, HIPS
 from mocap_ros.solvers.extremities import ExtremityEvidence
 from mocap_ros.tracking.body_size import BodySize
@@ -140,12 +140,15 @@ SEEN_FRAMES = 20
 GAP = 12  # frames without a detection; 0.4 s
 
 
-def track_walk(model: PoseModel, start: list[float], velocity: list[float]) -> tuple[PeopleTracker, Person3D]:
+def track_walk(
+    model: PoseModel, start: list[float], velocity: list[float], vertical: str = 'auto'
+) -> tuple[PeopleTracker, Person3D]:
     """Return a tracker of a walk, and its person; start in m in the camera's frame, velocity in m/s."""
     walk = make_walk(model, SEEN_FRAMES)
     poses = walk.poses(model) * Config().tracker.body_height / model.stature
     joints = poses + np.array(start) + walk.times[:, None, None] * np.array(velocity)
-    tracker = PeopleTracker(model, with_settings(Config(), {'solver.components': 8, 'tracker.predict_for': 1.0}))
+    known = {'solver.components': 8, 'tracker.predict_for': 1.0, 'tracker.vertical': vertical}
+    tracker = PeopleTracker(model, with_settings(Config(), known))
     last = feed(tracker, CAMERA.project(joints))[-1]
     tracker.run_deferred_work()
     return tracker, last
@@ -171,6 +174,16 @@ def test_a_person_who_walks_on_is_found_farther_on_and_less_certain(walk_model: 
         assert (before.joint_std[:CORE_COUNT] <= after.joint_std[:CORE_COUNT]).all(), 'about the root'
         assert before.joint_std.mean() < after.joint_std.mean()
         assert (np.linalg.eigvalsh(after.root_covariance - before.root_covariance) > 0).all()
+
+
+@pytest.mark.parametrize(('vertical', 'expected'), [('0', Posture.STANDING), ('none', Posture.UNKNOWN)])
+def test_a_walker_stands_until_not_seen_for_long(walk_model: PoseModel, vertical: str, expected: Posture) -> None:
+    tracker, last = track_walk(walk_model, [-0.6, 0.0, 4.0], [0.9, 0.0, 0.0], vertical)
+    assert last.posture == expected
+    assert (last.posture_probability > 0.8) == (expected is Posture.STANDING)
+    for away_s, posture in ((0.3, expected), (0.6, Posture.UNKNOWN)):
+        (predicted,) = tracker.update((SEEN_FRAMES - 1) * STEP_NS + round(away_s * 1e9), [], CAMERA).people
+        assert predicted.posture == posture
 
 
 def test_who_is_smaller_is_nearer_and_as_much_more_certain(walk_model: PoseModel) -> None:
