@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from mocap_ros.api.arguments import read_numbers
 from mocap_ros.errors import InputError, name_errors
 from mocap_ros.people import PoseSequence
+from mocap_ros.recordings.find_cameras import find_cameras
 from mocap_ros.recordings.merge_people import merge_recordings
 
 MAX_SKEW = 1e-3  # 1; by which a rotation matrix of rounded numbers is none
@@ -20,7 +21,7 @@ MAX_SKEW = 1e-3  # 1; by which a rotation matrix of rounded numbers is none
 
 def merge(
     results: Sequence[PoseSequence | Sequence[PoseSequence]],
-    camera_poses: ArrayLike,
+    camera_poses: ArrayLike | None = None,
     *,
     clock_offsets: ArrayLike | None = None,
 ) -> list[PoseSequence]:
@@ -28,29 +29,37 @@ def merge(
 
     Args:
         results: (C,) of each camera the result of `reconstruct`, or a list of those of several people.
-        camera_poses: (C, 4, 4) transforms in m from the optical frame of each camera to a common frame.
+        camera_poses: (C, 4, 4) transforms in m from the optical frame of each camera to a common frame; by default
+            they and the clock offsets are found from people who walk about.
         clock_offsets: (C,) s, to be added to the times of each camera to have those of a common clock; by default
-            0.
+            0, where the poses are given.
 
     Returns:
         Every person whom a camera saw, in the optical frame and at the times of the first camera.
 
     Raises:
-        InputError: an argument is not valid, or nobody is seen at the times of the first camera; the error names
-            the argument.
+        InputError: an argument is not valid, nobody is seen at the times of the first camera, or the people do not
+            show where a camera is; the error names the argument.
     """
     recordings = [[entry] if isinstance(entry, PoseSequence) else list(entry) for entry in results]
     if len(recordings) < 2 or not all(recordings):
         raise InputError('results: expected those of two cameras or more, of one person or more each')
     if not all(isinstance(poses, PoseSequence) for people in recordings for poses in people):
         raise InputError('results: expected results of reconstruct')
-    poses = read_numbers('camera_poses', camera_poses, (len(recordings), 4, 4))
-    turns = poses[:, :3, :3]
-    is_rotation = np.abs(turns @ np.swapaxes(turns, 1, 2) - np.eye(3)).max() < MAX_SKEW
-    if not (np.isfinite(poses).all() and is_rotation and (np.linalg.det(turns) > 0).all()):
-        raise InputError('camera_poses: expected rotations and translations, as matrices (4, 4)')
     offsets = np.zeros(len(recordings))
     if clock_offsets is not None:
         offsets = read_numbers('clock_offsets', clock_offsets, (len(recordings),))
+    poses = None
+    if camera_poses is not None:
+        poses = read_numbers('camera_poses', camera_poses, (len(recordings), 4, 4))
+        turns = poses[:, :3, :3]
+        is_rotation = np.abs(turns @ np.swapaxes(turns, 1, 2) - np.eye(3)).max() < MAX_SKEW
+        if not (np.isfinite(poses).all() and is_rotation and (np.linalg.det(turns) > 0).all()):
+            raise InputError('camera_poses: expected rotations and translations, as matrices (4, 4)')
+    elif clock_offsets is not None:
+        raise InputError('clock_offsets: needs camera_poses')
     with name_errors('results'):
+        if poses is None:
+            names = [f'recording {number}' for number in range(1, len(recordings) + 1)]
+            _, poses, offsets = find_cameras(names, recordings).cameras
         return list(merge_recordings(recordings, poses, offsets))

@@ -85,7 +85,8 @@ def run(args: argparse.Namespace) -> int:
         located = find_cameras(names, [recording.people for recording in recordings], distance)
     for note in (note for recording in recordings for note in recording.notes):
         print_note(note)
-    print_cameras(located)
+    for line in describe_cameras(located):
+        print_result(line)
     if args.output is not None:
         with replace_output(args.output, *sources) as unfinished:
             save_cameras(unfinished, located.cameras, located.remarks)
@@ -110,17 +111,16 @@ def _parse_distance(texts: Sequence[str], names: Sequence[str]) -> MeasuredDista
     return MeasuredDistance(names.index(texts[0]), names.index(texts[1]), distance)
 
 
-def print_cameras(located: LocatedCameras) -> None:
-    """Print a line for each camera, ready to paste, and what the frame rests on."""
-    cameras, found = located.cameras, located.found
+def describe_cameras(located: LocatedCameras) -> tuple[str, ...]:
+    """Return a line for each camera, ready to paste, and what the frame rests on."""
+    cameras, found, lines = located.cameras, located.found, list[str]()
     for index, (name, pose) in enumerate(zip(cameras.names, cameras.poses, strict=True)):
         about = 'the others are relative to it'
         if index:
             degrees, offset = math.degrees(found.rotation_std[index]), found.clock_offsets[index]
             about = f'+- {degrees:.1f} degrees, {found.translation_std[index]:.2f} m; clock {offset:+.3f} s'
-        print_result(f"-p node.camera_pose:='{format_camera_pose(pose)}'  # {name}: {about}")
-    for remark in located.remarks:
-        print_result(remark)
+        lines.append(f"-p node.camera_pose:='{format_camera_pose(pose)}'  # {name}: {about}")
+    return (*lines, *located.remarks)
 
 
 def save_picture(located: LocatedCameras, path: Path) -> None:

@@ -21,9 +21,7 @@ from mocap_ros.formats.cameras_file import Cameras
 from mocap_ros.geometry.level import average_vertical, build_world
 from mocap_ros.offline.whole_sequence import Report, report_part
 from mocap_ros.people import PoseSequence
-from mocap_ros.recordings.input_kind import InputKind, find_input_kind
-from mocap_ros.recordings.load_results import holds_result, load_recording
-from mocap_ros.recordings.reconstruct import ReconstructionOptions, reconstruct
+from mocap_ros.recordings.reconstruct import ReconstructionOptions, load_or_reconstruct
 from mocap_ros.recordings.recording import Recording
 from mocap_ros.solvers.camera_poses import FoundCameras, find_camera_poses
 
@@ -63,16 +61,10 @@ def load_views(paths: Sequence[Path], options: ReconstructionOptions, report: Re
     Raises:
         InputError: a recording cannot be read, or shows nobody; it names the path.
     """
-    recordings = []
-    for index, path in enumerate(paths):
-        part = report_part(report, index, len(paths))
-        if holds_result(path):
-            recordings.append(load_recording(path, options.reading, options.config, part))
-            continue
-        is_one = find_input_kind(path) is InputKind.SEQUENCE
-        own = options._replace(max_people=1) if is_one else options
-        recordings.append(reconstruct(path, own, part))
-    return recordings
+    return [
+        load_or_reconstruct(path, options, report_part(report, index, len(paths)))
+        for index, path in enumerate(paths)
+    ]
 
 
 def find_cameras(

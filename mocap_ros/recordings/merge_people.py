@@ -110,6 +110,8 @@ def _sample(person: PoseSequence, times: Array, camera: CameraPlacement) -> _Sam
         joint_orientation=turns / np.linalg.norm(turns, axis=-1, keepdims=True),
         turn_inferred=own.turn_inferred[nearest],
         contact=interpolate(own.contact),
+        posture=own.posture[nearest],
+        posture_probability=own.posture_probability[nearest],
         predicted=own.predicted[nearest],
         tentative=own.tentative[nearest],
         is_scale_known=person.is_scale_known,

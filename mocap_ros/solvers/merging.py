@@ -176,7 +176,7 @@ def _merge_person(
     information = _build_information(sight, std * math.sqrt((1 - ALONG) / 2), std * math.sqrt(ALONG))
     poses = factors[:, None, None] * (people.joints - roots[:, None])
     pose = _average(poses, information)
-    root_velocities = people.root_velocities
+    root_velocities, likeliest = people.root_velocities, int(people.posture_probability.argmax())
     own_velocities = factors[:, None, None] * (people.joint_velocity - root_velocities[:, None])
     return People(
         ids=(person_id,),
@@ -193,6 +193,8 @@ def _merge_person(
         inferred=np.all(people.inferred, axis=0)[None],
         turn_inferred=np.all(people.turn_inferred, axis=0)[None],
         contact=np.array([_mean_of_known(feet) for feet in people.contact.T])[None],
+        posture=people.posture[[likeliest]],
+        posture_probability=people.posture_probability[[likeliest]],
         predicted=np.array([np.all(people.predicted)]),
         tentative=np.array([np.all(people.tentative)]),
         age=people.age.max(keepdims=True),
