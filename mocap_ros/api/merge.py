@@ -41,20 +41,26 @@ def merge(
         InputError: an argument is not valid, nobody is seen at the times of the first camera, or the people do not
             show where a camera is; the error names the argument.
     """
-    recordings = [[entry] if isinstance(entry, PoseSequence) else list(entry) for entry in results]
+    recordings: list[list[PoseSequence]] = [
+        list(entry) if isinstance(entry, list | tuple) else [entry]  # type: ignore[list-item] # checked below
+        for entry in results
+    ]
+    if not all(isinstance(poses, PoseSequence) for people in recordings for poses in people):
+        raise InputError('results: expected results of reconstruct, or lists of them')
     if len(recordings) < 2 or not all(recordings):
         raise InputError('results: expected those of two cameras or more, of one person or more each')
-    if not all(isinstance(poses, PoseSequence) for people in recordings for poses in people):
-        raise InputError('results: expected results of reconstruct')
     offsets = np.zeros(len(recordings))
     if clock_offsets is not None:
         offsets = read_numbers('clock_offsets', clock_offsets, (len(recordings),))
+        if not np.isfinite(offsets).all():
+            raise InputError('clock_offsets: not finite')
     poses = None
     if camera_poses is not None:
         poses = read_numbers('camera_poses', camera_poses, (len(recordings), 4, 4))
         turns = poses[:, :3, :3]
         is_rotation = np.abs(turns @ np.swapaxes(turns, 1, 2) - np.eye(3)).max() < MAX_SKEW
-        if not (np.isfinite(poses).all() and is_rotation and (np.linalg.det(turns) > 0).all()):
+        is_transform = np.isfinite(poses).all() and (poses[:, 3] == [0, 0, 0, 1]).all()
+        if not (is_transform and is_rotation and (np.linalg.det(turns) > 0).all()):
             raise InputError('camera_poses: expected rotations and translations, as matrices (4, 4)')
     elif clock_offsets is not None:
         raise InputError('clock_offsets: needs camera_poses')

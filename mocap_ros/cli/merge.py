@@ -10,10 +10,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mocap_ros.cli.cameras import describe_cameras
-from mocap_ros.cli.inputs import MODEL_OPTIONS, list_sources, load_models
-from mocap_ros.cli.options import CONFIG_OPTIONS, Options, derive_output_stem, load_config, option
+from mocap_ros.cli.inputs import (
+    MODEL_OPTIONS,
+    TOPIC_OPTIONS,
+    VIDEO_OPTIONS,
+    list_sources,
+    load_models,
+    read_input_options,
+)
+from mocap_ros.cli.options import CONFIG_OPTIONS, STRICT_OPTIONS, Options, derive_output_stem, load_config, option
 from mocap_ros.cli.reconstruct import OUTPUT_OPTION, check_outputs, choose_endings, save_people
-from mocap_ros.cli.terminal import ShareBar, print_note, print_result
+from mocap_ros.cli.terminal import ShareBar, finish, print_note, print_result
 from mocap_ros.errors import InputError
 from mocap_ros.formats.cameras_file import Cameras, load_cameras
 from mocap_ros.offline.whole_sequence import report_part
@@ -27,7 +34,7 @@ DESCRIPTION = (
     'Merges the people whom two cameras or more saw at the same time: results of `reconstruct`, bags of '
     'skeletons, or what `reconstruct` reads, which is reconstructed. The result is in the optical frame and at '
     'the times of the first camera, with its keypoints, and can be used like any other. Where the cameras are is '
-    'found from the people, if no file says it.'
+    'found from the people, if no file says it; cameras must stand still.'
 )
 OPTIONS: Options = {
     'input IN': option('recording of each camera: a result, bag, or what `reconstruct` reads', nargs='+'),
@@ -35,7 +42,10 @@ OPTIONS: Options = {
     'their order (default: found from the people)',
     '--all-people': 'save every person, into files whose names end with their ids (default: the one seen most)',
     '-o --output OUT': OUTPUT_OPTION,
+    **TOPIC_OPTIONS,
+    **VIDEO_OPTIONS,
     **MODEL_OPTIONS,
+    **STRICT_OPTIONS,
     **CONFIG_OPTIONS,
 }
 
@@ -51,7 +61,8 @@ def run(args: argparse.Namespace) -> int:
     check_outputs(outputs, sources)
     names = name_cameras(args.input)
     cameras = None if args.cameras is None else choose_cameras(load_cameras(args.cameras), names, args.cameras)
-    options = ReconstructionOptions(config, load_models(args, config), max_people=MAX_PEOPLE)
+    reading, models = read_input_options(args, config), load_models(args, config)
+    options = ReconstructionOptions(config, models, reading, MAX_PEOPLE)
     with ShareBar('merge') as report:
         recordings = load_views(args.input, options, report_part(report, 0, 2))
         views = [recording.people for recording in recordings]
@@ -60,14 +71,18 @@ def run(args: argparse.Namespace) -> int:
             located = find_cameras(names, views)
             cameras, lines = located.cameras, describe_cameras(located)
         people = merge_recordings(views, cameras.poses, cameras.clock_offsets, report_part(report, 1, 2))
-    for note in (note for recording in recordings for note in recording.notes):
-        print_note(note)
+    code = 0
+    for path, recording in zip(args.input, recordings, strict=True):
+        for note in recording.notes:
+            print_note(note)
+        code |= finish(path, recording.summary, recording.summary.is_wrong, is_strict=args.strict)
     for line in lines:
         print_result(line)
     if not args.all_people:
         people = (max(people, key=lambda poses: int(poses.in_sight.sum())),)
     endings = choose_endings([poses.id for poses in people]) if args.all_people else ['']
-    return int(not save_people(first, people, endings, outputs, sources))
+    is_all_saved = save_people(first, people, endings, outputs, sources)
+    return code or int(not is_all_saved)
 
 
 def choose_cameras(cameras: Cameras, names: Sequence[str], path: Path) -> Cameras:

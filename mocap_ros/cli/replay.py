@@ -97,7 +97,9 @@ def _replay_one(path: Path, out: Path, options: ReplayOptions, *, is_strict: boo
             return show_progress(stop_at_interrupt(messages), path.name, total)
 
         if holds_merged_run(bag):
-            print_result(f'{out}: {replay_merging(bag, out)} messages of skeletons merged')
+            if options != ReplayOptions():
+                raise InputError(f'{path}: recorded by mocap_merge; it is replayed without options')
+            print_result(f'{out}: {replay_merging(bag, out, show)} messages of skeletons merged')
             return 0
         result = replay(bag, out, options, show)
     for traceback in result.tracebacks:

@@ -32,8 +32,9 @@ POSE_KEYS = 'joints3d', 'joint_names', 'timestamps', 'seen', 'residual_px'
 OPTIONAL_KEYS = (
     'scale', 'translation', 'scale_known', 'vertical', 'vertical_std', 'contact', 'world_from_camera', 'floor_std',
     'grade', 'summary', 'posture', 'posture_probability', 'joint_std', 'root_covariance', 'orientation',
-    'turn_inferred',
+    'orientation_order', 'turn_inferred',
 )  # fmt: skip
+ORDER = 'xyzw'  # of the quaternions' numbers
 UNKNOWN_CAMERA = Intrinsics.from_image_size(640, 480, 1.0)  # px and sides; of a camera of which nothing is known
 
 
@@ -71,7 +72,7 @@ def save_result_file(path: Path, poses: PoseSequence) -> None:
     if poses.summary is not None:
         arrays |= {'grade': np.array(poses.summary.grade), 'summary': np.array(str(poses.summary))}
     if np.isfinite(poses.joint_orientation).any():
-        arrays |= {'orientation': poses.joint_orientation.astype('f4'), 'orientation_order': np.array('xyzw')}
+        arrays |= {'orientation': poses.joint_orientation.astype('f4'), 'orientation_order': np.array(ORDER)}
         arrays['turn_inferred'] = poses.turn_inferred
     write_npz(path, arrays)
 
@@ -123,6 +124,7 @@ def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
         def read(key: str, *shape: int) -> Array:
             return arrays.read_numbers(key, (frames, *shape)) if key in arrays else UNKNOWN_COLUMN
 
+        has_known_order = 'orientation_order' in arrays and arrays.read_texts('orientation_order', ())[0] == ORDER
         turn_inferred: Mask = UNKNOWN_COLUMN
         if 'turn_inferred' in arrays:
             turn_inferred = arrays.read_flags('turn_inferred', joints.shape[:2])
@@ -137,7 +139,7 @@ def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
             contact=read('contact', 2),
             joint_std=read('joint_std', len(names)),
             root_covariance=read('root_covariance', 3, 3),
-            joint_orientation=read('orientation', len(names), 4),
+            joint_orientation=read('orientation', len(names), 4) if has_known_order else UNKNOWN_COLUMN,
             turn_inferred=turn_inferred,
             posture=Posture.read(read('posture')) if 'posture' in arrays else UNKNOWN_COLUMN,
             posture_probability=read('posture_probability'),

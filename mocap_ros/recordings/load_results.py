@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mocap_ros.bags.journal import JOURNAL, RESET, Acceptance, decode_entry
+from mocap_ros.bags.journal import JOURNAL, RESET, Acceptance, decode_entry, read_run
 from mocap_ros.bags.reader import Bag, is_bag
 from mocap_ros.bags.topics import PEOPLE_TYPES
 from mocap_ros.config import Config
@@ -226,8 +226,9 @@ def _judge(read: _Messages, detections: Detections, intrinsics: Intrinsics, conf
 
 
 def find_skeletons_topic(bag: Bag) -> str:
-    """Return the topic of skeletons; raises InputError unless there is exactly one."""
-    topics = bag.topics_of_type([SKELETONS])
+    """Return the topic of skeletons, of `mocap_merge` that of its outputs; InputError unless there is one."""
+    inputs = str(read_run(bag).parameters.get('inputs', '')).split()
+    topics = [topic for topic in bag.topics_of_type([SKELETONS]) if topic not in inputs]
     if len(topics) != 1:
         found = f'several topics of skeletons: {", ".join(topics)}' if topics else 'no skeletons'
         raise InputError(f'{bag.path}: the bag has {found}')

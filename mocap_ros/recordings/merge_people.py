@@ -8,7 +8,6 @@ The recordings are merged twice: the second time the sizes of people, and who is
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocap_ros.arrays import Array, Mask
-from mocap_ros.errors import InputError
+from mocap_ros.arrays import Array, Indices, Mask
+from mocap_ros.errors import InputError, naming
 from mocap_ros.geometry.interpolation import MAX_STEP_S, find_nearest, interpolate_linearly
 from mocap_ros.geometry.level import average_vertical, build_world
 from mocap_ros.geometry.rigid_transform import RigidTransform
@@ -54,14 +53,17 @@ def merge_recordings(
     cameras = [
         CameraPlacement('', RigidTransform.from_matrix(matrix)) for matrix in np.linalg.inv(poses[0]) @ poses
     ]
-    sampled = [
-        [_sample(person, times + offsets[0] - offset, camera) for person in people]
-        for people, offset, camera in zip(recordings, offsets, cameras, strict=True)
-    ]
-    for number, people in enumerate(sampled, 1):
-        if not any(person.is_known.any() for person in people):
-            raise InputError(f'recording {number}: nobody is seen at any time of the first recording')
-    merger, frames = PeopleMerger(math.inf), list[MergedPeople]()
+    layouts = {person.skeleton.name for people in recordings for person in people}
+    if len(layouts) > 1:
+        raise InputError(f'people of several layouts: {", ".join(sorted(layouts))}')
+    sampled = []
+    for number, (people, offset, camera) in enumerate(zip(recordings, offsets, cameras, strict=True), 1):
+        with naming(f'recording {number}'):
+            own = [_sample(p, times + offsets[0] - offset, camera) for p in people if p.in_sight.any()]
+            if not any(person.is_known.any() for person in own):
+                raise InputError('nobody is seen at any time of the first recording')
+            sampled.append(own)
+    merger, frames = PeopleMerger(is_recording=True), list[MergedPeople]()
     for turn in range(PASSES):
         merger.rewind()
         frames = []
@@ -80,12 +82,14 @@ class _Sampled(NamedTuple):
 
     people: People  # a row a frame in which the person is known
     is_known: Mask  # (F,) whether the person is known in a frame
+    row: Indices  # (F,) the row of a frame in which the person is known
 
 
 def _sample(person: PoseSequence, times: Array, camera: CameraPlacement) -> _Sampled:
     """Return a person at times (F,) in s, interpolated between frames that are not too far apart."""
     seen = person.in_sight
-    if not np.isfinite(person.joint_std[seen]).all() or not np.isfinite(person.root_covariance[seen]).all():
+    is_positive = (person.joint_std[seen] > 0).all() and np.isfinite(person.root_covariance[seen]).all()
+    if not (is_positive and (np.linalg.eigvalsh(person.root_covariance[seen]) > 0).all()):
         raise InputError(f'person {person.id!r} has no standard deviations: reconstruct the recording anew')
     own = person.select(seen)
     before = np.searchsorted(own.times, times + ROUNDING_S, side='right') - 1
@@ -116,12 +120,12 @@ def _sample(person: PoseSequence, times: Array, camera: CameraPlacement) -> _Sam
         tentative=own.tentative[nearest],
         is_scale_known=person.is_scale_known,
     )
-    return _Sampled(camera.place(people), is_known)
+    return _Sampled(camera.place(people), is_known, np.cumsum(is_known) - 1)
 
 
 def _show(people: Sequence[_Sampled], frame: int) -> People:
     """Return those of a camera's people who are known in a frame."""
-    rows = [p.people.select([int(p.is_known[:frame].sum())]) for p in people if p.is_known[frame]]
+    rows = [p.people.select([int(p.row[frame])]) for p in people if p.is_known[frame]]
     return People.concatenate(rows) if rows else People.none()
 
 
@@ -164,5 +168,6 @@ def _add_first_camera(merged: PoseSequence, own: PoseSequence, *, is_seen: bool)
         vertical_std=own.vertical_std[nearest],
         world_from_camera=build_world(merged.joints, upward, own.camera_height),
         floor_std=own.floor_std,
+        body_height=own.body_height,
         sequence=sequence if is_seen else None,
     )

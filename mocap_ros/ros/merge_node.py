@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 from mocap_ros.bags.background import BackgroundRecorder, start_recorder
-from mocap_ros.config import RecorderConfig
+from mocap_ros.config import RecorderConfig, Value
 from mocap_ros.errors import RecordingError
 from mocap_ros.messages.cdr import Header, OutputMessage
 from mocap_ros.messages.plain import encode_plain
@@ -44,7 +44,9 @@ class MergeNode(ManagedNode):
         self.has_autostart = bool(self._values['autostart'])
         self._versions = MessageVersions()
         self._outputs = Publishers(self, self._versions)
-        self._run: MergedRun | None = None
+        self._parameters: dict[str, Value] = {}
+        self._run: MergedRun | None = None  # while active
+        self._clock_offset_ns = time.time_ns() - time.monotonic_ns()  # so that times of receipt never jump
         self._recorder: BackgroundRecorder | None = None  # while active
         self._silences: dict[str, SilenceMonitor] = {}
         self._subscriptions_in_use: list[Any] = []  # while active
@@ -55,7 +57,8 @@ class MergeNode(ManagedNode):
         """Create the publishers."""
         topics = [self.resolve_topic_name(name) for name in str(self._values['inputs']).split()]
         prefix = self.get_namespace().rstrip('/') + '/'
-        self._run = MergedRun(self._values | {'inputs': ' '.join(topics)}, prefix)
+        self._parameters = self._values | {'inputs': ' '.join(topics), 'prefix': prefix}
+        MergedRun(self._parameters)
         self._silences = {topic: SilenceMonitor(self, topic, SKELETONS, START_MOCAP_NODE) for topic in topics}
         self._versions = MessageVersions()
         self._versions.add_input(SKELETONS)
@@ -74,10 +77,9 @@ class MergeNode(ManagedNode):
 
     def start_run(self) -> None:
         """Subscribe, and start the recording."""
-        if (run := self._run) is None:
-            return
+        run = self._run = MergedRun(self._parameters)
         if folder := str(self._values['record']):
-            now_ns = time.time_ns()
+            now_ns = self._now_ns()
             self._recorder = start_recorder(now_ns, RecorderConfig(folder=folder))
             self._recorder.put(run.start(now_ns))
         for topic, silence in self._silences.items():
@@ -106,10 +108,13 @@ class MergeNode(ManagedNode):
             except RecordingError as error:
                 self.get_logger().error(str(error))
 
+    def _now_ns(self) -> int:
+        return time.monotonic_ns() + self._clock_offset_ns
+
     def _take(self, run: MergedRun, topic: str, raw: bytes) -> None:
         self._silences[topic].restart(has_input=True)
         self._counts[topic] += 1
-        now_ns = time.time_ns()
+        now_ns = self._now_ns()
         merged = run.feed(topic, self._versions.read(SKELETONS, raw), (now_ns, now_ns))
         for output in merged.outputs:
             self._outputs.publish(self._versions.write_output(output))
@@ -117,7 +122,8 @@ class MergeNode(ManagedNode):
             self._log.report(topic, self._counts[topic], merged.reason)
         if self._recorder is not None:
             try:
-                self._recorder.put(merged.records, even_if_full=True)
+                if not self._recorder.put(merged.records):
+                    run.note_lost()
             except RecordingError as error:
                 self.get_logger().error(f'{error}; the recording has ended')
                 self._recorder = None

@@ -3,19 +3,21 @@
 
 """Merge the `skeletons` of several cameras as they arrive, for the live node and for replays.
 
-The first camera that is alive leads: each of its messages causes outputs, at its stamp. To that stamp the newest
-people of the others are carried on with their velocities v, and become less certain,
+The first camera that is alive leads: each of its messages causes outputs, at its stamp. To that stamp the people
+of the others, in the messages nearest to it, are carried with their velocities v, and become less certain,
 
     x <- x + v dt,    std^2 <- std^2 + (v_std dt)^2,    C_root <- C_root + C_v dt^2
 
-A camera whose newest people are more than the tolerance away from the stamp does not count. The outputs depend on
-the messages and their order alone.
+A camera without a message within the tolerance does not count. The outputs depend on the messages and their order
+alone.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,22 +27,26 @@ from mocap_ros.arrays import copy_with
 from mocap_ros.bags.journal import Acceptance, Journal, read_run
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import RecordedMessage, Recorder
+from mocap_ros.bags.rosbag2 import Topic, make_topic
 from mocap_ros.config import NodeConfig, RecorderConfig, Value
 from mocap_ros.errors import ConfigError, FrameDropped, InputError, SkeletonError
 from mocap_ros.geometry.intrinsics import Intrinsics, recover_intrinsics
-from mocap_ros.geometry.rigid_transform import RigidTransform
+from mocap_ros.geometry.rigid_transform import MAX_DISTANCE_M, RigidTransform
 from mocap_ros.messages.camera_placement import CameraPlacement
-from mocap_ros.messages.cdr import Header, OutputMessage
+from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.skeletons import SKELETONS, ReceivedSkeletons, decode_skeletons
 from mocap_ros.people import CameraVertical, People
-from mocap_ros.runtime.outputs import OutputEncoder, build_skeleton_definition
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OutputEncoder, build_skeleton_definition
+from mocap_ros.runtime.replay import ProgressWrapper
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.merging import CameraView, PeopleMerger
 from mocap_ros.units import NS_PER_S
 
-MAX_SILENCE_NS = 500_000_000  # ns; a camera that is behind others for longer does not lead
+MAX_SILENCE = 15  # messages of every other camera, half a second; who is silent for longer does not lead
+MAX_RECENT = 60  # messages of a camera; a second or two, by which nodes may be slower than others
 RESTART_NS = 1_000_000_000  # ns; by which a clock goes back that was set, or of a bag that is played again
 JOURNAL_NAME = 'mocap_merge/journal'
+ONE_FILE = RecorderConfig(min_free_mb=0, split_seconds=0.0)
 PELVIS = CMU15.index('pelvis')
 
 
@@ -55,23 +61,23 @@ class SkeletonMerger:
         self._topics = topics
         self._tolerance_s = tolerance_s
         self._node = node or NodeConfig()
-        self._frame_id = ''
-        self._layout = ''
+        self._outputs, self._count = OutputEncoder(), 0
         self._restart()
 
     def _restart(self) -> None:
-        self._newest: list[ReceivedSkeletons | None] = [None] * len(self._topics)
+        self._recent = [deque[ReceivedSkeletons](maxlen=MAX_RECENT) for _ in self._topics]
         self._intrinsics: list[Intrinsics | None] = [None] * len(self._topics)
+        self._heard = [-math.inf] * len(self._topics)  # number of the newest message of each
         self._stamp_ns = -1  # of the newest outputs
-        self._merger, self._outputs = PeopleMerger(), OutputEncoder()
+        self._is_defined = False  # whether the joints have been named
+        self._merger = PeopleMerger()
 
     def find_late_topics(self) -> list[str]:
-        """Return the topics whose newest people are too far from the newest outputs to count."""
-        stamps = (None if newest is None else newest.header.stamp_ns for newest in self._newest)
+        """Return the topics of which no message is near enough to the newest outputs to count."""
         return [
             topic
-            for topic, stamp_ns in zip(self._topics, stamps, strict=True)
-            if stamp_ns is not None and abs(stamp_ns - self._stamp_ns) > self._tolerance_s * NS_PER_S
+            for topic, recent in zip(self._topics, self._recent, strict=True)
+            if recent and self._find_nearest(recent, self._stamp_ns) is None
         ]
 
     def feed(self, topic: str, raw: bytes) -> tuple[OutputMessage, ...]:
@@ -82,99 +88,120 @@ class SkeletonMerger:
             FrameDropped: its stamp is not later than that of the message before on this topic.
         """
         camera, received = self._topics.index(topic), decode_skeletons(raw, is_in_camera=False)
-        outputs = list(self._check(received))
-        stamp_ns, before = received.header.stamp_ns, self._newest[camera]
-        if before is not None and stamp_ns <= before.header.stamp_ns:
-            if before.header.stamp_ns - stamp_ns < RESTART_NS:
+        self._check(camera, received)
+        stamp_ns, outputs = received.header.stamp_ns, list[OutputMessage]()
+        recent = self._recent[camera]
+        if recent and stamp_ns <= recent[-1].header.stamp_ns:
+            if recent[-1].header.stamp_ns - stamp_ns < RESTART_NS:
                 raise FrameDropped('stamp: not later than that of the message before')
-            self._restart()
-        self._newest[camera] = received
+            recent.clear()
+        recent.append(received)
+        self._count += 1
+        self._heard[camera] = self._count
         if len(received.people):
-            self._intrinsics[camera] = _find_intrinsics(received)
-        if camera == self._find_leader() and stamp_ns > self._stamp_ns:
+            with suppress(InputError):  # of people without cameras of their own
+                self._intrinsics[camera] = _find_intrinsics(received)
+        if camera != self._find_leader():
+            return ()
+        if stamp_ns <= self._stamp_ns - RESTART_NS:  # its clock was set, or was behind that of the leader before
+            outputs += self._outputs.encode_clear(received.header)
+            self._stamp_ns, self._merger = -1, PeopleMerger()
+        if stamp_ns > self._stamp_ns:
             self._stamp_ns = stamp_ns
             outputs += self._merge(camera, received)
         return tuple(outputs)
 
-    def _check(self, received: ReceivedSkeletons) -> list[OutputMessage]:
-        """Refuse what cannot be merged; of the first people, return the message that names their joints."""
+    def _check(self, camera: int, received: ReceivedSkeletons) -> None:
+        """Refuse what cannot be merged with the newest messages of the other cameras."""
         frame_id, people = received.header.frame_id, received.people
         if received.camera.frame_id == frame_id:
             raise InputError(
                 f'header.frame_id: {frame_id!r} is that of the camera; give its node node.output_frame'
             )
-        if self._frame_id not in ('', frame_id):
-            raise InputError(f'header.frame_id: {frame_id!r}, but that of other cameras is {self._frame_id!r}')
-        self._frame_id = frame_id
+        others = [recent[-1] for number, recent in enumerate(self._recent) if recent and number != camera]
+        frames = {other.header.frame_id for other in others}
+        if frames and frame_id not in frames:
+            raise InputError(f'header.frame_id: {frame_id!r}, but that of other cameras is {frames.pop()!r}')
         if not len(people):
-            return []
-        name = people.skeleton.name
-        if self._layout not in ('', name):
-            raise InputError(f'people: of the layout {name}, but those of other cameras of {self._layout}')
-        for field in ('joints', 'joint_std', 'root_covariance'):
-            if not np.isfinite(getattr(people, field)).all():
-                raise InputError(f'people: {field} that are not finite')
-        is_new = not self._layout
-        self._layout = name
-        return [build_skeleton_definition(name)] if is_new else []
+            return
+        layouts = {other.people.skeleton.name for other in others if len(other.people)}
+        if layouts and people.skeleton.name not in layouts:
+            raise InputError(
+                f'people: of the layout {people.skeleton.name}, but those of other cameras of {layouts.pop()}'
+            )
+        if len(set(people.ids)) < len(people):
+            raise InputError('people: two have one id')
+        is_sound = (np.abs(people.joints) < MAX_DISTANCE_M).all() and (people.joint_std > 0).all()
+        covariance = people.root_covariance
+        if not (is_sound and np.isfinite(covariance).all() and (np.linalg.eigvalsh(covariance) > 0).all()):
+            raise InputError('people: joints, joint_std or root_covariance that are not finite or not positive')
 
     def _find_leader(self) -> int:
-        stamps = [math.nan if newest is None else newest.header.stamp_ns for newest in self._newest]
-        limit = np.nanmax(stamps) - MAX_SILENCE_NS
-        return next(camera for camera, stamp_ns in enumerate(stamps) if stamp_ns >= limit)
+        limit = self._count - MAX_SILENCE * (len(self._topics) - 1)
+        return next(camera for camera, heard in enumerate(self._heard) if heard > limit)
 
-    def _merge(self, leader: int, leading: ReceivedSkeletons) -> tuple[OutputMessage, ...]:
-        time_s = leading.header.stamp_ns / NS_PER_S
-        near = [self._carry(newest, leading.header.stamp_ns) for newest in self._newest]
-        self.people = self._merger.merge(time_s, near).people
-        known = [r for r in self._newest if r is not None and r.vertical_std > 0]
-        best = min(known, key=lambda r: r.vertical_std, default=None)
+    def _merge(self, leader: int, leading: ReceivedSkeletons) -> list[OutputMessage]:
+        stamp_ns = leading.header.stamp_ns
+        near = [self._find_nearest(recent, stamp_ns) for recent in self._recent]
+        self.people = self._merger.merge(stamp_ns / NS_PER_S, [_carry(seen, stamp_ns) for seen in near]).people
+        known = [seen for seen in near if seen is not None and seen.vertical_std > 0]
+        best = min(known, key=lambda seen: seen.vertical_std, default=None)
         vertical = None if best is None else CameraVertical(best.vertical, best.vertical_std)
         to_camera = CameraPlacement('', None if leading.camera.pose is None else leading.camera.pose.inverse())
-        seen = _add_camera(to_camera.place(self.people), self._intrinsics[leader])
-        header = Header(leading.header.stamp_ns, self._frame_id)
+        shown = _add_camera(to_camera.place(self.people), self._intrinsics[leader])
         in_camera = to_camera.place_vertical(vertical)
-        return self._outputs.encode(header, seen, self._node, leading.camera, in_camera)
+        outputs = self._outputs.encode(leading.header, shown, self._node, leading.camera, in_camera)
+        if not len(shown) or self._is_defined:
+            return [*outputs]
+        self._is_defined = True
+        return [build_skeleton_definition(shown.skeleton.name), *outputs]
 
-    def _carry(self, newest: ReceivedSkeletons | None, stamp_ns: int) -> CameraView:
-        """Return what a camera sees at a stamp in ns; nobody, if that is too far from its newest message."""
-        step_s = math.inf if newest is None else (stamp_ns - newest.header.stamp_ns) / NS_PER_S
-        if newest is None or abs(step_s) > self._tolerance_s:
-            return CameraView(People.none(), np.zeros(3))
-        people = newest.people
-        if step_s and len(people):
-            velocity = np.nan_to_num(people.joint_velocity)
-            drift = step_s * np.nan_to_num(people.joint_velocity_std)
-            people = copy_with(
-                people,
-                joints=people.joints + step_s * velocity,
-                joint_std=np.hypot(people.joint_std, drift),
-                root_covariance=people.root_covariance
-                + step_s**2 * np.nan_to_num(people.root_velocity_covariance),
-            )
-        return CameraView(people, newest.camera.centre)
+    def _find_nearest(self, recent: Sequence[ReceivedSkeletons], stamp_ns: int) -> ReceivedSkeletons | None:
+        """Return the message that is nearest to a stamp in ns; None if it is further than the tolerance."""
+        nearest = min(recent, key=lambda seen: abs(seen.header.stamp_ns - stamp_ns), default=None)
+        is_near = nearest is not None and abs(nearest.header.stamp_ns - stamp_ns) <= self._tolerance_s * NS_PER_S
+        return nearest if is_near else None
+
+
+def _carry(seen: ReceivedSkeletons | None, stamp_ns: int) -> CameraView:
+    """Return what a camera sees at a stamp in ns, by the message that is nearest to it; nobody without one."""
+    if seen is None:
+        return CameraView(People.none(), np.zeros(3))
+    people, step_s = seen.people, (stamp_ns - seen.header.stamp_ns) / NS_PER_S
+    if step_s and len(people):
+        drift = step_s * np.nan_to_num(people.joint_velocity_std)
+        people = copy_with(
+            people,
+            joints=people.joints + step_s * np.nan_to_num(people.joint_velocity),
+            joint_std=np.hypot(people.joint_std, drift),
+            root_covariance=people.root_covariance + step_s**2 * np.nan_to_num(people.root_velocity_covariance),
+        )
+    return CameraView(people, seen.camera.centre)
 
 
 class MergedRun:
     """A run of a merger, of which each input with its outputs and journal is recorded, so that it can be repeated.
 
-    `parameters` are the topics `inputs`, separated by blanks, the `tolerance` in s and `publish_tf`; `prefix` is
-    put before the names of outputs that are not absolute.
+    `parameters` are the topics `inputs`, separated by blanks, the `tolerance` in s, `publish_tf`, and the `prefix`
+    of the names of outputs that are not absolute.
     """
 
-    def __init__(self, parameters: Mapping[str, Value], prefix: str) -> None:
-        self.parameters = {name: parameters[name] for name in ('inputs', 'tolerance', 'publish_tf')}
+    def __init__(self, parameters: Mapping[str, Value]) -> None:
+        self._parameters = {name: parameters[name] for name in ('inputs', 'tolerance', 'publish_tf', 'prefix')}
         self.topics = str(parameters['inputs']).split()
+        self._prefix = str(parameters['prefix'])
         if len(set(self.topics)) < max(len(self.topics), 2):
             raise ConfigError('inputs: expected two different topics of skeletons or more, separated by blanks')
+        if f'{self._prefix}skeletons' in self.topics:
+            raise ConfigError(f'inputs: {self._prefix}skeletons is the topic of the output; remap one of them')
         node = NodeConfig(publish_tf=bool(parameters['publish_tf']))
         self.merger = SkeletonMerger(self.topics, float(parameters['tolerance']), node)
-        self._prefix = prefix
-        self._journal = Journal(f'{prefix}{JOURNAL_NAME}')
+        self._journal = Journal(f'{self._prefix}{JOURNAL_NAME}')
 
-    def start(self, time_ns: int) -> list[RecordedMessage]:
+    def start(self, time_ns: int) -> list[RecordedMessage | Topic]:
         """Return the records with which a recording begins."""
-        return [self._journal.make_parameters_record(self.parameters, time_ns)]
+        latched = [make_topic(self._prefix + name, kind, latched=True) for name, kind in LATCHED_OUTPUTS.items()]
+        return [*latched, self._journal.make_parameters_record(self._parameters, time_ns)]
 
     def feed(self, topic: str, raw: bytes, times_ns: tuple[int, int]) -> MergedInput:
         """Return what a message causes, and its records; times in ns are those of receipt and of sending."""
@@ -192,6 +219,10 @@ class MergedRun:
             records.append(RecordedMessage(name, output.type, output.data, times_ns[0], times_ns[0]))
         return MergedInput(outputs, records, reason)
 
+    def note_lost(self) -> None:
+        """Count the newest input as lost, as the disk is too slow for its records."""
+        self._journal.mark_last_input_lost()
+
 
 class MergedInput(NamedTuple):
     """What a message of skeletons causes."""
@@ -206,16 +237,19 @@ def holds_merged_run(bag: Bag) -> bool:
     return 'inputs' in read_run(bag).parameters
 
 
-def replay_merging(bag: Bag, out: Path) -> int:
+def replay_merging(bag: Bag, out: Path, progress: ProgressWrapper) -> int:
     """Merge the inputs of a recorded run again, into another bag, and return their number."""
-    run = MergedRun(read_run(bag).parameters, '/')
+    run = MergedRun(read_run(bag).parameters)
     count = 0
-    with Recorder(out, RecorderConfig(), name=out.name) as recorder:
-        for count, message in enumerate(bag.messages(run.topics), 1):
-            records = run.start(message.time_ns) if count == 1 else []
-            records += run.feed(message.topic, message.raw, (message.time_ns, message.time_ns)).records
-            for record in records:
-                recorder.write(*record)
+    with Recorder(out, ONE_FILE, name=out.name) as recorder:
+        for count, message in enumerate(progress(bag.messages(run.topics), bag.count(run.topics)), 1):
+            first = run.start(message.time_ns) if count == 1 else []
+            merged = run.feed(message.topic, message.raw, (message.time_ns, message.time_ns))
+            for record in (*first, *merged.records):
+                if isinstance(record, Topic):
+                    recorder.add_topic(record)
+                else:
+                    recorder.write(*record)
     return count
 
 
@@ -232,6 +266,7 @@ def _add_camera(people: People, intrinsics: Intrinsics | None) -> People:
     if intrinsics is None or not len(people):
         return people
     middles = people.core.mean(axis=1)
+    middles[middles[:, 2] <= 0] = np.nan  # behind the camera
     turns = [RigidTransform(np.zeros(3), tuple(turn)).rotation for turn in people.joint_orientation[:, PELVIS]]
     return copy_with(
         people,

@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -48,6 +49,7 @@ FREEDOM = 4.0  # 1; nu, of Student's t distribution
 ROUNDS = 4  # of reweighting; more change less than 1 mm
 SHARED_M = 0.045  # m; deviation of what is wrong with a joint in all cameras, by training persons
 SHARED_ROOT_M = 0.03  # m; that of a root: recorded detectors put hips elsewhere in all cameras alike
+LEAST_STD, LEAST_VARIANCE = 1e-4, 1e-8  # m/s, m^2/s^2; of velocities that others call certain
 INFERRED_WEIGHT = 0.1  # 1; of an orientation whose turn the image does not show
 MAX_STEP_S = 0.2  # s; the longest time that one frame stands for
 
@@ -105,17 +107,17 @@ class _Sizes:
 class PeopleMerger:
     """Merger of the people whom C cameras see, in successive frames.
 
-    `size_memory_s` is the time constant in s with which sizes are forgotten, `math.inf` where they stay.
+    A recording has the people of all its frames: nothing is forgotten of them then.
     """
 
-    def __init__(self, size_memory_s: float = SIZE_MEMORY_S) -> None:
-        self._same_people = SamePeople()
+    def __init__(self, *, is_recording: bool = False) -> None:
+        self._same_people = SamePeople(math.inf) if is_recording else SamePeople()
         self._sizes: dict[int, _Sizes] = {}
-        self._size_memory_s = size_memory_s
+        self._size_memory_s = math.inf if is_recording else SIZE_MEMORY_S
         self._time_s = math.nan
 
     def rewind(self) -> None:
-        """Begin again with the first frame, with what is known of sizes and of who is who."""
+        """Go back to the first frame, and keep what is known of sizes and of who is who."""
         self._time_s = math.nan
 
     def merge(self, time_s: float, views: Sequence[CameraView]) -> MergedPeople:
@@ -140,6 +142,7 @@ class PeopleMerger:
             in_sight = {camera: row for camera, row in shown.items() if not views[camera].people.predicted[row]}
             seen = in_sight or shown
             people = People.concatenate([views[camera].people.select([row]) for camera, row in seen.items()])
+            people = replace(people, is_scale_known=all(views[camera].people.is_scale_known for camera in seen))
             sizes = self._sizes.setdefault(number, _Sizes(len(views)))
             sizes.fade(step_s, self._size_memory_s)
             merged.append(_merge_person(str(number), people, [*seen], centres, sizes, step_s))
@@ -188,7 +191,7 @@ def _merge_person(
         root_covariance=root_covariance[None],
         joint_velocity=(root.apply(factors[:, None] * root_velocities) + pose.apply(own_velocities))[None],
         joint_velocity_std=_combine(people.joint_velocity_std),
-        root_velocity_covariance=np.linalg.inv(np.linalg.inv(people.root_velocity_covariance).sum(axis=0))[None],
+        root_velocity_covariance=_combine_covariances(people.root_velocity_covariance)[None],
         joint_orientation=_average_turns(people)[None],
         inferred=np.all(people.inferred, axis=0)[None],
         turn_inferred=np.all(people.turn_inferred, axis=0)[None],
@@ -237,15 +240,24 @@ def _build_information(direction: Array, across: Array, along: Array) -> Array:
 def _average_turns(people: People) -> Array:
     """Return the mean orientations (J, 4) of S cameras; those count most in which the image shows the turn."""
     turns = people.joint_orientation
-    aligned = turns * np.where((turns * turns[0]).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
+    is_known = np.isfinite(turns).all(axis=-1, keepdims=True)
+    reference = turns[int(np.argmax(is_known.sum(axis=(1, 2))))]
+    aligned = turns * np.where((turns * reference).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
     weight = np.where(people.turn_inferred, INFERRED_WEIGHT, 1.0) / people.joint_std**2
-    mean = (aligned * weight[..., None]).sum(axis=0)
+    mean = np.where(is_known, aligned * weight[..., None], 0.0).sum(axis=0)
+    mean = np.where(is_known.any(axis=0), mean, np.nan)
     return np.asarray(mean / np.linalg.norm(mean, axis=-1, keepdims=True))
+
+
+def _combine_covariances(covariance: Array) -> Array:
+    """Return the covariance (3, 3) of the mean of independent values with covariances (S, 3, 3)."""
+    safe = covariance + LEAST_VARIANCE * np.eye(3)
+    return np.asarray(np.linalg.inv(np.linalg.inv(safe).sum(axis=0)))
 
 
 def _combine(std: Array) -> Array:
     """Return the deviations (1, J) of the means of independent values with deviations (S, J)."""
-    return np.asarray((std**-2.0).sum(axis=0, keepdims=True) ** -0.5)
+    return np.asarray((np.maximum(std, LEAST_STD) ** -2.0).sum(axis=0, keepdims=True) ** -0.5)
 
 
 def _mean_of_known(values: Array) -> float:

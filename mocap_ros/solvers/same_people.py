@@ -32,6 +32,7 @@ MEMORY_S = 2.0  # s; longer than people are one behind the other on a line of si
 GATE = 25.0  # 1; of one person no mean of 240 was above 11
 STAY = 6.0  # 1; d of one person in the mean, so that no single frame decides
 FORGET_AFTER_S = 5.0  # s; a tracker gives a person who was away for longer another id
+MAX_JUMP_M, MAX_SPEED_M_S = 1.0, 10.0  # of one person; a track that moves more has become another person's
 Track = tuple[int, str]  # number of the camera, and the person's id there
 
 
@@ -45,10 +46,11 @@ class _Likeness(NamedTuple):
 class SamePeople:
     """Numbers of people, by what several cameras show of them in successive frames."""
 
-    def __init__(self) -> None:
+    def __init__(self, forget_after_s: float = FORGET_AFTER_S) -> None:
+        self._forget_after_s = forget_after_s
         self._likeness: dict[tuple[Track, Track], _Likeness] = {}
         self._number_of: dict[Track, int] = {}
-        self._seen_s: dict[Track, float] = {}
+        self._seen: dict[Track, tuple[float, Array]] = {}  # s and (3,) m, when and where last
         self._new_numbers = itertools.count(1)
 
     @property
@@ -62,11 +64,15 @@ class SamePeople:
         A camera that does not see has nobody; `step_s` is the time in s since the frame before.
         """
         tracks = [[(camera, person_id) for person_id in people.ids] for camera, people in enumerate(views)]
-        for track in itertools.chain(*tracks):
-            self._seen_s[track] = time_s
-            if track not in self._number_of:
-                self._number_of[track] = next(self._new_numbers)
-        self._forget(time_s)
+        self._forget([t for t, (seen_s, _) in self._seen.items() if time_s - seen_s > self._forget_after_s])
+        for own, people in zip(tracks, views, strict=True):
+            for track, root in zip(own, people.roots, strict=True):
+                before_s, before = self._seen.get(track, (time_s, root))
+                if np.linalg.norm(root - before) > MAX_JUMP_M + MAX_SPEED_M_S * abs(time_s - before_s):
+                    self._forget([track])
+                self._seen[track] = time_s, root
+                if track not in self._number_of:
+                    self._number_of[track] = next(self._new_numbers)
         seeing = [camera for camera, own in enumerate(tracks) if own]
         for first, second in itertools.combinations(seeing, 2):
             found = compare_people(views[first], views[second])
@@ -76,11 +82,11 @@ class SamePeople:
         self._renumber(self._group(tracks))
         return [[self._number_of[track] for track in own] for own in tracks]
 
-    def _forget(self, time_s: float) -> None:
-        gone = {track for track, seen_s in self._seen_s.items() if time_s - seen_s > FORGET_AFTER_S}
+    def _forget(self, tracks: Sequence[Track]) -> None:
+        gone = set(tracks)
+        for track in gone:
+            del self._seen[track], self._number_of[track]
         if gone:
-            for track in gone:
-                del self._seen_s[track], self._number_of[track]
             kept = self._likeness.items()
             self._likeness = {pair: value for pair, value in kept if not gone.intersection(pair)}
 

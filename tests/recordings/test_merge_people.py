@@ -113,5 +113,5 @@ def test_results_of_older_versions_without_deviations_are_refused(
     results: tuple[PoseSequence, PoseSequence],
 ) -> None:
     old = replace(results[0], joint_std=np.full(results[0].joint_std.shape, np.nan))
-    with pytest.raises(InputError, match=r'^results: person .* reconstruct'):
+    with pytest.raises(InputError, match=r'^results: recording 1: person .* reconstruct'):
         mocap_ros.merge([old, results[1]], list_poses())

@@ -13,12 +13,15 @@ import pytest
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
+from mocap_ros.bags.rosbag2 import Topic
 from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import ConfigError, FrameDropped, InputError
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.skeletons import ReceivedSkeletons, decode_skeletons, encode_skeletons
 from mocap_ros.people import People
+from mocap_ros.recordings.load_results import load_result
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS
 from mocap_ros.runtime.skeleton_merging import MergedRun, SkeletonMerger
 from mocap_ros.skeleton import find_roots
 from tests.support.several_cameras import CENTRES, FPS, make_truth, place_camera, see
@@ -72,8 +75,8 @@ def test_the_first_camera_leads_and_the_second_takes_over_when_it_is_silent() ->
         ({'frame_id': place_camera(CENTRES[0]).frame_id}, InputError, 'header.frame_id'),
         ({'frame_id': 'odom'}, InputError, 'header.frame_id'),
         ({'joints': np.full((1, 15, 3), np.nan)}, InputError, 'people: joints'),
-        ({'joint_std': np.full((1, 15), np.nan)}, InputError, 'people: joint_std'),
-        ({'root_covariance': np.full((1, 3, 3), np.nan)}, InputError, 'people: root_covariance'),
+        ({'joint_std': np.zeros((1, 15))}, InputError, 'people: joints, joint_std'),
+        ({'root_covariance': np.zeros((1, 3, 3))}, InputError, 'people: joints, joint_std'),
         ({'stamp_ns': 10**9}, FrameDropped, 'stamp'),
     ],
 )
@@ -83,6 +86,7 @@ def test_what_cannot_be_merged_is_refused_and_the_rest_goes_on(
     merger = SkeletonMerger(TOPICS, 0.15)
     (person,) = see(make_truth(1), CENTRES[0], 1.0, np.random.default_rng(0))
     assert read(merger.feed(TOPICS[0], encode(person, 10**9, 0)))
+    merger.feed(TOPICS[1], encode(person, 10**9, 1))
     given = {'stamp_ns': 2 * 10**9, 'camera': 0, **changes}
     with pytest.raises(error, match=f'^{place}'):
         merger.feed(TOPICS[0], encode(person, **given))
@@ -91,23 +95,48 @@ def test_what_cannot_be_merged_is_refused_and_the_rest_goes_on(
 
 
 def test_a_recorded_run_is_repeated_byte_by_byte(tmp_path: Path) -> None:
-    run = MergedRun({'inputs': ' '.join(TOPICS), 'tolerance': 0.15, 'publish_tf': True}, '/')
+    run = MergedRun({'inputs': ' '.join(TOPICS), 'tolerance': 0.15, 'publish_tf': True, 'prefix': '/robot/'})
     with Recorder(tmp_path / 'run', RecorderConfig(min_free_mb=0)) as recorder:
         records = run.start(1)
         for time_ns, (topic, raw) in enumerate([*list_messages(), (TOPICS[0], b'no message')], 2):
             records += run.feed(topic, raw, (time_ns, time_ns)).records
         for record in records:
-            recorder.write(*record)
+            recorder.add_topic(record) if isinstance(record, Topic) else recorder.write(*record)
     assert main(['replay', str(tmp_path / 'run'), '-o', str(tmp_path / 'again')]) == 0
     bags = []
     for name in ('run', 'again'):
         with Bag(tmp_path / name) as bag:
             bags.append([(message.topic, message.raw) for message in bag.messages(bag.topics)])
     assert bags[0] == bags[1]
-    assert {'/skeletons', '/cameras', '/markers', '/points', '/tf', '/skeleton_definition'} <= dict(bags[0]).keys()
+    outputs = {f'/robot/{name}' for name in (*OUTPUTS, *LATCHED_OUTPUTS)}
+    assert {*outputs, '/tf'} <= dict(bags[0]).keys()
+    assert load_result(tmp_path / 'again').id == '1'
 
 
-@pytest.mark.parametrize('inputs', ['', '/a', '/a /a'])
+@pytest.mark.parametrize('inputs', ['', '/a', '/a /a', '/a /skeletons'])
 def test_two_topics_are_needed(inputs: str) -> None:
     with pytest.raises(ConfigError, match=r'^inputs'):
-        MergedRun({'inputs': inputs, 'tolerance': 0.1, 'publish_tf': False}, '/')
+        MergedRun({'inputs': inputs, 'tolerance': 0.1, 'publish_tf': False, 'prefix': '/'})
+
+
+def test_people_are_carried_to_the_stamp_of_the_leader_within_the_tolerance() -> None:
+    """A person walks at 1 m/s; the node of one camera is slower than the other's."""
+    rng, merger, far = np.random.default_rng(0), SkeletonMerger(TOPICS, 0.15), SkeletonMerger(TOPICS, 0.01)
+    truth = make_truth(1) + 0.02 * np.arange(50)[:, None, None] * [1, 0, 0]
+    cameras = [see(truth, centre, 1.0, rng) for centre in CENTRES[:2]]
+    velocity = np.tile([0.6, 0, 0], (1, 15, 1))
+    seconds = []
+    for frame in range(50):
+        stamp_ns = 10**9 + frame * STEP_NS
+        for camera, at in ((1, stamp_ns + 20_000_000), (0, stamp_ns - 6 * STEP_NS)):
+            index = frame if camera else frame - 6
+            if index >= 0:
+                raw = encode(cameras[camera][index], at, camera, joint_velocity=velocity)
+                seconds += read(merger.feed(TOPICS[camera], raw))
+                late = read(far.feed(TOPICS[camera], raw))
+    assert merger.find_late_topics() == []
+    assert far.find_late_topics() == [TOPICS[1]]
+    roots = np.array([message.people.roots[0] for message in seconds])[10:]
+    expected = find_roots(truth)[10 : 10 + len(roots)]
+    assert np.linalg.norm(roots - expected, axis=1).mean() < 0.06
+    assert late[0].people.root_covariance[0].trace() > 4 * seconds[-1].people.root_covariance[0].trace()

@@ -23,7 +23,7 @@ from tests.support.several_cameras import CENTRES, FPS, SIZE_STD, make_truth, se
 def merge_all(
     cameras: Sequence[Sequence[People]], merger: PeopleMerger | None = None
 ) -> list[merging.MergedPeople]:
-    merger = merger or PeopleMerger(math.inf)
+    merger = merger or PeopleMerger(is_recording=True)
     return [
         merger.merge(frame / FPS, [CameraView(p, c) for p, c in zip(people, CENTRES, strict=False)])
         for frame, people in enumerate(zip(*cameras, strict=True))
@@ -55,7 +55,7 @@ def test_sizes_are_those_of_a_general_optimiser() -> None:
     rng, truth = np.random.default_rng(1), make_truth(20)
     cameras = [see(truth, c, k, rng) for c, k in zip(CENTRES[:3], [1.05, 0.98, 1.0], strict=True)]
     roots = np.array([[people.roots[0] for people in seen] for seen in cameras])
-    merger = PeopleMerger(math.inf)
+    merger = PeopleMerger(is_recording=True)
     merge_all(cameras, merger)
     reach = roots - CENTRES[:3, None]
     distance = np.linalg.norm(reach, axis=-1)
@@ -113,4 +113,24 @@ def test_who_is_seen_by_one_camera_passes_through() -> None:
     seen = see(truth, CENTRES[0], 1.0, rng)
     merged = merge_all([seen, [People.none()] * 10])[-1].people
     np.testing.assert_allclose(merged.joints, seen[-1].joints)
-    assert (np.linalg.eigvalsh(merged.root_covariance[0] - seen[-1].root_covariance[0]) > -1e-3).all()
+    assert (np.linalg.eigvalsh(merged.root_covariance[0] - seen[-1].root_covariance[0]) > 0).all()
+
+
+def test_a_person_who_is_away_for_long_is_the_same_in_a_recording_and_a_tracker_may_exchange_ids() -> None:
+    rng, frames = np.random.default_rng(5), 90
+    motions = [make_truth(frames, (x, 0, 4.0)) for x in (-1.2, 1.2)]
+    cameras = []
+    for number, centre in enumerate(CENTRES[:2]):
+        both = [see(truth, centre, 1.0, rng, name) for truth, name in zip(motions, 'ab', strict=True)]
+        cameras.append([People.concatenate(pair) for pair in zip(*both, strict=True)])
+        for frame in range(45, frames):
+            if number:
+                cameras[1][frame] = replace(cameras[1][frame], ids=('b', 'a'))
+    merger = PeopleMerger(is_recording=True)
+    for frame in range(frames):
+        time_s = frame / FPS + (8.0 if frame >= 60 else 0.0)
+        views = [CameraView(seen[frame], centre) for seen, centre in zip(cameras, CENTRES, strict=False)]
+        people = merger.merge(time_s, views).people
+        assert people.ids == ('1', '2')
+        for root, truth in zip(people.roots, motions, strict=True):
+            assert np.linalg.norm(root - find_roots(truth[frame])) < 0.35
