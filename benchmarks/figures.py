@@ -41,6 +41,7 @@ BENCHMARKS: Mapping[str, Sequence[str]] = {
     'stream': (),
     'feet': (),
     'depth': (),
+    'coverage': (),
     'videos': (),
     'readme': (),
 }

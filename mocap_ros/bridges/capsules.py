@@ -32,7 +32,7 @@ from mocap_ros.skeleton import BODY26, CMU15, Skeleton
 
 CAPSULES = MOCAP_ROS_MSGS + 'BodyCapsulesArray'
 CAPSULE_STYLE = MarkerStyle(0.75, 0.3)  # chosen for the look: the bones within can be seen
-ROOT_SPREAD = 1.0  # q of the module
+ROOT_SPREAD = 1.2  # q of the module
 MIN_LENGTH_M = 1e-6  # m; between points that are nearer to each other there is no axis
 MIN_QUATERNION = 1e-6  # 1; length of the quaternion before it is made 1, of an axis that points down
 
