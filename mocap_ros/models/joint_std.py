@@ -41,7 +41,7 @@ from mocap_ros.skeleton import CMU15, Skeleton
 HIDDEN_SHARE = 0.4
 # 1; q of seen and of inferred joints, of those who stand or walk, of others, and of those whose legs are not seen
 POSTURE_FACTORS = np.array([[1.0, 0.85], [1.3, 1.1], [1.1, 0.85]])
-UPRIGHT, OTHER, WITHOUT_LEGS = range(3)
+_UPRIGHT, _OTHER, _WITHOUT_LEGS = range(3)
 # Lengths of a leg; hips that are higher over the lower ankle are of 95 of 100 who stand or walk
 UPRIGHT_HEIGHT = 0.87
 _HIPS, _KNEES, _ANKLES = ([CMU15.index(side + joint) for side in 'lr'] for joint in ('hip', 'knee', 'ankle'))
@@ -62,7 +62,7 @@ def expect_stature(lengths: Array, skeleton: Skeleton, lifted: LiftedPoses | Non
 
 
 def widen_by_posture(std: Array, joints: Array, is_seen: Mask, upward: Array, size_share: Array) -> Array:
-    """Return the published deviations (P, J) m of P people, from those of the module's first formulas.
+    """Return the published deviations (..., P, J) m of P people, from those of the module's first formulas.
 
     `joints` (P, J, 3) m are those of `CMU15`, `is_seen` (P, J) whether the image shows them, `upward` (3,) the
     vertical, and `size_share` (P,) the deviation of people's sizes.
@@ -70,8 +70,8 @@ def widen_by_posture(std: Array, joints: Array, is_seen: Mask, upward: Array, si
     hips, knees, ankles = (joints[:, pair] for pair in (_HIPS, _KNEES, _ANKLES))
     leg = (np.linalg.norm(hips - knees, axis=-1) + np.linalg.norm(knees - ankles, axis=-1)).mean(axis=1)
     height = ((hips.mean(axis=1, keepdims=True) - ankles) @ upward).max(axis=1)
-    posture = np.where(height > UPRIGHT_HEIGHT * leg, UPRIGHT, OTHER)
-    posture[~is_seen[:, _KNEES + _ANKLES].any(axis=1)] = WITHOUT_LEGS
+    posture = np.where(height > UPRIGHT_HEIGHT * leg, _UPRIGHT, _OTHER)
+    posture[~is_seen[:, _KNEES + _ANKLES].any(axis=1)] = _WITHOUT_LEGS
     seen, inferred = POSTURE_FACTORS[posture].T[..., None]
     reach = np.linalg.norm(joints - joints.mean(axis=1, keepdims=True), axis=-1)
     return np.asarray(np.where(is_seen, seen, inferred) * np.hypot(std, size_share[:, None] * reach))

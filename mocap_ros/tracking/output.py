@@ -193,8 +193,8 @@ def describe_cores(
 def widen_deviations(
     std: Array, joints: Array, seen: ExtremityEvidence, sizes: Sequence[BodySize], upward: Array | None
 ) -> Array:
-    """Return the deviations (P, 15) m that are published; `upward` (3,), None if level."""
-    known = joints, seen.weight[:, : std.shape[1]] > 0, UPRIGHT_CAMERA if upward is None else upward
+    """Return the deviations (..., P, 15) m that are published; `upward` (3,), None if level."""
+    known = joints, seen.weight[:, : joints.shape[1]] > 0, UPRIGHT_CAMERA if upward is None else upward
     return widen_by_posture(std, *known, np.array([size.share for size in sizes]))
 
 

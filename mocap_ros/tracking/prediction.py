@@ -93,7 +93,8 @@ def predict_ahead(
     _, covariances = describe_cores(shown, past.joints, seen, sizes)
     ratio = np.array([size.ratio for size in sizes])[:, None, None, None]
     joints, covariances = past.joints[:, None] + ahead.joints, covariances[:, None] + ahead.root_covariance
-    predicted = ratio * joints, ratio[..., 0] * ahead.std, ratio**2 * covariances
+    std = widen_deviations(ahead.std.swapaxes(0, 1), past.joints, seen, sizes, upward).swapaxes(0, 1)
+    predicted = ratio * joints, ratio[..., 0] * std, ratio**2 * covariances
     ids = tuple(track.id for track in tracks)
     return [
         PredictedPeople(ahead_s, ids, *(values[:, i] for values in predicted)) for i, ahead_s in enumerate(times_s)

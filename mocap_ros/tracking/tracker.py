@@ -474,9 +474,9 @@ class PeopleTracker:
                         settings.body_height,
                     )
         sizes = [*map(self._find_size, tracks)]
-        std, root_covariance = describe_cores(shown, motion.joints, seen, sizes)
-        std = widen_deviations(std, motion.joints, seen, sizes, self._upward)
-        return make_people(shown, motion, std, root_covariance, seen.weight, sizes, self._skeleton)
+        own, root_covariance = describe_cores(shown, motion.joints, seen, sizes)
+        spread = widen_deviations(own, motion.joints, seen, sizes, self._upward), root_covariance
+        return make_people(shown, motion, *spread, seen.weight, sizes, self._skeleton)
 
     def _find_size(self, track: Track) -> BodySize:
         """Return what is known of a person's size; the detector may say who it is when the track has a name."""
