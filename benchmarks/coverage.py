@@ -22,7 +22,7 @@ from typing import Any
 
 import common
 import numpy as np
-from detected import CLEAN, DISTANCES_M, ELEVATIONS_DEG, RobotScene, load_middle, load_motion, track_scene
+from detected import DISTANCES_M, ELEVATIONS_DEG, RobotScene, load_middle, load_motion, track_scene
 from numpy.typing import NDArray
 from report import Records, Report, group, run
 from robots import find_share, sample_body
@@ -129,8 +129,7 @@ def make_scene(plan: Plan, persons: str) -> RobotScene | None:
     kinds, postures = POSTURES[plan.posture]
     rng = np.random.default_rng([plan.number, plan.is_far, *map(ord, plan.posture + plan.detector + persons)])
     if plan.posture == 'seated' and plan.number % 2:
-        found = list_seated(persons)
-        if not found:
+        if not (found := list_seated(persons)):
             return None
         poses = found[int(rng.integers(len(found)))]
     else:
@@ -147,23 +146,16 @@ def make_scene(plan: Plan, persons: str) -> RobotScene | None:
     stature = STATURE_M + STATURE_STD_M * float(norm.ppf(rng.uniform(0.02, 0.98)))
     low, high = (FAR_M, DISTANCES_M[1]) if plan.is_far else (DISTANCES_M[0], FAR_M)
     heading, elevation = float(rng.uniform(0, 360)), float(rng.uniform(*ELEVATIONS_DEG))
-    options: dict[str, Any] = {'frames': FRAMES, 'seed': plan.number, 'distance': float(rng.uniform(low, high))}
-    if plan.detector != CLEAN:
-        options['detector'] = plan.detector
-    made = common.load_protocol().make_view(1e3 * poses * stature / own, joints, heading, elevation, **options)
+    distance = float(rng.uniform(low, high))
+    options = {'frames': FRAMES, 'seed': plan.number, 'distance': distance, 'detector': plan.detector}
+    protocol = common.load_protocol()
+    made = protocol.make_view(1e3 * poses * stature / own, joints, heading, elevation, **options)
     view = common.View(made, heading)
     if plan.posture == 'half body':
         hidden = LEGS + (('lhip', 'rhip') if plan.number % 2 else ())
-        names = dict(zip(view.joint_names, find_own_names(view, plan.detector), strict=True))
-        view = view.hide_joints([n for n, own_name in names.items() if own_name in hidden])
+        names = protocol.GIVEN[plan.detector]
+        view = view.hide_joints([names[joint] for joint in hidden if joint in names])
     return RobotScene(plan.posture, plan.detector, view, stature, Floor(np.array([0.0, -1.0, 0.0]), None))
-
-
-def find_own_names(view: common.View, detector: str) -> list[str]:
-    """Return the names in `BODY26` of a detector's joints."""
-    given = common.load_protocol().GIVEN.get(detector, {})
-    own = {name: joint for joint, name in given.items()}
-    return [own.get(name, name) for name in view.joint_names]
 
 
 def measure_scene(job: tuple[Plan, str]) -> list[Record]:
