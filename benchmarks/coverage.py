@@ -29,6 +29,7 @@ from robots import find_share, sample_body
 from scipy.stats import norm
 
 from mocap_ros.geometry.level import Floor
+from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.joint_std import compute_joint_covariance
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, estimate_stature
@@ -158,10 +159,15 @@ def make_scene(plan: Plan, persons: str) -> RobotScene | None:
     return RobotScene(plan.posture, plan.detector, view, stature, Floor(np.array([0.0, -1.0, 0.0]), None))
 
 
+@cache
+def load_models() -> tuple[PoseModel, dict[str, Any]]:
+    return common.provide_held_out()
+
+
 def measure_scene(job: tuple[Plan, str]) -> list[Record]:
     """Return a record of each frame of a scene that is scored, for each of `WAYS`."""
     plan, persons = job
-    model, parameters = common.provide_held_out()
+    model, parameters = load_models()
     scene = make_scene(plan, persons)
     if scene is None:
         return []
