@@ -41,7 +41,7 @@ BENCHMARKS: Mapping[str, Sequence[str]] = {
     'stream': (),
     'feet': (),
     'depth': (),
-    'coverage': (),
+    'deviations': (),
     'videos': (),
     'readme': (),
 }

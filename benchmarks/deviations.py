@@ -213,7 +213,7 @@ def report_rows(report: Report) -> None:
     with multiprocessing.get_context('spawn').Pool(report.args.jobs) as pool:
         jobs = [(plan, report.args.persons) for plan in plans]
         records = [r for some in common.show_progress(pool.imap(measure_scene, jobs), 'scenes') for r in some]
-    for title, ways, page in (('All', WAYS, 'coverage.rows'), *((way, (way,), '') for way in WAYS)):
+    for title, ways, page in (('All', WAYS, 'deviations.rows'), *((way, (way,), '') for way in WAYS)):
         mine = [r for r in records if r['way'] in ways]
         rows: list[list[object]] = []
         for keys in (('posture', 'detector'), ('posture',)):
