@@ -12,7 +12,7 @@ of the covariance) and k of the part: so large that 95 of 100 parts of its volum
 its true place. A trunk needs little, as g is that of a heavy person; a hand, whose position is known least, most.
 The whole body may be nearer or farther than it seems: S is the standard deviation of the root along the direction
 in which it is known least, nearly the line of sight, and q so large that 95 of 100 parts of the body are inside as
-published, in every posture. Both were fitted to training persons seen by models of detectors, about whose true
+published, in every row of posture, detector and distance. Both were fitted to training persons seen by models of detectors, about whose true
 joints bodies were put (`benchmarks/robots.py` and `deviations.py` measure it on others).
 """
 
@@ -32,7 +32,7 @@ from mocap_ros.skeleton import BODY26, CMU15, Skeleton
 
 CAPSULES = MOCAP_ROS_MSGS + 'BodyCapsulesArray'
 CAPSULE_STYLE = MarkerStyle(0.75, 0.3)  # chosen for the look: the bones within can be seen
-ROOT_SPREAD = 1.2  # q of the module
+ROOT_SPREAD = 1.6  # q of the module
 MIN_LENGTH_M = 1e-6  # m; between points that are nearer to each other there is no axis
 MIN_QUATERNION = 1e-6  # 1; length of the quaternion before it is made 1, of an axis that points down
 
