@@ -44,6 +44,7 @@ BENCHMARKS: Mapping[str, Sequence[str]] = {
     'postures': (),
     'depth': (),
     'cameras': (),
+    'deviations': (),
     'videos': (),
     'readme': (),
 }
