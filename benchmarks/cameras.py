@@ -27,6 +27,7 @@ from report import Record, Records, Report, group, run
 from scipy.interpolate import CubicSpline
 
 from mocap_ros.config import Config, with_values
+from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.geometry.rotations import rotation_from_vector, vector_from_rotation
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
@@ -164,16 +165,19 @@ def measure(found: FoundCameras, truth: Array, clocks: Sequence[float]) -> Itera
 
 def summarise(records: Records) -> list[object]:
     """Return the cells of a row."""
-    mean = {key: float(np.mean([r[key] for r in records])) for key in ('rotation', 'direction', 'place', 'clock')}
-    rms = [f'{np.sqrt(np.mean([r[key] ** 2 for r in records])):.2f}' for key in ('ratio', 'place ratio')]
+    mean = {
+        key: float(np.nanmean([r[key] for r in records])) for key in ('rotation', 'direction', 'place', 'clock')
+    }
+    rms = [f'{np.sqrt(np.nanmean([r[key] ** 2 for r in records])):.2f}' for key in ('ratio', 'place ratio')]
     worst = max((r['rotation'] for r in records if not r['refused']), default=np.nan)
     return [
         *(f'{mean[key]:.1f}' for key in ('rotation', 'direction', 'place')),
-        f'{np.median([r["size"] for r in records]):.1f}', f'{np.median([r["clock"] for r in records]):.0f}', *rms,
+        f'{np.nanmedian([r["size"] for r in records]):.1f}', f'{np.nanmedian([r["clock"] for r in records]):.0f}', *rms,
         f'{worst:.1f}', f'{100 * np.mean([r["refused"] for r in records]):.0f} %', len(records),
     ]  # fmt: skip
 
 
+MEASURES = ('rotation', 'direction', 'place', 'size', 'clock', 'ratio', 'place ratio')
 HEADER = (
     'rotation, deg', 'direction, deg', 'place, %', 'distance, %', 'clock, ms', 'angle / deviation',
     'place / deviation', 'worst not refused', 'refused', 'number',
@@ -212,9 +216,13 @@ def report_walks(report: Report) -> Record:
                 for c, camera in enumerate(cameras)
             ]
             for chosen in CHOSEN:
-                found = find_camera_poses([views[c] for c in chosen])
-                true_poses = np.linalg.inv(truth[chosen[0]]) @ truth[list(chosen)]
                 about = {'people': people, 'cameras': len(chosen), 'seconds': seconds, 'scene': number}
+                try:
+                    found = find_camera_poses([views[c] for c in chosen])
+                except InputError:
+                    records += [{**about, **dict.fromkeys(MEASURES, np.nan), 'refused': 1.0}] * (len(chosen) - 1)
+                    continue
+                true_poses = np.linalg.inv(truth[chosen[0]]) @ truth[list(chosen)]
                 errors = measure(found, true_poses, [cameras[c].clock_s for c in chosen])
                 records += ({**about, **error} for error in errors)
     groups = group(records, 'people', 'cameras', 'seconds')
