@@ -1,11 +1,10 @@
-#!/usr/bin/env python3
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
 """Bodies with surfaces before a depth camera: motion capture drives the body model Anny, whose depth is rendered.
 
-    python3 benchmarks/bodies.py views FOLDER [--sets train test] [--jobs 2] [--only NAME] [--picture FRAME]
-    python3 benchmarks/bodies.py table FOLDER
+    benchmarks/bodies.py views FOLDER [--sets train test] [--jobs 2] [--only NAME] [--picture FRAME]
+    benchmarks/bodies.py table FOLDER
 
 `views` writes one sequence file a view, `train_*.npz` with the motion of persons on whom models are trained and
 `test_*.npz` with that of `HELD_OUT_SUBJECTS`. The truth is the body model's own joints, which need not be those of
@@ -13,7 +12,6 @@ the motion capture. Besides `keypoints`, `joint_names`, `timestamps`, `image_siz
 in the camera's optical frame) and `joints3d_names`, a file holds
 
     depth            (F, J) m, as the camera measures it where the detector sees each keypoint; NaN is unknown
-    radius           (F,) px, of the disc in which it was sampled
     true_surface     (F, J) m, of the first surface at the true keypoint, without errors
     true_keypoints   (F, J, 2) px
     points3d         (F, 28, 3) m, all joints of `BODY26`, then the points midway between shoulders and hips
@@ -24,17 +22,14 @@ in the camera's optical frame) and `joints3d_names`, a file holds
 
 `table` prints by how much the surface lies before the joints, from the training views alone.
 
-It wants Anny (Apache-2.0, its mesh CC0), embreex, PyTorch and Pillow (`pip install anny embreex torch pillow`).
-Anny's first use builds its cache for two minutes.
+It wants, besides the package, Anny (Apache-2.0, its mesh CC0), embreex and PyTorch (`pip install anny embreex
+torch`). Anny's first use builds its cache for two minutes.
 """
 
-# ruff: noqa: E402
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import multiprocessing
-import os
 import sys
 import time
 import zlib
@@ -42,33 +37,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
-for _name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
-    os.environ.setdefault(_name, '1')
-
+import common
 import numpy as np
+from common import FPS
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.spatial.transform import Rotation
 
+from mocap_ros import skeleton
+from mocap_ros.keypoints.depth_image import sample_depth
+
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-ROOT = Path(__file__).resolve().parent.parent
-FPS = 30.0  # Hz
 FRAMES = 150  # of a view
-CMU15 = (
-    *('head', 'neck', 'lshoulder', 'lelbow', 'lwrist', 'rshoulder', 'relbow', 'rwrist', 'pelvis'),
-    *('lhip', 'lknee', 'lankle', 'rhip', 'rknee', 'rankle'),
-)
-BODY26 = (
-    *CMU15,
-    *('ltoe', 'rtoe', 'lheel', 'rheel', 'lhand', 'rhand', 'nose', 'leye', 'reye', 'lear', 'rear'),
-)
+CMU15, BODY26 = skeleton.CMU15.joints, skeleton.BODY26.joints
 POINTS = (*BODY26, 'midshoulders', 'midhips')
 
 # The body.
@@ -101,15 +88,8 @@ EDGE_HOLES, EDGE_FLYING = 0.65, 0.2  # shares of the band at edges
 BLANK_SHARE = 0.015  # of the surface elsewhere
 WALL_M = 1.0, 3.0  # behind the person
 MAX_DEPTH_M = 10.0
-MARGIN_PX = 20  # about the keypoints; what is rendered
-
-# The sampling.
-RADIUS_SHARE = 0.03  # of the person's size in px
-MIN_RADIUS_PX = 1.5
-QUANTILE = 0.25
-MIN_VALID_SHARE = 0.25
-OUTLIER_M = 0.15
-MIN_SCORE = 0.2  # of the keypoints that make the person's size
+MARGIN_PX = 60  # about the keypoints; what is rendered, more than is sampled
+OUTLIER_M = 0.15  # of the table
 
 # Trials: held-out persons, and others.
 TEST_TRIALS = (
@@ -124,27 +104,10 @@ TRAIN_TRIALS = (
 )
 
 
-def data_path(*parts: str) -> Path:
-    """Return the path of a file of the evaluation data."""
-    return Path(os.environ.get('MOCAP_ROS_SHARED') or ROOT.parent / 'shared').joinpath(*parts)
-
-
-@cache
-def load_protocol() -> ModuleType:
-    """Load the measuring protocol, which is part of the evaluation data."""
-    path = data_path('bench', 'protocol.py')
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None:
-        raise ImportError(str(path))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @cache
 def load_trials() -> Mapping[str, Array]:
     """Load the motion capture (F, 26, 3) mm with y up by trial."""
-    archive: Mapping[str, Array] = np.load(data_path('data', 'motion', 'body26_30fps.npz'))
+    archive: Mapping[str, Array] = np.load(common.data_path('data', 'motion', 'body26_30fps.npz'))
     return archive
 
 
@@ -451,27 +414,6 @@ class DepthSensor:
         return np.asarray(out)
 
 
-def sample_depth(image: Array, xy: Array, radius_px: float) -> float:
-    """Return a low quantile of the depths in a disc about a pixel, NaN where less than a quarter is known.
-
-    `image` holds 0 where nothing was measured. What is nearest in the disc is more often the person than not.
-    """
-    if not np.isfinite(xy).all():
-        return float('nan')
-    column, row = (round(float(v)) for v in xy)
-    reach = int(np.ceil(radius_px))
-    rows = np.arange(max(row - reach, 0), min(row + reach + 1, image.shape[0]))
-    columns = np.arange(max(column - reach, 0), min(column + reach + 1, image.shape[1]))
-    if not len(rows) or not len(columns):
-        return float('nan')
-    inside = (rows[:, None] - xy[1]) ** 2 + (columns[None] - xy[0]) ** 2 <= radius_px**2
-    found = image[rows[:, None], columns[None]][inside]
-    known = found[found > 0]
-    if not len(known) or len(known) < MIN_VALID_SHARE * len(found):
-        return float('nan')
-    return float(np.quantile(known, QUANTILE))
-
-
 def make_room(occluder: str, ground: float, wall: float, rng: np.random.Generator) -> Array:
     """Return the triangles (T, 3, 3) of floor and wall, and of a `box` or `table` before the person at the origin.
 
@@ -543,7 +485,7 @@ def _facing(points: Array) -> Array:
 
 def detect(plan: Plan, camera: Camera, joints: Array) -> tuple[Array, list[str], list[int]]:
     """Return a detector's keypoints (F, J, 3) by the protocol, their names, and their indices in `BODY26`."""
-    protocol = load_protocol()
+    protocol = common.load_protocol()
     rng = np.random.default_rng(zlib.crc32(plan.name.encode()))
     moved, error, score, order = protocol.detect(joints, list(BODY26), FPS, plan.detector, rng)
     xy = camera.project(moved) + error / moved[..., 2:] * camera.focal_length
@@ -558,7 +500,7 @@ def detect(plan: Plan, camera: Camera, joints: Array) -> tuple[Array, list[str],
 
 def make_view(plan: Plan, picture: tuple[int, Path] | None = None) -> dict[str, Any]:
     """Return the arrays of one view's file; `picture` is a frame of which a whole image is drawn, and its path."""
-    protocol, rng = load_protocol(), np.random.default_rng(zlib.crc32(plan.name.encode()) + 1)
+    protocol, rng = common.load_protocol(), np.random.default_rng(zlib.crc32(plan.name.encode()) + 1)
     body = make_body(plan.stature, plan.gender, plan.weight, plan.muscle)
     trial, poses = load_poses(plan.trial)
     rotations, heads = retarget(body, poses)
@@ -595,7 +537,7 @@ def make_view(plan: Plan, picture: tuple[int, Path] | None = None) -> dict[str, 
     pixels = camera.project(points)
     sensor = DepthSensor(camera, rng)
     depth = np.full(keypoints.shape[:2], np.nan)
-    surface, radii = np.full(points.shape[:2], np.nan), np.full(FRAMES, np.nan)
+    surface = np.full(points.shape[:2], np.nan)
     for frame in range(FRAMES):
         scene = EmbreeScene()
         vertices = (bodies[frame] - target) @ turn.T + away
@@ -605,16 +547,13 @@ def make_view(plan: Plan, picture: tuple[int, Path] | None = None) -> dict[str, 
         if picture and picture[0] == frame:
             draw_picture(picture[1], camera, scene, DepthSensor(camera, np.random.default_rng(0)), pixels[frame])
         xy = keypoints[frame, :, :2]
-        sure = xy[keypoints[frame, :, 2] > MIN_SCORE]
-        if len(sure) < 2:
+        if not np.isfinite(xy).any():
             continue
-        radii[frame] = max(RADIUS_SHARE * np.ptp(sure, axis=0).max(), MIN_RADIUS_PX)
-        reach = MARGIN_PX + int(radii[frame])
-        low = np.maximum(np.nanmin(xy, axis=0).astype(int) - reach, 0)
-        high = np.minimum(np.nanmax(xy, axis=0).astype(int) + reach + 1, camera.size)
+        low = np.maximum(np.nanmin(xy, axis=0).astype(int) - MARGIN_PX, 0)
+        high = np.minimum(np.nanmax(xy, axis=0).astype(int) + MARGIN_PX + 1, camera.size)
         grid = np.stack(np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1])), -1).astype(float)
         image = sensor.measure(cast(scene, camera.rays(grid)), (int(low[0]), int(low[1])))
-        depth[frame] = [sample_depth(image, p - low, radii[frame]) for p in xy]
+        depth[frame] = sample_depth(image, 1.0, xy - low)
     inside = ((pixels >= 0) & (pixels <= np.array(camera.size) - 1)).all(-1) & (points[..., 2] > 0.1)
     surface[~inside] = np.nan
     to_camera = -normalise(joints[:, BODY26.index('pelvis')])
@@ -628,7 +567,6 @@ def make_view(plan: Plan, picture: tuple[int, Path] | None = None) -> dict[str, 
         'joints3d': joints[:, : len(CMU15)].astype('f4'),
         'joints3d_names': np.array(CMU15),
         'depth': depth.astype('f4'),
-        'radius': radii.astype('f4'),
         'true_surface': surface[:, columns].astype('f4'),
         'true_keypoints': pixels[:, columns].astype('f4'),
         'points3d': points.astype('f4'),

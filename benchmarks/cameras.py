@@ -6,9 +6,9 @@
 Walks of people on whom no model was trained are continued along a figure of eight of changing curvature, and
 others of them exercise, mop, fight, give signs or sit down, before cameras on tripods at frame rates of 30, 15
 and 10 Hz, whose clocks are seconds apart. Keypoints are as OpenPose and MediaPipe give them; each recording is
-reconstructed as a whole. Measures: the angle of the error of rotations; that of the direction from the first
-camera; the error of the place after one scale for all cameras, and of the distance before it (median), in per
-cent of the distance; that of the clock in ms (median); the root mean squares of both errors over their standard
+reconstructed as a whole. Measures, in the median: the angle of the error of rotations; that of the direction
+from the first camera; the error of the place after one scale for all cameras, and of the distance before it, in
+per cent of the distance; that of the clock in ms; and the root mean squares of both errors over their standard
 deviations; the worst angle that the command does not refuse, and the share that it refuses. Recorded: one and
 two people before three cameras for 1.7 s.
 """
@@ -27,6 +27,7 @@ from report import Record, Records, Report, group, run
 from scipy.interpolate import CubicSpline
 
 from mocap_ros.config import Config, with_values
+from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.geometry.rotations import rotation_from_vector, vector_from_rotation
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
@@ -50,6 +51,13 @@ TRIPODS = (4.0, 5.5), (1.0, 2.2)  # m, distances from the middle and heights
 CHOSEN = ((0, 1), (0, 2), (0, 1, 2, 3))  # of these cameras
 SIZE_PX, FOCAL_PX = (1280, 960), 900.0
 AIM = np.array([0.0, 0.9, 0.0])  # m, y up; where the cameras look
+
+
+MEASURES = ('rotation', 'direction', 'place', 'size', 'clock', 'ratio', 'place ratio')
+HEADER = (
+    'rotation, deg', 'direction, deg', 'place, %', 'distance, %', 'clock, ms', 'angle / deviation',
+    'place / deviation', 'worst not refused', 'refused', 'number',
+)  # fmt: skip
 
 
 class Camera(NamedTuple):
@@ -164,20 +172,12 @@ def measure(found: FoundCameras, truth: Array, clocks: Sequence[float]) -> Itera
 
 def summarise(records: Records) -> list[object]:
     """Return the cells of a row."""
-    mean = {key: float(np.mean([r[key] for r in records])) for key in ('rotation', 'direction', 'place', 'clock')}
-    rms = [f'{np.sqrt(np.mean([r[key] ** 2 for r in records])):.2f}' for key in ('ratio', 'place ratio')]
+    middle = {key: np.nanmedian([r[key] for r in records]) for key in MEASURES[:5]}
+    rms = [f'{np.sqrt(np.nanmean([r[key] ** 2 for r in records])):.2f}' for key in ('ratio', 'place ratio')]
     worst = max((r['rotation'] for r in records if not r['refused']), default=np.nan)
-    return [
-        *(f'{mean[key]:.1f}' for key in ('rotation', 'direction', 'place')),
-        f'{np.median([r["size"] for r in records]):.1f}', f'{np.median([r["clock"] for r in records]):.0f}', *rms,
-        f'{worst:.1f}', f'{100 * np.mean([r["refused"] for r in records]):.0f} %', len(records),
-    ]  # fmt: skip
-
-
-HEADER = (
-    'rotation, deg', 'direction, deg', 'place, %', 'distance, %', 'clock, ms', 'angle / deviation',
-    'place / deviation', 'worst not refused', 'refused', 'number',
-)  # fmt: skip
+    shown = [f'{middle[key]:.1f}' for key in MEASURES[:4]]
+    refused = f'{100 * np.mean([r["refused"] for r in records]):.0f} %'
+    return [*shown, f'{middle["clock"]:.0f}', *rms, f'{worst:.1f}', refused, len(records)]
 
 
 def provide_options() -> ReconstructionOptions:
@@ -212,9 +212,13 @@ def report_walks(report: Report) -> Record:
                 for c, camera in enumerate(cameras)
             ]
             for chosen in CHOSEN:
-                found = find_camera_poses([views[c] for c in chosen])
-                true_poses = np.linalg.inv(truth[chosen[0]]) @ truth[list(chosen)]
                 about = {'people': people, 'cameras': len(chosen), 'seconds': seconds, 'scene': number}
+                try:
+                    found = find_camera_poses([views[c] for c in chosen])
+                except InputError:
+                    records += [{**about, **dict.fromkeys(MEASURES, np.nan), 'refused': 1.0}] * (len(chosen) - 1)
+                    continue
+                true_poses = np.linalg.inv(truth[chosen[0]]) @ truth[list(chosen)]
                 errors = measure(found, true_poses, [cameras[c].clock_s for c in chosen])
                 records += ({**about, **error} for error in errors)
     groups = group(records, 'people', 'cameras', 'seconds')

@@ -45,6 +45,7 @@ BENCHMARKS: Mapping[str, Sequence[str]] = {
     'depth': (),
     'merging': (),
     'cameras': (),
+    'deviations': (),
     'videos': (),
     'readme': (),
 }

@@ -5,15 +5,15 @@
 
 A capsule is all that is nearer to the segment between two points of the body than its radius
 
-    r = g + k s
+    r = g + k s + q S
 
 with g half the thickness of the body part, s the larger standard deviation of its two ends (the root of the trace
-of the covariance) and k of the part: so large that 95 of 100 parts of its volume are inside. The k were fitted to
-training persons seen by four detectors, about whose true joints bodies were put (`benchmarks/robots.py` measures
-it on others). A trunk needs little, as g is that of a heavy person; a hand, whose position is known least, most.
-
-The whole body may be nearer or farther than it seems, as its height is not known. This is not in the radii but in
-Skeleton3D.root_covariance: added to every capsule, it would make all of them thick in all directions.
+of the covariance) and k of the part: so large that 95 of 100 parts of its volume are inside where the root is in
+its true place. A trunk needs little, as g is that of a heavy person; a hand, whose position is known least, most.
+The whole body may be nearer or farther than it seems: S is the standard deviation of the root along the direction
+in which it is known least, nearly the line of sight, and q so large that 95 of 100 parts of the body are inside as
+published, in every row of posture, detector and distance. Both were fitted to training persons seen by models of
+detectors, about whose true joints bodies were put (`benchmarks/robots.py` and `deviations.py` measure it on others).
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from mocap_ros.skeleton import BODY26, CMU15, Skeleton
 
 CAPSULES = MOCAP_ROS_MSGS + 'BodyCapsulesArray'
 CAPSULE_STYLE = MarkerStyle(0.75, 0.3)  # chosen for the look: the bones within can be seen
+ROOT_SPREAD = 1.6  # q of the module
 MIN_LENGTH_M = 1e-6  # m; between points that are nearer to each other there is no axis
 MIN_QUATERNION = 1e-6  # 1; length of the quaternion before it is made 1, of an axis that points down
 
@@ -118,16 +119,18 @@ class Capsules(NamedTuple):
     radius: Array  # (..., P) m
 
 
-def compute_capsules(joints: Array, std: Array, skeleton: Skeleton) -> Capsules:
+def compute_capsules(joints: Array, std: Array, root_covariance: Array, skeleton: Skeleton) -> Capsules:
     """Return the capsules (formula of the module) about joints (..., J, 3) m of standard deviations (..., J) m.
 
-    Unknown standard deviations count as 0.
+    `root_covariance` (..., 3, 3) m^2 is that of the root. What is unknown of deviations counts as 0.
     """
     parts = arrange_body_parts(skeleton)
     start, end = joints[..., parts.start, :], joints[..., parts.end, :]
     larger = np.fmax(std[..., parts.start], std[..., parts.end])
     larger[np.isnan(larger)] = 0.0
-    return Capsules(start, end + parts.beyond * (end - start), parts.half_thickness + parts.spread * larger)
+    largest = np.linalg.eigvalsh(np.nan_to_num(root_covariance))[..., -1:]
+    margin = parts.spread * larger + ROOT_SPREAD * np.sqrt(np.maximum(largest, 0.0))
+    return Capsules(start, end + parts.beyond * (end - start), parts.half_thickness + margin)
 
 
 def find_axis_poses(start: Array, end: Array) -> tuple[Array, Array]:
@@ -152,7 +155,7 @@ def find_axis_poses(start: Array, end: Array) -> tuple[Array, Array]:
 def convert_capsules(people: SeenPeople) -> dict[str, Any]:
     """Return the capsules of people."""
     names = arrange_body_parts(people.skeleton).names
-    capsules = compute_capsules(people.joints, people.joint_std, people.skeleton)
+    capsules = compute_capsules(people.joints, people.joint_std, people.root_covariance, people.skeleton)
     return {
         'header': people.header,
         'people': [
@@ -173,7 +176,7 @@ def convert_capsule_markers(people: SeenPeople, before: SeenPeople) -> bytes:
 
 
 def _list_markers(people: SeenPeople) -> list[Marker]:
-    start, end, radius = compute_capsules(people.joints, people.joint_std, people.skeleton)
+    start, end, radius = compute_capsules(people.joints, people.joint_std, people.root_covariance, people.skeleton)
     length, poses = find_axis_poses(start, end)
     markers = []
     for n, person in enumerate(people.numbers):

@@ -27,7 +27,7 @@ CYLINDER = 3
 def convert_collision_objects(people: SeenPeople, before: SeenPeople) -> list[Content]:
     """Return a message for each who is gone since the message before, which removes them, and for each person."""
     header = people.header
-    start, end, radius = compute_capsules(people.joints, people.joint_std, people.skeleton)
+    start, end, radius = compute_capsules(people.joints, people.joint_std, people.root_covariance, people.skeleton)
     length, poses = find_axis_poses(start, end)
     height = length + 2 * radius
     common: dict[str, Any] = {'header': header, 'pose': SAME_POSE, 'type': ('person', '')}

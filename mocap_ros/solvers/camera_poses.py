@@ -101,12 +101,13 @@ class _Pair(NamedTuple):
     people: tuple[SeenPerson, SeenPerson]
 
 
-class _Link(NamedTuple):
-    """A hypothesis about two cameras: the transform (4, 4) from the second to the first, and the clock offset."""
+class _Hypothesis(NamedTuple):
+    """Where a camera may be: transform (4, 4) to the frame of another, and clock offset in s; and how likely."""
 
+    weight: float  # correlation of speeds, or seconds of people who agree times that
+    camera: int
     pose: Array
     offset: float
-    correlation: float
 
 
 def find_camera_poses(
@@ -185,46 +186,34 @@ def _match(
     return total, [samples for *_, samples in chosen]
 
 
-def _list_links(first: Sequence[SeenPerson], other: Sequence[SeenPerson]) -> Iterator[_Link]:
-    for p in first:
-        for q in other:
-            for offset, correlation in find_clock_offsets(p, q):
-                samples = _sample(p, q, offset)
-                if len(samples[0].times):
-                    yield _Link(_fit_start(*samples), offset, correlation)
-
-
-class _Start(NamedTuple):
-    """Where a hypothesis puts a camera, and the seconds for which people agree with it, weighted."""
-
-    gain: float
-    camera: int
-    pose: Array
-    offset: float
+def _list_hypotheses(
+    camera: int, first: Sequence[SeenPerson], other: Sequence[SeenPerson]
+) -> Iterator[_Hypothesis]:
+    """Yield where the second camera, of this number, may be in the frame of the first."""
+    for p, q in product(first, other):
+        for offset, correlation in find_clock_offsets(p, q):
+            samples = _sample(p, q, offset)
+            if len(samples[0].times):
+                yield _Hypothesis(correlation, camera, _fit_start(*samples), offset)
 
 
 def _find_start(seen: Sequence[Sequence[SeenPerson]]) -> tuple[Array, Array, Array]:
     """Return poses (C, 4, 4), clock offsets (C,) s, and angles (C,) in rad to rivals that fit nearly as well."""
     poses, offsets, doubts = np.tile(np.eye(4), (len(seen), 1, 1)), np.zeros(len(seen)), np.zeros(len(seen))
-    links = {(a, b): list(_list_links(seen[a], seen[b])) for a, b in combinations(range(len(seen)), 2)}
-    links |= {
-        (b, a): [_Link(np.asarray(np.linalg.inv(pose), float), -offset, r) for pose, offset, r in found]
-        for (a, b), found in links.items()
-    }
     known = [0]
     while missing := [c for c in range(len(seen)) if c not in known]:
         starts = []
         for a, new in product(known, missing):
-            for link in links[a, new]:
-                pose, offset = poses[a] @ link.pose, offsets[a] + link.offset
+            for weight, _, link, lag in _list_hypotheses(new, seen[a], seen[new]):
+                pose, offset = poses[a] @ link, offsets[a] + lag
                 relative = [(c, np.linalg.inv(poses[c]) @ pose, offset - offsets[c]) for c in known]
-                seconds = sum(_match(seen[c], seen[new], between, lag)[0] for c, between, lag in relative)
-                gain = seconds * link.correlation / (1 + abs(offset) / CLOCK_SCALE_S)
-                starts.append(_Start(gain, new, pose, offset))
-        best = max(starts, key=lambda start: start.gain, default=None)
-        if best is None or not best.gain > 0:
+                seconds = sum(_match(seen[c], seen[new], between, own_lag)[0] for c, between, own_lag in relative)
+                gain = seconds * weight / (1 + abs(offset) / CLOCK_SCALE_S)
+                starts.append(_Hypothesis(gain, new, pose, offset))
+        best = max(starts, key=lambda start: start.weight, default=None)
+        if best is None or not best.weight > 0:
             raise InputError(f'camera {missing[0] + 1} sees nobody whom another camera sees at the same time')
-        rivals = [s.pose for s in starts if s.camera == best.camera and s.gain > RIVAL_SHARE * best.gain]
+        rivals = [s.pose for s in starts if s.camera == best.camera and s.weight > RIVAL_SHARE * best.weight]
         turns = vector_from_rotation(best.pose[:3, :3].T @ np.array(rivals)[:, :3, :3])
         angle = float(np.linalg.norm(turns, axis=1).max())
         poses[best.camera], offsets[best.camera] = best.pose, best.offset

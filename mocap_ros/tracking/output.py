@@ -19,6 +19,7 @@ import numpy as np
 from mocap_ros.arrays import Array
 from mocap_ros.engine import motion as engine
 from mocap_ros.geometry.interpolation import central_velocity
+from mocap_ros.models.joint_std import widen_by_posture
 from mocap_ros.models.model_file import load_velocity_correction
 from mocap_ros.models.velocity_correction import SPANS_S, VelocityPast
 from mocap_ros.people import CameraVertical, Motion, People
@@ -44,6 +45,7 @@ from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
 
 AGO = np.array([0.0, *SPANS_S])  # s; now, and the starts of the spans
+UPRIGHT_CAMERA = np.array([0.0, -1.0, 0.0])  # direction upwards in the optical frame of a level camera
 _HIPS = np.array(HIPS)
 FindSize = Callable[[Track], BodySize]
 
@@ -192,6 +194,14 @@ def describe_cores(
     shifts = shown.filters[:, SHIFT].copy()
     shifts[[t.size_by_depth is not None for t in shown.tracks]] = np.nan
     return engine.describe_cores(posterior, seen, joints, np.array(sizes), shifts, _HIPS)
+
+
+def widen_deviations(
+    std: Array, joints: Array, seen: ExtremityEvidence, sizes: Sequence[BodySize], upward: Array | None
+) -> Array:
+    """Return the deviations (..., P, 15) m that are published; `upward` (3,), None if level."""
+    known = joints, seen.weight[:, : joints.shape[1]] > 0, UPRIGHT_CAMERA if upward is None else upward
+    return widen_by_posture(std, *known, np.array([size.share for size in sizes]))
 
 
 def make_people(

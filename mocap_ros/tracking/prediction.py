@@ -23,6 +23,7 @@ from mocap_ros.solvers.extremities import ExtremityEvidence, collect_evidence
 from mocap_ros.tracking.body_size import BodySize
 from mocap_ros.tracking.motion_filter import SHIFT
 from mocap_ros.tracking.output import (
+    UPRIGHT_CAMERA,
     CoreMotion,
     Shown,
     describe_cores,
@@ -32,6 +33,7 @@ from mocap_ros.tracking.output import (
     locate_past,
     make_people,
     stand,
+    widen_deviations,
 )
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
@@ -40,7 +42,6 @@ VELOCITY_SPAN_S = 0.05  # s; over which the velocity in a gap is a difference: s
 VELOCITY_STD_M_S = 0.5  # m/s; what the velocity may have changed by in a gap
 MIN_CLEARANCE_M = 0.1  # m; a predicted body must stay this far in front of the camera, or its image is meaningless
 OPTICAL_AXIS = np.array([0.0, 0.0, 1.0])  # direction away from the camera, in its optical frame
-UPRIGHT_CAMERA = np.array([0.0, -1.0, 0.0])  # direction upwards in the optical frame of a level camera
 _AGO = np.array([0.0, *PAST_S])
 
 
@@ -65,11 +66,12 @@ def predict_people(
         np.hypot(last.velocity_std, velocity_std),
         last.root_velocity_covariance + velocity_std[..., None] ** 2 / 3 * np.eye(3),
     )
+    std = widen_deviations(ahead.std[:, 0], last.joints, seen, sizes, upward)
     unseen = ExtremityEvidence.without_image(cores.joints)
     now = np.array([stamp_ns - t.first_ns for t in tracks]) / NS_PER_S
     follow_extremities(shown, unseen, now, is_steady=False)
     root_covariance += ahead.root_covariance[:, 0]
-    return make_people(shown, cores, ahead.std[:, 0], root_covariance, unseen.weight, sizes, skeleton, ages)
+    return make_people(shown, cores, std, root_covariance, unseen.weight, sizes, skeleton, ages)
 
 
 def predict_ahead(
@@ -91,7 +93,8 @@ def predict_ahead(
     _, covariances = describe_cores(shown, past.joints, seen, sizes)
     ratio = np.array([size.ratio for size in sizes])[:, None, None, None]
     joints, covariances = past.joints[:, None] + ahead.joints, covariances[:, None] + ahead.root_covariance
-    predicted = ratio * joints, ratio[..., 0] * ahead.std, ratio**2 * covariances
+    std = widen_deviations(ahead.std.swapaxes(0, 1), past.joints, seen, sizes, upward).swapaxes(0, 1)
+    predicted = ratio * joints, ratio[..., 0] * std, ratio**2 * covariances
     ids = tuple(track.id for track in tracks)
     return [
         PredictedPeople(ahead_s, ids, *(values[:, i] for values in predicted)) for i, ahead_s in enumerate(times_s)

@@ -48,7 +48,7 @@ from mocap_ros.solvers.vertical import Vertical, lift_under_vertical, read_given
 from mocap_ros.tracking.body_size import BodySize, SizeEvidence, assume_size, read_body_heights
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, FRAME_BUDGET_WITHOUT_LIFTER, DeferredWork
 from mocap_ros.tracking.hypotheses import HypothesisChecker
-from mocap_ros.tracking.output import Shown, describe_cores, follow_motion, make_people
+from mocap_ros.tracking.output import Shown, describe_cores, follow_motion, make_people, widen_deviations
 from mocap_ros.tracking.prediction import predict_ahead, predict_people
 from mocap_ros.tracking.refinement import Refinement, refine
 from mocap_ros.tracking.schedule import MIN_CHECK_INTERVAL_S
@@ -474,7 +474,8 @@ class PeopleTracker:
                         settings.body_height,
                     )
         sizes = [*map(self._find_size, tracks)]
-        spread = describe_cores(shown, motion.joints, seen, sizes)
+        own, root_covariance = describe_cores(shown, motion.joints, seen, sizes)
+        spread = widen_deviations(own, motion.joints, seen, sizes, self._upward), root_covariance
         return make_people(shown, motion, *spread, seen.weight, sizes, self._skeleton)
 
     def _find_size(self, track: Track) -> BodySize:

@@ -57,6 +57,7 @@ from tests.support.input_files import make_poses
 from tests.support.scenes import INTRINSICS
 
 HEADER = Header(12_345_678_901, 'map')
+UNKNOWN = np.full((3, 3), np.nan)
 
 
 def make_walker(person_id: str = 'anna', shift: tuple[float, float, float] = (2.0, 1.0, 0.0)) -> Person3D:
@@ -144,15 +145,18 @@ def test_poses_face_ahead() -> None:
 
 
 @given(st.integers(0, 2**31), st.floats(0.0, 0.2), st.sampled_from([CMU15, BODY26]))
-def test_joints_are_inside_capsules_wider_by_their_deviation(seed: int, std: float, skeleton: Skeleton) -> None:
+def test_joints_are_inside_capsules_also_where_the_root_is_off_by_a_deviation(
+    seed: int, std: float, skeleton: Skeleton
+) -> None:
     rng, count = np.random.default_rng(seed), len(skeleton.joints)
     body = STANDING[np.arange(count) % len(STANDING)] + rng.normal(scale=0.1, size=(count, 3))
-    person = replace(make_walker(), joints=body, joint_std=np.full(count, std), skeleton=skeleton)
-    start, end, radius = compute_capsules(body, person.joint_std, skeleton)
+    off = rng.normal(scale=0.2, size=3)
+    start, end, radius = compute_capsules(body, np.full(count, std), np.outer(off, off), skeleton)
     axis = end - start
-    along = np.einsum('jpk,pk->jp', body[:, None] - start, axis) / np.maximum((axis**2).sum(axis=1), 1e-12)
+    true = body + off
+    along = np.einsum('jpk,pk->jp', true[:, None] - start, axis) / np.maximum((axis**2).sum(axis=1), 1e-12)
     nearest = start + np.clip(along, 0, 1)[..., None] * axis
-    clearance = (radius - np.linalg.norm(body[:, None] - nearest, axis=2)).max(axis=1)
+    clearance = (radius - np.linalg.norm(true[:, None] - nearest, axis=2)).max(axis=1)
     of_parts = {j for p in list_body_parts(skeleton) for j in (p.start, p.end)}
     held = [j in of_parts for j in skeleton.joints]
     outside = {j for j, is_held in zip(skeleton.joints, held, strict=True) if not is_held}
@@ -165,9 +169,9 @@ def test_a_hand_and_a_foot_have_capsules_where_they_are_known() -> None:
     assert len(set(names['cmu15'])) == len(names['cmu15']) == 12
     assert set(names['body26']) - set(names['cmu15']) == {'l_hand', 'r_hand', 'l_foot', 'r_foot'}
     assert len(names['body26']) == MAX_PARTS
-    *_, radius = compute_capsules(STANDING, np.full(15, np.nan), CMU15)  # as thick as the body
+    *_, radius = compute_capsules(STANDING, np.full(15, np.nan), UNKNOWN, CMU15)  # as thick as the body
     assert radius == pytest.approx([p.half_thickness_m for p in list_body_parts(CMU15)])
-    *_, wider = compute_capsules(STANDING, np.where(np.array(CMU15.joints) == 'lwrist', 0.3, 0.0), CMU15)
+    *_, wider = compute_capsules(STANDING, np.where(np.array(CMU15.joints) == 'lwrist', 0.3, 0.0), UNKNOWN, CMU15)
     assert [p.end for p, r in zip(list_body_parts(CMU15), wider - radius, strict=True) if r > 0.01] == ['lwrist']
 
 
@@ -179,7 +183,7 @@ def test_collision_objects_hold_the_capsules_and_leave_the_scene_with_the_person
 
     (added,) = show(person)
     assert (added.id, added.operation, added.header.frame_id) == ('person_anna', ADD, 'map')
-    capsules = compute_capsules(person.joints, person.joint_std.astype(np.float32), CMU15)
+    capsules = compute_capsules(person.joints, person.joint_std.astype(np.float32), person.root_covariance, CMU15)
     for shape, pose, start, end, radius in zip(added.primitives, added.primitive_poses, *capsules, strict=True):
         height, cylinder_radius = shape.dimensions
         assert (shape.type, cylinder_radius) == (shape.CYLINDER, pytest.approx(radius))
@@ -210,7 +214,12 @@ def test_markers_of_capsules_have_their_ends_and_radii() -> None:
     assert len(markers) == 2 * 2 * len(list_body_parts(CMU15))
     for number, person in enumerate(people):
         for part, (start, end, radius) in enumerate(
-            zip(*compute_capsules(person.joints, person.joint_std.astype(np.float32), CMU15), strict=True)
+            zip(
+                *compute_capsules(
+                    person.joints, person.joint_std.astype(np.float32), person.root_covariance, CMU15
+                ),
+                strict=True,
+            )
         ):
             ball, rod = (markers[ns, number * MAX_PARTS + part] for ns in ('ends', 'cylinders'))
             np.testing.assert_array_equal([xyz(p) for p in ball.points], [start, end])

@@ -29,7 +29,7 @@ from mocap_ros.errors import ModelError
 from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
 from mocap_ros.models import lifter, model_file
 from mocap_ros.models.base_poses import PoseModel
-from mocap_ros.models.joint_std import compute_joint_covariance
+from mocap_ros.models.joint_std import POSTURE_FACTORS, compute_joint_covariance, widen_by_posture
 from mocap_ros.models.lifter import OUTPUT_COUNT, LiftedPoses, Lifter
 from mocap_ros.models.lifter_input import FEATURE_COUNT, JOINT_COUNT, sample_histories
 from mocap_ros.models.model_file import load_base_poses, load_motion_predictor, load_velocity_correction
@@ -490,6 +490,30 @@ def test_the_lifter_decides_where_it_lifted_and_noise_and_hiding_make_joints_les
     assert noisy[0] > seen
     assert noisy[1:].tolist() == [inferred, not_lifted], 'the image says nothing of it, and the posterior knows it'
     assert estimate_joint_std(np.zeros((1, 3)), UNLIFTED) == pytest.approx(0.011)
+
+
+def test_published_deviations_follow_posture_visibility_and_size() -> None:
+    up, std, sure = np.array([0.0, -1.0, 0.0]), np.full((2, 15), 0.05), np.zeros(2)
+    seated = STANDING.copy()
+    for side in 'lr':
+        hip, knee, ankle = (CMU15.index(side + joint) for joint in ('hip', 'knee', 'ankle'))
+        seated[knee] = seated[hip] + [0, 0, -np.linalg.norm(STANDING[knee] - STANDING[hip])]
+        seated[ankle] = seated[knee] + STANDING[ankle] - STANDING[knee]
+    joints, is_seen = np.stack([STANDING, seated]), np.ones((2, 15), bool)
+    is_seen[:, CMU15.index('lwrist')] = False
+    *legs, no_legs = (np.where(is_seen[0], *factors) for factors in POSTURE_FACTORS)
+    of_posture = np.array(legs)
+    np.testing.assert_allclose(widen_by_posture(std, joints, is_seen, up, sure), 0.05 * of_posture)
+    lying = widen_by_posture(std, joints, is_seen, up[[0, 2, 1]], sure)
+    np.testing.assert_allclose(lying, 0.05 * of_posture[[1, 1]])
+    share = np.array([0.0, 0.1])
+    reach = 0.1 * np.linalg.norm(seated - seated.mean(axis=0), axis=1)
+    sized = widen_by_posture(std, joints, is_seen, up, share)
+    np.testing.assert_allclose(sized, of_posture * np.hypot(std, [0 * reach, reach]))
+    is_seen[:, [CMU15.index(s + j) for s in 'lr' for j in ('knee', 'ankle')]] = False
+    without_legs = widen_by_posture(std, joints, is_seen, up, sure)
+    no_legs[~is_seen[0]] = POSTURE_FACTORS[2, 1]
+    np.testing.assert_allclose(without_legs, 0.05 * np.stack([no_legs, no_legs]))
 
 
 def test_covariances_are_longest_along_the_line_of_sight(rng: np.random.Generator) -> None:

@@ -173,7 +173,6 @@ def test_a_known_height_counts_from_when_the_detector_names_the_person() -> None
         assert (before.id, after.id) == ('person_1', 'person_1'), 'the name of a person is stable'
         for name, power in (
             ('joints', 1),
-            ('joint_std', 1),
             ('joint_velocity', 1),
             ('joint_velocity_std', 1),
             ('scale', -1),
@@ -181,6 +180,8 @@ def test_a_known_height_counts_from_when_the_detector_names_the_person() -> None
             np.testing.assert_allclose(getattr(after, name), ratio**power * getattr(before, name), rtol=1e-6)
         covariance = ratio**2 * before.root_velocity_covariance
         np.testing.assert_allclose(after.root_velocity_covariance, covariance, rtol=1e-6)
+        is_surer = after.joint_std < (1 - 1e-6) * ratio * before.joint_std
+        assert is_surer.all() == is_surer.any() == (ratio < 1), 'of a known size'
 
 
 @pytest.mark.parametrize('text', ['1.82', '7=182', '7=nan', '=1.8', '7=tall', '7=1.82; anna=1.65', '7=1.8, 7=1.9'])
