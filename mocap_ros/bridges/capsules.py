@@ -13,7 +13,7 @@ its true place. A trunk needs little, as g is that of a heavy person; a hand, wh
 The whole body may be nearer or farther than it seems: S is the standard deviation of the root along the direction
 in which it is known least, nearly the line of sight, and q so large that 95 of 100 parts of the body are inside as
 published, in every row of posture, detector and distance. Both were fitted to training persons seen by models of
-detectors, about whose true joints bodies were put (`benchmarks/robots.py` and `deviations.py` measure it on others).
+detectors, about whose true joints bodies were put (`benchmarks/robots.py` and `deviations.py` measure others).
 """
 
 from __future__ import annotations
