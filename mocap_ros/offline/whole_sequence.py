@@ -46,12 +46,19 @@ from numpy.typing import NDArray
 from mocap_ros.arrays import Array, Mask
 from mocap_ros.config import Config, SolverConfig, TrackerConfig
 from mocap_ros.engine import motion as engine
-from mocap_ros.geometry.level import CALIBRATED_TILT_STD, MAX_CERTAIN_STD, Floor, average_vertical, build_world
+from mocap_ros.geometry.level import (
+    CALIBRATED_TILT_STD,
+    LEVEL_UP,
+    MAX_CERTAIN_STD,
+    Floor,
+    average_vertical,
+    build_world,
+)
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.keypoints.rays import join_body
 from mocap_ros.models.base_poses import ALL_MOTIONS, PoseModel
-from mocap_ros.models.joint_std import expect_stature
+from mocap_ros.models.joint_std import expect_stature, widen_by_posture
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.model_file import load_prior_lifter
 from mocap_ros.models.upward_direction import Stances
@@ -259,7 +266,10 @@ def _complete(
     core = plant_sequence(observed, core, found.offsets, poses.vertical, image_noise or NOISE_REFERENCE, ahead)
     evidence = collect_evidence(core, windows, noise, range(count))
     found = smooth_extremities(observed.times, evidence, config.body_height)
-    std, root_covariance = _find_deviations(evidence, solved.solution, config, is_focal_known=poses.is_scale_known)
+    upward = average_vertical(poses.vertical, poses.vertical_std)
+    std, root_covariance = _find_deviations(
+        evidence, solved.solution, upward, config, is_focal_known=poses.is_scale_known
+    )
     poses = replace(poses, root_covariance=root_covariance)
     if config.skeleton == CMU15.name:
         return replace(
@@ -282,20 +292,27 @@ def _complete(
 
 
 def _find_deviations(
-    evidence: ExtremityEvidence, solution: Reconstruction, config: TrackerConfig, *, is_focal_known: bool
+    evidence: ExtremityEvidence,
+    solution: Reconstruction,
+    upward: Array,
+    config: TrackerConfig,
+    *,
+    is_focal_known: bool,
 ) -> tuple[Array, Array]:
-    """Return the deviations (F, 15) m of joints and the covariances (F, 3, 3) m^2 of roots."""
-    count = len(evidence.core)
+    """Return the deviations (F, 15) m of joints and the covariances (F, 3, 3) m^2 of roots, as of live people."""
+    count, share = len(evidence.core), _assume_size_share(config)
     posterior = solution.joint_std if isinstance(solution, joint.JointReconstruction) else None
-    size = 1.0, _assume_size_share(config), 0.0 if is_focal_known else FOCAL_SHARE
-    return engine.describe_cores(
+    std, root_covariance = engine.describe_cores(
         np.full((count, CORE_COUNT), np.nan if posterior is None else posterior),
         evidence,
         evidence.core,
-        np.tile(size, (count, 1)),
+        np.tile((1.0, share, 0.0 if is_focal_known else FOCAL_SHARE), (count, 1)),
         np.full((count, 3), np.nan),
         np.array(HIPS),
     )
+    is_seen = evidence.weight[:, :CORE_COUNT] > 0
+    up = upward if np.isfinite(upward).all() else LEVEL_UP
+    return widen_by_posture(std, evidence.core, is_seen, up, np.full(count, share)), root_covariance
 
 
 def _assume_size_share(config: TrackerConfig) -> float:

@@ -27,7 +27,7 @@ from mocap_ros.recordings.load_results import follow_person
 from mocap_ros.solvers.merging import CameraView, MergedPeople, PeopleMerger
 from mocap_ros.units import NS_PER_S
 
-PASSES = 2
+PASSES = 2  # of the merging
 MIN_FRAMES = 10  # frames; who is there for less is a mistake of a camera
 ROUNDING_S = 1e-6  # s; times that differ by less are equal
 

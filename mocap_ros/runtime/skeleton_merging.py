@@ -46,7 +46,7 @@ MAX_SILENCE = 15  # messages of every other camera, half a second; who is silent
 MAX_RECENT = 60  # messages of a camera; a second or two, by which nodes may be slower than others
 RESTART_NS = 1_000_000_000  # ns; by which a clock goes back that was set, or of a bag that is played again
 JOURNAL_NAME = 'mocap_merge/journal'
-ONE_FILE = RecorderConfig(min_free_mb=0, split_seconds=0.0)
+ONE_FILE = RecorderConfig(min_free_mb=0, split_seconds=0.0)  # of a replay, which is read as a whole
 PELVIS = CMU15.index('pelvis')
 
 

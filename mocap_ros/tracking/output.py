@@ -19,6 +19,7 @@ import numpy as np
 from mocap_ros.arrays import Array
 from mocap_ros.engine import motion as engine
 from mocap_ros.geometry.interpolation import central_velocity
+from mocap_ros.geometry.level import LEVEL_UP
 from mocap_ros.models.joint_std import widen_by_posture
 from mocap_ros.models.model_file import load_velocity_correction
 from mocap_ros.models.velocity_correction import SPANS_S, VelocityPast
@@ -45,7 +46,6 @@ from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
 
 AGO = np.array([0.0, *SPANS_S])  # s; now, and the starts of the spans
-UPRIGHT_CAMERA = np.array([0.0, -1.0, 0.0])  # direction upwards in the optical frame of a level camera
 _HIPS = np.array(HIPS)
 FindSize = Callable[[Track], BodySize]
 
@@ -200,7 +200,7 @@ def widen_deviations(
     std: Array, joints: Array, seen: ExtremityEvidence, sizes: Sequence[BodySize], upward: Array | None
 ) -> Array:
     """Return the deviations (..., P, 15) m that are published; `upward` (3,), None if level."""
-    known = joints, seen.weight[:, : joints.shape[1]] > 0, UPRIGHT_CAMERA if upward is None else upward
+    known = joints, seen.weight[:, : joints.shape[1]] > 0, LEVEL_UP if upward is None else upward
     return widen_by_posture(std, *known, np.array([size.share for size in sizes]))
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from mocap_ros.arrays import Array
 from mocap_ros.engine import motion as engine
+from mocap_ros.geometry.level import LEVEL_UP
 from mocap_ros.models.model_file import load_motion_predictor
 from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past
 from mocap_ros.people import People, PredictedPeople
@@ -23,7 +24,6 @@ from mocap_ros.solvers.extremities import ExtremityEvidence, collect_evidence
 from mocap_ros.tracking.body_size import BodySize
 from mocap_ros.tracking.motion_filter import SHIFT
 from mocap_ros.tracking.output import (
-    UPRIGHT_CAMERA,
     CoreMotion,
     Shown,
     describe_cores,
@@ -117,7 +117,7 @@ def sample_past(tracks: Sequence[Track], upward: Array | None = None) -> Past:
     seen = collect_evidence(joints, shown.windows, shown.noise, shown.frames)
     std, _ = describe_cores(shown, joints, seen, [BodySize(1.0, 0.0)] * len(tracks))
     heading = np.array([t.solved.rotation[t.newest, :, 0] for t in tracks])
-    up = np.broadcast_to(UPRIGHT_CAMERA if upward is None else upward, heading.shape)
+    up = np.broadcast_to(LEVEL_UP if upward is None else upward, heading.shape)
     return Past(joints, velocity, std, earlier, heading, up)
 
 
