@@ -174,10 +174,10 @@ def summarise(records: Records) -> list[object]:
     """Return the cells of a row."""
     middle = {key: np.nanmedian([r[key] for r in records]) for key in MEASURES[:5]}
     rms = [f'{np.sqrt(np.nanmean([r[key] ** 2 for r in records])):.2f}' for key in ('ratio', 'place ratio')]
-    worst = max((r['rotation'] for r in records if not r['refused']), default=np.nan)
+    kept = [r['rotation'] for r in records if not r['refused']]
     shown = [f'{middle[key]:.1f}' for key in MEASURES[:4]]
     refused = f'{100 * np.mean([r["refused"] for r in records]):.0f} %'
-    return [*shown, f'{middle["clock"]:.0f}', *rms, f'{worst:.1f}', refused, len(records)]
+    return [*shown, f'{middle["clock"]:.0f}', *rms, f'{max(kept):.1f}' if kept else None, refused, len(records)]
 
 
 def provide_options() -> ReconstructionOptions:
