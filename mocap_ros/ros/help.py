@@ -78,7 +78,7 @@ DEPTH_PARAMETERS = (
     ),
 )
 
-# `tolerance` is longer than a camera at 10 Hz takes from image to image; `MERGE_PARAMETERS` are those of `mocap_merge`.
+# The tolerance is longer than a camera at 10 Hz takes from image to image.
 MERGE_PARAMETERS = (
     Parameter(
         'inputs',
