@@ -138,7 +138,7 @@ class SkeletonMerger:
 
     def _find_leader(self) -> int:
         limit = self._count - MAX_SILENCE * (len(self._topics) - 1)
-        return next(camera for camera, heard in enumerate(self._heard) if heard > limit)
+        return next(camera for camera, heard in enumerate(self._heard) if heard >= limit)
 
     def _merge(self, leader: int, leading: ReceivedSkeletons) -> list[OutputMessage]:
         stamp_ns = leading.header.stamp_ns
