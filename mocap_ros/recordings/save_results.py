@@ -177,6 +177,7 @@ def _iterate_people(poses: PoseSequence) -> Iterator[People]:
             is_scale_known=poses.is_scale_known,
             predicted=poses.predicted[now],
             joint_velocity=velocity[now],
+            root_covariance=poses.root_covariance[now],
             age=np.array([time - first]),
             unseen_for=np.array([time - last_seen]),
             joint_orientation=poses.joint_orientation[now],

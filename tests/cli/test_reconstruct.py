@@ -338,7 +338,8 @@ def test_the_table_and_the_json(short_recording: Path, tmp_path: Path, capsys: p
     assert 10 < record['pa_mpjpe_mm'] < record['mpjpe_mm'] < 60
     assert record['failed_frames'] == 0
     assert {'bone_std_mm', 'residual_px', 'fps', 'seconds', 'e_paper_cm'} <= record.keys()
-    titles, units, row, legend = capsys.readouterr().out.splitlines()
+    titles, units, row, legend, *covariances = capsys.readouterr().out.splitlines()
+    assert len(covariances) == 2  # of joints and of roots
     assert main(['evaluate', str(short_recording), '--limbs-only', '--json', str(out)]) == 0
     assert json.loads(out.read_text())[0]['joints'] == 12
     assert titles.split()[:2] == ['MPJPE', 'PA-MPJPE']
