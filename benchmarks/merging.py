@@ -95,7 +95,7 @@ def merge_whole(seen: Seen, results: Sequence[PoseSequence], cameras: Sequence[i
     found, seconds = common.measure_time(
         lambda: merge_recordings(people, seen.poses[[*cameras]], np.zeros(len(cameras)))
     )
-    return found[0], 1e3 * seconds / seen.views[0].frames
+    return found[0].poses, 1e3 * seconds / seen.views[0].frames
 
 
 def merge_live(

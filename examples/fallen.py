@@ -33,6 +33,7 @@ def main():
     """Run the node."""
     import rclpy
     from mocap_ros_msgs.msg import Skeleton3DArray
+    from rclpy.executors import ExternalShutdownException
     from std_msgs.msg import Bool
 
     rclpy.init()
@@ -41,7 +42,7 @@ def main():
     node.create_subscription(
         Skeleton3DArray, 'skeletons', lambda message: publisher.publish(Bool(data=falls.update(message))), 10
     )
-    with suppress(KeyboardInterrupt):
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(node)
 
 

@@ -68,4 +68,4 @@ def merge(
         if poses is None:
             names = [f'recording {number}' for number in range(1, len(recordings) + 1)]
             _, poses, offsets = find_cameras(names, recordings).cameras
-        return list(merge_recordings(recordings, poses, offsets))
+        return [poses for poses, _ in merge_recordings(recordings, poses, offsets)]

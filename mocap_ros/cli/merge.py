@@ -68,28 +68,36 @@ def run(args: argparse.Namespace) -> int:
         views = [recording.people for recording in recordings]
         lines: tuple[str, ...] = ()
         if cameras is None:
-            located = find_cameras(names, views)
+            try:
+                located = find_cameras(names, views)
+            except InputError as error:
+                raise InputError(f'{error}; or give the poses by --cameras') from None
             cameras, lines = located.cameras, describe_cameras(located)
         people = merge_recordings(views, cameras.poses, cameras.clock_offsets, report_part(report, 1, 2))
     code = 0
     for path, recording in zip(args.input, recordings, strict=True):
         for note in recording.notes:
             print_note(note)
-        code |= finish(path, recording.summary, recording.summary.is_wrong, is_strict=args.strict)
+        if str(recording.summary):
+            code |= finish(path, recording.summary, recording.summary.is_wrong, is_strict=args.strict)
     for line in lines:
         print_result(line)
     if not args.all_people:
-        people = (max(people, key=lambda poses: int(poses.in_sight.sum())),)
-    endings = choose_endings([poses.id for poses in people]) if args.all_people else ['']
-    is_all_saved = save_people(first, people, endings, outputs, sources)
+        people = (max(people, key=lambda person: int(person.poses.in_sight.sum())),)
+    for poses, shared in people:
+        seen = f'{poses.id}: {int(poses.in_sight.sum())} frames, {shared} of them seen by several cameras'
+        print_result(seen if shared else f'{seen}: the poses of cameras, or their focal lengths, may be wrong')
+    endings = choose_endings([poses.id for poses, _ in people]) if args.all_people else ['']
+    is_all_saved = save_people(first, [poses for poses, _ in people], endings, outputs, sources)
     return code or int(not is_all_saved)
 
 
 def choose_cameras(cameras: Cameras, names: Sequence[str], path: Path) -> Cameras:
     """Return the cameras of recordings with these names, or in their order."""
-    if set(names) <= set(cameras.names):
+    missing = [name for name in names if name not in cameras.names]
+    if not missing:
         rows = [cameras.names.index(name) for name in names]
         return Cameras(tuple(names), cameras.poses[rows], cameras.clock_offsets[rows])
-    if len(names) != len(cameras.names):
-        raise InputError(f'{path}: {len(cameras.names)} cameras, but {len(names)} recordings')
+    if len(missing) < len(names) or len(names) != len(cameras.names):
+        raise InputError(f'{path}: no camera {missing[0]!r}; there are {", ".join(cameras.names)}')
     return cameras

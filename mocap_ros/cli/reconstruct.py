@@ -42,7 +42,7 @@ MAX_CHOICES_BYTES = 16 << 20  # bytes; guards against parsing a huge file as key
 
 DESCRIPTION = (
     'Reconstructs one person over a whole sequence, so that every frame supports the others. The input is a '
-    'sequence file, a bag, OpenPose JSON, COCO keypoints or a video. The ending of the output file selects its '
+    'sequence file, a bag, JSON or a table of a detector, or a video. The ending of the output file selects its '
     'format: .npz, .csv, .mcap (a bag of skeletons, cameras and markers), .bvh (for animation, in cm), '
     '.angles.csv (joint angles), or .trc (markers for OpenSim, in mm). In .bvh and .trc, y points up and the '
     'frame rate is constant.'

@@ -78,7 +78,9 @@ def load_cameras(path: Path) -> Cameras:
 def _read_entry(entry: object, place: str) -> tuple[Array, float]:
     if not isinstance(entry, dict) or 'camera_pose' not in entry or entry.keys() - KEYS:
         raise InputError(f'{place}: expected camera_pose, and clock_offset if it is not 0')
-    pose = parse_camera_pose(str(entry['camera_pose']), f'{place}: camera_pose')
+    given = entry['camera_pose']
+    text = ' '.join(map(str, given)) if isinstance(given, list) else str(given)
+    pose = parse_camera_pose(text, f'{place}: camera_pose')
     offset = entry.get('clock_offset', 0.0)
     if not isinstance(offset, int | float) or isinstance(offset, bool) or not math.isfinite(offset):
         raise InputError(f'{place}: clock_offset = {offset!r}: expected a number in s')

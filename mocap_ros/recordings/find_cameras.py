@@ -79,7 +79,7 @@ def find_cameras(
     for name, std, seconds in zip(names, found.rotation_std, found.seconds, strict=True):
         if not std <= MAX_ROTATION_STD:
             raise InputError(
-                f'{name}: its rotation is known to {math.degrees(std):.0f} degrees only, '
+                f'{name}: its rotation is known to {math.degrees(std):.1f} degrees only, '
                 f'{math.degrees(MAX_ROTATION_STD):.0f} are needed, after {seconds:.0f} s of people whom another '
                 f'camera sees as well: walk about for {MIN_SECONDS:.0f} s more, through the middle of both views'
             )

@@ -37,7 +37,7 @@ def merge_recordings(
     poses: Array,
     offsets: Array,
     report: Report = lambda _: None,
-) -> tuple[PoseSequence, ...]:
+) -> tuple[MergedPerson, ...]:
     """Return the people whom C cameras saw, in the optical frame and at the times of the first camera.
 
     `poses` (C, 4, 4) take the optical frame of each camera to a common frame; `offsets` (C,) s are added to the
@@ -75,6 +75,13 @@ def merge_recordings(
             ]
             frames.append(merger.merge(time_s, views))
     return _collect(frames, first, stamps)
+
+
+class MergedPerson(NamedTuple):
+    """A person whom several cameras saw."""
+
+    poses: PoseSequence
+    shared: int  # frames in which two cameras or more see the person
 
 
 class _Sampled(NamedTuple):
@@ -131,15 +138,17 @@ def _show(people: Sequence[_Sampled], frame: int) -> People:
 
 def _collect(
     frames: Sequence[MergedPeople], first: Sequence[PoseSequence], stamps: Sequence[int]
-) -> tuple[PoseSequence, ...]:
+) -> tuple[MergedPerson, ...]:
     """Return the merged people over time, those first whom the first camera sees, in its order."""
     rows: dict[str, list[People]] = {}
     row_stamps: dict[str, list[int]] = {}
     names: dict[str, Counter[str]] = {}
+    shared = Counter[str]()
     for stamp_ns, frame in zip(stamps, frames, strict=True):
         for number, person_id in enumerate(frame.people.ids):
             rows.setdefault(person_id, []).append(frame.people.select([number]))
             row_stamps.setdefault(person_id, []).append(stamp_ns)
+            shared[person_id] += len(frame.tracks[number]) > 1
             if (shown := frame.tracks[number].get(0)) is not None:
                 names.setdefault(person_id, Counter())[shown] += 1
     people = []
@@ -151,7 +160,8 @@ def _collect(
         merged = follow_person(
             f'person_{person_id}', stamps, People.concatenate(own_rows), row_stamps[person_id], first[0].intrinsics
         )
-        people.append(_add_first_camera(merged, own or first[0], is_seen=own is not None))
+        poses = _add_first_camera(merged, own or first[0], is_seen=own is not None)
+        people.append(MergedPerson(poses, shared[person_id]))
     return tuple(people)
 
 

@@ -31,7 +31,6 @@ DIAGNOSTICS_TOPIC = '/diagnostics'
 CHECK_PERIOD_S = 1.0  # s; between two diagnostics
 WARN_AFTER_S = 15.0  # s without messages, after which the log says so; mocap_node takes its time to start
 SILENT_AFTER_S = 2.0  # s without messages, after which a camera counts as dead
-SENDING_S = 0.3  # s; a camera from which nothing has come for longer is about to be silent
 START_MOCAP_NODE = 'start the mocap_node of that camera, or correct the parameter inputs'
 
 
@@ -49,6 +48,7 @@ class MergeNode(ManagedNode):
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()  # so that times of receipt never jump
         self._recorder: BackgroundRecorder | None = None  # while active
         self._silences: dict[str, SilenceMonitor] = {}
+        self._silent = set[str]()  # topics on which nothing comes
         self._subscriptions_in_use: list[Any] = []  # while active
         self._timer: Any = None  # while active
         self._log, self._counts = ThrottledLog(self.get_logger()), Counter[str]()
@@ -131,14 +131,18 @@ class MergeNode(ManagedNode):
     def _check(self) -> None:
         for silence in self._silences.values():
             silence.check(WARN_AFTER_S)
-        problems = []
-        if silent := [topic for topic, silence in self._silences.items() if silence.silence_s > SILENT_AFTER_S]:
-            problems.append(f'nothing on {", ".join(silent)}')
-        elif self._run is not None and (late := self._run.merger.find_late_topics()):
-            problems.append(
-                f'{", ".join(late)}: other stamps than the first camera, so not merged: set the clocks'
-            )
-            self.get_logger().warning(problems[0], throttle_duration_sec=10.0)
+        silent = {topic for topic, silence in self._silences.items() if silence.silence_s > SILENT_AFTER_S}
+        for topic in sorted(silent ^ self._silent):
+            if topic in silent:
+                self.get_logger().warning(f'nothing has come on {topic} for {SILENT_AFTER_S:g} s; others go on')
+            else:
+                self.get_logger().info(f'people come on {topic}')
+        self._silent = silent
+        problems = [f'nothing on {", ".join(sorted(silent))}'] if silent else []
+        if late := [] if self._run is None else self._run.merger.find_late_topics():
+            late_topics = ', '.join(late)
+            problems.append(f'{late_topics}: other stamps than the first camera, so not merged: set the clocks')
+            self.get_logger().warning(problems[-1], throttle_duration_sec=10.0)
         count = 0 if self._run is None else len(self._run.merger.people)
         status = {
             'level': Level.WARN if problems else Level.OK,

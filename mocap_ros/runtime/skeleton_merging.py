@@ -68,17 +68,15 @@ class SkeletonMerger:
         self._recent = [deque[ReceivedSkeletons](maxlen=MAX_RECENT) for _ in self._topics]
         self._intrinsics: list[Intrinsics | None] = [None] * len(self._topics)
         self._heard = [-math.inf] * len(self._topics)  # number of the newest message of each
+        self._unmatched = [0] * len(self._topics)  # messages of each since one was near enough to outputs
         self._stamp_ns = -1  # of the newest outputs
         self._is_defined = False  # whether the joints have been named
         self._merger = PeopleMerger()
 
     def find_late_topics(self) -> list[str]:
-        """Return the topics of which no message is near enough to the newest outputs to count."""
-        return [
-            topic
-            for topic, recent in zip(self._topics, self._recent, strict=True)
-            if recent and self._find_nearest(recent, self._stamp_ns) is None
-        ]
+        """Return the topics that send, but of which no message is near enough to the outputs to count."""
+        counts = zip(self._topics, self._unmatched, strict=True)
+        return [topic for topic, count in counts if count > MAX_SILENCE]
 
     def feed(self, topic: str, raw: bytes) -> tuple[OutputMessage, ...]:
         """Return the messages that a Skeleton3DArray causes.
@@ -98,6 +96,7 @@ class SkeletonMerger:
         recent.append(received)
         self._count += 1
         self._heard[camera] = self._count
+        self._unmatched[camera] += 1
         if len(received.people):
             with suppress(InputError):  # of people without cameras of their own
                 self._intrinsics[camera] = _find_intrinsics(received)
@@ -143,6 +142,7 @@ class SkeletonMerger:
     def _merge(self, leader: int, leading: ReceivedSkeletons) -> list[OutputMessage]:
         stamp_ns = leading.header.stamp_ns
         near = [self._find_nearest(recent, stamp_ns) for recent in self._recent]
+        self._unmatched = [0 if seen else count for seen, count in zip(near, self._unmatched, strict=True)]
         self.people = self._merger.merge(stamp_ns / NS_PER_S, [_carry(seen, stamp_ns) for seen in near]).people
         known = [seen for seen in near if seen is not None and seen.vertical_std > 0]
         best = min(known, key=lambda seen: seen.vertical_std, default=None)
