@@ -31,7 +31,7 @@ from mocap_ros.recordings.find_cameras import (
     load_views,
     name_cameras,
 )
-from mocap_ros.recordings.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
+from mocap_ros.recordings.input_kind import READ_FORMATS, READ_KINDS, require_kind
 from mocap_ros.recordings.reconstruct import ReconstructionOptions
 from mocap_ros.skeleton import find_roots
 from mocap_ros.viewing.camera_plot import draw_cameras_figure
@@ -47,9 +47,7 @@ DESCRIPTION = (
     'taken as they are.'
 )
 OPTIONS: Options = {
-    'input IN': option(
-        f'recordings, one of each camera: {KEYPOINT_FORMATS}, or a result (.npz, .mcap)', nargs='+'
-    ),
+    'input IN': option(f'recordings, one of each camera: {READ_FORMATS}', nargs='+'),
     '-o --output OUT.yaml': 'file for the poses and clock offsets (default: print them only)',
     '--picture OUT.png': 'picture from above of the cameras and the paths of the people (default: none)',
     '--distance DISTANCE': option(
@@ -78,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     for output in filter(None, (args.output, args.picture)):
         check_output(output, *sources)
     for path in args.input:
-        require_kind(path, (*KEYPOINT_KINDS, InputKind.RESULT), f'{KEYPOINT_FORMATS}, or a result (.npz, .mcap)')
+        require_kind(path, READ_KINDS, READ_FORMATS)
     reading, models = read_input_options(args, config), load_models(args, config)
     with ShareBar('cameras') as report:
         recordings = load_views(args.input, ReconstructionOptions(config, models, reading, MAX_PEOPLE), report)

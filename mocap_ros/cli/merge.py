@@ -24,9 +24,12 @@ from mocap_ros.cli.terminal import ShareBar, finish, print_note, print_result
 from mocap_ros.errors import InputError
 from mocap_ros.formats.cameras_file import Cameras, load_cameras
 from mocap_ros.offline.whole_sequence import report_part
+from mocap_ros.people import PoseSequence
 from mocap_ros.recordings.find_cameras import find_cameras, load_views, name_cameras
-from mocap_ros.recordings.merge_people import merge_recordings
+from mocap_ros.recordings.input_kind import READ_FORMATS, READ_KINDS, require_kind
+from mocap_ros.recordings.merge_people import MergedPerson, merge_recordings
 from mocap_ros.recordings.reconstruct import ReconstructionOptions
+from mocap_ros.recordings.recording import Recording
 
 MAX_PEOPLE = 16  # of a recording that is reconstructed; each one takes seconds
 
@@ -55,6 +58,8 @@ def run(args: argparse.Namespace) -> int:
     first: Path = args.input[0]
     if len(args.input) < 2:
         raise InputError(f'{first}: one recording alone; give those of two cameras or more')
+    for path in args.input:
+        require_kind(path, READ_KINDS, READ_FORMATS)
     outputs = args.output or [Path(f'{derive_output_stem(first)}_merged.npz')]
     config = load_config(args)
     sources = list_sources(args, config)
@@ -68,28 +73,43 @@ def run(args: argparse.Namespace) -> int:
         views = [recording.people for recording in recordings]
         lines: tuple[str, ...] = ()
         if cameras is None:
-            try:
-                located = find_cameras(names, views)
-            except InputError as error:
-                raise InputError(f'{error}; or give the poses by --cameras') from None
-            cameras, lines = located.cameras, describe_cameras(located)
+            cameras, lines = _find_cameras(names, views)
         people = merge_recordings(views, cameras.poses, cameras.clock_offsets, report_part(report, 1, 2))
-    code = 0
-    for path, recording in zip(args.input, recordings, strict=True):
-        for note in recording.notes:
-            print_note(note)
-        if str(recording.summary):
-            code |= finish(path, recording.summary, recording.summary.is_wrong, is_strict=args.strict)
-    for line in lines:
-        print_result(line)
+    code = _print_recordings(args.input, recordings, is_strict=args.strict)
     if not args.all_people:
         people = (max(people, key=lambda person: int(person.poses.in_sight.sum())),)
-    for poses, shared in people:
-        seen = f'{poses.id}: {int(poses.in_sight.sum())} frames, {shared} of them seen by several cameras'
-        print_result(seen if shared else f'{seen}: the poses of cameras, or their focal lengths, may be wrong')
+    for line in (*lines, *map(_describe_person, people)):
+        print_result(line)
     endings = choose_endings([poses.id for poses, _ in people]) if args.all_people else ['']
     is_all_saved = save_people(first, [poses for poses, _ in people], endings, outputs, sources)
     return code or int(not is_all_saved)
+
+
+def _find_cameras(
+    names: Sequence[str], views: Sequence[Sequence[PoseSequence]]
+) -> tuple[Cameras, tuple[str, ...]]:
+    try:
+        located = find_cameras(names, views)
+    except InputError as error:
+        raise InputError(f'{error}; or give the poses by --cameras') from None
+    return located.cameras, describe_cameras(located)
+
+
+def _print_recordings(paths: Sequence[Path], recordings: Sequence[Recording], *, is_strict: bool) -> int:
+    """Print what the recordings rest on, and return the exit code."""
+    code = 0
+    for path, recording in zip(paths, recordings, strict=True):
+        for note in recording.notes:
+            print_note(note)
+        if str(recording.summary):
+            code |= finish(path, recording.summary, recording.summary.is_wrong, is_strict=is_strict)
+    return code
+
+
+def _describe_person(person: MergedPerson) -> str:
+    seen = int(person.poses.in_sight.sum())
+    line = f'{person.poses.id}: {seen} frames, {person.shared} of them seen by several cameras'
+    return line if person.shared else f'{line}: the poses of cameras, or their focal lengths, may be wrong'
 
 
 def choose_cameras(cameras: Cameras, names: Sequence[str], path: Path) -> Cameras:

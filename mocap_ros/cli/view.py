@@ -40,13 +40,7 @@ from mocap_ros.errors import InputError, MocapError, ModelError
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.formats.video import VideoReader, find_camera, hide_password, write_video
 from mocap_ros.recordings.build_scene import build_scene, read_images
-from mocap_ros.recordings.input_kind import (
-    KEYPOINT_FORMATS,
-    KEYPOINT_KINDS,
-    InputKind,
-    find_input_kind,
-    require_kind,
-)
+from mocap_ros.recordings.input_kind import READ_FORMATS, READ_KINDS, find_input_kind, require_kind
 from mocap_ros.recordings.load_keypoints import LOADERS, InputOptions
 from mocap_ros.recordings.load_results import holds_result
 from mocap_ros.recordings.reconstruct import ReconstructionOptions, load_or_reconstruct
@@ -64,8 +58,6 @@ DEFAULT_PORT, MAX_PORT = 8642, 65535  # of --live
 # Options that apply to no result, and those of the others that apply to one only in a bag
 RECONSTRUCTION_OPTIONS = 'fps', 'image_size', 'layout', 'hfov', 'focal', 'detector', 'model'
 BAG_OPTIONS = 'topic', 'camera_info', 'config', 'set', 'pitch'
-VIEWED_FORMATS = f'{KEYPOINT_FORMATS}, or a result (.npz, .mcap)'
-VIEWED_KINDS = (*KEYPOINT_KINDS, InputKind.RESULT)
 MAX_PEOPLE = 16  # people who are reconstructed; those who are seen most, since each one takes seconds
 POSES = 8  # frames in a picture; many more would be too small to see
 
@@ -115,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
     is_picture = output.suffix not in (PAGE_SUFFIX, FILM_SUFFIX)
     if is_picture:
         plots.check_picture_format(output, PAGE_SUFFIX, FILM_SUFFIX)
-    require_kind(args.input, VIEWED_KINDS, VIEWED_FORMATS)
+    require_kind(args.input, READ_KINDS, READ_FORMATS)
     _refuse_unused_options(args)
     config = load_config(args)
     sources = list_sources(args, config)

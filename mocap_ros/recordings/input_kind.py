@@ -57,6 +57,8 @@ class InputKind(Enum):
 KEYPOINT_KINDS = (
     InputKind.SEQUENCE, InputKind.BAG, InputKind.OPENPOSE, InputKind.JSON, InputKind.TABLE, InputKind.VIDEO,
 )  # fmt: skip
+READ_KINDS = (*KEYPOINT_KINDS, InputKind.RESULT)
+READ_FORMATS = f'{KEYPOINT_FORMATS}, or a result (.npz, .mcap)'
 KIND_BY_SUFFIXES = {
     VIDEO_SUFFIXES: InputKind.VIDEO,
     IMAGE_SUFFIXES: InputKind.IMAGE,

@@ -133,9 +133,9 @@ class MergeNode(ManagedNode):
             silence.check(WARN_AFTER_S)
         silent = {topic for topic, silence in self._silences.items() if silence.silence_s > SILENT_AFTER_S}
         for topic in sorted(silent ^ self._silent):
-            if topic in silent:
+            if topic in silent and self._counts[topic]:
                 self.get_logger().warning(f'nothing has come on {topic} for {SILENT_AFTER_S:g} s; others go on')
-            else:
+            elif topic not in silent:
                 self.get_logger().info(f'people come on {topic}')
         self._silent = silent
         problems = [f'nothing on {", ".join(sorted(silent))}'] if silent else []
