@@ -25,9 +25,13 @@ README = re.sub(
 # setuptools translates the sources with Cython, which since 3.1 puts what all modules need, two thirds of each,
 # into one. Python's own flags define the overflow of signed integers: -fwrapv costs the loops a quarter of their
 # speed, and none of them overflows. The search for common subexpressions of whole functions is a quarter of the
-# build and gains nothing, and debugging symbols would be six sevenths of the size.
+# build and gains nothing, and debugging symbols would be six sevenths of the size. Cython converts structs that
+# hold arrays by pointers of another type, which GCC 14 takes for an error.
 SHARED = 'mocap_ros.engine._shared'
-FLAGS = ['-O3', '-fno-gcse', '-fno-gcse-after-reload', '-g0', '-fno-wrapv', '-ffp-contract=off']
+FLAGS = [
+    *('-O3', '-fno-gcse', '-fno-gcse-after-reload', '-g0', '-fno-wrapv', '-ffp-contract=off'),
+    '-Wno-error=incompatible-pointer-types',
+]
 ENGINE = [
     Extension(
         source.removesuffix('.pyx').replace('/', '.'),
