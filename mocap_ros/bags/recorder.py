@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 MB = 1_000_000  # bytes; the unit of the parameters `recorder.split_mb` and `recorder.min_free_mb`
+ONE_FILE = RecorderConfig(min_free_mb=0, split_seconds=0.0)  # of a bag that is written as a single file
 RECOVERY_HINT = '; `mocap-ros recover'  # begins what an error says of a bag that could not be finished
 # Messages of a topic that a further file repeats, the newest; guards memory and files against ever new keys. There
 # may be as many coordinate frames.

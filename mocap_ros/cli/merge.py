@@ -28,10 +28,8 @@ from mocap_ros.people import PoseSequence
 from mocap_ros.recordings.find_cameras import find_cameras, load_views, name_cameras
 from mocap_ros.recordings.input_kind import READ_FORMATS, READ_KINDS, require_kind
 from mocap_ros.recordings.merge_people import MergedPerson, merge_recordings
-from mocap_ros.recordings.reconstruct import ReconstructionOptions
+from mocap_ros.recordings.reconstruct import MAX_PEOPLE, ReconstructionOptions
 from mocap_ros.recordings.recording import Recording
-
-MAX_PEOPLE = 16  # of a recording that is reconstructed; each one takes seconds
 
 DESCRIPTION = (
     'Merges the people whom two cameras or more saw at the same time: results of `reconstruct`, bags of '

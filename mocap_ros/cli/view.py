@@ -43,7 +43,7 @@ from mocap_ros.recordings.build_scene import build_scene, read_images
 from mocap_ros.recordings.input_kind import READ_FORMATS, READ_KINDS, find_input_kind, require_kind
 from mocap_ros.recordings.load_keypoints import LOADERS, InputOptions
 from mocap_ros.recordings.load_results import holds_result
-from mocap_ros.recordings.reconstruct import ReconstructionOptions, load_or_reconstruct
+from mocap_ros.recordings.reconstruct import MAX_PEOPLE, ReconstructionOptions, load_or_reconstruct
 from mocap_ros.recordings.save_results import save_detections
 from mocap_ros.recordings.watch import WAIT_S, NewestImage, Watch
 from mocap_ros.viewing import plots
@@ -58,7 +58,6 @@ DEFAULT_PORT, MAX_PORT = 8642, 65535  # of --live
 # Options that apply to no result, and those of the others that apply to one only in a bag
 RECONSTRUCTION_OPTIONS = 'fps', 'image_size', 'layout', 'hfov', 'focal', 'detector', 'model'
 BAG_OPTIONS = 'topic', 'camera_info', 'config', 'set', 'pitch'
-MAX_PEOPLE = 16  # people who are reconstructed; those who are seen most, since each one takes seconds
 POSES = 8  # frames in a picture; many more would be too small to see
 
 DESCRIPTION = (

@@ -8,9 +8,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.arrays import Array
+from mocap_ros.arrays import Array, Mask
 from mocap_ros.geometry.rotations import rotation_from_vector, vector_from_rotation
 
+ROUNDING_S = 1e-6  # s; times that differ by less are equal
 MAX_STEP_S = 0.2  # s; over a longer gap between two frames a limb may have swung to and fro
 
 
@@ -20,6 +21,15 @@ def find_nearest(times: Array, known: Array) -> NDArray[np.intp]:
     before = np.maximum(after - 1, 0)
     is_after_nearer = np.abs(times - known[after]) < np.abs(times - known[before])
     return np.where(is_after_nearer, after, before)
+
+
+def find_covered(times: Array, known: Array) -> Mask:
+    """Return whether each time (N,) is one of others (n,), increasing, or between two not far apart."""
+    before = np.searchsorted(known, times + ROUNDING_S, side='right') - 1
+    after = np.searchsorted(known, times - ROUNDING_S)
+    is_covered = (before >= 0) & (after < len(known))
+    is_covered[is_covered] = known[after[is_covered]] - known[before[is_covered]] <= MAX_STEP_S
+    return is_covered
 
 
 def interpolate_linearly(times: Array, sample_times: Array, samples: Array) -> Array:

@@ -38,6 +38,10 @@ class CameraPlacement(NamedTuple):
         """(3,) m, the camera in the frame of the outputs."""
         return np.zeros(3) if self.pose is None else self.pose.translation
 
+    def invert(self) -> CameraPlacement:
+        """Return the placement that takes people from the frame of the outputs to the optical frame."""
+        return CameraPlacement('', None if self.pose is None else self.pose.inverse())
+
     def place(self, people: People) -> People:
         """Return the people with joints, orientations, velocities and covariances in the frame of the outputs.
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from mocap_ros.arrays import Array
 from mocap_ros.config import Config, parse_numbers
 from mocap_ros.errors import ConfigError, InputError, naming
+from mocap_ros.geometry.intrinsics import Intrinsics, recover_intrinsics
 from mocap_ros.geometry.rigid_transform import SAME_POSE, RigidTransform
 from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.camera_placement import CameraPlacement
@@ -136,8 +137,7 @@ def decode_skeletons(raw: bytes, *, is_in_camera: bool = True) -> ReceivedSkelet
     camera = CameraPlacement(message.camera_frame_id or header.frame_id, pose)
     people, vertical = _read_people(message.people), message.vertical
     if is_in_camera and pose is not None:
-        to_camera = pose.inverse()
-        people, vertical = CameraPlacement('', to_camera).place(people), to_camera.rotate(vertical)
+        people, vertical = camera.invert().place(people), pose.inverse().rotate(vertical)
     return ReceivedSkeletons(header, people, vertical, message.vertical_std, camera)
 
 
@@ -191,6 +191,11 @@ def _read_people(rows: Sequence[SimpleNamespace]) -> People:
 
 def _read_kind(state: int) -> MotionKind:
     return MotionKind(state) if state in [*MotionKind] else MotionKind.UNKNOWN
+
+
+def find_intrinsics(people: People) -> Intrinsics:
+    """Return the camera that shows recorded people, one or more, as their own cameras do."""
+    return recover_intrinsics(people.core.mean(axis=1), people.scale, people.translation)
 
 
 def encode_skeleton_definition(skeleton: Skeleton) -> bytes:

@@ -21,9 +21,9 @@ from mocap_ros.config import Config
 from mocap_ros.errors import InputError, SkeletonError, naming
 from mocap_ros.formats.detections import Detections
 from mocap_ros.formats.result_file import UNKNOWN_CAMERA, is_result_file, load_result_file
-from mocap_ros.geometry.intrinsics import Intrinsics, recover_intrinsics
+from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, resolve_image_size
-from mocap_ros.messages.skeletons import SKELETONS, ReceivedSkeletons, decode_skeletons
+from mocap_ros.messages.skeletons import SKELETONS, ReceivedSkeletons, decode_skeletons, find_intrinsics
 from mocap_ros.offline.whole_sequence import Report
 from mocap_ros.people import CameraVertical, People, PoseSequence, TrackedFrame
 from mocap_ros.recordings.load_keypoints import InputOptions, load_bag
@@ -111,11 +111,6 @@ def follow_person(
         cadence=cadence,
         **columns,
     )
-
-
-def find_intrinsics(people: People) -> Intrinsics:
-    """Return the camera that shows recorded people, one or more, as their own cameras do."""
-    return recover_intrinsics(people.core.mean(axis=1), people.scale, people.translation)
 
 
 class _Messages(NamedTuple):
@@ -227,8 +222,10 @@ def _judge(read: _Messages, detections: Detections, intrinsics: Intrinsics, conf
 
 def find_skeletons_topic(bag: Bag) -> str:
     """Return the topic of skeletons, of `mocap_merge` that of its outputs; InputError unless there is one."""
-    inputs = str(read_run(bag).parameters.get('inputs', '')).split()
-    topics = [topic for topic in bag.topics_of_type([SKELETONS]) if topic not in inputs]
+    topics = bag.topics_of_type([SKELETONS])
+    if len(topics) > 1:
+        inputs = str(read_run(bag).parameters.get('inputs', '')).split()
+        topics = [topic for topic in topics if topic not in inputs]
     if len(topics) != 1:
         found = f'several topics of skeletons: {", ".join(topics)}' if topics else 'no skeletons'
         raise InputError(f'{bag.path}: the bag has {found}')

@@ -17,7 +17,7 @@ import numpy as np
 
 from mocap_ros.arrays import Array, Indices, Mask
 from mocap_ros.errors import InputError, naming
-from mocap_ros.geometry.interpolation import MAX_STEP_S, find_nearest, interpolate_linearly
+from mocap_ros.geometry.interpolation import find_covered, find_nearest, interpolate_linearly
 from mocap_ros.geometry.level import average_vertical, build_world
 from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.messages.camera_placement import CameraPlacement
@@ -29,7 +29,6 @@ from mocap_ros.units import NS_PER_S
 
 PASSES = 2  # of the merging
 MIN_FRAMES = 10  # frames; who is there for less is a mistake of a camera
-ROUNDING_S = 1e-6  # s; times that differ by less are equal
 
 
 def merge_recordings(
@@ -99,10 +98,7 @@ def _sample(person: PoseSequence, times: Array, camera: CameraPlacement) -> _Sam
     if not (is_positive and (np.linalg.eigvalsh(person.root_covariance[seen]) > 0).all()):
         raise InputError(f'person {person.id!r} has no standard deviations: reconstruct the recording anew')
     own = person.select(seen)
-    before = np.searchsorted(own.times, times + ROUNDING_S, side='right') - 1
-    after = np.searchsorted(own.times, times - ROUNDING_S)
-    is_known = (before >= 0) & (after < len(own))
-    is_known[is_known] = own.times[after[is_known]] - own.times[before[is_known]] <= MAX_STEP_S
+    is_known = find_covered(times, own.times)
     at = times[is_known]
     nearest = find_nearest(at, own.times)
 

@@ -23,6 +23,7 @@ from mocap_ros.recordings.load_results import holds_result, load_recording
 from mocap_ros.recordings.recording import Recording
 from mocap_ros.verdict.summary import summarise
 
+MAX_PEOPLE = 16  # of a recording, those who are seen most, since each one takes seconds
 # With the arguments of `solve_sequence`
 Method = Callable[[KeypointSequence, Mapping[str, PoseModel], Config, Report], Solved]
 

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
-from mocap_ros.bags.recorder import RECOVERY_HINT, Recorder
-from mocap_ros.config import RecorderConfig
+from mocap_ros.bags.recorder import ONE_FILE, RECOVERY_HINT, Recorder
 from mocap_ros.errors import InputError, RecordingError
 from mocap_ros.formats.bvh import BvhMotion, save_bvh
 from mocap_ros.formats.detections import MAX_FRAME_RATE_HZ, Detections
@@ -39,7 +38,6 @@ from mocap_ros.people import CameraVertical, Motion, MotionKind, People, PoseSeq
 from mocap_ros.recordings.playback import DEFAULT_FRAME_ID
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OutputEncoder, build_skeleton_definition
 
-ONE_FILE = RecorderConfig(min_free_mb=0, split_seconds=0.0)  # of a bag that is written as a single file
 DEFAULT_PERSON_ID = 'person_1'  # id in the messages of a bag, if the sequence does not name its person
 MAX_RESAMPLED_FRAMES = 1_000_000  # frames; guards the memory against two frames that are years apart
 MAX_EMPTY_S = 60.0  # s without a skeleton that a file of a constant frame rate may hold as empty frames

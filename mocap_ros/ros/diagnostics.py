@@ -21,6 +21,7 @@ from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.units import NS_PER_S
 
 DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'  # message type
+DIAGNOSTICS_TOPIC = '/diagnostics'
 MAX_REMEMBERED_FRAMES = 300  # frames; 10 s at 30 Hz, enough for a 99th percentile
 RATE_WINDOW_S = 2.0  # s; long enough for a steady figure, short enough to show a change soon
 

@@ -23,10 +23,9 @@ from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, decode_camer
 from mocap_ros.messages.cdr import read_stamp_ns
 from mocap_ros.messages.images import IMAGE, IMAGE_TYPES, decode_image
 from mocap_ros.messages.keypoints import KEYPOINTS, KeypointsFrame, decode_keypoints
-from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
+from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons, find_intrinsics
 from mocap_ros.people import CameraVertical
 from mocap_ros.recordings.live_frame import show_people
-from mocap_ros.recordings.load_results import find_intrinsics
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.nodes import run_node
 from mocap_ros.ros.qos import NEWEST_QOS

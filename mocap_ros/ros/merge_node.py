@@ -17,7 +17,7 @@ from mocap_ros.messages.cdr import Header, OutputMessage
 from mocap_ros.messages.plain import encode_plain
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.messages.transforms import TRANSFORMS
-from mocap_ros.ros.diagnostics import DIAGNOSTICS, Level
+from mocap_ros.ros.diagnostics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, Level
 from mocap_ros.ros.help import MERGE_NAME, MERGE_PARAMETERS
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.nodes import ManagedNode, declare_parameters
@@ -27,7 +27,6 @@ from mocap_ros.ros.topics import Publishers, SilenceMonitor, subscribe
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS
 from mocap_ros.runtime.skeleton_merging import MergedRun
 
-DIAGNOSTICS_TOPIC = '/diagnostics'
 CHECK_PERIOD_S = 1.0  # s; between two diagnostics
 WARN_AFTER_S = 15.0  # s without messages, after which the log says so; mocap_node takes its time to start
 SILENT_AFTER_S = 2.0  # s without messages, after which a camera counts as dead

@@ -17,7 +17,7 @@ from mocap_ros.errors import MocapError, RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.transforms import TRANSFORMS
-from mocap_ros.ros.diagnostics import DIAGNOSTICS, DiagnosticsReporter
+from mocap_ros.ros.diagnostics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, DiagnosticsReporter
 from mocap_ros.ros.help import MOCAP_NAME, SERVICES
 from mocap_ros.ros.live import LiveRun
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
@@ -30,7 +30,6 @@ from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, build_skeleton_d
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.units import NS_PER_S
 
-DIAGNOSTICS_TOPIC = '/diagnostics'
 RECORDING_PARAMETER = 'recorder.enabled'  # switched by the service ~/record, too
 NOT_ACTIVE = 'the node is not active'  # answer of its services
 # ns; the seconds of a stamp are int32, and with use_sim_time anyone sets the time

@@ -24,17 +24,16 @@ from typing import NamedTuple
 import numpy as np
 
 from mocap_ros.arrays import copy_with
-from mocap_ros.bags.journal import Acceptance, Journal, read_run
+from mocap_ros.bags.journal import JOURNAL, Acceptance, Journal, read_run
 from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.recorder import RecordedMessage, Recorder
+from mocap_ros.bags.recorder import ONE_FILE, RecordedMessage, Recorder
 from mocap_ros.bags.rosbag2 import Topic, make_topic
-from mocap_ros.config import NodeConfig, RecorderConfig, Value
+from mocap_ros.config import NodeConfig, Value
 from mocap_ros.errors import ConfigError, FrameDropped, InputError, SkeletonError
-from mocap_ros.geometry.intrinsics import Intrinsics, recover_intrinsics
+from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rigid_transform import MAX_DISTANCE_M, RigidTransform
-from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import OutputMessage
-from mocap_ros.messages.skeletons import SKELETONS, ReceivedSkeletons, decode_skeletons
+from mocap_ros.messages.skeletons import SKELETONS, ReceivedSkeletons, decode_skeletons, find_intrinsics
 from mocap_ros.people import CameraVertical, People
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OutputEncoder, build_skeleton_definition
 from mocap_ros.runtime.replay import ProgressWrapper
@@ -46,7 +45,6 @@ MAX_SILENCE = 15  # messages of every other camera, half a second; who is silent
 MAX_RECENT = 60  # messages of a camera; a second or two, by which nodes may be slower than others
 RESTART_NS = 1_000_000_000  # ns; by which a clock goes back that was set, or of a bag that is played again
 JOURNAL_NAME = 'mocap_merge/journal'
-ONE_FILE = RecorderConfig(min_free_mb=0, split_seconds=0.0)  # of a replay, which is read as a whole
 PELVIS = CMU15.index('pelvis')
 
 
@@ -61,10 +59,7 @@ class SkeletonMerger:
         self._topics = topics
         self._tolerance_s = tolerance_s
         self._node = node or NodeConfig()
-        self._outputs, self._count = OutputEncoder(), 0
-        self._restart()
-
-    def _restart(self) -> None:
+        self._outputs, self._count = OutputEncoder(), 0  # number of messages so far
         self._recent = [deque[ReceivedSkeletons](maxlen=MAX_RECENT) for _ in self._topics]
         self._intrinsics: list[Intrinsics | None] = [None] * len(self._topics)
         self._heard = [-math.inf] * len(self._topics)  # number of the newest message of each
@@ -97,9 +92,6 @@ class SkeletonMerger:
         self._count += 1
         self._heard[camera] = self._count
         self._unmatched[camera] += 1
-        if len(received.people):
-            with suppress(InputError):  # of people without cameras of their own
-                self._intrinsics[camera] = _find_intrinsics(received)
         if camera != self._find_leader():
             return ()
         if stamp_ns <= self._stamp_ns - RESTART_NS:  # its clock was set, or was behind that of the leader before
@@ -147,7 +139,10 @@ class SkeletonMerger:
         known = [seen for seen in near if seen is not None and seen.vertical_std > 0]
         best = min(known, key=lambda seen: seen.vertical_std, default=None)
         vertical = None if best is None else CameraVertical(best.vertical, best.vertical_std)
-        to_camera = CameraPlacement('', None if leading.camera.pose is None else leading.camera.pose.inverse())
+        to_camera = leading.camera.invert()
+        if len(leading.people):
+            with suppress(InputError):  # of people without cameras of their own
+                self._intrinsics[leader] = find_intrinsics(to_camera.place(leading.people))
         shown = _add_camera(to_camera.place(self.people), self._intrinsics[leader])
         in_camera = to_camera.place_vertical(vertical)
         outputs = self._outputs.encode(leading.header, shown, self._node, leading.camera, in_camera)
@@ -234,7 +229,7 @@ class MergedInput(NamedTuple):
 
 def holds_merged_run(bag: Bag) -> bool:
     """Return whether a bag was recorded by `mocap_merge`."""
-    return 'inputs' in read_run(bag).parameters
+    return any(topic.endswith(f'/{JOURNAL_NAME}') for topic in bag.topics_of_type([JOURNAL]))
 
 
 def replay_merging(bag: Bag, out: Path, progress: ProgressWrapper) -> int:
@@ -251,14 +246,6 @@ def replay_merging(bag: Bag, out: Path, progress: ProgressWrapper) -> int:
                 else:
                     recorder.write(*record)
     return count
-
-
-def _find_intrinsics(received: ReceivedSkeletons) -> Intrinsics:
-    """Return the camera that shows people, by their own weak-perspective cameras."""
-    people, pose = received.people, received.camera.pose
-    middles = people.core.mean(axis=1)
-    seen = middles if pose is None else pose.inverse().apply(middles)
-    return recover_intrinsics(seen, people.scale, people.translation)
 
 
 def _add_camera(people: People, intrinsics: Intrinsics | None) -> People:

@@ -59,10 +59,8 @@ FREEDOM = 4.0  # nu: at times people err by several deviations
 CORRELATED_SAMPLES = 10.0  # N, 2 s
 SECTORS = 8  # of headings, 45 degrees wide; poses of one heading err alike
 START_ROUNDS = 6  # reweightings of the start
-ROOT_TOLERANCE_M, POSE_TOLERANCE_M = (
-    1.0,
-    0.25,
-)  # m; median differences, by a start, beyond which two people are not one
+# m; median differences, by a start, beyond which two people are not one
+ROOT_TOLERANCE_M, POSE_TOLERANCE_M = 1.0, 0.25
 # 1, share of the weighted seconds of the best hypothesis with which another one might be right, as the cycles of a
 # walk in a circle look alike; and rad, by which it then turns the camera: other starts differ by less
 RIVAL_SHARE, MIN_DOUBT = 0.8, 0.35

@@ -65,15 +65,14 @@ class MergedPeople(NamedTuple):
     """The people of a frame."""
 
     people: People  # in the common frame
-    tracks: Sequence[
-        Mapping[int, str]
-    ]  # of each person, ids in the cameras that show them, by the camera's number
+    tracks: Sequence[Mapping[int, str]]  # of each person, the id in each camera that counts, by its number
 
 
 class _Sizes:
     """The factors k of one person in C cameras, and what the frames so far say of them."""
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, memory_s: float) -> None:
+        self._memory_s = memory_s
         self.factors = np.ones(count)
         self.covariance = np.zeros((count, count))
         self._information = np.zeros((count, count))
@@ -84,6 +83,9 @@ class _Sizes:
 
         `std` (C,) are the deviations s of all cameras.
         """
+        kept = math.exp(-step_s / self._memory_s)
+        self._information *= kept
+        self._target *= kept
         if len(seen) > 1 and step_s > 0:
             inverse = np.linalg.inv(roots.sum(axis=0))
             pulled, held = (roots @ v[..., None] for v in (reach, centres))
@@ -96,12 +98,6 @@ class _Sizes:
         prior = np.linalg.inv(np.outer(std, std) * (COMMON + (1 - COMMON) * np.eye(len(std))))
         self.covariance = np.linalg.inv(self._information + prior)
         self.factors = self.covariance @ (self._target + prior.sum(axis=1))
-
-    def fade(self, step_s: float, memory_s: float) -> None:
-        """Let what is known fade over a time in s."""
-        share = math.exp(-step_s / memory_s)
-        self._information *= share
-        self._target *= share
 
 
 class PeopleMerger:
@@ -143,8 +139,7 @@ class PeopleMerger:
             seen = in_sight or shown
             people = People.concatenate([views[camera].people.select([row]) for camera, row in seen.items()])
             people = replace(people, is_scale_known=all(views[camera].people.is_scale_known for camera in seen))
-            sizes = self._sizes.setdefault(number, _Sizes(len(views)))
-            sizes.fade(step_s, self._size_memory_s)
+            sizes = self._sizes.setdefault(number, _Sizes(len(views), self._size_memory_s))
             merged.append(_merge_person(str(number), people, [*seen], centres, sizes, step_s))
             tracks.append({camera: views[camera].people.ids[row] for camera, row in seen.items()})
         return MergedPeople(People.concatenate(merged) if merged else People.none(), tracks)
@@ -190,7 +185,7 @@ def _merge_person(
         joint_std=np.sqrt(np.trace(pose.covariance, axis1=-2, axis2=-1) + SHARED_M**2)[None],
         root_covariance=root_covariance[None],
         joint_velocity=(root.apply(factors[:, None] * root_velocities) + pose.apply(own_velocities))[None],
-        joint_velocity_std=_combine(people.joint_velocity_std),
+        joint_velocity_std=_combine_std(people.joint_velocity_std),
         root_velocity_covariance=_combine_covariances(people.root_velocity_covariance)[None],
         joint_orientation=_average_turns(people)[None],
         inferred=np.all(people.inferred, axis=0)[None],
@@ -255,7 +250,7 @@ def _combine_covariances(covariance: Array) -> Array:
     return np.asarray(np.linalg.inv(np.linalg.inv(safe).sum(axis=0)))
 
 
-def _combine(std: Array) -> Array:
+def _combine_std(std: Array) -> Array:
     """Return the deviations (1, J) of the means of independent values with deviations (S, J)."""
     return np.asarray((np.maximum(std, LEAST_STD) ** -2.0).sum(axis=0, keepdims=True) ** -0.5)
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from mocap_ros.arrays import Array, Mask
 from mocap_ros.config import TrackerConfig
-from mocap_ros.geometry.interpolation import MAX_STEP_S, interpolate_linearly
+from mocap_ros.geometry.interpolation import find_covered, interpolate_linearly
 from mocap_ros.people import PoseSequence
 from mocap_ros.skeleton import CORE_COUNT, HIPS, find_roots
 from mocap_ros.solvers.observed_window import observe_sequence
@@ -96,11 +96,8 @@ class SeenPerson(NamedTuple):
         return SeenPerson(*(values[samples] for values in self))
 
     def at(self, times: Array) -> SeenPerson:
-        """Return the person at other times, interpolated; NaN outside and in gaps of more than `MAX_STEP_S`."""
-        after = self.times.searchsorted(times)
-        inner = after.clip(1, len(self.times) - 1)
-        is_inside = (times >= self.times[0]) & (after < len(self.times))
-        is_known = is_inside & (self.times[inner] - self.times[inner - 1] <= MAX_STEP_S)
+        """Return the person at other times, interpolated; NaN outside and in longer gaps (`find_covered`)."""
+        is_known = find_covered(times, self.times)
         columns = (interpolate_linearly(times, self.times, v.reshape(len(v), -1)) for v in self[1:])
         known = (np.where(is_known[:, None], column, np.nan) for column in columns)
         return SeenPerson(times, *(c.reshape(-1, *v.shape[1:]) for c, v in zip(known, self[1:], strict=True)))
