@@ -34,9 +34,8 @@ FILM_TICK = Fraction(1, 90000)  # s; the times of a film are multiples of it
 STREAM_TIMEOUT_S = 10.0  # s; for a stream to answer
 READ_AHEAD = 4  # images that are decoded while the detector works; more would only take memory
 MICROSECONDS = 1e6  # in a second; the unit of the times of a container
-MIN_LATE_S = (
-    0.001  # s; from which on images begin late; times of a container are rounded to 1 us, of images to 1 ms
-)
+# s; from which on images begin late; times of a container are rounded to 1 us, of images to 1 ms
+MIN_LATE_S = 0.001
 MAX_MISSING_S = 1.0  # s; the sound of a video may be longer than its images by less
 POLL_S = 0.1  # s; bounds how long the decoder outlives a reader who has gone, and how long an end goes unnoticed
 JOIN_S = 0.5  # s; the decoder of a camera that gives no more images is left after this, far above an image's time

@@ -98,8 +98,10 @@ def follow_motion(
     evidence = collect_evidence(core, shown.windows, shown.noise, shown.frames)
     follow_extremities(shown, evidence, times, is_steady=is_steady)
     if vertical is not None:
-        known = core, evidence.weight == 0, vertical.direction[None], np.array([vertical.std])
-        follow_postures(filters[:, OF_POSTURE], times, measure_likelihood(*known))
+        likelihood = measure_likelihood(
+            core, evidence.weight == 0, vertical.direction[None], np.array([vertical.std])
+        )
+        follow_postures(filters[:, OF_POSTURE], times, likelihood)
     for track, own in zip(shown.tracks, filters, strict=True):
         track.filters = own
     return motion, evidence
@@ -200,8 +202,9 @@ def widen_deviations(
     std: Array, joints: Array, seen: ExtremityEvidence, sizes: Sequence[BodySize], upward: Array | None
 ) -> Array:
     """Return the deviations (..., P, 15) m that are published; `upward` (3,), None if level."""
-    known = joints, seen.weight[:, : joints.shape[1]] > 0, LEVEL_UP if upward is None else upward
-    return widen_by_posture(std, *known, np.array([size.share for size in sizes]))
+    is_seen = seen.weight[:, : joints.shape[1]] > 0
+    up, shares = LEVEL_UP if upward is None else upward, np.array([size.share for size in sizes])
+    return widen_by_posture(std, joints, is_seen, up, shares)
 
 
 def make_people(
