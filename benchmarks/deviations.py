@@ -8,8 +8,9 @@ of the deviations were chosen), stand, walk, sit, are on the floor, or are seen 
 without hips), 2 to 3.5 m (near) and 3.5 to 6 m (far) before a camera that looks down by 5 to 20 degrees, as three
 models of detectors see them. Postures that the motion capture lacks are made from it (`training/postures.py`).
 Measured live, half with the height known to 2 cm and half with none: the shares of seen and inferred joints about
-the body's middle in the ellipsoids of 90 % of `joint_std`, and of roots in those of `root_covariance`; and the
-share of a body's volume in its capsules, which should hold 95 %.
+the body's middle in the ellipsoids of 90 % of `joint_std`, and of roots in those of `root_covariance`; the
+share of a body's volume in its capsules, which should hold 95 %; the shares of verticals and of bodies' directions
+within 90 % of theirs, and how often feet stand of which that has a given probability.
 """
 
 import argparse
@@ -17,7 +18,7 @@ import multiprocessing
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import common
@@ -26,13 +27,17 @@ from detected import DISTANCES_M, ELEVATIONS_DEG, RobotScene, load_middle, load_
 from numpy.typing import NDArray
 from report import Records, Report, group, run
 from robots import find_share, sample_body
+from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
+from mocap_ros.bridges.detections_3d import compute_heading_stds
 from mocap_ros.geometry.level import Floor
+from mocap_ros.messages.transforms import compute_links
 from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.joint_std import compute_joint_covariance
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, estimate_stature
+from mocap_ros.tracking.tracker import PeopleTracker
 from mocap_ros.training.example_arrays import AGO, RandomArrays, add_bones
 from mocap_ros.training.postures import KINDS, take_postures
 
@@ -47,6 +52,8 @@ FRAMES, WARM_UP, STEP = (
 STATURE_M, STATURE_STD_M = 1.70, 0.12  # as is assumed where nothing is known
 FAR_M = 3.5  # from here it is far
 WITHIN_90 = 6.251  # 1; squared Mahalanobis distance of 90 of 100 in three dimensions
+ANGLE_WITHIN_90 = 1.645  # 1; deviations of an angle that 90 of 100 are within
+CONTACT_BINS = 0.0, 0.1, 0.5, 0.9, 1.0  # 1; limits of probabilities that are counted together
 WAYS = 'height', 'nothing'  # what the robot knows besides
 KNOWN_HEIGHT_STD_M = 0.02
 DETECTORS = 'openpose', 'mediapipe', 'movenet'
@@ -61,7 +68,7 @@ POSTURES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 LEGS = tuple(j for j in BODY26.joints if j[1:] in ('knee', 'ankle', 'toe', 'heel'))
 SEATED_KINDS = ('sit_stand', 'sit_stand_walk')  # of motion capture in which people sit
 SEATED_HEIGHT = 0.65  # of a leg; of the hips over the lower ankle, of somebody who sits
-MEASURES = 'seen', 'inferred', 'roots', 'in capsules'
+MEASURES = 'seen', 'inferred', 'roots', 'in capsules', 'vertical', 'direction'
 MIN_COUNT = 100  # joints or frames of a share
 DRAWS = 400  # of which one shows the posture
 
@@ -156,7 +163,8 @@ def make_scene(plan: Plan, persons: str) -> RobotScene | None:
         hidden = LEGS + (('lhip', 'rhip') if plan.number % 2 else ())
         names = protocol.GIVEN[plan.detector]
         view = view.hide_joints([names[joint] for joint in hidden if joint in names])
-    return RobotScene(plan.posture, plan.detector, view, stature, Floor(np.array([0.0, -1.0, 0.0]), None))
+    upward = protocol.view(np.array([[0.0, 1.0, 0.0]]), heading, elevation)[0]
+    return RobotScene(plan.posture, plan.detector, view, stature, Floor(upward, None))
 
 
 @cache
@@ -172,13 +180,31 @@ def measure_scene(job: tuple[Plan, str]) -> list[Record]:
     if scene is None:
         return []
     known = {'tracker.body_height': scene.stature, 'tracker.body_height_std': KNOWN_HEIGHT_STD_M}
-    about = asdict(plan)
+    about, stands = asdict(plan), find_standing(scene)
     out: list[Record] = []
     for way, more in zip(WAYS, (known, {}), strict=True):
-        for frame, _, person in track_scene(scene, model, {**parameters, **more}):
+        for frame, tracker, person in track_scene(scene, model, {**parameters, **more}):
             if frame >= WARM_UP and not person.predicted and frame % STEP == 0:
-                out.append({**about, 'way': way, **measure(scene, frame, person)})
+                measured = measure(scene, frame, person) | measure_vertical(scene, tracker)
+                contact = list(zip(person.contact.tolist(), stands[frame].tolist(), strict=True))
+                out.append({**about, 'way': way, **measured, 'contact': contact})
     return out
+
+
+def find_standing(scene: RobotScene) -> NDArray[np.bool_]:
+    """Return whether the left and the right foot (F, 2) stand in truth: its heel or its toe does."""
+    protocol = common.load_module(common.data_path('bench', 'feet.py'))
+    points = [[BODY26.index(side + name) for name in ('heel', 'toe')] for side in 'lr']
+    standing = [[protocol.standing(scene.bodies, scene.floor.upward, p) for p in foot] for foot in points]
+    return np.array(standing).any(axis=1).T
+
+
+def measure_vertical(scene: RobotScene, tracker: PeopleTracker) -> Record:
+    """Return whether the vertical that was found, if one was, is within 90 % of its deviation."""
+    if (found := tracker.vertical) is None:
+        return {'vertical': []}
+    angle = np.arccos(np.clip(found.direction @ scene.floor.upward, -1, 1))
+    return {'vertical': [bool(angle <= ANGLE_WITHIN_90 * found.std)]}
 
 
 def measure(scene: RobotScene, frame: int, person: Person3D) -> Record:
@@ -189,7 +215,11 @@ def measure(scene: RobotScene, frame: int, person: Person3D) -> Record:
     own = compute_joint_covariance(person.joint_std[:CORE_COUNT], np.broadcast_to(middle, found.shape))
     is_within, is_seen = is_in_ellipsoid(error, own), ~person.inferred[:CORE_COUNT]
     body = sample_body(scene.bodies[frame], scene.stature, np.random.default_rng(frame))
+    axes, true_axes = (compute_links(joints[None])[2][0] for joints in (found, truth))
+    turn = Rotation.from_matrix(axes @ true_axes.T).as_rotvec()
+    direction_std = compute_heading_stds(found[None], person.joint_std[None])[0]
     return {
+        'direction': [bool(turn @ turn <= WITHIN_90 * direction_std**2)],
         'seen': is_within[is_seen].tolist(),
         'inferred': is_within[~is_seen].tolist(),
         'roots': is_in_ellipsoid(person.root - scene.root[frame], person.root_covariance).tolist(),
@@ -223,6 +253,20 @@ def report_rows(report: Report) -> None:
                 rows.append([names[0], names[1] if len(names) > 1 else 'all', *cells])
         header = ['posture', 'detector', *(f'{name}, {key}' for name in ('near', 'far') for key in MEASURES)]
         report.table(header, rows, title, page)
+    report_contacts(report, records)
+
+
+def report_contacts(report: Report, records: Records) -> None:
+    """Print which share of feet stands, of those with probabilities between two of `CONTACT_BINS`."""
+    bins = [f'{low:g} to {high:g}' for low, high in pairwise(CONTACT_BINS)]
+    rows: list[list[object]] = []
+    for (posture,), some in group(records, 'posture').items():
+        chance, stands = np.array([pair for r in some for pair in r['contact']]).T
+        at = np.digitize(chance, CONTACT_BINS[1:-1])
+        known = np.isfinite(chance)
+        shares = [stands[known & (at == n)] for n in range(len(bins))]
+        rows.append([posture, *(f'{100 * s.mean():.0f}' if len(s) >= MIN_COUNT else '-' for s in shares)])
+    report.table(['posture', *bins], rows, 'Standing feet', 'deviations.contacts')
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

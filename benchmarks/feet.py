@@ -31,7 +31,7 @@ from mocap_ros.skeleton import BODY26, CMU15
 
 Array = NDArray[np.float64]
 
-POINTS = (CLEAN, 'openpose', 'mediapipe')
+POINTS = (CLEAN, 'openpose', 'mediapipe', 'movenet')
 DISTANCE_M, ELEVATION_DEG = 4.0, 10.0
 FRAMES, MIN_FRAMES = 240, 40  # of a view, and of its trial
 TRIALS = 6  # of a kind of motion; a third with `--quick`

@@ -23,6 +23,7 @@ def find_contacts(
     upward: Array,
     legs: Indices,
     others: Indices,
+    noise: float,
 ) -> Array: ...
 def follow_contacts(
     footings: Array,
@@ -34,6 +35,7 @@ def follow_contacts(
     upward: Array,
     legs: Indices,
     others: Indices,
+    noise: Array,
 ) -> None: ...
 def advance(
     footings: Array,

@@ -10,7 +10,7 @@ of frame t - 2 are eliminated, which leaves a matrix (18, 18) and a right side (
 solution is the estimate of frame t from its past; a sequence is then substituted backwards.
 """
 
-from libc.math cimport INFINITY, NAN, atanh, exp, fabs, fmax, fmin, isfinite, isnan, rint, sqrt, tanh
+from libc.math cimport INFINITY, NAN, atanh, exp, fabs, fmax, fmin, isfinite, isnan, log, rint, sqrt, tanh
 from libc.string cimport memcpy, memset
 
 import numpy as np
@@ -41,9 +41,11 @@ cdef double MIN_REACH = 1.0001  # of the difference of thigh and shank; nor has 
 cdef double LEAST_NOISE_M = 5e-4  # image noise of points without errors
 # Of contacts, in the letters of `solvers.footing`.
 cdef double SPEED_M_S = 0.2  # V_s
+cdef double FAST_M_S = 0.9  # V_m
+cdef double SPEED_ERROR = 10.0  # 1/s; V_n
 cdef double HEIGHT_M = 0.07  # H
-cdef double EVIDENCE_S = 0.2  # tau_e: as near frames share points and errors, those of so long count as one
-cdef double STANDING = 3.0  # K
+cdef double HEIGHT_ERROR = 2.0  # 1; H_n
+cdef double EVIDENCE_S = 0.3  # tau_e: as near frames share points and errors, those of so long count as one
 cdef double MOVING = 4.0  # D
 cdef double HOLD_S = 1.0  # tau_h
 cdef double MAX_STEP_S = 0.1  # longest time that one frame stands for
@@ -336,13 +338,16 @@ cdef void find_ankles(const double[:, :] other_weight, Py_ssize_t frames, Indice
 cdef void follow_points(
     Py_ssize_t t, Py_ssize_t frames, Vector times, const double[:, :, :] rays, const double[:, :] weight,
     const double[:, :, :] other_rays, const double[:, :] other_weight, const double[:, :] core, double[:, :] feet,
-    const double[:] upward, const long long[:, ::1] legs, Indices others, const bint* is_ankle, double* odds,
-    double* evidence,
+    const double[:] upward, const long long[:, ::1] legs, Indices others, const bint* is_ankle, double noise,
+    double* odds, double* evidence,
 ):
     """Overwrite log f (4,) by that of frame t, and write e (4,); later frames than `frames` take no part."""
+    cdef double error = SPEED_ERROR * noise, squared_speed = SPEED_M_S * SPEED_M_S + error * error
+    cdef double standing = log((FAST_M_S * FAST_M_S + error * error) / squared_speed)  # K
+    cdef double height_std = sqrt(HEIGHT_M * HEIGHT_M + HEIGHT_ERROR * HEIGHT_ERROR * noise * noise)
     cdef Py_ssize_t s, k, i, at, start = max(t - 4, 0), count = min(start + 4, frames - 1) - start
     cdef double step_s = MAX_STEP_S, reach_s = REACH_S, lowest = INFINITY
-    cdef double ago, sum_1, sum_2, x, y, sum_x, sum_y, speed, height
+    cdef double ago, sum_1, sum_2, x, y, sum_x, sum_y, squared_ratio, height
     cdef double[4] heights, depths
     cdef const double[:, :, :] seen
     cdef const double[:, :] score
@@ -375,10 +380,10 @@ cdef void follow_points(
         if count >= 3 and score[t, at] > 0 and isfinite(depths[k]):
             sum_2 = count * sum_2 - sum_1 * sum_1
             x, y = (count * x - sum_1 * sum_x) / sum_2, (count * y - sum_1 * sum_y) / sum_2
-            speed = depths[k] * sqrt(x * x + y * y) / SPEED_M_S
-            height = (heights[k] - lowest) / HEIGHT_M if isfinite(lowest) else 0
+            squared_ratio = depths[k] * depths[k] * (x * x + y * y) / squared_speed
+            height = (heights[k] - lowest) / height_std if isfinite(lowest) else 0
             evidence[k] = score[t, at] * step_s / EVIDENCE_S * fmax(
-                STANDING - speed * speed - height * height, -MOVING
+                standing - squared_ratio - height * height, -MOVING
             )
             odds[k] += evidence[k]
 
@@ -391,12 +396,12 @@ cdef inline double hold(double odds, double step_s) noexcept nogil:
 def find_contacts(
     Vector times, const double[:, :, :] rays, const double[:, :] weight, const double[:, :, :] other_rays,
     const double[:, :] other_weight, const double[:, :, :] core, double[:, :, :] feet, const double[:, :] upward,
-    const long long[:, ::1] legs, Indices others,
+    const long long[:, ::1] legs, Indices others, double noise,
 ):
     """Return the probabilities (F, 4) that heels and toes stand; NaN where unknown.
 
     Rays and scores are of the core and of the extremities; core (F, J, 3) m, and feet (F, 4, 3) m about their
-    ankles, which are set to 0 where the window has only the ankles.
+    ankles, which are set to 0 where the window has only the ankles; noise in m, of the image at the body.
     """
     cdef Py_ssize_t t, k, frames = times.shape[0]
     cdef double[4] odds = [NAN, NAN, NAN, NAN]
@@ -408,7 +413,7 @@ def find_contacts(
     find_ankles(other_weight, frames, others, is_ankle)
     for t in range(frames):
         follow_points(t, frames, times, rays, weight, other_rays, other_weight, core[t], feet[t], upward[t], legs,
-                      others, is_ankle, odds, &evidence[t, 0])
+                      others, is_ankle, noise, odds, &evidence[t, 0])
         memcpy(&out[t, 0], odds, sizeof(odds))
     for t in range(frames - 1, -1, -1):
         for k in range(POINTS):
@@ -421,12 +426,12 @@ def find_contacts(
 
 def follow_contacts(
     double[:, :] footings, Vector times, windows, frames, Stack core, double[:, :, ::1] feet, Vector upward,
-    const long long[:, ::1] legs, Indices others,
+    const long long[:, ::1] legs, Indices others, Vector noise,
 ):
     """Overwrite odds, and what follows for feet, by those in a frame of each window; later frames take no part.
 
     `footings` and `times` as of `advance`; windows P `ObservedWindow`, frames indices in them; core (P, J, 3) m;
-    else as `find_contacts`.
+    noise (P,) m; else as `find_contacts`.
     """
     cdef Py_ssize_t p, k, frame
     cdef double[4] evidence
@@ -441,7 +446,7 @@ def follow_contacts(
         other_rays, other_weight = (None, None) if window.extremities is None else window.extremities
         find_ankles(other_weight, frame + 1, others, is_ankle)
         follow_points(frame, frame + 1, window.times, window.rays, window.weight, other_rays, other_weight,
-                      core[p], feet[p], upward, legs, others, is_ankle, own.log_odds, evidence)
+                      core[p], feet[p], upward, legs, others, is_ankle, noise[p], own.log_odds, evidence)
         for k in range(POINTS):
             if isnan(evidence[k]) and fabs(own.log_odds[k]) < FORGOTTEN:
                 own.log_odds[k] = NAN

@@ -167,7 +167,8 @@ def solve_sequence(
     poses = _blank_frames(poses, ~find_frames_in_sight(~poses.inferred, sequence.timestamps))
     observed = solved.observed
     points, weight = join_body(observed.rays, observed.weight, observed.extremities)
-    contact = find_contacts(points, weight, poses.joints, poses.vertical, observed.times)
+    noise = _find_image_noise(solved)
+    contact = find_contacts(points, weight, poses.joints, poses.vertical, observed.times, noise)
     contact[np.isnan(poses.joints).all(axis=(1, 2))] = np.nan
     poses = replace(poses, contact=np.fmax(contact[:, ::2], contact[:, 1::2]))
     return Solved(poses, contact, is_size_measured=ahead is not None)
@@ -253,12 +254,16 @@ def _measure_size(poses: PoseSequence, observed: ObservedWindow) -> tuple[PoseSe
     return poses, found.find_displacement(poses.joints, same)
 
 
+def _find_image_noise(solved: SolvedWindow) -> float:
+    return solved.solution.noise if isinstance(solved.solution, joint.JointReconstruction) else 0.0
+
+
 def _complete(
     poses: PoseSequence, solved: SolvedWindow, config: TrackerConfig, ahead: Array | None
 ) -> PoseSequence:
     """Return poses with the orientations and, if `tracker.skeleton` says so, with face, feet and hands."""
     core, observed, count = poses.joints, solved.observed, len(poses)
-    image_noise = solved.solution.noise if isinstance(solved.solution, joint.JointReconstruction) else 0.0
+    image_noise = _find_image_noise(solved)
     windows, noise = [observed] * count, np.full(count, image_noise)
     found = smooth_extremities(
         observed.times, collect_evidence(core, windows, noise, range(count)), config.body_height

@@ -36,13 +36,13 @@ Whether it stands changes at random, once in tau_h on average, and each frame mu
 backwards in time (exact for such a Markov chain):
 
     p_t / (1 - p_t) = f_t b_t,    f_t = g(f_{t-1}) exp(e_t),    b_t = g(b_{t+1} exp(e_{t+1}))
-    e_t = w_t dt_t / tau_e max(K - (v / V_s)^2 - (a_h / H)^2, -D)
+    e_t = w_t dt_t / tau_e max(K - v^2 / (V_s^2 + V_n^2 n^2) - a_h^2 / (H^2 + H_n^2 n^2), -D)
+    K = log((V_m^2 + V_n^2 n^2) / (V_s^2 + V_n^2 n^2))
     g(f) = (f (1 + q) + 1 - q) / (f (1 - q) + 1 + q),    q = exp(-dt / tau_h)
 
-with w_t the score. The newest frame of a window has no later ones, so what it gets is what is known live. The
-constants give the least logarithmic loss on training persons, seen whole: recall 0.94, 0.81 and 0.75 and precision
-0.83, 0.85 and 0.90 with clean, OpenPose-like and MediaPipe-like points; in the newest frame 0.86, 0.76 and 0.70,
-and 0.74, 0.74 and 0.78.
+with w_t the score. Noise n makes speeds and heights of points that stand, and V_m is the speed of those that move.
+The newest frame of a window has no later ones, so what it gets is what is known live. The constants give about the
+least logarithmic loss on training persons, whole and live.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ FEET = np.array(HEELS_AND_TOES) - CORE_COUNT  # heels and toes among the extremi
 LEGS = np.array([[CMU15.index(side + joint) for joint in ('hip', 'knee', 'ankle')] for side in 'lr'])
 
 
-def find_contacts(rays: Array, weight: Array, joints: Array, upward: Array, times: Array) -> Array:
+def find_contacts(rays: Array, weight: Array, joints: Array, upward: Array, times: Array, noise: float) -> Array:
     """Return the probabilities (F, 4) that left heel and toe, right heel and toe stand; NaN where unknown.
 
     The camera does not move. J is 26 or 15. In a layout without feet, both points of a foot are its ankle.
@@ -77,12 +77,15 @@ def find_contacts(rays: Array, weight: Array, joints: Array, upward: Array, time
         joints: (F, J', 3) m, the same joints of a solution in the camera's axes; NaN where there is none.
         upward: (3,) or (F, 3) unit vectors upwards in these axes; NaN where they are not known.
         times: (F,) s, increasing.
+        noise: m, image noise at the body.
     """
     seen = *(rays[:, :CORE_COUNT], weight[:, :CORE_COUNT]), *(rays[:, CORE_COUNT:], weight[:, CORE_COUNT:])
     core, feet = joints[:, :CORE_COUNT], np.zeros((len(times), len(FEET), 3))
     if joints.shape[1] > CORE_COUNT:
         feet = joints[:, HEELS_AND_TOES] - core[:, ANKLES]
-    return engine.find_contacts(times, *seen, core, feet, np.broadcast_to(upward, core[:, 0].shape), LEGS, FEET)
+    return engine.find_contacts(
+        times, *seen, core, feet, np.broadcast_to(upward, core[:, 0].shape), LEGS, FEET, noise
+    )
 
 
 def plant_sequence(
@@ -105,7 +108,7 @@ def plant_sequence(
             nothing is measured; None without depths.
     """
     rays, weight = join_body(observed.rays, observed.weight, observed.extremities)
-    contact = np.nan_to_num(find_contacts(rays, weight, attach(core, offsets), upward, observed.times))
+    contact = np.nan_to_num(find_contacts(rays, weight, attach(core, offsets), upward, observed.times, noise))
     are_feet_seen = np.any(weight[:, HEELS_AND_TOES] > 0, axis=0)  # else their ankles stand
     feet = np.ascontiguousarray(offsets[:, FEET] * are_feet_seen[:, None])
     return engine.smooth(noise, observed.times, np.ascontiguousarray(core), feet, contact, LEGS, ROUNDS, ahead)
@@ -132,5 +135,5 @@ def plant_newest(
     without depths.
     """
     feet, up = offsets.take(FEET, axis=1), UNKNOWN if upward is None else upward
-    engine.follow_contacts(footings, times, windows, frames, core, feet, up, LEGS, FEET)
+    engine.follow_contacts(footings, times, windows, frames, core, feet, up, LEGS, FEET, noise)
     engine.advance(footings, times, noise, core, feet, LEGS, ahead)

@@ -118,7 +118,7 @@ def test_detections_hold_pose_covariance_and_box() -> None:
     np.testing.assert_array_equal(covariance[:3, :3], person.root_covariance)
     hips = person.joints[[CMU15.index('lhip'), CMU15.index('rhip')]]
     breadth = np.linalg.norm(hips[0] - hips[1])
-    np.testing.assert_allclose(covariance[3:, 3:], np.eye(3) * 4 / 3 * (0.03 / breadth) ** 2, rtol=1e-6)
+    np.testing.assert_allclose(covariance[3:, 3:], np.eye(3) * 0.4 * (0.03 / breadth) ** 2, rtol=1e-6)
     center, size = (np.array(xyz(v)) for v in (found.bbox.center.position, found.bbox.size))
     assert (np.abs(person.joints - center) < size / 2 - 0.09).all()
     unknown = replace(person, joint_std=np.full(15, np.nan))

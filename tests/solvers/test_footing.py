@@ -220,31 +220,33 @@ def walk(rate_hz: float = 30.0) -> tuple[Array, ...]:
 )
 def test_a_foot_that_swings_does_not_stand(rate_hz: float, count: int, upward: Array) -> None:
     joints, rays, weight, times, swings, stands = walk(rate_hz)
-    contact = find_contacts(rays[:, :count], weight[:, :count], joints[:, :count], upward, times)
+    contact = find_contacts(rays[:, :count], weight[:, :count], joints[:, :count], upward, times, 0.0)
     assert contact.shape == (len(times), 4)
     assert contact[:, 2:].min() > 0.7
     assert contact[swings, :2].max() < 0.3
     assert contact[stands, :2].min() > 0.7
 
 
-def test_points_of_detectors_and_points_that_are_not_seen() -> None:
+@pytest.mark.parametrize(('noise_m', 'least'), [(0.01, 0.7), (0.05, 0.3)])
+def test_points_of_detectors_and_points_that_are_not_seen(noise_m: float, least: float) -> None:
     joints, rays, weight, times, swings, stands = walk()
-    rays = rays + np.random.default_rng(0).normal(0, 0.01, rays.shape) / 4  # 1 cm at the body
+    rays = rays + np.random.default_rng(0).normal(0, noise_m, rays.shape) / 4
     weight[40:50, HEELS_AND_TOES[2]] = 0  # the heel of the foot that stands is hidden
-    contact = find_contacts(rays, weight, joints, UPWARD, times)
+    contact = find_contacts(rays, weight, joints, UPWARD, times, noise_m)
     assert contact[40:50, 2].min() > 0.7
     assert contact[swings, :2].mean() < 0.3
-    assert contact[stands, :2].mean() > 0.7
+    assert contact[stands, :2].mean() > least
+    assert contact[:, 2:].mean() > 0.7, 'as fast as the noise makes it seem'
 
 
 def test_nothing_is_known_of_a_person_who_is_not_seen() -> None:
     joints, rays, weight, times, _, _ = walk()
     weight[10:, HEELS_AND_TOES[2:]] = 0  # behind a table from then on
-    contact = find_contacts(rays, weight, joints, UPWARD, times)
+    contact = find_contacts(rays, weight, joints, UPWARD, times, 0.0)
     assert np.isfinite(np.r_[contact[:, :2], contact[:30, 2:]]).all()
     assert np.isnan(contact[110:, 2:]).all()
-    assert np.isnan(find_contacts(0 * rays, 0 * weight, joints * np.nan, UNKNOWN, times)).all()
-    assert np.isnan(find_contacts(rays[:1], weight[:1] + 1, joints[:1], UPWARD, times[:1])).all(), 'one frame'
+    assert np.isnan(find_contacts(0 * rays, 0 * weight, joints * np.nan, UNKNOWN, times, 0.0)).all()
+    assert np.isnan(find_contacts(rays[:1], weight[:1] + 1, joints[:1], UPWARD, times[:1], 0.0)).all(), 'one frame'
 
 
 @pytest.mark.parametrize('rate_hz', [10.0, 15.0, 20.0, 30.0])
@@ -261,15 +263,15 @@ def test_what_is_known_live_is_what_the_newest_frame_shows(rate_hz: float) -> No
         core = joints[frame, :15].copy()
         live.plant(time_s, core, offsets[frame], observed, frame)
         found[frame] = live.state['standing'][0]
-        newest = find_contacts(*cut[:2], joints[until], UPWARD, cut[2])[-1]
+        newest = find_contacts(*cut[:2], joints[until], UPWARD, cut[2], NOISE_M)[-1]
         expected[frame] = np.fmax(newest[::2], newest[1::2])
     assert np.isnan(found[:2]).all()
     assert np.nanmean(np.abs(found - expected)) < 0.06
     assert found[10:, 1].min() > 0.9
-    assert found[swings, 0].mean() < 0.3 < 0.7 < found[stands, 0].mean()
+    assert found[swings, 0].mean() < 0.4 < 0.7 < found[stands, 0].mean()
     observed.weight, observed.extremities = 0 * observed.weight, None  # behind a table from then on
     is_forgotten = np.zeros(150, bool)
     for ago in range(150):
         live.plant(times[-1] + 1 + ago, core, offsets[-1], observed, frame)
         is_forgotten[ago] = np.isnan(live.state['standing'][0, 1])
-    assert np.argmax(is_forgotten) / rate_hz == pytest.approx(2.92, abs=0.05)
+    assert np.argmax(is_forgotten) / rate_hz == pytest.approx(2.9, abs=0.06)
