@@ -515,7 +515,9 @@ def _lift(
         lifted = found.apply(lifted)
     if known is None:
         known = choose_vertical(observed, lifted.joints @ cameras, seen, config)
-    lifted = turn_towards_vertical(lifted, Stances.of(lifted.joints, cameras, seen), cameras, *known)
+    lifted = turn_towards_vertical(
+        lifted, Stances.of(lifted.joints, cameras, seen), cameras, known.direction, known.std
+    )
     return LiftedPoses(turn_about_axis(lifted.joints, -roll), lifted.std), known
 
 
