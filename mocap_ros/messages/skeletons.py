@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -186,6 +187,7 @@ def _read_people(rows: Sequence[SimpleNamespace]) -> People:
         contact=read('contact', FEET),
         posture=Posture.read(read_numbers('posture')),
         posture_probability=read_numbers('posture_probability'),
+        is_scale_known=all(row.scale_source for row in rows),
     )
 
 
@@ -195,7 +197,8 @@ def _read_kind(state: int) -> MotionKind:
 
 def find_intrinsics(people: People) -> Intrinsics:
     """Return the camera that shows recorded people, one or more, as their own cameras do."""
-    return recover_intrinsics(people.core.mean(axis=1), people.scale, people.translation)
+    found = recover_intrinsics(people.core.mean(axis=1), people.scale, people.translation)
+    return replace(found, is_focal_known=people.is_scale_known)
 
 
 def encode_skeleton_definition(skeleton: Skeleton) -> bytes:

@@ -17,8 +17,9 @@ from mocap_ros.bags.rosbag2 import Topic
 from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import ConfigError, FrameDropped, InputError
-from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.skeletons import ReceivedSkeletons, decode_skeletons, encode_skeletons
+from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.people import People
 from mocap_ros.recordings.load_results import load_result
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS
@@ -110,7 +111,11 @@ def test_a_recorded_run_is_repeated_byte_by_byte(tmp_path: Path) -> None:
     assert bags[0] == bags[1]
     outputs = {f'/robot/{name}' for name in (*OUTPUTS, *LATCHED_OUTPUTS)}
     assert {*outputs, '/tf'} <= dict(bags[0]).keys()
-    assert load_result(tmp_path / 'again').id == '1'
+    placed = [decode(raw, TRANSFORMS).transforms for topic, raw in bags[0] if topic == '/tf']
+    assert {'body_1'} <= {transform.child_frame_id for transform in placed[-1]}
+    merged = load_result(tmp_path / 'again')
+    assert merged.id == '1'
+    assert merged.is_scale_known
 
 
 @pytest.mark.parametrize('inputs', ['', '/a', '/a /a', '/a /skeletons'])
