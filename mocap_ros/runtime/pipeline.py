@@ -20,7 +20,7 @@ from mocap_ros.bags.topics import PEOPLE_SOURCES, TRANSFORM_SOURCES, Source
 from mocap_ros.config import Config
 from mocap_ros.errors import ConfigError, FrameDropped, InputError
 from mocap_ros.findings import find_worst
-from mocap_ros.formats.detections import find_focal_length
+from mocap_ros.formats.reading_options import find_focal_length
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_image_size
 from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
