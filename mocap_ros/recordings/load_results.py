@@ -26,7 +26,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, resolve_image_size
 from mocap_ros.messages.skeletons import SKELETONS, ReceivedSkeletons, decode_skeletons, find_intrinsics
 from mocap_ros.offline.whole_sequence import Report
-from mocap_ros.people import CameraVertical, People, PoseSequence, TrackedFrame
+from mocap_ros.people import SHARED_COLUMNS, CameraVertical, People, PoseSequence, TrackedFrame
 from mocap_ros.recordings.input_kind import InputKind, check_options
 from mocap_ros.recordings.load_keypoints import load_bag
 from mocap_ros.recordings.recording import Drop, Recording
@@ -37,12 +37,6 @@ from mocap_ros.verdict.summary import RunSummary
 
 MAX_VERTICAL = 2.0  # length of a unit vector, far beyond its rounding; a longer one is damaged
 MAX_GIVEN_STD = math.radians(2.0)  # rad; verticals that are given have 1 degree, those found 2.5 or more
-# Columns of `People` that a `PoseSequence` has as well, each with its value where there is no skeleton
-COLUMNS = {
-    'joints': np.nan, 'joint_std': np.nan, 'inferred': True, 'reprojection_residual': np.nan, 'predicted': False,
-    'tentative': False, 'root_covariance': np.nan, 'contact': np.nan, 'posture': 0, 'posture_probability': 0.0,
-    'joint_orientation': np.nan, 'turn_inferred': True,
-}  # fmt: skip
 
 
 def load_result(path: Path, person: str | None = None) -> PoseSequence:
@@ -88,10 +82,9 @@ def follow_person(
     """Return one person, who has a row at some of the stamps in ns, over time."""
     frames, count = np.searchsorted(stamps_ns, row_stamps_ns), len(stamps_ns)
     columns: dict[str, Any] = {}
-    for name, missing in COLUMNS.items():
-        values = getattr(rows, name)
-        columns[name] = np.full((count, *values.shape[1:]), missing, values.dtype)
-        columns[name][frames] = values
+    for name, column in SHARED_COLUMNS.items():
+        columns[name] = column.fill(count, len(rows.skeleton.joints))
+        columns[name][frames] = getattr(rows, name)
     motion, cadence = np.zeros(count, int), np.full(count, np.nan)
     motion[frames], cadence[frames] = [m.kind for m in rows.motion], [m.cadence for m in rows.motion]
     return PoseSequence(

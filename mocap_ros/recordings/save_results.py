@@ -34,7 +34,7 @@ from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, encode_camer
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.offline.whole_sequence import MAX_GAP_S
-from mocap_ros.people import CameraVertical, Motion, MotionKind, People, PoseSequence
+from mocap_ros.people import SHARED_COLUMNS, CameraVertical, Motion, MotionKind, People, PoseSequence
 from mocap_ros.recordings.playback import DEFAULT_FRAME_ID
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OutputEncoder, build_skeleton_definition
 
@@ -164,25 +164,14 @@ def _iterate_people(poses: PoseSequence) -> Iterator[People]:
         yield People(
             ids=(poses.id or DEFAULT_PERSON_ID,),
             skeleton=poses.skeleton,
-            joints=poses.joints[now],
-            joint_std=poses.joint_std[now],
-            inferred=poses.inferred[now],
             scale=scale[now],
-            rotation=poses.rotation[now],
             translation=translation[now],
             motion=(motion,),
-            reprojection_residual=poses.reprojection_residual[now],
             is_scale_known=poses.is_scale_known,
-            predicted=poses.predicted[now],
             joint_velocity=velocity[now],
-            root_covariance=poses.root_covariance[now],
             age=np.array([time - first]),
             unseen_for=np.array([time - last_seen]),
-            joint_orientation=poses.joint_orientation[now],
-            turn_inferred=poses.turn_inferred[now],
-            contact=poses.contact[now],
-            posture=poses.posture[now],
-            posture_probability=poses.posture_probability[now],
+            **{name: getattr(poses, name)[now] for name in SHARED_COLUMNS},
         )
 
 

@@ -112,7 +112,7 @@ def test_a_recorded_run_is_repeated_byte_by_byte(tmp_path: Path) -> None:
     outputs = {f'/robot/{name}' for name in (*OUTPUTS, *LATCHED_OUTPUTS)}
     assert {*outputs, '/tf'} <= dict(bags[0]).keys()
     placed = [decode(raw, TRANSFORMS).transforms for topic, raw in bags[0] if topic == '/tf']
-    assert {'body_1'} <= {transform.child_frame_id for transform in placed[-1]}
+    assert {'body_p1'} <= {transform.child_frame_id for transform in placed[-1]}
     merged = load_result(tmp_path / 'again')
     assert merged.id == '1'
     assert merged.is_scale_known
