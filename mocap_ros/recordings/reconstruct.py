@@ -17,7 +17,8 @@ from mocap_ros.errors import InputError
 from mocap_ros.formats.reading_options import ReadingOptions
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.models.base_poses import PoseModel
-from mocap_ros.offline.whole_sequence import Report, Solved, report_part, share_floor, solve_sequence
+from mocap_ros.offline.floor import share_floor
+from mocap_ros.offline.whole_sequence import Report, Solved, report_part, solve_sequence
 from mocap_ros.recordings.input_kind import RESULT_KINDS, InputKind, find_kind_with_results
 from mocap_ros.recordings.load_keypoints import load_people
 from mocap_ros.recordings.load_results import load_recording
