@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -159,7 +160,10 @@ def _read_people(rows: Sequence[SimpleNamespace]) -> People:
 
 def _read_column(values: Sequence[Any], name: str, joints: int) -> NDArray[Any]:
     """Return a column; unknown are those of recordings of older versions, in which the field is empty."""
-    filled = PEOPLE_COLUMNS[name].fill(len(values), joints)
+    column = PEOPLE_COLUMNS[name]
+    with suppress(ValueError):  # of rows of other lengths
+        return np.array(values, type(column.unknown)).reshape(column.find_shape(len(values), joints))
+    filled = column.fill(len(values), joints)
     for row, value in enumerate(values):
         if np.size(value) == filled[row].size:
             filled[row] = np.reshape(value, filled.shape[1:])

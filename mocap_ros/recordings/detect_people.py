@@ -75,7 +75,7 @@ def detect_in_video(
     )
     intrinsics = None
     if (focal := reader.find_focal_length(size)) is not None:
-        intrinsics = Intrinsics(focal, (size[0] / 2, size[1] / 2), True, image_size=size)
+        intrinsics = Intrinsics.centred(focal, size)
         notes = *notes, f'focal length of {reader.focal_mm:g} mm (on film of 35 mm) by the video'
     detections, changes = name_people(Detections(people, stamps_ns, size, intrinsics))
     return replace(detections, notes=(*filter(None, notes), *changes))

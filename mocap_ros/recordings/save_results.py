@@ -28,7 +28,7 @@ from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS, comput
 from mocap_ros.formats.export.trc import save_trc
 from mocap_ros.formats.result_file import save_result_file
 from mocap_ros.formats.sequence_file import find_longest_gap
-from mocap_ros.geometry.interpolation import central_velocity
+from mocap_ros.geometry.interpolation import central_velocity, interpolate_linearly
 from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_rotation
 from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, encode_camera_info
 from mocap_ros.messages.cdr import Header
@@ -235,19 +235,17 @@ def _resample_at_constant_rate(
     first = 0 if is_from_start else round(float(times[0]) / step)
     if frame_count - first > MAX_RESAMPLED_FRAMES:
         raise InputError(f'timestamps: {times[-1]:.0f} s would be {frame_count} frames at a constant rate')
-    grid = step * np.arange(first, frame_count)
-
-    def interpolate(values: Array) -> Array:
-        columns = values[known].reshape(int(known.sum()), -1).T
-        mixed = np.stack([np.interp(grid, times[known], column) for column in columns], axis=1)
-        return mixed.reshape(len(grid), *values.shape[1:])
+    grid = step * np.arange(first, frame_count, dtype=np.float64)
 
     in_sight = (grid > known_times[0] - step / 2) & (grid < known_times[-1] + step / 2)
     for before, after in pairwise(known_times):
         if after - before > MAX_GAP_S:
             in_sight &= (grid < before + step / 2) | (grid > after - step / 2)
-    orientation = interpolate(poses.joint_orientation) if np.isfinite(poses.joint_orientation).any() else None
-    return _Resampled(1 / step, interpolate(joints), orientation, in_sight, first)
+    orientation = None
+    if np.isfinite(poses.joint_orientation).any():
+        orientation = interpolate_linearly(grid, known_times, poses.joint_orientation[known])
+    joints = interpolate_linearly(grid, known_times, joints[known])
+    return _Resampled(1 / step, joints, orientation, in_sight, first)
 
 
 # The function that writes each format, by file suffix.

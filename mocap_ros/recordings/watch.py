@@ -153,4 +153,4 @@ class Watch:
         focal = find_focal_length(self._size[0], *self._lens) or focal_px
         if focal is None:
             return Intrinsics.from_image_size(*self._size, self._config.tracker.nominal_focal_length)
-        return Intrinsics(focal, (self._size[0] / 2, self._size[1] / 2), True, image_size=self._size)
+        return Intrinsics.centred(focal, self._size)

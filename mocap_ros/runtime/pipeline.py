@@ -336,7 +336,7 @@ class Pipeline:
             )
         if node.hfov or node.focal:
             focal = find_focal_length(size[0], node.hfov or None, node.focal or None, 'node.focal')
-            return Intrinsics(float(focal or 0), (size[0] / 2, size[1] / 2), True, image_size=size), GIVEN
+            return Intrinsics.centred(float(focal or 0), size), GIVEN
         return Intrinsics.from_image_size(*size, self.config.tracker.nominal_focal_length), NOMINAL
 
     def _count(self, source: Source, result: ProcessingResult) -> None:

@@ -41,7 +41,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_key
 from mocap_ros.offline.whole_sequence import find_frames_in_sight
 from mocap_ros.recordings import detect_people
 from mocap_ros.recordings.detect_people import detect_in_video, name_people
-from mocap_ros.recordings.input_kind import InputKind, find_input_kind
+from mocap_ros.recordings.input_kind import InputKind, check_options, find_input_kind, select_options
 from mocap_ros.recordings.load_keypoints import load_input
 from mocap_ros.runtime.frame_assembly import FrameAssembler
 from mocap_ros.runtime.pipeline import Pipeline
@@ -673,3 +673,12 @@ def test_points_on_the_border_of_the_image_are_not_seen(read: Callable[[Array], 
     ankles = [COCO17.index(joint) for joint in ('lankle', 'rankle')]
     keypoints[:, ankles, 1] = SIZE[1]
     assert np.flatnonzero(read(keypoints) == 0).tolist() == ankles
+
+
+def test_an_option_counts_for_the_inputs_to_which_it_applies() -> None:
+    options = ReadingOptions(fps=30.0, topic='/a', hfov=60.0, node=LIMITS)
+    assert select_options(options, InputKind.JSON) == ReadingOptions(fps=30.0, hfov=60.0, node=LIMITS)
+    assert select_options(options, InputKind.RESULT) == ReadingOptions(node=LIMITS)
+    check_options('x', options._asdict(), InputKind.RESULT, InputKind.JSON, InputKind.BAG)
+    with pytest.raises(InputError, match=r'^x: .*to which --topic does not apply'):
+        check_options('x', options._asdict(), InputKind.JSON, InputKind.VIDEO)
