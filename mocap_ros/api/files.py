@@ -95,7 +95,17 @@ def read(
     clip = None if video is None else read_path('video', video)
     try:
         options = ReadingOptions(
-            fps, image_size, layout, model, hfov, focal, clip, normalised, person, topic, camera_info
+            fps=fps,
+            image_size=image_size,
+            layout=layout,
+            detector=model,
+            hfov=hfov,
+            focal=focal,
+            video=clip,
+            normalised=normalised,
+            person=person,
+            topic=topic,
+            camera_info=camera_info,
         )
         sequence, lines = load_input(path, options)
     except InputError as error:
