@@ -22,7 +22,7 @@ from typing import Any
 import common
 import numpy as np
 from common import WAYS, View
-from detected import CLEAN, HEADING_STEP_DEG, choose_trials, load_middle, load_motion
+from detected import CLEAN, DETECTORS, HEADING_STEP_DEG, choose_trials, load_middle, load_motion
 from numpy.typing import NDArray
 from report import Records, Report, cross, group, run
 
@@ -31,7 +31,7 @@ from mocap_ros.skeleton import BODY26, CMU15
 
 Array = NDArray[np.float64]
 
-POINTS = (CLEAN, 'openpose', 'mediapipe', 'movenet')
+POINTS = (CLEAN, 'openpose', 'mediapipe')
 DISTANCE_M, ELEVATION_DEG = 4.0, 10.0
 FRAMES, MIN_FRAMES = 240, 40  # of a view, and of its trial
 TRIALS = 6  # of a kind of motion; a third with `--quick`
@@ -156,7 +156,7 @@ def report_way(report: Report, way: str) -> dict[str, Any]:
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--persons', choices=('held-out', 'training'), default='held-out')
     parser.add_argument('--floor', action='store_true')
-    parser.add_argument('--points', nargs='+', choices=POINTS, default=list(POINTS))
+    parser.add_argument('--points', nargs='+', choices=DETECTORS, default=list(POINTS))
 
 
 if __name__ == '__main__':

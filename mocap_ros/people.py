@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -81,45 +81,44 @@ class CameraVertical(NamedTuple):
 UNKNOWN_COLUMN: NDArray[Any] = np.empty(0)  # stands for a column of which nothing is known
 
 
-def _leave_unknown() -> NDArray[Any]:
-    return UNKNOWN_COLUMN
-
-
-class _Column(NamedTuple):
-    """A column that may be unknown: its shape after that of the rows and, of some, of the joints."""
+class Column(NamedTuple):
+    """A column: its shape after that of the rows and, of some, of the joints, and what stands for the unknown."""
 
     shape: tuple[int, ...] = ()
     unknown: float = math.nan
     is_of_joints: bool = False
 
+    def find_shape(self, rows: int, joints: int) -> tuple[int, ...]:
+        """Return the shape of the column."""
+        return (rows, joints, *self.shape) if self.is_of_joints else (rows, *self.shape)
+
     def fill(self, rows: int, joints: int) -> NDArray[Any]:
         """Return the column of which nothing is known."""
-        count = (rows, joints) if self.is_of_joints else (rows,)
-        return np.full((*count, *self.shape), self.unknown, type(self.unknown))
+        return np.full(self.find_shape(rows, joints), self.unknown, type(self.unknown))
 
 
-_SHARED_COLUMNS = {
-    'joint_std': _Column(is_of_joints=True),
-    'reprojection_residual': _Column(),
-    'rotation': _Column((3, 3)),
-    'root_covariance': _Column((3, 3)),
-    'joint_orientation': _Column((4,), is_of_joints=True),
-    'turn_inferred': _Column((), True, is_of_joints=True),
-    'contact': _Column((2,)),
-    'posture': _Column((), 0),
-    'posture_probability': _Column((), 0.0),
-    'predicted': _Column((), False),
-    'tentative': _Column((), False),
-}
-_PEOPLE_COLUMNS = _SHARED_COLUMNS | {
-    'joint_velocity': _Column((3,), is_of_joints=True),
-    'joint_velocity_std': _Column(is_of_joints=True),
-    'root_velocity_covariance': _Column((3, 3)),
-    'scale': _Column(),
-    'translation': _Column((2,)),
-    'age': _Column(),
-    'unseen_for': _Column((), 0.0),
-}
+def _column(*shape: int, unknown: float = math.nan, is_of_joints: bool = False) -> Any:
+    """Return the field of a column that may be left out, where nothing is known."""
+    column = Column(shape, unknown, is_of_joints)
+    return field(default_factory=lambda: UNKNOWN_COLUMN, metadata={'column': column})
+
+
+def _list_columns(kind: type) -> dict[str, Column]:
+    """Return all columns of a class by their names: those that have to be known, and the fields of the others."""
+    known = {
+        'joints': Column((3,), is_of_joints=True),
+        'inferred': Column((), unknown=True, is_of_joints=True),
+        'reprojection_residual': Column(),
+    }
+    return known | {own.name: own.metadata['column'] for own in fields(kind) if own.metadata}
+
+
+def _fill_columns(instance: People | PoseSequence, columns: Mapping[str, Column]) -> None:
+    for name, column in columns.items():
+        if getattr(instance, name) is UNKNOWN_COLUMN:
+            object.__setattr__(instance, name, column.fill(*instance.inferred.shape))
+
+
 _UNKNOWN_MOTION = Motion(MotionKind.UNKNOWN, '', math.nan, math.nan)
 
 
@@ -223,29 +222,27 @@ class People:
     inferred: Mask
     is_scale_known: bool = False  # of all
     motion: tuple[Motion, ...] = ()
-    joint_std: Array = field(default_factory=_leave_unknown)
-    reprojection_residual: Array = field(default_factory=_leave_unknown)
-    rotation: Array = field(default_factory=_leave_unknown)
-    root_covariance: Array = field(default_factory=_leave_unknown)
-    joint_orientation: Array = field(default_factory=_leave_unknown)
-    turn_inferred: Mask = field(default_factory=_leave_unknown)
-    contact: Array = field(default_factory=_leave_unknown)
-    posture: NDArray[np.integer[Any]] = field(default_factory=_leave_unknown)
-    posture_probability: Array = field(default_factory=_leave_unknown)
-    predicted: Mask = field(default_factory=_leave_unknown)
-    tentative: Mask = field(default_factory=_leave_unknown)
-    joint_velocity: Array = field(default_factory=_leave_unknown)
-    joint_velocity_std: Array = field(default_factory=_leave_unknown)
-    root_velocity_covariance: Array = field(default_factory=_leave_unknown)
-    scale: Array = field(default_factory=_leave_unknown)
-    translation: Array = field(default_factory=_leave_unknown)
-    age: Array = field(default_factory=_leave_unknown)
-    unseen_for: Array = field(default_factory=_leave_unknown)
+    joint_std: Array = _column(is_of_joints=True)
+    reprojection_residual: Array = _column()
+    rotation: Array = _column(3, 3)
+    root_covariance: Array = _column(3, 3)
+    joint_orientation: Array = _column(4, is_of_joints=True)
+    turn_inferred: Mask = _column(unknown=True, is_of_joints=True)
+    contact: Array = _column(2)
+    posture: NDArray[np.integer[Any]] = _column(unknown=0)
+    posture_probability: Array = _column(unknown=0.0)
+    predicted: Mask = _column(unknown=False)
+    tentative: Mask = _column(unknown=False)
+    joint_velocity: Array = _column(3, is_of_joints=True)
+    joint_velocity_std: Array = _column(is_of_joints=True)
+    root_velocity_covariance: Array = _column(3, 3)
+    scale: Array = _column()
+    translation: Array = _column(2)
+    age: Array = _column()
+    unseen_for: Array = _column(unknown=0.0)
 
     def __post_init__(self) -> None:
-        for name, column in _PEOPLE_COLUMNS.items():
-            if getattr(self, name) is UNKNOWN_COLUMN:
-                object.__setattr__(self, name, column.fill(*self.inferred.shape))
+        _fill_columns(self, PEOPLE_COLUMNS)
         if len(self.motion) != len(self.ids):
             object.__setattr__(self, 'motion', (_UNKNOWN_MOTION,) * len(self.ids))
 
@@ -263,7 +260,7 @@ class People:
         return (self[row] for row in range(len(self.ids)))
 
     def __getitem__(self, row: int) -> Person3D:
-        values = {name: getattr(self, name)[row] for name in _ROW_COLUMNS}
+        values = {name: getattr(self, name)[row] for name in PEOPLE_COLUMNS}
         values |= {name: value.item() for name, value in values.items() if not value.ndim}
         return Person3D(
             id=self.ids[row],
@@ -296,7 +293,7 @@ class People:
     def select(self, rows: Sequence[int] | Indices) -> People:
         """Return the people of some rows, in that order."""
         rows = [int(row) for row in rows]
-        columns = {name: getattr(self, name)[rows] for name in _ROW_COLUMNS}
+        columns = {name: getattr(self, name)[rows] for name in PEOPLE_COLUMNS}
         ids, motion = tuple(self.ids[row] for row in rows), tuple(self.motion[row] for row in rows)
         return copy_with(self, ids=ids, motion=motion, **columns)
 
@@ -306,12 +303,12 @@ class People:
         shown = [part for part in parts if len(part)] or parts[:1]
         if len(shown) == 1:
             return shown[0]
-        columns = {name: np.concatenate([getattr(part, name) for part in shown]) for name in _ROW_COLUMNS}
+        columns = {name: np.concatenate([getattr(part, name) for part in shown]) for name in PEOPLE_COLUMNS}
         ids = tuple(person_id for part in shown for person_id in part.ids)
         return copy_with(shown[0], ids=ids, motion=tuple(m for part in shown for m in part.motion), **columns)
 
 
-_ROW_COLUMNS = ('joints', 'inferred', *_PEOPLE_COLUMNS)
+PEOPLE_COLUMNS = _list_columns(People)
 
 
 class PredictedPeople(NamedTuple):
@@ -342,15 +339,6 @@ class TrackedFrame:
     def time_s(self) -> float:
         """Time in s of the frame that is shown."""
         return self.stamp_ns / NS_PER_S
-
-
-_SEQUENCE_COLUMNS = _SHARED_COLUMNS | {
-    'vertical': _Column((3,)),
-    'vertical_std': _Column(),
-    'motion': _Column((), 0),
-    'cadence': _Column(),
-    'weights': _Column((0,)),
-}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -411,25 +399,25 @@ class PoseSequence:
     inferred: Mask
     reprojection_residual: Array
     intrinsics: Intrinsics
-    rotation: Array = field(default_factory=_leave_unknown)
-    joint_std: Array = field(default_factory=_leave_unknown)
-    joint_orientation: Array = field(default_factory=_leave_unknown)
-    turn_inferred: Mask = field(default_factory=_leave_unknown)
-    root_covariance: Array = field(default_factory=_leave_unknown)
-    contact: Array = field(default_factory=_leave_unknown)
-    posture: NDArray[np.integer[Any]] = field(default_factory=_leave_unknown)
-    posture_probability: Array = field(default_factory=_leave_unknown)
-    vertical: Array = field(default_factory=_leave_unknown)
-    vertical_std: Array = field(default_factory=_leave_unknown)
-    motion: NDArray[np.integer[Any]] = field(default_factory=_leave_unknown)
-    cadence: Array = field(default_factory=_leave_unknown)
-    predicted: Mask = field(default_factory=_leave_unknown)
-    tentative: Mask = field(default_factory=_leave_unknown)
+    rotation: Array = _column(3, 3)
+    joint_std: Array = _column(is_of_joints=True)
+    joint_orientation: Array = _column(4, is_of_joints=True)
+    turn_inferred: Mask = _column(unknown=True, is_of_joints=True)
+    root_covariance: Array = _column(3, 3)
+    contact: Array = _column(2)
+    posture: NDArray[np.integer[Any]] = _column(unknown=0)
+    posture_probability: Array = _column(unknown=0.0)
+    vertical: Array = _column(3)
+    vertical_std: Array = _column()
+    motion: NDArray[np.integer[Any]] = _column(unknown=0)
+    cadence: Array = _column()
+    predicted: Mask = _column(unknown=False)
+    tentative: Mask = _column(unknown=False)
     world_from_camera: Array = field(default_factory=lambda: np.full((4, 4), np.nan))
     floor_std: float = math.nan
     body_height: float = math.nan
     base_poses: str = ''
-    weights: Array = field(default_factory=_leave_unknown)
+    weights: Array = _column(0)
     success: bool = True
     message: str = ''
     iterations: int = 0
@@ -439,9 +427,7 @@ class PoseSequence:
     recorded_ns: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, column in _SEQUENCE_COLUMNS.items():
-            if getattr(self, name) is UNKNOWN_COLUMN:
-                object.__setattr__(self, name, column.fill(*self.inferred.shape))
+        _fill_columns(self, SEQUENCE_COLUMNS)
 
     def __len__(self) -> int:
         """Return the number of frames F."""
@@ -503,7 +489,10 @@ class PoseSequence:
 
     def select(self, frames: Mask) -> PoseSequence:
         """Return these frames alone, without the keypoints."""
-        columns = ('times', 'joints', 'inferred', *_SEQUENCE_COLUMNS)
         stamps = tuple(np.array(self.recorded_ns)[frames].tolist()) if self.recorded_ns else ()
-        parts = {name: getattr(self, name)[frames] for name in columns}
-        return replace(self, recorded_ns=stamps, sequence=None, **parts)
+        columns = {name: getattr(self, name)[frames] for name in SEQUENCE_COLUMNS}
+        return replace(self, times=self.times[frames], recorded_ns=stamps, sequence=None, **columns)
+
+
+SEQUENCE_COLUMNS = _list_columns(PoseSequence)
+SHARED_COLUMNS = {name: column for name, column in PEOPLE_COLUMNS.items() if name in SEQUENCE_COLUMNS}

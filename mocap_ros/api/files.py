@@ -16,15 +16,16 @@ from mocap_ros.api.arguments import (
     read_number,
     read_path,
 )
-from mocap_ros.config import NodeConfig, format_value
+from mocap_ros.config import format_value
 from mocap_ros.errors import InputError, name_errors
-from mocap_ros.formats.detections import HFOV_RANGE_DEG, MAX_FRAME_RATE_HZ, Video
+from mocap_ros.formats.detections import MAX_FRAME_RATE_HZ
+from mocap_ros.formats.reading_options import HFOV_RANGE_DEG, ReadingOptions
 from mocap_ros.formats.sequence_file import make_camera_arrays, save_sequence
 from mocap_ros.formats.text_files import replace_output
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.people import PoseSequence
 from mocap_ros.recordings import save_results
-from mocap_ros.recordings.load_keypoints import InputOptions, load_input
+from mocap_ros.recordings.load_keypoints import load_input
 from mocap_ros.skeleton import keypoint_layout
 
 MIN_FRAME_RATE_HZ = 1e-3  # Hz; far below that of any video
@@ -93,8 +94,20 @@ def read(
     model = None if detector is None else read_path('detector', detector)
     clip = None if video is None else read_path('video', video)
     try:
-        stated = Video(fps, image_size, layout, model, hfov, focal, clip, normalised=normalised)
-        sequence, lines = load_input(path, InputOptions(stated, NodeConfig(), person, topic, camera_info))
+        options = ReadingOptions(
+            fps=fps,
+            image_size=image_size,
+            layout=layout,
+            detector=model,
+            hfov=hfov,
+            focal=focal,
+            video=clip,
+            normalised=normalised,
+            person=person,
+            topic=topic,
+            camera_info=camera_info,
+        )
+        sequence, lines = load_input(path, options)
     except InputError as error:
         raise InputError(_name_arguments(str(error))) from None
     for line in lines:

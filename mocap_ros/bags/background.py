@@ -153,11 +153,7 @@ class BackgroundRecorder:
                 self._waiting_bytes -= _count_bytes(batch)
                 is_finished = not batch and self._closing  # while the lock is held: another may come later
             now_s = self._busy_since_s = time.monotonic()
-            for record in batch:
-                if isinstance(record, Topic):
-                    recorder.add_topic(record)
-                else:
-                    recorder.write(*record)
+            recorder.write_all(batch)
             if now_s >= flush_due_s:
                 recorder.flush()
                 flush_due_s = now_s + CHUNK_PERIOD_S

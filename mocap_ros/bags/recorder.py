@@ -20,7 +20,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
@@ -190,6 +190,14 @@ class Recorder:
         with self.writing() as file:
             if file.statistics.first_ns >= 0:
                 self._begin_next_file(file)
+
+    def write_all(self, records: Iterable[RecordedMessage | Topic]) -> None:
+        """Write messages, and describe topics."""
+        for record in records:
+            if isinstance(record, Topic):
+                self.add_topic(record)
+            else:
+                self.write(*record)
 
     def write(
         self,

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
 from enum import Enum
+from typing import NamedTuple
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.config import NodeConfig
@@ -138,7 +139,17 @@ def find_people_topics(bag: Bag, name: str | None = None) -> dict[str, Source]:
     raise InputError(f'{bag.path}: there is no {wanted} of {supported}; the bag has {present}')
 
 
-def find_people_type(bag: Bag, topics: Mapping[str, Source]) -> str:
-    """Return the value of `node.input_type` that suits the topics that `find_people_topics` returned."""
-    first, *_ = topics
-    return bag.topics[first] if topics[first] is Source.KEYPOINTS else HRI_SKELETON
+class InputTopics(NamedTuple):
+    """The topics of a bag that are the inputs of one camera."""
+
+    people: Mapping[str, Source]  # as of `find_people_topics`
+    keypoints_type: str  # the value of `node.input_type` that suits them
+    camera_info: str | None  # the topic of their CameraInfo; None where the bag has none
+
+
+def find_inputs(bag: Bag, name: str | None = None, camera_info: str | None = None) -> InputTopics:
+    """Find the inputs in a bag; `name` chooses their topic, and `camera_info` that of their CameraInfo."""
+    people = find_people_topics(bag, name)
+    first, *_ = people
+    keypoints_type = bag.topics[first] if people[first] is Source.KEYPOINTS else HRI_SKELETON
+    return InputTopics(people, keypoints_type, bag.find_camera_info_topic([*people], camera_info))

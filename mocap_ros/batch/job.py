@@ -16,7 +16,7 @@ import os
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -28,10 +28,10 @@ from mocap_ros import Config, MocapError
 from mocap_ros.bags.reader import Bag
 from mocap_ros.batch.recordings import BatchInput, list_files
 from mocap_ros.config import to_yaml, with_values
-from mocap_ros.formats.detections import Video
+from mocap_ros.formats.reading_options import NO_OPTIONS, ReadingOptions
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.recordings.input_kind import BAG_FORMATS, InputKind, find_input_kind, require_kind
-from mocap_ros.recordings.load_keypoints import OPTIONS_BY_KIND, InputOptions, load_input
+from mocap_ros.recordings.input_kind import BAG_FORMATS, InputKind, find_input_kind, require_kind, select_options
+from mocap_ros.recordings.load_keypoints import load_input
 from mocap_ros.recordings.reconstruct import ReconstructionOptions, reconstruct
 from mocap_ros.recordings.save_keyframes import describe_keyframes
 from mocap_ros.recordings.save_results import save
@@ -56,8 +56,8 @@ class Settings:
     work: str  # name of a function of `WORK`
     out: Path  # folder of the run, on any file system
     options: ReplayOptions = ReplayOptions()  # noqa: RUF009 # is frozen; parameters and topics, also of other work
-    # What JSON does not state; what does not apply to the kind of a recording is left out
-    video: Video = Video()  # noqa: RUF009 # is frozen
+    # How a recording is read, without what does not apply to its kind
+    reading: ReadingOptions = NO_OPTIONS
     suffix: str = '.npz'  # of reconstructions
     # Of this package, which the workers must have
     version: str = field(default_factory=lambda: version('mocap_ros'))
@@ -72,7 +72,7 @@ class Settings:
 
         Raises an error if a model cannot be read.
         """
-        config, detector = self.parameters, self.video.detector
+        config, detector = self.parameters, self.reading.detector
         _, provenance = provenance_attachments(config, load_base_pose_models(config.tracker.model))
         models = json.loads(provenance.data) | {'versions': None}
         content = detector.read_bytes() if detector else b''
@@ -182,15 +182,10 @@ def _find_keyframes(path: Path, result: Path, settings: Settings) -> list[Row]:
 WORK = {'replay': _replay, 'reconstruct': _reconstruct, 'keyframes': _find_keyframes}
 
 
-def _choose_reading(path: Path, settings: Settings) -> InputOptions:
-    """Return how a recording is read, without what does not apply to its kind."""
-    config, kind = settings.parameters, find_input_kind(path)
-    used = ('--hfov', '--focal', *OPTIONS_BY_KIND.get(kind, ()))
-    video = {
-        name: value for name, value in asdict(settings.video).items() if f'--{name.replace("_", "-")}' in used
-    }
-    topics = (settings.options.topic, settings.options.camera_info) if kind is InputKind.BAG else (None, None)
-    return InputOptions(Video(**video), config.node, None, *topics, tracker=config.tracker)
+def _choose_reading(path: Path, settings: Settings) -> ReadingOptions:
+    config = settings.parameters
+    options = select_options(settings.reading, find_input_kind(path))
+    return options._replace(node=config.node, tracker=config.tracker)
 
 
 def _describe(person: str, stamps_ns: Sequence[int], settings: Settings) -> Row:

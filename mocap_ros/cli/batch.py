@@ -9,9 +9,10 @@ import argparse
 import shutil
 import time
 
-from mocap_ros.cli.inputs import TOPIC_OPTIONS, VIDEO_OPTIONS, read_lens_parameters, read_video_options
+from mocap_ros.cli.inputs import TOPIC_OPTIONS, VIDEO_OPTIONS, read_lens_parameters, read_options
 from mocap_ros.cli.options import CONFIG_OPTIONS, STRICT_OPTIONS, Options, load_config_file, option, parse_changes
 from mocap_ros.cli.terminal import make_bar, print_note, print_result
+from mocap_ros.config import Config
 from mocap_ros.errors import InputError, MocapError, tell_installation
 from mocap_ros.recordings.save_results import SUFFIXES
 from mocap_ros.runtime.replay import ReplayOptions
@@ -61,7 +62,8 @@ def run(args: argparse.Namespace) -> int:
     if is_replay:
         changes |= read_lens_parameters(args)
     options = ReplayOptions(load_config_file(args), args.topic, args.camera_info, changes=changes)
-    settings = Settings(args.work, open_path(args.output), options, read_video_options(args), args.suffix)
+    reading = read_options(args, Config())._replace(show_detection=None)  # in a worker
+    settings = Settings(args.work, open_path(args.output), options, reading, args.suffix)
     own_folders = [settings.out / name for name in (RESULTS, RECORDS, UNFINISHED)]
     key = settings.compute_key()
     recordings = find_recordings(args.source, print_note, only_bags=is_replay, leave_out=own_folders)

@@ -16,10 +16,11 @@ from mocap_ros.cli.inputs import (
     VIDEO_OPTIONS,
     list_sources,
     load_models,
-    read_input_options,
+    read_options,
 )
 from mocap_ros.cli.options import CONFIG_OPTIONS, Options, load_config, option, parse_positive
 from mocap_ros.cli.terminal import ShareBar, print_note, print_result
+from mocap_ros.config import Config
 from mocap_ros.errors import InputError, suggest
 from mocap_ros.formats.cameras_file import save_cameras
 from mocap_ros.formats.text_files import check_output, replace_output
@@ -31,7 +32,13 @@ from mocap_ros.recordings.find_cameras import (
     load_views,
     name_cameras,
 )
-from mocap_ros.recordings.input_kind import READ_FORMATS, READ_KINDS, require_kind
+from mocap_ros.recordings.input_kind import (
+    READ_FORMATS,
+    READ_KINDS,
+    check_options,
+    find_kind_with_results,
+    require_kind,
+)
 from mocap_ros.recordings.reconstruct import ReconstructionOptions
 from mocap_ros.skeleton import find_roots
 from mocap_ros.viewing.camera_plot import draw_cameras_figure
@@ -66,20 +73,16 @@ OPTIONS: Options = {
 
 def run(args: argparse.Namespace) -> int:
     """Find the cameras, print and save them."""
-    if len(args.input) < 2:
-        raise InputError(f'{args.input[0]}: one recording alone; give those of two cameras or more')
     config, names = load_config(args), name_cameras(args.input)
+    options = prepare_views(args, config, MAX_PEOPLE)
     distance = None if args.distance is None else _parse_distance(args.distance, names)
     sources = list_sources(args, config)
     if args.picture is not None:
         check_picture_format(args.picture)
     for output in filter(None, (args.output, args.picture)):
         check_output(output, *sources)
-    for path in args.input:
-        require_kind(path, READ_KINDS, READ_FORMATS)
-    reading, models = read_input_options(args, config), load_models(args, config)
     with ShareBar('cameras') as report:
-        recordings = load_views(args.input, ReconstructionOptions(config, models, reading, MAX_PEOPLE), report)
+        recordings = load_views(args.input, options, report)
         located = find_cameras(names, [recording.people for recording in recordings], distance)
     for note in (note for recording in recordings for note in recording.notes):
         print_note(note)
@@ -94,6 +97,16 @@ def run(args: argparse.Namespace) -> int:
             save_picture(located, unfinished)
         print_result(args.picture)
     return 0
+
+
+def prepare_views(args: argparse.Namespace, config: Config, max_people: int) -> ReconstructionOptions:
+    """Return how recordings of several cameras are read and reconstructed; InputError where they cannot be."""
+    if len(args.input) < 2:
+        raise InputError(f'{args.input[0]}: one recording alone; give those of two cameras or more')
+    for path in args.input:
+        require_kind(path, READ_KINDS, READ_FORMATS)
+    check_options(args.input[0], vars(args), *map(find_kind_with_results, args.input))
+    return ReconstructionOptions(config, load_models(args, config), read_options(args, config), max_people)
 
 
 def _parse_distance(texts: Sequence[str], names: Sequence[str]) -> MeasuredDistance:

@@ -18,11 +18,12 @@ from mocap_ros.cli.options import Options, derive_output_stem
 from mocap_ros.cli.terminal import interrupt_between_items, print_note, print_result, show_progress
 from mocap_ros.errors import InputError, tell_installation
 from mocap_ros.formats.detections import Detections, select_person
+from mocap_ros.formats.reading_options import ShowProgress
 from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.formats.video import VideoImage, find_camera
 from mocap_ros.keypoints.keypoint_sequence import describe_frames
-from mocap_ros.recordings.detect_people import ShowProgress, detect_in_video
+from mocap_ros.recordings.detect_people import detect_in_video
 from mocap_ros.recordings.input_kind import InputKind, require_kind
 from mocap_ros.recordings.save_results import save_detections
 from mocap_ros.units import NS_PER_S

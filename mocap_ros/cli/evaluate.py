@@ -25,7 +25,7 @@ from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.keypoints.keypoint_sequence import GroundTruth, KeypointSequence
 from mocap_ros.offline.whole_sequence import report_part
 from mocap_ros.people import PoseSequence
-from mocap_ros.recordings.input_kind import InputKind, require_kind
+from mocap_ros.recordings.input_kind import InputKind, check_options, require_kind
 from mocap_ros.recordings.load_keypoints import load_sequence_file
 from mocap_ros.recordings.load_results import load_result
 from mocap_ros.recordings.reconstruct import ReconstructionOptions, reconstruct
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
             part = report_part(report, index, count)
             place, timing = args.truth or path, {}
             if require_kind(path, ACCEPTED_KINDS, ACCEPTED_FORMATS) is InputKind.SEQUENCE:
-                _refuse_options(path, {'--person': args.person}, 'a sequence file')
+                check_options(path, {'person': args.person}, InputKind.SEQUENCE)
                 sequence = load_sequence_file(path) if args.truth else truths.setdefault(path, _load_truth(path))
                 start_s = time.perf_counter()
                 with name_file_in_errors(path):
@@ -109,8 +109,7 @@ def run(args: argparse.Namespace) -> int:
                     print_note(f'{path}: {summary}')
                 is_wrong |= summary.is_wrong
             else:
-                options = {'--model': args.model, '--config': args.config, '--set': args.set}
-                _refuse_options(path, options, 'a result, which is compared as it is')
+                check_options(path, vars(args) | {'person': None}, InputKind.RESULT)
                 result = load_result(path, args.person)
                 if args.truth is None:
                     raise InputError(f'{path}: holds no truth; give the sequence file that does by --truth')
@@ -128,12 +127,6 @@ def run(args: argparse.Namespace) -> int:
         if measure_person_size(_get_truth(sequence).joints) > MAX_PERSON_SIZE_M:
             print_note(f'{path}: joints3d: the values look like mm, but m are expected')
     return int(args.strict and is_wrong)
-
-
-def _refuse_options(path: Path, value_by_option: Mapping[str, object], kind: str) -> None:
-    given = [option for option, value in value_by_option.items() if value]
-    if given:
-        raise InputError(f'{path}: {given[0]} does not apply to {kind}')
 
 
 def _load_truth(path: Path) -> KeypointSequence:

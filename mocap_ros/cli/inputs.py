@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,13 +20,14 @@ from mocap_ros.cli.options import Options, option, parse_positive
 from mocap_ros.cli.terminal import print_note, show_progress
 from mocap_ros.config import Config, Value
 from mocap_ros.errors import InputError, MocapError, name_errors
-from mocap_ros.formats.detections import HFOV_RANGE_DEG, Video
 from mocap_ros.formats.mocap.trials import MANIFEST_NAME, list_files
+from mocap_ros.formats.reading_options import HFOV_RANGE_DEG, ReadingOptions
 from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.model_file import load_base_pose_models, load_prior_lifter
-from mocap_ros.recordings.load_keypoints import InputOptions, load_people
+from mocap_ros.recordings.input_kind import READING_OPTIONS
+from mocap_ros.recordings.load_keypoints import load_people
 from mocap_ros.skeleton import LAYOUT_NAMES
 
 # Options of all commands that name files to read; a name that is no file does no harm.
@@ -114,17 +116,11 @@ def read_lens_parameters(args: argparse.Namespace) -> dict[str, Value]:
     return {name: value or 0.0 for name, value in given.items()} if any(given.values()) else {}
 
 
-def read_video_options(args: argparse.Namespace) -> Video:
-    """Return what the options of `VIDEO_OPTIONS` state, and the video of `INPUT_OPTIONS`."""
-    given = args.fps, args.image_size, args.layout or '', args.detector, args.hfov, args.focal
-    return Video(*given, getattr(args, 'video', None), normalised=args.normalised)
-
-
-def read_input_options(args: argparse.Namespace, config: Config) -> InputOptions:
-    """Return what the options of `INPUT_OPTIONS` state."""
-    video, topics = read_video_options(args), (args.topic, args.camera_info)
+def read_options(args: argparse.Namespace, config: Config) -> ReadingOptions:
+    """Return what the options of `INPUT_OPTIONS`, or those of them that a command has, state."""
+    given: dict[str, Any] = {name: value for name in READING_OPTIONS if (value := getattr(args, name, None))}
     show = lambda images, count: show_progress(images, 'detect', count)  # noqa: E731
-    return InputOptions(video, config.node, getattr(args, 'person', None), *topics, show, config.tracker)
+    return ReadingOptions(**given, node=config.node, tracker=config.tracker, show_detection=show)
 
 
 def load_sequences(
@@ -134,7 +130,7 @@ def load_sequences(
 
     The chosen person and the assumptions about the input are printed on stderr.
     """
-    sequences, lines = load_people(args.input, read_input_options(args, config), only_one=not all_people)
+    sequences, lines = load_people(args.input, read_options(args, config), only_one=not all_people)
     for line in lines:
         print_note(line)
     return sequences

@@ -9,15 +9,8 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from mocap_ros.cli.cameras import describe_cameras
-from mocap_ros.cli.inputs import (
-    MODEL_OPTIONS,
-    TOPIC_OPTIONS,
-    VIDEO_OPTIONS,
-    list_sources,
-    load_models,
-    read_input_options,
-)
+from mocap_ros.cli.cameras import describe_cameras, prepare_views
+from mocap_ros.cli.inputs import MODEL_OPTIONS, TOPIC_OPTIONS, VIDEO_OPTIONS, list_sources
 from mocap_ros.cli.options import CONFIG_OPTIONS, STRICT_OPTIONS, Options, derive_output_stem, load_config, option
 from mocap_ros.cli.reconstruct import OUTPUT_OPTION, check_outputs, choose_endings, save_people
 from mocap_ros.cli.terminal import ShareBar, finish, print_note, print_result
@@ -26,9 +19,8 @@ from mocap_ros.formats.cameras_file import Cameras, load_cameras
 from mocap_ros.offline.whole_sequence import report_part
 from mocap_ros.people import PoseSequence
 from mocap_ros.recordings.find_cameras import find_cameras, load_views, name_cameras
-from mocap_ros.recordings.input_kind import READ_FORMATS, READ_KINDS, require_kind
 from mocap_ros.recordings.merge_people import MergedPerson, merge_recordings
-from mocap_ros.recordings.reconstruct import MAX_PEOPLE, ReconstructionOptions
+from mocap_ros.recordings.reconstruct import MAX_PEOPLE
 from mocap_ros.recordings.recording import Recording
 
 DESCRIPTION = (
@@ -54,18 +46,13 @@ OPTIONS: Options = {
 def run(args: argparse.Namespace) -> int:
     """Load or reconstruct the recordings, merge them, and save the people."""
     first: Path = args.input[0]
-    if len(args.input) < 2:
-        raise InputError(f'{first}: one recording alone; give those of two cameras or more')
-    for path in args.input:
-        require_kind(path, READ_KINDS, READ_FORMATS)
     outputs = args.output or [Path(f'{derive_output_stem(first)}_merged.npz')]
     config = load_config(args)
+    options = prepare_views(args, config, MAX_PEOPLE)
     sources = list_sources(args, config)
     check_outputs(outputs, sources)
     names = name_cameras(args.input)
     cameras = None if args.cameras is None else choose_cameras(load_cameras(args.cameras), names, args.cameras)
-    reading, models = read_input_options(args, config), load_models(args, config)
-    options = ReconstructionOptions(config, models, reading, MAX_PEOPLE)
     with ShareBar('merge') as report:
         recordings = load_views(args.input, options, report_part(report, 0, 2))
         views = [recording.people for recording in recordings]

@@ -19,7 +19,7 @@ from mocap_ros.cli.inputs import (
     list_sources,
     load_models,
     name_file_in_errors,
-    read_input_options,
+    read_options,
 )
 from mocap_ros.cli.options import CONFIG_OPTIONS, STRICT_OPTIONS, Options, derive_output_stem, load_config, option
 from mocap_ros.cli.terminal import ShareBar, finish, print_note, print_result, show_stages
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
     options = ReconstructionOptions(
         config,
         load_models(args, config),
-        read_input_options(args, config),
+        read_options(args, config),
         max_people=None if args.all_people else 1,
         method=_choose_method(args),
     )

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap_ros.bags.reader import is_bag
-from mocap_ros.cli.inputs import INPUT_OPTIONS, MODEL_OPTIONS, list_sources, load_models, read_input_options
+from mocap_ros.cli.inputs import INPUT_OPTIONS, MODEL_OPTIONS, list_sources, load_models, read_options
 from mocap_ros.cli.options import (
     CONFIG_OPTIONS,
     STRICT_OPTIONS,
@@ -37,12 +37,20 @@ from mocap_ros.cli.terminal import (
 from mocap_ros.config import Config
 from mocap_ros.detectors.detector import load_detector
 from mocap_ros.errors import InputError, MocapError, ModelError
+from mocap_ros.formats.reading_options import ReadingOptions
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.formats.video import VideoReader, find_camera, hide_password, write_video
 from mocap_ros.recordings.build_scene import build_scene, read_images
-from mocap_ros.recordings.input_kind import READ_FORMATS, READ_KINDS, find_input_kind, require_kind
-from mocap_ros.recordings.load_keypoints import LOADERS, InputOptions
-from mocap_ros.recordings.load_results import holds_result
+from mocap_ros.recordings.input_kind import (
+    OPTIONS_BY_KIND,
+    READ_FORMATS,
+    READ_KINDS,
+    InputKind,
+    check_options,
+    find_kind_with_results,
+    name_option,
+    require_kind,
+)
 from mocap_ros.recordings.reconstruct import MAX_PEOPLE, ReconstructionOptions, load_or_reconstruct
 from mocap_ros.recordings.save_results import save_detections
 from mocap_ros.recordings.watch import WAIT_S, NewestImage, Watch
@@ -55,9 +63,6 @@ from mocap_ros.viewing.scene import Scene
 PAGE_SUFFIX, FILM_SUFFIX = '.html', '.mp4'  # any other suffix is that of a picture
 BAG_SUFFIX = '.mcap'  # of what --live records
 DEFAULT_PORT, MAX_PORT = 8642, 65535  # of --live
-# Options that apply to no result, and those of the others that apply to one only in a bag
-RECONSTRUCTION_OPTIONS = 'fps', 'image_size', 'layout', 'hfov', 'focal', 'detector', 'model'
-BAG_OPTIONS = 'topic', 'camera_info', 'config', 'set', 'pitch'
 POSES = 8  # frames in a picture; many more would be too small to see
 
 DESCRIPTION = (
@@ -107,15 +112,15 @@ def run(args: argparse.Namespace) -> int:
     if is_picture:
         plots.check_picture_format(output, PAGE_SUFFIX, FILM_SUFFIX)
     require_kind(args.input, READ_KINDS, READ_FORMATS)
-    _refuse_unused_options(args)
+    kind = find_kind_with_results(args.input)
+    check_options(args.input, vars(args) | {'video': None}, kind)
     config = load_config(args)
     sources = list_sources(args, config)
     check_output(output, *sources)
     with ShareBar('view') as report:
         count = 1 if is_picture or args.person else MAX_PEOPLE
-        options = ReconstructionOptions(
-            config, load_models(args, config), _read_input_options(args, config), count
-        )
+        reading = _read_options(args, config, kind)
+        options = ReconstructionOptions(config, load_models(args, config), reading, count)
         recording = load_or_reconstruct(args.input, options, report)
         scene = build_scene(args.input.name, recording)
     for line in recording.notes:
@@ -142,12 +147,12 @@ def run(args: argparse.Namespace) -> int:
     return finish(args.input, scene.summary, scene.is_wrong, is_strict=args.strict) if scene.summary else 0
 
 
-def _read_input_options(args: argparse.Namespace, config: Config) -> InputOptions:
+def _read_options(args: argparse.Namespace, config: Config, kind: InputKind) -> ReadingOptions:
     """Return how the input is read; a video beside other inputs than JSON and tables has the images alone."""
-    options = read_input_options(args, config)
-    if args.video and find_input_kind(args.input) in LOADERS and not is_bag(args.video):
+    options = read_options(args, config)
+    if 'video' in OPTIONS_BY_KIND[kind] and args.video and not is_bag(args.video):
         return options
-    return options._replace(video=replace(options.video, clip=None))
+    return options._replace(video=None)
 
 
 def _check_times(
@@ -168,11 +173,17 @@ def _check_times(
         notes.append(f'{path}: {len(are_far)} images of {size[0]} x {size[1]} px, but {given}; is it that video?')
 
 
-def _run_live(args: argparse.Namespace) -> int:
-    for name in ('input', 'output', 'video', 'person', 'strict', *RECONSTRUCTION_OPTIONS, *BAG_OPTIONS):
+def _check_live_options(args: argparse.Namespace, kind: InputKind, *others: str) -> None:
+    place = f'--live {args.live}'.strip()
+    check_options(place, vars(args), kind)
+    for name in ('input', 'strict', *others):
         if getattr(args, name):
-            given = args.input if name == 'input' else _name_option(name)
-            raise InputError(f'--live shows what the node publishes; {given} does not apply')
+            given = args.input if name == 'input' else name_option(name)
+            raise InputError(f'{place}: {kind.value}, to which {given} does not apply')
+
+
+def _run_live(args: argparse.Namespace) -> int:
+    _check_live_options(args, InputKind.NODE, 'output')
     try:
         from mocap_ros.ros.live_view import serve
     except ImportError as error:
@@ -184,10 +195,7 @@ def _run_live(args: argparse.Namespace) -> int:
 
 
 def _run_camera(args: argparse.Namespace, source: Path | str) -> int:
-    for name in ('input', 'video', 'person', 'strict', 'fps', 'image_size', 'layout', 'topic', 'camera_info'):
-        if getattr(args, name):
-            given = args.input if name == 'input' else _name_option(name)
-            raise InputError(f'--live shows {source}; {given} does not apply')
+    _check_live_options(args, InputKind.CAMERA)
     if args.output is not None and args.output.suffix != BAG_SUFFIX:
         raise InputError(f'{args.output}: unknown file type; --live records {BAG_SUFFIX}')
     config = load_config(args)
@@ -237,19 +245,6 @@ def find_live_source(name: str) -> Path | str | None:
     if '.' in name and not Path(name).is_file():  # which no namespace has
         raise InputError(f'--live {name}: no such file, and no camera')
     return find_camera(name) or (Path(name) if Path(name).is_file() else None)
-
-
-def _refuse_unused_options(args: argparse.Namespace) -> None:
-    if not holds_result(args.input):
-        return
-    for name in (*RECONSTRUCTION_OPTIONS, *(() if is_bag(args.input) else BAG_OPTIONS)):
-        if getattr(args, name):
-            option = _name_option(name)
-            raise InputError(f'{args.input}: holds a result, which is shown as it is; {option} does not apply')
-
-
-def _name_option(name: str) -> str:
-    return f'--{name.replace("_", "-")}'
 
 
 def save_picture(scene: Scene, path: Path, images: Iterable[StampedImage] = ()) -> None:

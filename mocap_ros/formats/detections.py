@@ -8,14 +8,12 @@ People are who the live tracker takes them for (`keypoints.identities`).
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import gcd
 from operator import itemgetter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,6 +22,7 @@ from mocap_ros.arrays import Array
 from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import InputError
 from mocap_ros.formats.image_names import ImageOrder, order_images
+from mocap_ros.formats.reading_options import ReadingOptions
 from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.identities import FollowedPerson, Identities
@@ -52,50 +51,8 @@ SECONDS_BY_KEY = {
 MAX_FRAME_RATE_HZ = 10_000.0  # far above that of any video of people; keeps times that are rounded to 1 us apart
 MAX_FRAMES = 1_000_000  # guards the memory against frame numbers that are not of one video; 9 h at 30 Hz
 MAX_KEYPOINTS = 50_000_000  # of a person over time; guards the memory; 9 h of body25 have half of it
-HFOV_RANGE_DEG = 1.0, 170.0  # degrees; fields of view of lenses without a distortion that has to be known
 DEFAULTS = TrackerConfig()
 MAX_LISTED_PEOPLE = 5  # people named in a line of output
-
-
-@dataclass(frozen=True)
-class Video:
-    """What an input does not state: properties of a video, its detector, and the focal length of the camera."""
-
-    fps: float | None = None  # frame rate in Hz, or None where unknown
-    image_size: ImageSize | None = None  # (width, height) in px, or None where it is not given
-    # Name of the keypoint layout, one of `skeleton.LAYOUT_NAMES`; empty where it follows from the number of
-    # keypoints
-    layout: str = ''
-    # File of the model that finds keypoints in a video; None for the one that comes with some versions of
-    # MediaPipe
-    detector: Path | None = None
-    hfov: float | None = None  # degrees, horizontal field of view of the camera, or None where it is not given
-    # px, focal length of the camera, or None where it is not given; only one of the two is given
-    focal: float | None = None
-    clip: Path | None = None  # video in which the keypoints were detected, or None where it is not given
-    times_s: tuple[float, ...] = ()  # s, of the images of that video since the first, or empty
-    is_lens_of_clip: bool = False  # whether that video states the focal length
-    pixel_aspect: float = 1.0  # width of a pixel of that video per height
-    normalised: bool = False  # whether the coordinates of a table are shares of the width and height of the image
-
-
-def find_focal_length(
-    image_width: int, hfov: float | None, focal: float | None, name: str = '--focal'
-) -> float | None:
-    """Return the focal length in px, in images of this width in px; None where nothing gives it.
-
-    `hfov` in degrees and `focal` in px are as in `Video`; `name` is that of the latter in errors.
-    """
-    if hfov is not None:
-        return image_width / 2 / math.tan(math.radians(hfov / 2))
-    if focal is not None:
-        hfov = math.degrees(2 * math.atan2(image_width / 2, focal))
-        if not HFOV_RANGE_DEG[0] <= hfov <= HFOV_RANGE_DEG[1]:
-            raise InputError(
-                f'{name}: {focal:g} px in an image {image_width} px wide are {hfov:.3g} degrees; '
-                f'{HFOV_RANGE_DEG[0]:g} to {HFOV_RANGE_DEG[1]:g} expected, and px, not mm'
-            )
-    return focal
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +102,9 @@ def create_person(
 
 
 def arrange_frames(
-    people_by_image: Mapping[Any, Sequence[Person2D]], video: Video, times_s: Mapping[Any, float] | None = None
+    people_by_image: Mapping[Any, Sequence[Person2D]],
+    options: ReadingOptions,
+    times_s: Mapping[Any, float] | None = None,
 ) -> Detections:
     """Arrange images in time, by their `ImageName`; frames whose number is missing show no people.
 
@@ -157,16 +116,16 @@ def arrange_frames(
     """
     if not people_by_image:
         raise InputError('no frames')
-    order = _order_by_times(people_by_image, video, times_s or {}) or order_images(people_by_image)
+    order = _order_by_times(people_by_image, options, times_s or {}) or order_images(people_by_image)
     notes = [order.note] if order.note else []
     if order.stamps_ns:
         stamps = list(order.stamps_ns.values())
         images = [people_by_image[name] for name in order.stamps_ns]
-        if video.fps is not None:
+        if options.fps is not None:
             notes.append('the images have times; --fps is not used')
     else:
         people_by_number = {number: people_by_image[name] for name, number in order.numbers.items()}
-        all_numbers, stamps = _number_frames(list(people_by_number), video)
+        all_numbers, stamps = _number_frames(list(people_by_number), options)
         images = [people_by_number.get(number, ()) for number in all_numbers]
     counts = (Counter(person.id for person in people if person.id) for people in images)
     repeated = {person_id for count_by_id in counts for person_id, n in count_by_id.items() if n > 1}
@@ -174,11 +133,13 @@ def arrange_frames(
     if repeated:
         ids = list_some(sorted(repeated))
         notes.append(f'ids left out, because two people of one frame have the same: {ids}')
-    size = resolve_image_size(configured=video.image_size)
+    size = resolve_image_size(configured=options.image_size)
     return Detections(people, stamps, size, notes=tuple(notes))
 
 
-def _order_by_times(images: Iterable[Any], video: Video, times_s: Mapping[Any, float]) -> ImageOrder | None:
+def _order_by_times(
+    images: Iterable[Any], options: ReadingOptions, times_s: Mapping[Any, float]
+) -> ImageOrder | None:
     stamps = {
         image: round(times_s[image] * NS_PER_S)
         for image in images
@@ -187,21 +148,21 @@ def _order_by_times(images: Iterable[Any], video: Video, times_s: Mapping[Any, f
     is_whole = len(stamps) == len(set(stamps.values())) == len(list(images))
     ordered = dict(sorted(stamps.items(), key=itemgetter(1)))
     is_of_video = not describe_rate(np.array([*ordered.values()]) / NS_PER_S)
-    return ImageOrder({}, ordered) if is_whole and (is_of_video or video.fps is None) else None
+    return ImageOrder({}, ordered) if is_whole and (is_of_video or options.fps is None) else None
 
 
-def _number_frames(numbers: Sequence[int], video: Video) -> tuple[range, list[int]]:
+def _number_frames(numbers: Sequence[int], options: ReadingOptions) -> tuple[range, list[int]]:
     """Return the numbers of all frames, also of those that sorted numbers lack, and their times in ns.
 
     Times count from frame 0; from the first frame where that is 1, or where numbers reach `MAX_FRAMES`.
     """
-    fps, times_s, first, last = video.fps, video.times_s, numbers[0], numbers[-1]
+    fps, times_s, first, last = options.fps, options.facts.times_s, numbers[0], numbers[-1]
     start = 0 if first > 1 and last < MAX_FRAMES else first
     step = gcd(*(b - a for a, b in pairwise(numbers))) or 1
     every = range(first, last + 1, step)
     if fps is None and times_s:
         if last - start >= len(times_s):
-            count = f'{len(times_s)} images of {video.clip}'
+            count = f'{len(times_s)} images of {options.video}'
             raise InputError(f'frames are numbered {first} to {last}, beyond the {count}; is it that video?')
         return every, [round(times_s[number - start] * NS_PER_S) for number in every]
     if fps is None:

@@ -37,7 +37,6 @@ from mocap_ros.formats.detections import (
     MAX_KEYPOINTS,
     SECONDS_BY_KEY,
     Detections,
-    Video,
     arrange_frames,
     create_person,
     list_some,
@@ -51,6 +50,7 @@ from mocap_ros.formats.json_keypoints import (
     list_names,
     read_keypoints,
 )
+from mocap_ros.formats.reading_options import ReadingOptions
 from mocap_ros.formats.text_files import read_json
 from mocap_ros.keypoints.image_size import ImageSize, resolve_image_size
 from mocap_ros.keypoints.person import Person2D, is_person_class
@@ -97,17 +97,17 @@ class _Found:
     others: int = 0
 
 
-def load_json_folder(folder: Path, video: Video) -> Detections:
+def load_json_folder(folder: Path, options: ReadingOptions) -> Detections:
     """Load all people from a folder that holds a file for each frame; the names of the files order the frames.
 
-    `video` gives the frame rate, which is required unless the names are times, the image size, and the layout if
+    `options` give the frame rate, which is required unless the names are times, the image size, and the layout if
     it follows neither from names in the files nor from the number of keypoints.
     """
     paths = sorted(folder.glob(f'*{FILE_SUFFIX}')) or sorted(folder.glob('*.json'))
     if not paths:
         raise InputError(f'{folder}: no *.json in it')
     if len(paths) == 1 and not paths[0].name.endswith(FILE_SUFFIX) and not _is_frame(read_json(paths[0])):
-        return load_json_file(paths[0], video)
+        return load_json_file(paths[0], options)
     found = _Found()
     sizes = set[ImageSize]()  # px
     for path in paths:
@@ -120,13 +120,13 @@ def load_json_folder(folder: Path, video: Video) -> Detections:
             _add_time(found.times_s, image, content)
             _add_people(found, _iterate_people(image, '', content), _read_categories(content))
     with naming(folder):
-        return _arrange(found, video, _choose_size(sizes))
+        return _arrange(found, options, _choose_size(sizes))
 
 
-def load_json_file(path: Path, video: Video) -> Detections:
+def load_json_file(path: Path, options: ReadingOptions) -> Detections:
     """Load all people from a file, except people with a score below `MIN_PERSON_SCORE`.
 
-    An image's `frame_id` is the number of its frame, else its file name or its id order it. `video` is as for
+    An image's `frame_id` is the number of its frame, else its file name or its id order it. `options` are as for
     `load_json_folder`; a size in the file overrides that of the images.
     """
     content = read_json(path)
@@ -135,15 +135,15 @@ def load_json_file(path: Path, video: Video) -> Detections:
         name_by_image, size = _read_images(content, found.times_s)
         found.people |= {name: [] for name in name_by_image.values()}
         _add_people(found, _iterate_entries(content, name_by_image, found), _read_categories(content))
-        return _arrange(found, video, size)
+        return _arrange(found, options, size)
 
 
-def _arrange(found: _Found, video: Video, size: ImageSize | None) -> Detections:
+def _arrange(found: _Found, options: ReadingOptions, size: ImageSize | None) -> Detections:
     """Return the people whose keypoints were read; the size in px is what the file states, None for nothing."""
     everybody = [keypoints for _, keypoints, _ in found.entries]
     labelled = [keypoints for keypoints in everybody if keypoints.labels]
     general = next((names for _, _, names in found.entries if names), ())
-    placement = arrange_labels(labelled, video.layout, general) if labelled else None
+    placement = arrange_labels(labelled, options.layout, general) if labelled else None
     if placement and placement.size * len(labelled) > MAX_KEYPOINTS:
         people = f'{len(labelled)} people of {placement.size} joints'
         raise InputError(f'{people}, more than {MAX_KEYPOINTS} keypoints')
@@ -157,11 +157,11 @@ def _arrange(found: _Found, video: Video, size: ImageSize | None) -> Detections:
             values = placement.place(keypoints)
             names = placement.joints
         with naming(entry.place):
-            person = create_person(values * [1.0, 1.0, factor], video.layout, _read_id(entry.content), names)
+            person = create_person(values * [1.0, 1.0, factor], options.layout, _read_id(entry.content), names)
         if (person.score > 0).any():
             found.people[entry.image].append(person)
-    video = replace(video, image_size=resolve_image_size(stated=size, configured=video.image_size))
-    detections = arrange_frames(found.people, video, found.times_s)
+    options = options._replace(image_size=resolve_image_size(stated=size, configured=options.image_size))
+    detections = arrange_frames(found.people, options, found.times_s)
     if not any(found.people.values()):
         raise InputError(_describe_absence(found, has_points=has_points))
     unknown = [repr(key) for key in dict.fromkeys(key for keypoints in everybody for key in keypoints.unknown)]

@@ -7,18 +7,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.arrays import Array, Mask
+from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.npz_arrays import ArrayReader, iterate_arrays, list_keys
 from mocap_ros.formats.sequence_file import RESULT_KEYS, make_camera_arrays, validate_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics, recover_intrinsics
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.npz_file import write_npz
-from mocap_ros.people import UNKNOWN_COLUMN, PoseSequence, Posture
+from mocap_ros.people import SEQUENCE_COLUMNS, PoseSequence, Posture
 from mocap_ros.skeleton import CORE_COUNT, skeleton_from_joints
 from mocap_ros.summary import UNKNOWN_SUMMARY, StoredSummary
 
@@ -30,10 +31,14 @@ INPUT_KEYS = {
 POSE_KEYS = 'joints3d', 'joint_names', 'timestamps', 'seen', 'residual_px'
 # Those that older results, and those of others, do not have
 OPTIONAL_KEYS = (
-    'scale', 'translation', 'scale_known', 'vertical', 'vertical_std', 'contact', 'world_from_camera', 'floor_std',
-    'grade', 'summary', 'posture', 'posture_probability', 'joint_std', 'root_covariance', 'orientation',
+    'scale', 'translation', 'scale_known', 'world_from_camera', 'floor_std', 'grade', 'summary', 'orientation',
     'orientation_order', 'turn_inferred',
 )  # fmt: skip
+# Columns that have their names as keys, with the types of their numbers; older results do not have them either
+COLUMN_TYPES = {
+    'vertical': 'f8', 'vertical_std': 'f8', 'contact': 'f4', 'joint_std': 'f4', 'root_covariance': 'f4',
+    'posture': 'u1', 'posture_probability': 'f4',
+}  # fmt: skip
 ORDER = 'xyzw'  # of the quaternions' numbers
 UNKNOWN_CAMERA = Intrinsics.from_image_size(640, 480, 1.0)  # px and sides; of a camera of which nothing is known
 
@@ -57,13 +62,7 @@ def save_result_file(path: Path, poses: PoseSequence) -> None:
         'scale_known': np.array(poses.is_scale_known),
         'residual_px': poses.reprojection_residual,
         'theta': poses.weights,
-        'vertical': poses.vertical,
-        'vertical_std': poses.vertical_std,
-        'contact': poses.contact.astype('f4'),
-        'joint_std': poses.joint_std.astype('f4'),
-        'root_covariance': poses.root_covariance.astype('f4'),
-        'posture': poses.posture.astype('u1'),
-        'posture_probability': poses.posture_probability.astype('f4'),
+        **{name: getattr(poses, name).astype(kind) for name, kind in COLUMN_TYPES.items()},
         'world_from_camera': poses.world_from_camera,
         'floor_std': np.array(poses.floor_std),
     }
@@ -92,7 +91,7 @@ def _make_input_arrays(sequence: KeypointSequence, intrinsics: Intrinsics) -> di
 def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
     """Read and validate a result file; in one without a camera, the cameras of the frames give its intrinsics."""
     with naming(path):
-        keys = {*POSE_KEYS, *OPTIONAL_KEYS, *INPUT_KEYS}
+        keys = {*POSE_KEYS, *OPTIONAL_KEYS, *COLUMN_TYPES, *INPUT_KEYS}
         array_by_key = dict(iterate_arrays(path, keys, 'a result of reconstruct'))
         arrays = ArrayReader(array_by_key)
         times = arrays.read_numbers('timestamps', (None,))
@@ -121,13 +120,6 @@ def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
             floor_std = float(arrays.read_numbers('floor_std', ()))
         seen = arrays.read_flags('seen', joints.shape[:2])
 
-        def read(key: str, *shape: int) -> Array:
-            return arrays.read_numbers(key, (frames, *shape)) if key in arrays else UNKNOWN_COLUMN
-
-        has_known_order = 'orientation_order' in arrays and arrays.read_texts('orientation_order', ())[0] == ORDER
-        turn_inferred: Mask = UNKNOWN_COLUMN
-        if 'turn_inferred' in arrays:
-            turn_inferred = arrays.read_flags('turn_inferred', joints.shape[:2])
         poses = PoseSequence(
             id='',
             times=times,
@@ -136,15 +128,7 @@ def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
             inferred=~seen,
             reprojection_residual=arrays.read_numbers('residual_px', (frames,)),
             intrinsics=replace(intrinsics, is_focal_known=is_scale_known),
-            contact=read('contact', 2),
-            joint_std=read('joint_std', len(names)),
-            root_covariance=read('root_covariance', 3, 3),
-            joint_orientation=read('orientation', len(names), 4) if has_known_order else UNKNOWN_COLUMN,
-            turn_inferred=turn_inferred,
-            posture=Posture.read(read('posture')) if 'posture' in arrays else UNKNOWN_COLUMN,
-            posture_probability=read('posture_probability'),
-            vertical=read('vertical', 3),
-            vertical_std=read('vertical_std'),
+            **_read_columns(arrays, joints),
             predicted=np.asarray(~seen[:, :CORE_COUNT].any(axis=1)),
             world_from_camera=world,
             floor_std=floor_std,
@@ -153,6 +137,23 @@ def load_result_file(path: Path) -> tuple[PoseSequence, StoredSummary]:
         if 'grade' not in arrays or 'summary' not in arrays:
             return poses, UNKNOWN_SUMMARY
         return poses, StoredSummary(arrays.read_texts('grade', ())[0], arrays.read_texts('summary', ())[0])
+
+
+def _read_columns(arrays: ArrayReader, joints: Array) -> dict[str, Any]:
+    """Return those of the columns that a file may lack."""
+    shape = joints.shape[:2]
+    columns: dict[str, NDArray[Any]] = {
+        name: arrays.read_numbers(name, SEQUENCE_COLUMNS[name].find_shape(*shape))
+        for name in COLUMN_TYPES
+        if name in arrays
+    }
+    if 'posture' in columns:
+        columns['posture'] = Posture.read(columns['posture'])
+    if 'orientation_order' in arrays and arrays.read_texts('orientation_order', ())[0] == ORDER:
+        columns['joint_orientation'] = arrays.read_numbers('orientation', (*shape, 4))
+    if 'turn_inferred' in arrays:
+        columns['turn_inferred'] = arrays.read_flags('turn_inferred', shape)
+    return columns
 
 
 def _find_intrinsics(arrays: ArrayReader, sequence: KeypointSequence | None, joints: Array) -> Intrinsics:

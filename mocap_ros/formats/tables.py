@@ -25,10 +25,11 @@ from numpy.typing import NDArray
 
 from mocap_ros.arrays import Array
 from mocap_ros.errors import InputError, describe_read_error, naming
-from mocap_ros.formats.detections import SECONDS_BY_KEY, Detections, Video, arrange_frames, create_person
+from mocap_ros.formats.detections import SECONDS_BY_KEY, Detections, arrange_frames, create_person
 from mocap_ros.formats.image_names import ImageName
 from mocap_ros.formats.json_keypoints import Names, rank_score
 from mocap_ros.formats.npz_arrays import ArrayReader
+from mocap_ros.formats.reading_options import ReadingOptions
 from mocap_ros.formats.text_files import check_position_count, quote_line, read_text
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.skeleton import detector_joint_names
@@ -78,35 +79,35 @@ def list_tables(path: Path) -> list[Path]:
     return (sorted(path.glob(PIXEL_FILES)) or sorted(path.glob('*.txt'))) if path.is_dir() else [path]
 
 
-def load_tables(path: Path, video: Video) -> Detections:
+def load_tables(path: Path, options: ReadingOptions) -> Detections:
     """Load the people of a file or a folder.
 
-    `video` gives the image size, which is required for shares of the image, and the frame rate where the rows have
-    no times.
+    `options` give the image size, which is required for shares of the image, and the frame rate where the rows
+    have no times.
     """
     people_by_image: dict[ImageName, list[Person2D]] = {}
     times_s: dict[ImageName, float] = {}
     for file in list_tables(path):
         suffix = file.suffix.lower()
         unit = [1.0, 1.0, 1.0]
-        if video.normalised or suffix == '.txt':
-            if video.image_size is None:
+        if options.normalised or suffix == '.txt':
+            if options.image_size is None:
                 raise InputError(
                     f'{path}: shares of the image; give its size (--image-size) or the video (--video)'
                 )
-            unit[:2] = video.image_size
+            unit[:2] = options.image_size
         with naming(file):
-            for row in READERS[suffix](file, video):
+            for row in READERS[suffix](file, options):
                 with naming(row.place):
-                    person = create_person(row.keypoints * unit, video.layout, row.person, row.joints)
+                    person = create_person(row.keypoints * unit, options.layout, row.person, row.joints)
                 people_by_image.setdefault(row.image, []).extend([person] * bool((person.score > 0).any()))
                 if row.time_s is not None:
                     times_s[row.image] = row.time_s
     with naming(path):
-        return arrange_frames(people_by_image, video, times_s)
+        return arrange_frames(people_by_image, options, times_s)
 
 
-def _read_columns(path: Path, video: Video) -> Iterator[_Row]:
+def _read_columns(path: Path, options: ReadingOptions) -> Iterator[_Row]:
     lines = read_text(path).splitlines()
     is_trc = path.suffix.lower() == '.trc'
     file_id = path.stem.rpartition('person')[2] if is_trc else ''
@@ -117,7 +118,7 @@ def _read_columns(path: Path, video: Video) -> Iterator[_Row]:
     heads, start = _read_heads(rows, is_trc=is_trc)
     check_position_count(len(lines), len(heads))
     people = _find_people(heads)
-    is_2d = video.normalised or any(head.axis == 'score' for head in heads)
+    is_2d = options.normalised or any(head.axis == 'score' for head in heads)
     depths = [i for i, head in enumerate(heads) if head.joint and head.axis == 'z' and not is_2d]
     columns = {head.axis: index for index, head in enumerate(heads) if not head.joint}
     time, image = (
@@ -186,7 +187,7 @@ def _find_people(heads: Sequence[_Head]) -> dict[str, tuple[Names, NDArray[np.in
     return people
 
 
-def _read_array(path: Path, _: Video) -> Iterator[_Row]:
+def _read_array(path: Path, _: ReadingOptions) -> Iterator[_Row]:
     try:
         array = np.lib.format.open_memmap(path, mode='r')
     except Exception as error:  # NumPy's reader raises almost any exception on malformed bytes
@@ -203,7 +204,7 @@ def _read_array(path: Path, _: Video) -> Iterator[_Row]:
         yield _Row(f'frame {index}', index, keypoints)
 
 
-def _read_people(path: Path, _: Video) -> Iterator[_Row]:
+def _read_people(path: Path, _: ReadingOptions) -> Iterator[_Row]:
     for number, line in enumerate(read_text(path).splitlines(), 1):
         with naming(f'line {number}', f'expected class, box, and x, y, score of keypoints: {quote_line(line)}'):
             numbers = np.array(line.split(), np.float64)
@@ -215,6 +216,6 @@ def _read_people(path: Path, _: Video) -> Iterator[_Row]:
         yield _Row(f'line {number}', path.stem, keypoints.reshape(count, 3), (), person)
 
 
-READERS: Mapping[str, Callable[[Path, Video], Iterator[_Row]]] = {
+READERS: Mapping[str, Callable[[Path, ReadingOptions], Iterator[_Row]]] = {
     '.csv': _read_columns, '.trc': _read_columns, '.npy': _read_array, '.txt': _read_people,
 }  # fmt: skip

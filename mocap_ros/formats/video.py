@@ -56,10 +56,10 @@ class VideoImage(NamedTuple):
 class VideoFacts(NamedTuple):
     """What a video file states of its images."""
 
-    times_s: tuple[float, ...]  # s since the beginning
-    size: tuple[int, int]  # width and height of the images in stored pixels, which detectors see
-    pixel_aspect: float  # width of a stored pixel per height
-    focal_px: float | None  # px, focal length in images as players show them; None where it is not stated
+    times_s: tuple[float, ...] = ()  # s since the beginning
+    size: tuple[int, int] = (0, 0)  # width and height of the images in stored pixels, which detectors see
+    pixel_aspect: float = 1.0  # width of a stored pixel per height
+    focal_share: float | None = None  # focal length, as a share of the width; None where it is not stated
 
 
 def _import_av(path: Path | str, what: str) -> Any:
@@ -232,7 +232,8 @@ def read_video_facts(path: Path) -> VideoFacts:
     with VideoReader(path) as reader:
         height, width = next(iter(reader)).image.shape[:2]
         stored = round(width / reader.pixel_aspect), height
-        return VideoFacts(times_s, stored, reader.pixel_aspect, reader.find_focal_length((width, height)))
+        focal_px = reader.find_focal_length((width, height))
+        return VideoFacts(times_s, stored, reader.pixel_aspect, None if focal_px is None else focal_px / width)
 
 
 def _turn_as_players_do(image: NDArray[np.uint8], matrix: Any) -> NDArray[np.uint8]:

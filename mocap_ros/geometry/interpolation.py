@@ -33,12 +33,12 @@ def find_covered(times: Array, known: Array) -> Mask:
 
 
 def interpolate_linearly(times: Array, sample_times: Array, samples: Array) -> Array:
-    """Return samples (n, D) of increasing times interpolated at times (N,); the ends hold beyond them."""
+    """Return samples (n, ...) of increasing times interpolated at times (N,); the ends hold beyond them."""
     if len(sample_times) == 1:
         return np.repeat(samples, len(times), axis=0)
     left = sample_times[1:-1].searchsorted(times)
     share = (times - sample_times[left]) / (sample_times[left + 1] - sample_times[left])
-    share = np.minimum(np.maximum(share, 0), 1)[:, None]
+    share = np.minimum(np.maximum(share, 0), 1).reshape(-1, *[1] * (samples.ndim - 1))
     return np.asarray((1 - share) * samples[left] + share * samples[left + 1])
 
 

@@ -69,8 +69,14 @@ class Intrinsics:
     @staticmethod
     def from_image_size(width: int, height: int, focal_in_sides: float) -> Intrinsics:
         """Return nominal intrinsics, of a focal length of `focal_in_sides` times the longer side of the image."""
-        focal, size = focal_in_sides * max(width, height), (width, height)
-        return Intrinsics(focal, (width / 2, height / 2), is_focal_known=False, image_size=size)
+        nominal = Intrinsics.centred(focal_in_sides * max(width, height), (width, height))
+        return replace(nominal, is_focal_known=False)
+
+    @staticmethod
+    def centred(focal: float, image_size: tuple[int, int]) -> Intrinsics:
+        """Return intrinsics of a known focal length in px, with the principal point in the middle of the image."""
+        width, height = image_size
+        return Intrinsics(focal, (width / 2, height / 2), is_focal_known=True, image_size=image_size)
 
     @staticmethod
     def from_matrix(

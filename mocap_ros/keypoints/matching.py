@@ -96,11 +96,17 @@ class DetectedBody:
             rays, weight, is_evidence, others = convert_to_rays(points, score, joints, intrinsics, min_score)
             for n, size in enumerate(measure_sizes(rays, weight).tolist()):
                 if np.count_nonzero(weight[n]) >= min_joints and size > MIN_DETECTION_SIZE:
-                    given_id = '' if people[own[n]].id == UNTRACKED_ID else people[own[n]].id
-                    seen = rays[n], weight[n], is_evidence[n], size
-                    measured = people[own[n]].depth if intrinsics.is_focal_known else None
-                    depth = select_core_depth(measured, joints, weight[n])
-                    found[own[n]] = DetectedBody(given_id, *seen, others.select_frames(n), depth)
+                    person = people[own[n]]
+                    measured = person.depth if intrinsics.is_focal_known else None
+                    found[own[n]] = DetectedBody(
+                        '' if person.id == UNTRACKED_ID else person.id,
+                        rays[n],
+                        weight[n],
+                        is_evidence[n],
+                        size,
+                        others.select_frames(n),
+                        select_core_depth(measured, joints, weight[n]),
+                    )
         return found
 
     def join(self, part: DetectedBody) -> DetectedBody:

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -26,15 +28,16 @@ from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, read_stamp
 from mocap_ros.messages.plain import decode_plain, encode_plain
-from mocap_ros.people import CameraVertical, Motion, MotionKind, People, Posture, PredictedPeople
+from mocap_ros.people import PEOPLE_COLUMNS, CameraVertical, Motion, MotionKind, People, Posture, PredictedPeople
 from mocap_ros.skeleton import CMU15, Skeleton, find_roots, keypoint_layout
 
 SKELETONS = MOCAP_ROS_MSGS + 'Skeleton3DArray'
 SKELETON_DEFINITION = MOCAP_ROS_MSGS + 'SkeletonDefinition'
 CAMERAS = MOCAP_ROS_MSGS + 'WeakPerspectiveCameraArray'
 PREDICTIONS = MOCAP_ROS_MSGS + 'Predictions'
+# Columns of people that a Skeleton3D has by their names
+FIELDS = tuple(name for name in PEOPLE_COLUMNS if name not in ('rotation', 'scale', 'translation'))
 MAX_TIME_S = 1.0  # s; so far the motion predictor was trained
-FEET = 2  # left and right
 MAX_TIMES = 20  # more than a planner has use for; bounds what a message costs
 
 
@@ -66,31 +69,17 @@ def encode_skeletons(
 
 def _list_rows(people: People, cameras: Array) -> list[dict[str, Any]]:
     count = len(people)
+    own = {name: getattr(people, name) for name in FIELDS}
     columns: dict[str, Sequence[Any] | NDArray[Any]] = {
         'id': people.ids,
         'skeleton': [people.skeleton.name] * count,
-        'joints': people.joints,
-        'joint_std': people.joint_std,
-        'inferred': people.inferred,
         'camera': cameras,
         'motion': [(m.kind, m.category, m.residual, m.cadence) for m in people.motion],
-        'reprojection_residual': people.reprojection_residual.tolist(),
         'scale_source': [people.is_scale_known] * count,
-        'predicted': people.predicted.tolist(),
-        'tentative': people.tentative.tolist(),
-        'joint_velocity': people.joint_velocity,
-        'joint_velocity_std': people.joint_velocity_std,
         'root': people.roots,
-        'root_covariance': people.root_covariance,
         'root_velocity': people.root_velocities,
-        'root_velocity_covariance': people.root_velocity_covariance,
-        'age': people.age.tolist(),
-        'unseen_for': people.unseen_for.tolist(),
-        'joint_orientation': people.joint_orientation,
-        'turn_inferred': people.turn_inferred,
+        **{name: values.tolist() if values.ndim == 1 else values for name, values in own.items()},
         'contact': [feet if np.isfinite(feet).any() else () for feet in people.contact],
-        'posture': people.posture.tolist(),
-        'posture_probability': people.posture_probability.tolist(),
     }
     return [{name: values[row] for name, values in columns.items()} for row in range(count)]
 
@@ -154,39 +143,31 @@ def _read_people(rows: Sequence[SimpleNamespace]) -> People:
         if joints != count or {flags, deviations} - {0, count}:
             lengths = f'{joints} joints, {flags} inferred and {deviations} joint_std'
             raise InputError(f'people[{index}]: {lengths}; {skeleton.name} has {count}')
-
-    def read(field: str, *shape: int) -> Array:
-        values = (getattr(row, field) for row in rows)
-        return np.array([v if np.shape(v) == shape else np.full(shape, np.nan) for v in values], float)
-
-    def read_numbers(field: str, kind: type = float) -> NDArray[Any]:
-        return np.array([getattr(row, field) for row in rows], kind)
-
-    cameras = read_numbers('camera')
+    cameras = np.array([row.camera for row in rows])
+    columns = {name: _read_column([getattr(row, name) for row in rows], name, count) for name in FIELDS}
+    columns['inferred'] = np.array([row.inferred if len(row.inferred) else np.zeros(count, bool) for row in rows])
+    columns['posture'] = Posture.read(columns['posture'])
     return People(
         ids=tuple(row.id for row in rows),
         skeleton=skeleton,
-        joints=read_numbers('joints'),
-        joint_std=read('joint_std', count),
-        inferred=np.array([row.inferred if len(row.inferred) else np.zeros(count, bool) for row in rows]),
         motion=tuple(Motion(_read_kind(row.motion.state), '', math.nan, row.motion.cadence) for row in rows),
-        reprojection_residual=read_numbers('reprojection_residual'),
-        predicted=read_numbers('predicted', bool),
-        tentative=read_numbers('tentative', bool),
-        root_covariance=read_numbers('root_covariance').reshape(-1, 3, 3),
-        joint_velocity=read('joint_velocity', count, 3),
-        joint_velocity_std=read('joint_velocity_std', count),
-        root_velocity_covariance=read_numbers('root_velocity_covariance').reshape(-1, 3, 3),
-        joint_orientation=read('joint_orientation', count, 4),
-        turn_inferred=read('turn_inferred', count) != 0,
-        age=read_numbers('age'),
         scale=cameras[:, 0],
         translation=cameras[:, 5:7],
-        unseen_for=read_numbers('unseen_for'),
-        contact=read('contact', FEET),
-        posture=Posture.read(read_numbers('posture')),
-        posture_probability=read_numbers('posture_probability'),
+        is_scale_known=all(row.scale_source for row in rows),
+        **columns,
     )
+
+
+def _read_column(values: Sequence[Any], name: str, joints: int) -> NDArray[Any]:
+    """Return a column; unknown are those of recordings of older versions, in which the field is empty."""
+    column = PEOPLE_COLUMNS[name]
+    with suppress(ValueError):  # of rows of other lengths
+        return np.array(values, type(column.unknown)).reshape(column.find_shape(len(values), joints))
+    filled = column.fill(len(values), joints)
+    for row, value in enumerate(values):
+        if np.size(value) == filled[row].size:
+            filled[row] = np.reshape(value, filled.shape[1:])
+    return filled
 
 
 def _read_kind(state: int) -> MotionKind:
@@ -195,7 +176,8 @@ def _read_kind(state: int) -> MotionKind:
 
 def find_intrinsics(people: People) -> Intrinsics:
     """Return the camera that shows recorded people, one or more, as their own cameras do."""
-    return recover_intrinsics(people.core.mean(axis=1), people.scale, people.translation)
+    found = recover_intrinsics(people.core.mean(axis=1), people.scale, people.translation)
+    return replace(found, is_focal_known=people.is_scale_known)
 
 
 def encode_skeleton_definition(skeleton: Skeleton) -> bytes:

@@ -28,12 +28,9 @@ from mocap_ros.arrays import Array
 from mocap_ros.engine import lifter as engine
 from mocap_ros.models.lifter_input import JOINT_COUNT, MIRROR_PERMUTATION, sample_histories, weigh_vertical
 from mocap_ros.models.network import Layers, RoundedNetwork
-from mocap_ros.skeleton import CMU15, CORE_COUNT
+from mocap_ros.skeleton import CORE_COUNT
 
 LOG_STD_RANGE = -7.0, 1.0  # log of the output unit; bounds standard deviations to 0.001 and 2.7 mean distances
-EPSILON = 1e-9  # guards divisions by sums of weights and logarithms of bone lengths
-SIZE_SMOOTHING_S = 0.25  # s, standard deviation of the Gaussian that averages the size of the bones over time
-BONE_SUM_PER_STATURE = 2.42  # 1, sum of all bone lengths over stature; mean of 46 people (2.33 to 2.49)
 
 OUTPUT_COUNT = 5 * JOINT_COUNT  # x, y and z of each joint; log standard deviations of x and y together, and of z
 
@@ -105,16 +102,3 @@ class Lifter:
     def lift_sequence(self, points: Array, weight: Array, times: Array, focal: float = math.inf) -> LiftedPoses:
         """Estimate the pose of each of F frames from points (F, J, 2), weights and times (F,) s up to it."""
         return self.lift(*sample_histories(points, weight, times, np.arange(len(times))), focal)
-
-
-def scale_to_metres(lifted: LiftedPoses, times: Array, height: float) -> LiftedPoses:
-    """Scale the poses of one person, in px, to metres, given the person's height in m.
-
-    Each frame is scaled by the sum of its bone lengths, averaged over time with a Gaussian of `SIZE_SMOOTHING_S`.
-    """
-    bone_sum = CMU15.bone_lengths(lifted.joints[:, :CORE_COUNT]).sum(axis=1)
-    is_lifted = np.isfinite(bone_sum)
-    kernel = np.exp(-0.5 * ((times[:, None] - times[is_lifted]) / SIZE_SMOOTHING_S) ** 2) + EPSILON
-    size = np.exp(kernel @ np.log(np.maximum(bone_sum[is_lifted], EPSILON)) / kernel.sum(axis=1))
-    factor = (BONE_SUM_PER_STATURE * height / size)[:, None, None]
-    return LiftedPoses(lifted.joints * factor, lifted.std * factor)

@@ -35,7 +35,7 @@ as its poses Q_t are,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -47,12 +47,8 @@ from mocap_ros.arrays import Array, Mask
 from mocap_ros.config import Config, SolverConfig, TrackerConfig
 from mocap_ros.engine import motion as engine
 from mocap_ros.geometry.level import (
-    CALIBRATED_TILT_STD,
     LEVEL_UP,
-    MAX_CERTAIN_STD,
-    Floor,
     average_vertical,
-    build_world,
 )
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
@@ -74,7 +70,7 @@ from mocap_ros.solvers.extremities import (
     collect_evidence,
     smooth_extremities,
 )
-from mocap_ros.solvers.floor import FOCAL_SHARE, POSE_SHARE, SIZE_RANGE, Stander, fit_floor
+from mocap_ros.solvers.floor import FOCAL_SHARE, POSE_SHARE, SIZE_RANGE
 from mocap_ros.solvers.footing import find_contacts, plant_sequence
 from mocap_ros.solvers.image_roll import find_camera_roll, find_roll, turn_about_axis
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
@@ -84,7 +80,6 @@ from mocap_ros.solvers.observed_window import (
     observe_sequence,
     sample_unlifted_histories,
 )
-from mocap_ros.solvers.posture import find_postures, measure_likelihood
 from mocap_ros.solvers.vertical import (
     AUTO,
     Vertical,
@@ -124,30 +119,18 @@ def report_part(report: Report, index: int, count: int) -> Report:
     return lambda share: report((index + share) / count)
 
 
-def reconstruct_sequence(
-    sequence: KeypointSequence,
-    model: PoseModel | Mapping[str, PoseModel],
-    config: Config,
-    report: Report = lambda _: None,
-) -> PoseSequence:
-    """Reconstruct a sequence of one person's keypoints; arguments and errors are those of `solve_sequence`."""
-    people, _ = share_floor([solve_sequence(sequence, model, config, report)], config.tracker)
-    return people[0]
-
-
 def solve_sequence(
     sequence: KeypointSequence,
-    model: PoseModel | Mapping[str, PoseModel],
+    models: Mapping[str, PoseModel],
     config: Config,
     report: Report = lambda _: None,
 ) -> Solved:
-    """Reconstruct a sequence of one person's keypoints, but for the floor.
+    """Reconstruct a sequence of one person's keypoints, but for the floor (`offline.floor`).
 
-    `model` are base poses, or several by name.
-    Of several, the most probable are chosen (`solvers.classification`), with a learned prior, those of all motions
-    are used if present; `config` parameters of the solver, `min_score`, `undo_swaps`, `perspective`, `vertical`,
-    `body_height`, `nominal_focal_length` and `skeleton` of `tracker` apply; `report` is called with the
-    share, 0 to 1, that is done.
+    `models` are base poses by name. Of several, the most probable are chosen (`solvers.classification`); with a
+    learned prior, those of all motions are used if present. Parameters of the solver, `min_score`, `undo_swaps`,
+    `perspective`, `vertical`, `body_height`, `nominal_focal_length` and `skeleton` of `tracker` apply. `report` is
+    called with the share, 0 to 1, that is done.
 
     Raises:
         SkeletonError: These names give too few of the model's joints.
@@ -157,7 +140,6 @@ def solve_sequence(
         ConfigError: The vertical that `tracker.vertical` gives is no unit vector.
     """
     report(0.0)
-    models = {model.name: model} if isinstance(model, PoseModel) else model
     skeleton = next(iter(models.values())).skeleton
     observed = observe_sequence(sequence, config.tracker, skeleton)
     solved = reconstruct_window(observed, models, config, report)
@@ -182,7 +164,7 @@ def reconstruct_window(
 ) -> SolvedWindow:
     """Reconstruct the core of one person from all F frames of a window together, whether or not a joint was seen.
 
-    `observed` the person's joints, not lifted yet; `models` base poses by name, as in `reconstruct_sequence`;
+    `observed` the person's joints, not lifted yet; `models` base poses by name, as in `solve_sequence`;
     `config` parameters of the solver, `body_height` and `vertical` of `tracker` apply.
     """
     body_height = config.tracker.body_height
@@ -305,7 +287,7 @@ def _find_deviations(
     is_focal_known: bool,
 ) -> tuple[Array, Array]:
     """Return the deviations (F, 15) m of joints and the covariances (F, 3, 3) m^2 of roots, as of live people."""
-    count, share = len(evidence.core), _assume_size_share(config)
+    count, share = len(evidence.core), assume_size_share(config)
     posterior = solution.joint_std if isinstance(solution, joint.JointReconstruction) else None
     std, root_covariance = engine.describe_cores(
         np.full((count, CORE_COUNT), np.nan if posterior is None else posterior),
@@ -320,119 +302,9 @@ def _find_deviations(
     return widen_by_posture(std, evidence.core, is_seen, up, np.full(count, share)), root_covariance
 
 
-def _assume_size_share(config: TrackerConfig) -> float:
+def assume_size_share(config: TrackerConfig) -> float:
     """Return the standard deviation of a person's size, as a share of it, before anything shows it."""
     return math.hypot(config.body_height_std / config.body_height, POSE_SHARE)
-
-
-def find_height_fault(*, is_focal_known: bool, tilt_std: float) -> str:
-    """Return why a known height of the camera is of no use, in words; `tilt_std` of the vertical in rad."""
-    if not is_focal_known:
-        return 'is not used: the focal length is not known, and distances with it'
-    return '' if tilt_std <= MAX_CERTAIN_STD else 'is not used: the vertical is not known: give tracker.vertical'
-
-
-def share_floor(found: Sequence[Solved], config: TrackerConfig) -> tuple[list[PoseSequence], list[str]]:
-    """Return people of one recording on one floor, under one vertical, and in one world, that of the first.
-
-    `tracker.camera_height` shows their true sizes; what is wrong with it for some people is returned in words.
-    Where it is not known, the sizes of several become those with which all stand on the floor.
-    """
-    people = [person.poses for person in found]
-    known = [(p, average_vertical(p.vertical, p.vertical_std)) for p in people]
-    known = [(p, upward) for p, upward in known if np.isfinite(upward).all()]
-    trust = np.array([max(float(np.nanmean(p.vertical_std)), MIN_TILT_STD) ** -2 for p, _ in known])
-    total = np.sum([t * upward for t, (_, upward) in zip(trust, known, strict=True)], axis=0)
-    length = float(np.linalg.norm(total))
-    agree = length > trust.sum() / 2  # opposite verticals show none
-    vertical = total / length if agree else np.full(3, np.nan)
-    std = float(trust.sum()) ** -0.5 if agree else math.nan
-    tilt_std = std if std <= MAX_CERTAIN_STD else math.nan
-    if read_given_vertical(config) is not None:
-        std = tilt_std = CALIBRATED_TILT_STD
-    standing: list[_Standing] = []
-    fault = ''
-    if config.camera_height > 0:
-        is_focal_known = all(p.is_scale_known for p in people)
-        fault = find_height_fault(is_focal_known=is_focal_known, tilt_std=std)
-        if not fault:
-            standing = _stand_on(found, Floor(vertical, config.camera_height, tilt_std), config)
-            fault = next((s.height_fault for s in standing if s.floor is None), '')
-    if not any(s.floor for s in standing):
-        standing = [
-            s._replace(height_fault=s.height_fault or fault)
-            for s in _stand_on(found, Floor(vertical, None, tilt_std), config)
-        ]
-    first = next((s for s in standing if s.floor is not None), standing[0])
-    world = first.build_world()
-    people = [
-        replace(
-            _name_postures(s.poses),
-            world_from_camera=world if len(standing) > 1 else s.build_world(),
-            floor_std=math.nan if s.floor is None else s.floor.height_std,
-            predicted=np.asarray(s.poses.inferred[:, :CORE_COUNT].all(axis=1)),
-        )
-        for s in standing
-    ]
-    return people, [words for words in dict.fromkeys(s.height_fault for s in standing) if words]
-
-
-def _name_postures(poses: PoseSequence) -> PoseSequence:
-    likelihood = measure_likelihood(poses.joints, poses.inferred, poses.vertical, poses.vertical_std)
-    posture, probability = find_postures(poses.times, likelihood)
-    return replace(poses, posture=posture, posture_probability=probability)
-
-
-class _Standing(NamedTuple):
-    """One person's poses of the size that the floor shows, and the floor; None if nothing shows it."""
-
-    poses: PoseSequence
-    floor: Floor | None = None
-    height_fault: str = ''
-
-    def build_world(self) -> Array:
-        poses = self.poses
-        if self.floor is not None:
-            return build_world(poses.joints, self.floor.upward, self.floor.camera_height)
-        return build_world(poses.joints, average_vertical(poses.vertical, poses.vertical_std), None)
-
-
-def _stand_on(found: Sequence[Solved], before: Floor, config: TrackerConfig) -> list[_Standing]:
-    """Return people on a floor, of the sizes that it shows; who cannot be of such a size has a fault instead."""
-    share = _assume_size_share(config)
-    standers = [
-        Stander(s.poses.joints, s.contact, s.poses.times, MEASURED_SHARE if s.is_size_measured else share)
-        for s in found
-    ]
-    fit = fit_floor(standers, before)
-    if fit is None:
-        floor = before if before.camera_height else None
-        return [_Standing(s.poses, floor, s.height_fault) for s in found]
-    people = []
-    sizes = fit.sizes[~np.isnan(fit.sizes)]
-    is_scale_shown = before.camera_height is not None or len(sizes) > 1
-    if before.camera_height is None and (np.abs(sizes - 1) > 3 * share).any():
-        return [_Standing(s.poses, None, s.height_fault) for s in found]  # they rather stand at different heights
-    for p, (person, size) in enumerate(zip(found, fit.sizes.tolist(), strict=True)):
-        poses, fault = person.poses, person.height_fault
-        if not SIZE_RANGE[0] < (1.0 if math.isnan(size) else size) < SIZE_RANGE[1]:
-            people.append(_Standing(poses, None, WRONG_HEIGHT if before.camera_height else ''))
-            continue
-        if is_scale_shown:
-            vertical = np.tile(fit.floor.upward, (len(poses), 1))
-            poses = replace(poses, vertical=vertical, vertical_std=np.full(len(poses), fit.floor.tilt_std))
-        if is_scale_shown and not math.isnan(size) and not person.is_size_measured:
-            poses = replace(
-                poses,
-                joints=fit.place(p, poses.joints),
-                joint_std=size * poses.joint_std,
-                root_covariance=size * size * poses.root_covariance,
-                body_height=size * poses.body_height,
-            )
-            if before.camera_height and not USUAL_SIZES[0] < size < USUAL_SIZES[1]:
-                fault = UNUSUAL.format(size)
-        people.append(_Standing(poses, fit.floor, fault))
-    return people
 
 
 def _blank_frames(poses: PoseSequence, is_blank: Mask) -> PoseSequence:
@@ -520,7 +392,9 @@ def _lift(
         lifted = found.apply(lifted)
     if known is None:
         known = choose_vertical(observed, lifted.joints @ cameras, seen, config)
-    lifted = turn_towards_vertical(lifted, Stances.of(lifted.joints, cameras, seen), cameras, *known)
+    lifted = turn_towards_vertical(
+        lifted, Stances.of(lifted.joints, cameras, seen), cameras, known.direction, known.std
+    )
     return LiftedPoses(turn_about_axis(lifted.joints, -roll), lifted.std), known
 
 
@@ -586,15 +460,6 @@ def _solve(
 LIFTED_SHARE, SOLVED_SHARE, SOLVED_AGAIN_SHARE = 0.07, 0.4, 0.68
 LIFTED_FRAMES = 3600  # that are lifted at once; their histories take 20 MB
 MIN_MEASURED_FRAMES = 10  # with depths; fewer show no size
-MEASURED_SHARE = 0.015  # 1; standard deviation of sizes that depths show, by surfaces and the depth camera
-MIN_TILT_STD = 1e-3  # rad; a smaller deviation of a vertical is not believed
-USUAL_SIZES = 0.75, 1.2  # 1; three standard deviations of the size of adults
-UNUSUAL = 'makes a person {:.2f} times as tall as tracker.body_height: one of both is wrong, or it is a child'
-# why `tracker.camera_height` is not used where feet show another one
-WRONG_HEIGHT = (
-    f'is not used: by it people are not {SIZE_RANGE[0]:g} to {SIZE_RANGE[1]:g} times as tall as '
-    'tracker.body_height; check both'
-)
 MAX_GAP_S = 3.0  # s; a person who is not seen for longer may be anywhere
 SEEN_SHARE = 0.3  # 1; with less, unusual poses are drawn to usual ones; with more, the noise of detectors stays
 MIN_DEPTH_M = 0.1  # m; guards divisions, no person is nearer to a camera

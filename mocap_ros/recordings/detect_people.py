@@ -5,21 +5,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 from mocap_ros.detectors.detector import Detector, Image, load_detector
-from mocap_ros.errors import InputError, ModelError
+from mocap_ros.errors import InputError, ModelError, naming
 from mocap_ros.formats.detections import MAX_FRAMES, Detections, associate_people, create_person
-from mocap_ros.formats.video import VideoImage, VideoReader, read_ahead
+from mocap_ros.formats.reading_options import ShowProgress
+from mocap_ros.formats.video import VideoReader, read_ahead
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.units import NS_PER_S
-
-# A function that shows progress while the images are iterated; its second argument is their number, if known.
-ShowProgress = Callable[[Iterable[VideoImage], int | None], Iterable[VideoImage]]
 
 MAX_LISTED_CHANGES = 5  # changes of the person that are named in a line
 NO_PERSON_SEEN = 'no person is seen in any image'
@@ -34,7 +33,7 @@ def detect_in_video(
     path: Path,
     model: Path | None,
     max_people: int | None = None,
-    show_progress: ShowProgress = lambda images, _: images,
+    show_progress: ShowProgress | None = None,
     *,
     is_camera: bool = False,
     is_interrupted: Callable[[], bool] = lambda: False,
@@ -47,13 +46,14 @@ def detect_in_video(
     """
     people: list[Sequence[Person2D]] = []
     stamps_ns: list[int] = []
-    size, ending = (0, 0), ''
+    size, ending = UNKNOWN_SIZE, ''
     with VideoReader(path, is_camera=is_camera) as reader:
         detector = load_detector(model, max_people)
         images = read_ahead(iter(reader), is_ended=is_interrupted if is_camera else None)
         try:
-            for item in show_progress(images, reader.image_count):
-                size = _check_image(path, item, len(people), size)
+            for item in show_progress(images, reader.image_count) if show_progress else images:
+                with naming(f'{path}: at {item.time_s:.3f} s'):
+                    size = check_image(item.image, len(people), size)
                 people.append(detect_people(detector, item.image, item.time_s))
                 stamps_ns.append(round(item.time_s * NS_PER_S))
         except (InputError, ModelError) as error:
@@ -75,22 +75,21 @@ def detect_in_video(
     )
     intrinsics = None
     if (focal := reader.find_focal_length(size)) is not None:
-        intrinsics = Intrinsics(focal, (size[0] / 2, size[1] / 2), True, image_size=size)
+        intrinsics = Intrinsics.centred(focal, size)
         notes = *notes, f'focal length of {reader.focal_mm:g} mm (on film of 35 mm) by the video'
     detections, changes = name_people(Detections(people, stamps_ns, size, intrinsics))
     return replace(detections, notes=(*filter(None, notes), *changes))
 
 
-def _check_image(path: Path, item: VideoImage, count: int, size: tuple[int, int]) -> tuple[int, int]:
-    found = item.image.shape[1], item.image.shape[0]
-    if count and found != size:
-        raise InputError(
-            f'{path}: the size of the images changes from {size[0]} x {size[1]} px to {found[0]} x {found[1]} px '
-            f'at {item.time_s:.3f} s'
-        )
+def check_image(image: Image, count: int, before: ImageSize) -> ImageSize:
+    """Return the size of an image, which must be that of those `before`, of which `count` are kept."""
+    size = image.shape[1], image.shape[0]
+    if before not in (UNKNOWN_SIZE, size):
+        change = f'from {before[0]} x {before[1]} px to {size[0]} x {size[1]} px'
+        raise InputError(f'the size of the images changes {change}')
     if count == MAX_FRAMES:
-        raise InputError(f'{path}: more than {MAX_FRAMES} images')
-    return found
+        raise InputError(f'more than {MAX_FRAMES} images')
+    return size
 
 
 def name_people(detections: Detections) -> tuple[Detections, list[str]]:

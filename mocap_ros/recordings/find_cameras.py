@@ -21,6 +21,7 @@ from mocap_ros.formats.cameras_file import Cameras
 from mocap_ros.geometry.level import average_vertical, build_world
 from mocap_ros.offline.whole_sequence import Report, report_part
 from mocap_ros.people import PoseSequence
+from mocap_ros.recordings.input_kind import find_kind_with_results, select_options
 from mocap_ros.recordings.reconstruct import ReconstructionOptions, load_or_reconstruct
 from mocap_ros.recordings.recording import Recording
 from mocap_ros.solvers.camera_poses import FoundCameras, find_camera_poses
@@ -58,13 +59,17 @@ def name_cameras(paths: Sequence[Path]) -> tuple[str, ...]:
 def load_views(paths: Sequence[Path], options: ReconstructionOptions, report: Report) -> list[Recording]:
     """Load results and bags of skeletons, and reconstruct the people of other recordings.
 
+    An option of reading counts for the recordings to whose kinds it applies.
+
     Raises:
         InputError: a recording cannot be read, or shows nobody; it names the path.
     """
-    return [
-        load_or_reconstruct(path, options, report_part(report, index, len(paths)))
-        for index, path in enumerate(paths)
-    ]
+    recordings = []
+    for index, path in enumerate(paths):
+        reading = select_options(options.reading, find_kind_with_results(path))
+        part = report_part(report, index, len(paths))
+        recordings.append(load_or_reconstruct(path, options._replace(reading=reading), part))
+    return recordings
 
 
 def find_cameras(

@@ -1,21 +1,23 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What kind of input a path is, and the sentence that refuses an input of the wrong kind."""
+"""What kind of input a path is, which options apply to it, and the sentences that refuse what is wrong."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from enum import Enum
 from pathlib import Path
 
 from mocap_ros.bags.mcap_scan import begins_with
-from mocap_ros.bags.reader import is_bag
+from mocap_ros.bags.reader import Bag, is_bag
 from mocap_ros.errors import InputError
 from mocap_ros.formats.npz_arrays import list_keys
+from mocap_ros.formats.reading_options import NO_OPTIONS, ReadingOptions
 from mocap_ros.formats.result_file import is_result_file
 from mocap_ros.formats.tables import list_tables
 from mocap_ros.input_file import NEITHER_FILE_NOR_FOLDER, is_special_file
+from mocap_ros.messages.skeletons import SKELETONS
 
 VIDEO_SUFFIXES = (
     '.mp4', '.m4v', '.mov', '.avi', '.mkv', '.webm', '.mpg', '.mpeg', '.wmv', '.flv', '.gif',
@@ -41,10 +43,13 @@ class InputKind(Enum):
     RESULT = 'is a result of reconstruct'
     WRITTEN = 'is of a format that mocap-ros writes but does not read'
     BAG = 'is a bag'
+    SKELETONS = 'is a bag of skeletons'
     OPENPOSE = 'is a folder of JSON files'
     JSON = 'is a JSON file'
     TABLE = 'is a table, or a folder of tables'
     VIDEO = 'is a video'
+    CAMERA = 'is shown live'
+    NODE = 'is what the node publishes'
     IMAGE = 'is an image'
     IMAGES = 'is a folder of images'
     EMPTY_FILE = 'is an empty file'
@@ -66,6 +71,55 @@ KIND_BY_SUFFIXES = {
     ('.json',): InputKind.JSON,
     TABLE_SUFFIXES: InputKind.TABLE,
 }
+
+
+# Options of the command line that apply to a kind of input; to give another one is an error.
+_PARAMETERS = 'config', 'set', 'pitch'
+_TO_RECONSTRUCT = 'hfov', 'focal', 'model', *_PARAMETERS
+_UNTIMED = 'person', 'fps', 'image_size', 'layout', 'video', *_TO_RECONSTRUCT
+OPTIONS_BY_KIND: Mapping[InputKind, tuple[str, ...]] = {
+    InputKind.SEQUENCE: _TO_RECONSTRUCT,
+    InputKind.BAG: ('person', 'topic', 'camera_info', 'image_size', *_TO_RECONSTRUCT),
+    InputKind.VIDEO: ('person', 'detector', *_TO_RECONSTRUCT),
+    InputKind.OPENPOSE: _UNTIMED,
+    InputKind.JSON: _UNTIMED,
+    InputKind.TABLE: ('normalised', *_UNTIMED),
+    InputKind.CAMERA: ('detector', *_TO_RECONSTRUCT),
+    InputKind.RESULT: (),
+    InputKind.SKELETONS: ('person', 'topic', 'camera_info', *_PARAMETERS),
+    InputKind.NODE: (),
+}
+OPTIONS = frozenset[str]().union(*OPTIONS_BY_KIND.values())
+READING_OPTIONS = OPTIONS.intersection(NO_OPTIONS._fields)
+RESULT_KINDS = (InputKind.RESULT, InputKind.SKELETONS)
+
+
+def name_option(name: str) -> str:
+    """Return an option as it is written on the command line."""
+    return f'--{name.replace("_", "-")}'
+
+
+def check_options(place: object, given: Mapping[str, object], *kinds: InputKind) -> None:
+    """Check that the options that are given a value apply to an input, or to one of several of these kinds."""
+    applicable = {name for kind in kinds for name in OPTIONS_BY_KIND[kind]}
+    unused = [name_option(name) for name, value in given.items() if value and name in OPTIONS - applicable]
+    if unused:
+        raise InputError(f'{place}: {kinds[0].value}, to which {", ".join(unused)} does not apply')
+
+
+def select_options(options: ReadingOptions, kind: InputKind) -> ReadingOptions:
+    """Return options without those that do not apply to a kind of input."""
+    unused = READING_OPTIONS.difference(OPTIONS_BY_KIND.get(kind, ()))
+    return options._replace(**{name: getattr(NO_OPTIONS, name) for name in unused})
+
+
+def find_kind_with_results(path: Path) -> InputKind:
+    """Return the kind of an input; a bag counts as a result if there are skeletons in it."""
+    kind = find_input_kind(path)
+    if kind is InputKind.BAG:
+        with Bag(path) as bag:
+            return InputKind.SKELETONS if bag.topics_of_type([SKELETONS]) else kind
+    return kind
 
 
 def find_input_kind(path: Path) -> InputKind:

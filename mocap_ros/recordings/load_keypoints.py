@@ -5,32 +5,29 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 from math import inf
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.topics import Source, find_people_topics, find_people_type
+from mocap_ros.bags.topics import InputTopics, Source, find_inputs
 from mocap_ros.config import NodeConfig, TrackerConfig
 from mocap_ros.errors import FrameDropped, InputError, naming
 from mocap_ros.findings import Fault
 from mocap_ros.formats.detections import (
     Detections,
-    Video,
     arrange_people,
     associate_people,
-    find_focal_length,
     select_person,
 )
 from mocap_ros.formats.detector_json import load_json_file, load_json_folder
+from mocap_ros.formats.reading_options import ReadingOptions, find_focal_length
 from mocap_ros.formats.sequence_file import find_longest_gap, load_sequence
 from mocap_ros.formats.tables import load_tables
 from mocap_ros.formats.video import read_video_facts
@@ -46,8 +43,14 @@ from mocap_ros.messages.camera_info import (
 )
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.offline.whole_sequence import MAX_GAP_S
-from mocap_ros.recordings.detect_people import ShowProgress, detect_in_video
-from mocap_ros.recordings.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
+from mocap_ros.recordings.detect_people import detect_in_video
+from mocap_ros.recordings.input_kind import (
+    KEYPOINT_FORMATS,
+    KEYPOINT_KINDS,
+    InputKind,
+    check_options,
+    require_kind,
+)
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.input_camera import FROM_VIDEO, GIVEN, find_turns
 from mocap_ros.units import NS_PER_S
@@ -59,38 +62,12 @@ MAX_COMPARED = 10  # further messages that are compared with the CameraInfo in u
 MAX_CAMERA_INFOS = 1000  # messages in which a valid CameraInfo is searched
 MIN_SHARE_SEEN = 0.9  # 1; share of a video at whose end mostly somebody is seen
 MIN_FRAMES = 10  # frames; of all people, those who are seen in less are mostly errors of the detector
-# Options that apply to a kind of input; those of the focal length apply to all.
-OPTIONS_BY_KIND = {
-    InputKind.SEQUENCE: (),
-    InputKind.BAG: ('--person', '--topic', '--camera-info', '--image-size'),
-    InputKind.VIDEO: ('--person', '--detector'),
-    InputKind.OPENPOSE: ('--person', '--fps', '--image-size', '--layout', '--video'),
-    InputKind.JSON: ('--person', '--fps', '--image-size', '--layout', '--video'),
-    InputKind.TABLE: ('--person', '--fps', '--image-size', '--layout', '--video', '--normalised'),
-}
-
 LOADERS = {
     InputKind.OPENPOSE: load_json_folder, InputKind.JSON: load_json_file, InputKind.TABLE: load_tables,
 }  # fmt: skip
 
 
-class InputOptions(NamedTuple):
-    """How an input is read; a value of an option that does not apply to the kind of the input is an error."""
-
-    # Frame rate, image size and keypoint layout, which files do not state; the detector of a video
-    video: Video = Video()
-    # Limits on people, joints and text in a message of a bag, and the image size of a bag without one
-    node: NodeConfig = NodeConfig()
-    person: str | None = None  # id of the person; None for the one who is seen in most frames, or for all
-    topic: str | None = None  # topic of the keypoints; needed only for a bag with several
-    # Topic of the CameraInfo; None for that of the keypoints' camera (`frame_id`) and namespace
-    camera_info: str | None = None
-    # Function that shows the progress of a detector on a video
-    show_detection: ShowProgress = lambda images, _: images
-    tracker: TrackerConfig = TrackerConfig()  # parameters by which people are associated
-
-
-def load_input(path: Path, options: InputOptions) -> tuple[KeypointSequence, list[str]]:
+def load_input(path: Path, options: ReadingOptions) -> tuple[KeypointSequence, list[str]]:
     """Load one person from a sequence file, a bag, OpenPose files, a JSON file of COCO keypoints or a video.
 
     Returns the sequence, and lines to print about the chosen person, skipped messages and assumptions.
@@ -100,21 +77,22 @@ def load_input(path: Path, options: InputOptions) -> tuple[KeypointSequence, lis
 
 
 def load_people(
-    path: Path, options: InputOptions, *, only_one: bool = False
+    path: Path, options: ReadingOptions, *, only_one: bool = False
 ) -> tuple[list[KeypointSequence], list[str]]:
     """Load all people from a file that may hold several, or one as `load_input`, and return lines to print.
 
     They are those who are seen in `MIN_FRAMES` or more, in the order in which they are seen first.
     """
     kind, options = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS), _add_lens(options)
-    _refuse_options(path, kind, options)
-    if options.video.clip is not None:
-        options = options._replace(video=_read_clip(options.video, options.video.clip))
+    check_options(path, options._asdict(), kind)
+    if options.video is not None:
+        facts = read_video_facts(options.video)
+        options = options._replace(facts=facts, image_size=options.image_size or facts.size)
     if kind is InputKind.SEQUENCE:
         if not only_one:
             raise InputError(f'{path}: a sequence file holds one person; --all-people does not apply')
         sequence = load_sequence(path)
-        return _finish(path, kind, [sequence], options.video, sequence.notes)
+        return _finish(path, kind, [sequence], options, sequence.notes)
     detections = _load_detections(path, kind, options)
     with naming(path):
         if only_one:
@@ -122,7 +100,7 @@ def load_people(
             sequences = [sequence]
         else:
             sequences, lines = _select_all(detections, options.tracker)
-    return _finish(path, kind, sequences, options.video, lines)
+    return _finish(path, kind, sequences, options, lines)
 
 
 def _select_all(detections: Detections, settings: TrackerConfig) -> tuple[list[KeypointSequence], list[str]]:
@@ -136,42 +114,33 @@ def _select_all(detections: Detections, settings: TrackerConfig) -> tuple[list[K
     return sequences, [*ignored, *notes, *few]
 
 
-def _add_lens(options: InputOptions) -> InputOptions:
-    video, node = options.video, options.node
-    if video.hfov or video.focal:
+def _add_lens(options: ReadingOptions) -> ReadingOptions:
+    node = options.node
+    if options.hfov or options.focal:
         return options
-    return options._replace(video=replace(video, hfov=node.hfov or None, focal=node.focal or None))
-
-
-def _read_clip(video: Video, clip: Path) -> Video:
-    """Return what the video of the keypoints states, where it is not given: times, image size and focal length."""
-    facts = read_video_facts(clip)
-    size, aspect = video.image_size or facts.size, facts.pixel_aspect
-    video = replace(video, times_s=facts.times_s, image_size=size, pixel_aspect=aspect)
-    if facts.focal_px is None or video.hfov or video.focal:
-        return video
-    hfov = math.degrees(2 * math.atan2(facts.size[0] * aspect / 2, facts.focal_px))
-    return replace(video, hfov=hfov, is_lens_of_clip=True)
+    return options._replace(hfov=node.hfov or None, focal=node.focal or None)
 
 
 def _finish(
-    path: Path, kind: InputKind, sequences: list[KeypointSequence], video: Video, lines: Iterable[str]
+    path: Path, kind: InputKind, sequences: list[KeypointSequence], options: ReadingOptions, lines: Iterable[str]
 ) -> tuple[list[KeypointSequence], list[str]]:
     """Return sequences of one camera with its focal length, and all lines to print, which name the input."""
     size, outside = sequences[0].image_size, ''
     stamps_ns = np.array(sequences[0].stamps_ns)
     with naming(path):
-        if video.fps is None and (fault := describe_rate((stamps_ns - stamps_ns[0]) / NS_PER_S)):
+        if options.fps is None and (fault := describe_rate((stamps_ns - stamps_ns[0]) / NS_PER_S)):
             raise InputError(fault)
-        with naming('--image-size' if size == video.image_size else 'image size'):
+        with naming('--image-size' if size == options.image_size else 'image size'):
             for keypoints in (sequence.keypoints for sequence in sequences):
                 outside = outside or check_places(keypoints[..., :2], keypoints[..., 2], size)
         if kind is InputKind.VIDEO and sequences[0].is_camera_known:
             sequences = [replace(s, focal_source=FROM_VIDEO) for s in sequences]
-        focal, is_known = find_focal_length(size[0], video.hfov, video.focal), sequences[0].is_camera_known
+        is_known, source, share = sequences[0].is_camera_known, GIVEN, options.facts.focal_share
+        focal = find_focal_length(size[0], options.hfov, options.focal)
+        if focal is None and share is not None:
+            focal, source = share * size[0], FROM_VIDEO
         if focal is not None and not is_known:  # the principal point is in the middle, and nothing is distorted
             matrix = np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1]])
-            source = FROM_VIDEO if video.is_lens_of_clip else GIVEN
             sequences = [replace(s, camera_matrix=matrix, focal_source=source) for s in sequences]
     unused = 'has a calibrated camera; --hfov and --focal are not used' if focal is not None and is_known else ''
     # Any focal length will do, because only cameras that are known have a distortion.
@@ -196,21 +165,22 @@ def _describe_gap(sequence: KeypointSequence) -> str:
     )
 
 
-def _load_detections(path: Path, kind: InputKind, options: InputOptions) -> Detections:
-    video = options.video
+def _load_detections(path: Path, kind: InputKind, options: ReadingOptions) -> Detections:
     if kind is InputKind.BAG:
-        width, height = video.image_size or (options.node.image_width, options.node.image_height)
+        width, height = options.image_size or (options.node.image_width, options.node.image_height)
         node = replace(options.node, image_width=width, image_height=height)
         return load_bag(path, node, options.topic, options.camera_info)
     if kind is InputKind.VIDEO:
-        found = detect_in_video(path, video.detector, show_progress=options.show_detection)
-        return replace(found, intrinsics=None) if video.hfov or video.focal else found
-    detections = _stretch(LOADERS[kind](path, video), video.pixel_aspect)
-    if not all(detections.image_size) and (video.hfov or video.focal):
+        found = detect_in_video(path, options.detector, show_progress=options.show_detection)
+        return replace(found, intrinsics=None) if options.hfov or options.focal else found
+    detections = _stretch(LOADERS[kind](path, options), options.facts.pixel_aspect)
+    if not all(detections.image_size) and (options.hfov or options.focal):
         raise InputError(f'{path}: --hfov and --focal need --image-size, as the input does not state it')
-    end_s, length_s = detections.stamps_ns[-1] / NS_PER_S, max(video.times_s, default=0.0)
+    end_s, length_s = detections.stamps_ns[-1] / NS_PER_S, max(options.facts.times_s, default=0.0)
     if end_s < MIN_SHARE_SEEN * length_s:
-        line = f'the keypoints end after {end_s:.1f} s, and {video.clip} after {length_s:.1f} s; is it that video?'
+        line = (
+            f'the keypoints end after {end_s:.1f} s, and {options.video} after {length_s:.1f} s; is it that video?'
+        )
         return replace(detections, notes=(*detections.notes, line))
     return detections
 
@@ -224,17 +194,6 @@ def _stretch(detections: Detections, pixel_aspect: float) -> Detections:
     return replace(detections, people=people, image_size=(round(width * pixel_aspect), height))
 
 
-def _refuse_options(path: Path, kind: InputKind, options: InputOptions) -> None:
-    video = options.video
-    given: dict[str, Any] = {'--person': options.person, '--topic': options.topic}
-    given |= {'--camera-info': options.camera_info, '--fps': video.fps, '--image-size': video.image_size}
-    given |= {'--layout': video.layout, '--detector': video.detector, '--video': video.clip}
-    given |= {'--normalised': video.normalised}
-    unused = [name for name, value in given.items() if value and name not in OPTIONS_BY_KIND[kind]]
-    if unused:
-        raise InputError(f'{path}: {kind.value}, to which {", ".join(unused)} does not apply')
-
-
 def load_sequence_file(path: str | Path) -> KeypointSequence:
     """Load a sequence file; refuse anything else with an error that says what it is and what was expected."""
     require_kind(Path(path), [InputKind.SEQUENCE], 'a sequence file (.npz)')
@@ -244,7 +203,9 @@ def load_sequence_file(path: str | Path) -> KeypointSequence:
 def load_bag(
     path: Path, limits: NodeConfig, topic: str | None = None, camera_info: str | None = None
 ) -> Detections:
-    """Load all people from the keypoint messages of a bag, as `InputOptions` say; count those that cannot be used.
+    """Load all people from the keypoint messages of a bag; topics are those of `ReadingOptions`.
+
+    Messages that cannot be used are counted.
 
     The accepted messages are those that `replay` accepts, with these differences: messages may be late, and where
     the clock goes back, its longest run counts; the first CameraInfo applies to the whole bag; all images have the
@@ -252,9 +213,9 @@ def load_bag(
     the recorded run skipped count too.
     """
     with Bag(path) as bag:
-        topics = find_people_topics(bag, topic)
-        node = replace(limits, input_type=find_people_type(bag, topics))
-        camera, camera_note = find_camera(bag, [*topics], node, camera_info)
+        inputs = find_inputs(bag, topic, camera_info)
+        topics, node = inputs.people, replace(limits, input_type=inputs.keypoints_type)
+        camera, camera_note = find_camera(bag, inputs, node)
         known = camera.size if camera else None
         size = resolve_image_size(camera=known, configured=(node.image_width, node.image_height))
         frames, reasons, images, clock_note = _assemble_frames(bag, topics, node, camera, size)
@@ -279,7 +240,7 @@ def load_bag(
 
 
 def _assemble_frames(
-    bag: Bag, topics: dict[str, Source], node: NodeConfig, camera: CameraInfo | None, size: tuple[int, int]
+    bag: Bag, topics: Mapping[str, Source], node: NodeConfig, camera: CameraInfo | None, size: tuple[int, int]
 ) -> tuple[dict[int, KeypointsFrame], list[str], int, str]:
     """Return the images of a bag by stamp in ns, why each other message is left out, and a note on the clock.
 
@@ -329,18 +290,14 @@ def _leave_out_others(frames: dict[int, KeypointsFrame]) -> list[str]:
     return reasons + [f'{len(others)} images have another size than the others'] * len(others)
 
 
-def find_camera(
-    bag: Bag, keypoints_topics: Sequence[str], node: NodeConfig, camera_info: str | None = None
-) -> tuple[CameraInfo | None, str]:
-    """Find the first valid CameraInfo of the camera of the keypoints, on the topic that `camera_info` may name.
+def find_camera(bag: Bag, inputs: InputTopics, node: NodeConfig) -> tuple[CameraInfo | None, str]:
+    """Find the first valid CameraInfo of the camera of the keypoints.
 
     Returns the CameraInfo, else the first of which more than the others can be used, or None if there is none; and
     why it is not the first, or what of it is not used, or an empty text.
     """
-    topic, frame_id = (
-        bag.find_camera_info_topic(keypoints_topics, camera_info),
-        bag.find_frame_id(keypoints_topics),
-    )
+    topic, first = inputs.camera_info, next(iter(inputs.people))
+    frame_id = bag.find_frame_id(inputs.people)
     found: CameraInfo | None = None
     reason, other = '', ''
     messages = enumerate(islice(bag.messages([topic] if topic else []), MAX_CAMERA_INFOS), 1)
@@ -351,7 +308,7 @@ def find_camera(
             reason = reason or f'{topic}: message {number} cannot be used: {error}'
             continue
         if not may_be_one_camera(frame_id, camera.frame_id):
-            other = other or f'{keypoints_topics[0]}: {describe_other_camera(frame_id, camera, str(topic))}'
+            other = other or f'{first}: {describe_other_camera(frame_id, camera, str(topic))}'
             continue
         if not camera.note:
             cameras = [camera]

@@ -20,13 +20,15 @@ from mocap_ros.bags.topics import PEOPLE_TYPES
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError, SkeletonError, naming
 from mocap_ros.formats.detections import Detections
-from mocap_ros.formats.result_file import UNKNOWN_CAMERA, is_result_file, load_result_file
+from mocap_ros.formats.reading_options import NO_OPTIONS, ReadingOptions
+from mocap_ros.formats.result_file import UNKNOWN_CAMERA, load_result_file
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, resolve_image_size
 from mocap_ros.messages.skeletons import SKELETONS, ReceivedSkeletons, decode_skeletons, find_intrinsics
 from mocap_ros.offline.whole_sequence import Report
-from mocap_ros.people import CameraVertical, People, PoseSequence, TrackedFrame
-from mocap_ros.recordings.load_keypoints import InputOptions, load_bag
+from mocap_ros.people import SHARED_COLUMNS, CameraVertical, People, PoseSequence, TrackedFrame
+from mocap_ros.recordings.input_kind import InputKind, check_options
+from mocap_ros.recordings.load_keypoints import load_bag
 from mocap_ros.recordings.recording import Drop, Recording
 from mocap_ros.runtime.input_camera import KNOWN
 from mocap_ros.summary import UNKNOWN_SUMMARY, Summary
@@ -35,20 +37,6 @@ from mocap_ros.verdict.summary import RunSummary
 
 MAX_VERTICAL = 2.0  # length of a unit vector, far beyond its rounding; a longer one is damaged
 MAX_GIVEN_STD = math.radians(2.0)  # rad; verticals that are given have 1 degree, those found 2.5 or more
-# Columns of `People` that a `PoseSequence` has as well, each with its value where there is no skeleton
-COLUMNS = {
-    'joints': np.nan, 'joint_std': np.nan, 'inferred': True, 'reprojection_residual': np.nan, 'predicted': False,
-    'tentative': False, 'root_covariance': np.nan, 'contact': np.nan, 'posture': 0, 'posture_probability': 0.0,
-    'joint_orientation': np.nan, 'turn_inferred': True,
-}  # fmt: skip
-
-
-def holds_result(path: Path) -> bool:
-    """Return whether a path is a result file, or a bag in which there are skeletons."""
-    if is_bag(path):
-        with Bag(path) as bag:
-            return bool(bag.topics_of_type([SKELETONS]))
-    return path.is_file() and is_result_file(path)
 
 
 def load_result(path: Path, person: str | None = None) -> PoseSequence:
@@ -57,8 +45,8 @@ def load_result(path: Path, person: str | None = None) -> PoseSequence:
     In a bag there is a frame for each message of skeletons. InputError where one cannot be read.
     """
     if not is_bag(path):
-        return load_recording(path, InputOptions(person=person)).people[0]
-    recording = _load_bag(path, InputOptions(), Config(), lambda _: None, with_keypoints=False)
+        return load_recording(path, ReadingOptions(person=person)).people[0]
+    recording = _load_bag(path, NO_OPTIONS, Config(), lambda _: None, with_keypoints=False)
     counts = {p.id: int(p.in_sight.sum()) for p in recording.people}
     wanted = max(counts, key=counts.__getitem__) if person is None else person
     if wanted not in counts:
@@ -69,7 +57,7 @@ def load_result(path: Path, person: str | None = None) -> PoseSequence:
 
 def load_recording(
     path: Path,
-    reading: InputOptions | None = None,
+    reading: ReadingOptions = NO_OPTIONS,
     config: Config | None = None,
     report: Report = lambda _: None,
 ) -> Recording:
@@ -78,11 +66,10 @@ def load_recording(
     In a bag, what they rest on is judged by the keypoints in it, as in the recorded run. `report` gets the share
     of its messages that were read.
     """
-    reading = reading or InputOptions()
-    if is_bag(path):
+    is_in_bag = is_bag(path)
+    check_options(path, reading._asdict(), InputKind.SKELETONS if is_in_bag else InputKind.RESULT)
+    if is_in_bag:
         return _load_bag(path, reading, config or Config(), report, with_keypoints=True)
-    if reading.person is not None:
-        raise InputError(f'{path}: --person does not apply to a result of reconstruct')
     poses, summary = load_result_file(path)
     if not poses.in_sight.any():
         raise InputError(f'{path}: no frame has a skeleton')
@@ -95,10 +82,9 @@ def follow_person(
     """Return one person, who has a row at some of the stamps in ns, over time."""
     frames, count = np.searchsorted(stamps_ns, row_stamps_ns), len(stamps_ns)
     columns: dict[str, Any] = {}
-    for name, missing in COLUMNS.items():
-        values = getattr(rows, name)
-        columns[name] = np.full((count, *values.shape[1:]), missing, values.dtype)
-        columns[name][frames] = values
+    for name, column in SHARED_COLUMNS.items():
+        columns[name] = column.fill(count, len(rows.skeleton.joints))
+        columns[name][frames] = getattr(rows, name)
     motion, cadence = np.zeros(count, int), np.full(count, np.nan)
     motion[frames], cadence[frames] = [m.kind for m in rows.motion], [m.cadence for m in rows.motion]
     return PoseSequence(
@@ -125,7 +111,7 @@ class _Messages(NamedTuple):
 
 
 def _load_bag(
-    path: Path, reading: InputOptions, config: Config, report: Report, *, with_keypoints: bool
+    path: Path, reading: ReadingOptions, config: Config, report: Report, *, with_keypoints: bool
 ) -> Recording:
     detections = Detections([], [])
     if with_keypoints:
@@ -208,7 +194,7 @@ def _collect_people(
 def _judge(read: _Messages, detections: Detections, intrinsics: Intrinsics, config: Config) -> Summary:
     """Return what the people of a bag rest on, judged by its keypoints as in the recorded run."""
     seen = dict(zip(detections.stamps_ns, detections.people, strict=True))
-    source = KNOWN if intrinsics.is_focal_known else 'as recorded'
+    source = 'as recorded' if detections.intrinsics is None else KNOWN
     for number, array in enumerate(read.skeletons):
         if number in read.restarts:
             read.summary.restart()

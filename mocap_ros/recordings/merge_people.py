@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from mocap_ros.solvers.merging import CameraView, MergedPeople, PeopleMerger
 from mocap_ros.units import NS_PER_S
 
 PASSES = 2  # of the merging
+# Columns of people at a time between two frames, and those that have the value of the nearest one
+INTERPOLATED = 'joints', 'joint_std', 'root_covariance', 'contact'
+NOT_INTERPOLATED = 'inferred', 'turn_inferred', 'posture', 'posture_probability', 'predicted', 'tentative'
 MIN_FRAMES = 10  # frames; who is there for less is a mistake of a camera
 
 
@@ -102,26 +105,17 @@ def _sample(person: PoseSequence, times: Array, camera: CameraPlacement) -> _Sam
     at = times[is_known]
     nearest = find_nearest(at, own.times)
 
-    def interpolate(values: Array) -> Array:
-        flat = interpolate_linearly(at, own.times, values.reshape(len(own), -1))
-        return flat.reshape(len(at), *values.shape[1:])
-
-    turns = interpolate(own.joint_orientation)
+    turns = interpolate_linearly(at, own.times, own.joint_orientation)
+    columns: dict[str, Any] = {
+        **{name: interpolate_linearly(at, own.times, getattr(own, name)) for name in INTERPOLATED},
+        **{name: getattr(own, name)[nearest] for name in NOT_INTERPOLATED},
+    }
     people = People(
         ids=(person.id,) * len(at),
         skeleton=person.skeleton,
-        joints=interpolate(own.joints),
-        joint_std=interpolate(own.joint_std),
-        inferred=own.inferred[nearest],
-        root_covariance=interpolate(own.root_covariance),
         joint_orientation=turns / np.linalg.norm(turns, axis=-1, keepdims=True),
-        turn_inferred=own.turn_inferred[nearest],
-        contact=interpolate(own.contact),
-        posture=own.posture[nearest],
-        posture_probability=own.posture_probability[nearest],
-        predicted=own.predicted[nearest],
-        tentative=own.tentative[nearest],
         is_scale_known=person.is_scale_known,
+        **columns,
     )
     return _Sampled(camera.place(people), is_known, np.cumsum(is_known) - 1)
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from rosbags.interfaces import Qos
 
 from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.topics import Source, find_people_topics
+from mocap_ros.bags.topics import Source, find_inputs
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, encode_camera_info
 from mocap_ros.messages.cdr import Header
@@ -82,10 +82,11 @@ class Playback:
             if everything:
                 published_names = {t: t for t in bag.topics if bag.count([t])}
             else:
-                sources = find_people_topics(bag, topic)
-                published_names = {t: to if source is Source.KEYPOINTS else t for t, source in sources.items()}
-                if found := bag.find_camera_info_topic([*published_names], camera_info):
-                    published_names[found] = beside
+                found = find_inputs(bag, topic, camera_info)
+                for recorded, source in found.people.items():
+                    published_names[recorded] = to if source is Source.KEYPOINTS else recorded
+                if found.camera_info is not None:
+                    published_names[found.camera_info] = beside
             self.topics = [
                 PlayedTopic(published, bag.topics[recorded], bag.qos[recorded], recorded)
                 for recorded, published in published_names.items()

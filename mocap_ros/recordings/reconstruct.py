@@ -14,12 +14,14 @@ import numpy as np
 
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
+from mocap_ros.formats.reading_options import ReadingOptions
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.models.base_poses import PoseModel
-from mocap_ros.offline.whole_sequence import Report, Solved, report_part, share_floor, solve_sequence
-from mocap_ros.recordings.input_kind import InputKind, find_input_kind
-from mocap_ros.recordings.load_keypoints import InputOptions, load_people
-from mocap_ros.recordings.load_results import holds_result, load_recording
+from mocap_ros.offline.floor import share_floor
+from mocap_ros.offline.whole_sequence import Report, Solved, report_part, solve_sequence
+from mocap_ros.recordings.input_kind import RESULT_KINDS, InputKind, find_kind_with_results
+from mocap_ros.recordings.load_keypoints import load_people
+from mocap_ros.recordings.load_results import load_recording
 from mocap_ros.recordings.recording import Recording
 from mocap_ros.verdict.summary import summarise
 
@@ -33,7 +35,7 @@ class ReconstructionOptions(NamedTuple):
 
     config: Config  # parameters of tracker, solver and node
     models: Mapping[str, PoseModel]  # base poses by name
-    reading: InputOptions = InputOptions()  # how the input is read
+    reading: ReadingOptions = ReadingOptions()  # how the input is read
     max_people: int | None = 1  # people who are reconstructed, those who are seen most; None for all
     method: Method = solve_sequence
 
@@ -85,8 +87,9 @@ def reconstruct(
 
 def load_or_reconstruct(path: Path, options: ReconstructionOptions, report: Report = lambda _: None) -> Recording:
     """Load the people of a result, or of a bag with skeletons, as they are; reconstruct those of another input."""
-    if holds_result(path):
+    kind = find_kind_with_results(path)
+    if kind in RESULT_KINDS:
         return load_recording(path, options.reading, options.config, report)
-    if find_input_kind(path) is InputKind.SEQUENCE:  # of one person
+    if kind is InputKind.SEQUENCE:  # of one person
         options = options._replace(max_people=1)
     return reconstruct(path, options, report)

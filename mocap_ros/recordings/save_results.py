@@ -28,13 +28,13 @@ from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS, comput
 from mocap_ros.formats.export.trc import save_trc
 from mocap_ros.formats.result_file import save_result_file
 from mocap_ros.formats.sequence_file import find_longest_gap
-from mocap_ros.geometry.interpolation import central_velocity
+from mocap_ros.geometry.interpolation import central_velocity, interpolate_linearly
 from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_rotation
 from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, encode_camera_info
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.offline.whole_sequence import MAX_GAP_S
-from mocap_ros.people import CameraVertical, Motion, MotionKind, People, PoseSequence
+from mocap_ros.people import SHARED_COLUMNS, CameraVertical, Motion, MotionKind, People, PoseSequence
 from mocap_ros.recordings.playback import DEFAULT_FRAME_ID
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OutputEncoder, build_skeleton_definition
 
@@ -164,25 +164,14 @@ def _iterate_people(poses: PoseSequence) -> Iterator[People]:
         yield People(
             ids=(poses.id or DEFAULT_PERSON_ID,),
             skeleton=poses.skeleton,
-            joints=poses.joints[now],
-            joint_std=poses.joint_std[now],
-            inferred=poses.inferred[now],
             scale=scale[now],
-            rotation=poses.rotation[now],
             translation=translation[now],
             motion=(motion,),
-            reprojection_residual=poses.reprojection_residual[now],
             is_scale_known=poses.is_scale_known,
-            predicted=poses.predicted[now],
             joint_velocity=velocity[now],
-            root_covariance=poses.root_covariance[now],
             age=np.array([time - first]),
             unseen_for=np.array([time - last_seen]),
-            joint_orientation=poses.joint_orientation[now],
-            turn_inferred=poses.turn_inferred[now],
-            contact=poses.contact[now],
-            posture=poses.posture[now],
-            posture_probability=poses.posture_probability[now],
+            **{name: getattr(poses, name)[now] for name in SHARED_COLUMNS},
         )
 
 
@@ -246,19 +235,17 @@ def _resample_at_constant_rate(
     first = 0 if is_from_start else round(float(times[0]) / step)
     if frame_count - first > MAX_RESAMPLED_FRAMES:
         raise InputError(f'timestamps: {times[-1]:.0f} s would be {frame_count} frames at a constant rate')
-    grid = step * np.arange(first, frame_count)
-
-    def interpolate(values: Array) -> Array:
-        columns = values[known].reshape(int(known.sum()), -1).T
-        mixed = np.stack([np.interp(grid, times[known], column) for column in columns], axis=1)
-        return mixed.reshape(len(grid), *values.shape[1:])
+    grid = step * np.arange(first, frame_count, dtype=np.float64)
 
     in_sight = (grid > known_times[0] - step / 2) & (grid < known_times[-1] + step / 2)
     for before, after in pairwise(known_times):
         if after - before > MAX_GAP_S:
             in_sight &= (grid < before + step / 2) | (grid > after - step / 2)
-    orientation = interpolate(poses.joint_orientation) if np.isfinite(poses.joint_orientation).any() else None
-    return _Resampled(1 / step, interpolate(joints), orientation, in_sight, first)
+    orientation = None
+    if np.isfinite(poses.joint_orientation).any():
+        orientation = interpolate_linearly(grid, known_times, poses.joint_orientation[known])
+    joints = interpolate_linearly(grid, known_times, joints[known])
+    return _Resampled(1 / step, joints, orientation, in_sight, first)
 
 
 # The function that writes each format, by file suffix.

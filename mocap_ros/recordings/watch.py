@@ -18,12 +18,14 @@ from typing import TYPE_CHECKING, NamedTuple
 from mocap_ros.config import Config
 from mocap_ros.detectors.detector import Detector, Image
 from mocap_ros.errors import FrameDropped, InputError
-from mocap_ros.formats.detections import MAX_FRAMES, Detections, find_focal_length
+from mocap_ros.formats.detections import Detections
+from mocap_ros.formats.reading_options import find_focal_length
 from mocap_ros.formats.video import VideoReader
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.image_size import UNKNOWN_SIZE
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import PoseModel
-from mocap_ros.recordings.detect_people import detect_people, name_people
+from mocap_ros.recordings.detect_people import check_image, detect_people, name_people
 from mocap_ros.recordings.live_frame import show_people
 from mocap_ros.tracking.tracker import PeopleTracker
 from mocap_ros.units import NS_PER_S
@@ -108,15 +110,12 @@ class Watch:
         self._is_recorded = is_recorded
         self._people: list[list[Person2D]] = []
         self._stamps_ns: list[int] = []
-        self._size, self._start_ns = (0, 0), -1
+        self._size, self._start_ns = UNKNOWN_SIZE, -1
         self._waiting: dict[int, tuple[list[Person2D], bytes]] = {}  # by stamp; the tracker may answer later
 
     def show(self, shot: Shot, focal_px: float | None = None) -> None:
         """Show the people in an image; `focal_px` is the focal length that a video states."""
-        size = shot.image.shape[1], shot.image.shape[0]
-        if self._start_ns >= 0 and size != self._size:
-            raise InputError(f'the size of the images changes from {self._size} to {size}')
-        self._size = size
+        self._size = size = check_image(shot.image, len(self._people), self._size)
         self._start_ns = shot.stamp_ns if self._start_ns < 0 else self._start_ns
         people = detect_people(self._detector, shot.image, (shot.stamp_ns - self._start_ns) / NS_PER_S)
         with suppress(FrameDropped):
@@ -124,8 +123,6 @@ class Watch:
             people = [person.hide_border(size) for person in people]
             tracked = self._tracker.update(shot.stamp_ns, people, camera)
             if self._is_recorded:
-                if len(self._people) == MAX_FRAMES:
-                    raise InputError(f'more than {MAX_FRAMES} images')
                 self._people.append(people)
                 self._stamps_ns.append(shot.stamp_ns)
             self._waiting[shot.stamp_ns] = people, encode_jpeg(shot.image) if self._scene.is_viewed else b''
@@ -156,4 +153,4 @@ class Watch:
         focal = find_focal_length(self._size[0], *self._lens) or focal_px
         if focal is None:
             return Intrinsics.from_image_size(*self._size, self._config.tracker.nominal_focal_length)
-        return Intrinsics(focal, (self._size[0] / 2, self._size[1] / 2), True, image_size=self._size)
+        return Intrinsics.centred(focal, self._size)

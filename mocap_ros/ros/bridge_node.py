@@ -5,56 +5,42 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
 
 from mocap_ros.bridges.bridge import CONSUMERS, Bridge, check_consumers
 from mocap_ros.bridges.ros4hri import BODIES, DESCRIPTION, TRACKED
 from mocap_ros.bridges.vmc import Avatar
-from mocap_ros.errors import ConfigError, InputError, MocapError
+from mocap_ros.errors import ConfigError, MocapError
 from mocap_ros.formats.export.vmc import VmcPose
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.skeletons import PREDICTIONS, SKELETONS
 from mocap_ros.recordings.send_vmc import VmcSender
 from mocap_ros.ros.help import BRIDGE_NAME, BRIDGE_PARAMETERS
-from mocap_ros.ros.message_types import MessageVersions
-from mocap_ros.ros.nodes import ManagedNode, declare_parameters
 from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS
-from mocap_ros.ros.throttled_log import ThrottledLog
-from mocap_ros.ros.topics import Publishers, SilenceMonitor, subscribe
+from mocap_ros.ros.skeleton_node import WARN_AFTER_S, SkeletonNode
+from mocap_ros.ros.topics import SilenceMonitor
 
 CHECK_PERIOD_S = 0.5  # s; between two looks at how long nothing has arrived
 CLEAR_AFTER_S = 2.0  # s without skeletons, after which all people count as gone
-WARN_AFTER_S = 15.0  # s without messages, after which the log says so; mocap_node takes its time to start
 START_MOCAP_NODE = 'start mocap_node, or remap the topic to the one on which it publishes'
 START_PREDICTIONS = 'start mocap_node with -p node.publish_predictions:=true'
 
 
-class BridgeNode(ManagedNode):
+class BridgeNode(SkeletonNode):
     """Lifecycle node that runs a `Bridge` while it is active."""
 
     def __init__(self) -> None:
-        super().__init__(BRIDGE_NAME)
-        self._values = declare_parameters(self, BRIDGE_PARAMETERS, 'the option --help')
-        self.has_autostart = bool(self._values['autostart'])
-        self._versions = MessageVersions()
-        self._outputs = Publishers(self, self._versions)
+        super().__init__(BRIDGE_NAME, BRIDGE_PARAMETERS)
         self._bridge = Bridge([])
         self._inputs: list[tuple[SilenceMonitor, Callable[[bytes], list[OutputMessage]]]] = []
-        self._subscriptions_in_use: list[Any] = []  # while active
-        self._timer: Any = None  # while active
-        self._log = ThrottledLog(self.get_logger())
-        self._counts: Counter[str] = Counter()  # of messages by topic
         self._has_warned_of_bodies = False
 
     def configure(self) -> None:
         """Create the publishers of the consumers whose types are installed."""
+        super().configure()
         publish, vmc = str(self._values['publish']).replace(',', ' ').split(), str(self._values['vmc']).strip()
         names = check_consumers(publish) if publish or not vmc else []
-        self._versions = MessageVersions()
-        self._outputs = Publishers(self, self._versions)
         usable = [
             name
             for name in names
@@ -72,14 +58,10 @@ class BridgeNode(ManagedNode):
         for silence, _ in self._inputs:
             self._versions.add_input(silence.type)
 
-    def clean_up(self) -> None:
-        """Destroy the publishers."""
-        self._outputs.destroy()
-
     def start_run(self) -> None:
         """Subscribe."""
         for silence, feed in self._inputs:
-            self._subscribe(silence, feed)
+            self.subscribe_to(silence, partial(self._take, feed))
         self._timer = self.create_steady_timer(CHECK_PERIOD_S, self._check_silence)
         listened = ' and '.join(self.resolve_topic_name(silence.name) for silence, _ in self._inputs)
         published = [self.resolve_topic_name(topic) for topic in self._outputs]
@@ -91,28 +73,13 @@ class BridgeNode(ManagedNode):
 
     def stop_run(self) -> None:
         """Unsubscribe, and publish that all people are gone."""
-        for subscription in self._subscriptions_in_use:
-            self.destroy_subscription(subscription)
-        if self._timer is not None:
-            self.destroy_timer(self._timer)
+        has_run = self._timer is not None
+        super().stop_run()
+        if has_run:
             self._publish(self._bridge.clear())
-        self._subscriptions_in_use = []
-        self._timer = None
 
-    def _subscribe(self, silence: SilenceMonitor, feed: Callable[[bytes], list[OutputMessage]]) -> None:
-        topic = self.resolve_topic_name(silence.name)
-        silence.restart()
-
-        def take(raw: bytes) -> None:
-            silence.restart(has_input=True)
-            self._counts[topic] += 1
-            try:
-                self._publish(feed(self._versions.read(silence.type, raw)))
-            except InputError as error:
-                self._log.report(topic, self._counts[topic], str(error))
-
-        keep = self._subscriptions_in_use.append
-        subscribe(self, silence.type, silence.name, take, OUTPUT_QOS, keep=keep)
+    def _take(self, feed: Callable[[bytes], list[OutputMessage]], raw: bytes) -> None:
+        self._publish(feed(raw))
 
     def _send_pose(self, sender: VmcSender, pose: VmcPose, time_s: float) -> None:
         try:

@@ -6,9 +6,7 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from functools import partial
-from typing import Any
 
 from mocap_ros.bags.background import BackgroundRecorder, start_recorder
 from mocap_ros.config import RecorderConfig, Value
@@ -19,49 +17,38 @@ from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.diagnostics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, Level
 from mocap_ros.ros.help import MERGE_NAME, MERGE_PARAMETERS
-from mocap_ros.ros.message_types import MessageVersions
-from mocap_ros.ros.nodes import ManagedNode, declare_parameters
 from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS, TF_QOS
-from mocap_ros.ros.throttled_log import ThrottledLog
-from mocap_ros.ros.topics import Publishers, SilenceMonitor, subscribe
+from mocap_ros.ros.skeleton_node import WARN_AFTER_S, SkeletonNode
+from mocap_ros.ros.topics import SilenceMonitor
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS
 from mocap_ros.runtime.skeleton_merging import MergedRun
 
 CHECK_PERIOD_S = 1.0  # s; between two diagnostics
-WARN_AFTER_S = 15.0  # s without messages, after which the log says so; mocap_node takes its time to start
 SILENT_AFTER_S = 2.0  # s without messages, after which a camera counts as dead
 START_MOCAP_NODE = 'start the mocap_node of that camera, or correct the parameter inputs'
 
 
-class MergeNode(ManagedNode):
+class MergeNode(SkeletonNode):
     """Lifecycle node that feeds a `MergedRun` while it is active."""
 
     def __init__(self) -> None:
-        super().__init__(MERGE_NAME)
-        self._values = declare_parameters(self, MERGE_PARAMETERS, 'the option --help')
-        self.has_autostart = bool(self._values['autostart'])
-        self._versions = MessageVersions()
-        self._outputs = Publishers(self, self._versions)
+        super().__init__(MERGE_NAME, MERGE_PARAMETERS)
         self._parameters: dict[str, Value] = {}
         self._run: MergedRun | None = None  # while active
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()  # so that times of receipt never jump
         self._recorder: BackgroundRecorder | None = None  # while active
         self._silences: dict[str, SilenceMonitor] = {}
         self._silent = set[str]()  # topics on which nothing comes
-        self._subscriptions_in_use: list[Any] = []  # while active
-        self._timer: Any = None  # while active
-        self._log, self._counts = ThrottledLog(self.get_logger()), Counter[str]()
 
     def configure(self) -> None:
         """Create the publishers."""
+        super().configure()
         topics = [self.resolve_topic_name(name) for name in str(self._values['inputs']).split()]
         prefix = self.get_namespace().rstrip('/') + '/'
         self._parameters = self._values | {'inputs': ' '.join(topics), 'prefix': prefix}
         MergedRun(self._parameters)
         self._silences = {topic: SilenceMonitor(self, topic, SKELETONS, START_MOCAP_NODE) for topic in topics}
-        self._versions = MessageVersions()
         self._versions.add_input(SKELETONS)
-        self._outputs = Publishers(self, self._versions)
         for topic, msgtype in OUTPUTS.items():
             self._outputs.add(topic, msgtype, OUTPUT_QOS)
         for topic, msgtype in LATCHED_OUTPUTS.items():
@@ -69,10 +56,6 @@ class MergeNode(ManagedNode):
         self._outputs.add_if_installed(DIAGNOSTICS_TOPIC, DIAGNOSTICS, OUTPUT_QOS, 'there are no diagnostics')
         if self._values['publish_tf']:
             self._outputs.add_if_installed('/tf', TRANSFORMS, TF_QOS, 'people are not published on /tf')
-
-    def clean_up(self) -> None:
-        """Destroy the publishers."""
-        self._outputs.destroy()
 
     def start_run(self) -> None:
         """Subscribe, and start the recording."""
@@ -82,9 +65,7 @@ class MergeNode(ManagedNode):
             self._recorder = start_recorder(now_ns, RecorderConfig(folder=folder))
             self._recorder.put(run.start(now_ns))
         for topic, silence in self._silences.items():
-            silence.restart()
-            keep = self._subscriptions_in_use.append
-            subscribe(self, SKELETONS, topic, partial(self._take, run, topic), OUTPUT_QOS, keep=keep)
+            self.subscribe_to(silence, partial(self._take, run, topic))
         self._timer = self.create_steady_timer(CHECK_PERIOD_S, self._check)
         recorded = f', and records to {self._recorder.folder}' if self._recorder else ''
         published = self.resolve_topic_name('skeletons')
@@ -94,12 +75,7 @@ class MergeNode(ManagedNode):
 
     def stop_run(self) -> None:
         """Unsubscribe, and finish the recording."""
-        for subscription in self._subscriptions_in_use:
-            self.destroy_subscription(subscription)
-        self._subscriptions_in_use = []
-        if self._timer is not None:
-            self.destroy_timer(self._timer)
-            self._timer = None
+        super().stop_run()
         if self._recorder is not None:
             recorder, self._recorder = self._recorder, None
             try:
@@ -111,10 +87,8 @@ class MergeNode(ManagedNode):
         return time.monotonic_ns() + self._clock_offset_ns
 
     def _take(self, run: MergedRun, topic: str, raw: bytes) -> None:
-        self._silences[topic].restart(has_input=True)
-        self._counts[topic] += 1
         now_ns = self._now_ns()
-        merged = run.feed(topic, self._versions.read(SKELETONS, raw), (now_ns, now_ns))
+        merged = run.feed(topic, raw, (now_ns, now_ns))
         for output in merged.outputs:
             self._outputs.publish(self._versions.write_output(output))
         if merged.reason:

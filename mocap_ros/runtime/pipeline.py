@@ -20,7 +20,7 @@ from mocap_ros.bags.topics import PEOPLE_SOURCES, TRANSFORM_SOURCES, Source
 from mocap_ros.config import Config
 from mocap_ros.errors import ConfigError, FrameDropped, InputError
 from mocap_ros.findings import find_worst
-from mocap_ros.formats.detections import find_focal_length
+from mocap_ros.formats.reading_options import find_focal_length
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_image_size
 from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
@@ -336,7 +336,7 @@ class Pipeline:
             )
         if node.hfov or node.focal:
             focal = find_focal_length(size[0], node.hfov or None, node.focal or None, 'node.focal')
-            return Intrinsics(float(focal or 0), (size[0] / 2, size[1] / 2), True, image_size=size), GIVEN
+            return Intrinsics.centred(float(focal or 0), size), GIVEN
         return Intrinsics.from_image_size(*size, self.config.tracker.nominal_focal_length), NOMINAL
 
     def _count(self, source: Source, result: ProcessingResult) -> None:

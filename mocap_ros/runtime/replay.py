@@ -22,8 +22,7 @@ from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.bags.topics import (
     PEOPLE_SOURCES,
     Source,
-    find_people_topics,
-    find_people_type,
+    find_inputs,
     find_robot_topics,
     make_repeat_keys,
 )
@@ -112,11 +111,10 @@ class _Replay:
     def __init__(self, bag: Bag, options: ReplayOptions) -> None:
         self._bag = bag
         self._changes = options.changes
-        self._inputs = find_people_topics(bag, options.topic)
-        keypoints_type = find_people_type(bag, self._inputs)
-        camera_info = bag.find_camera_info_topic([*self._inputs], options.camera_info)
-        if camera_info is not None:
-            self._inputs[camera_info] = Source.CAMERA_INFO
+        found = find_inputs(bag, options.topic, options.camera_info)
+        self._inputs = dict(found.people)
+        if found.camera_info is not None:
+            self._inputs[found.camera_info] = Source.CAMERA_INFO
         self._run = read_run(bag)
         self._notes: dict[str, str] = {}  # by kind
         self._repeats_parameters = options.config is None
@@ -124,9 +122,9 @@ class _Replay:
         self._recorder_config = config.recorder  # never that of the recorded run, whose disk was another
         if self._repeats_parameters:
             config = self._apply_recorded(config, self._run.parameters)
-        config = with_values(config, {INPUT_TYPE_PARAMETER: keypoints_type})
+        config = with_values(config, {INPUT_TYPE_PARAMETER: found.keypoints_type})
         repeated = self._run.parameters if self._repeats_parameters else {}
-        if WAIT_PARAMETER not in repeated if repeated else camera_info is None:
+        if WAIT_PARAMETER not in repeated if repeated else found.camera_info is None:
             config = with_values(config, {WAIT_PARAMETER: 0.0})
         self._inputs |= find_robot_topics(bag, config.node, self._run.input_topics)
         # that of the outputs in the bag, whatever the parameters of the replay say

@@ -240,11 +240,7 @@ def replay_merging(bag: Bag, out: Path, progress: ProgressWrapper) -> int:
         for count, message in enumerate(progress(bag.messages(run.topics), bag.count(run.topics)), 1):
             first = run.start(message.time_ns) if count == 1 else []
             merged = run.feed(message.topic, message.raw, (message.time_ns, message.time_ns))
-            for record in (*first, *merged.records):
-                if isinstance(record, Topic):
-                    recorder.add_topic(record)
-                else:
-                    recorder.write(*record)
+            recorder.write_all([*first, *merged.records])
     return count
 
 

@@ -195,8 +195,9 @@ class ExtremityEvidence(NamedTuple):
         """Return the evidence of people of whom only the core (P, 15, 3) m is known."""
         shape = len(core), len(BODY26.joints)
         lifted, std = np.full((2, *shape, 3), np.nan)
-        seen = np.zeros((*shape, 2)), np.zeros(shape), np.zeros(len(core))
-        return ExtremityEvidence(np.ascontiguousarray(core), lifted, std, *seen)
+        return ExtremityEvidence(
+            np.ascontiguousarray(core), lifted, std, np.zeros((*shape, 2)), np.zeros(shape), np.zeros(len(core))
+        )
 
 
 def collect_evidence(

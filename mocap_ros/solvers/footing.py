@@ -79,12 +79,21 @@ def find_contacts(rays: Array, weight: Array, joints: Array, upward: Array, time
         times: (F,) s, increasing.
         noise: m, image noise at the body.
     """
-    seen = *(rays[:, :CORE_COUNT], weight[:, :CORE_COUNT]), *(rays[:, CORE_COUNT:], weight[:, CORE_COUNT:])
     core, feet = joints[:, :CORE_COUNT], np.zeros((len(times), len(FEET), 3))
     if joints.shape[1] > CORE_COUNT:
         feet = joints[:, HEELS_AND_TOES] - core[:, ANKLES]
     return engine.find_contacts(
-        times, *seen, core, feet, np.broadcast_to(upward, core[:, 0].shape), LEGS, FEET, noise
+        times,
+        rays[:, :CORE_COUNT],
+        weight[:, :CORE_COUNT],
+        rays[:, CORE_COUNT:],
+        weight[:, CORE_COUNT:],
+        core,
+        feet,
+        np.broadcast_to(upward, core[:, 0].shape),
+        LEGS,
+        FEET,
+        noise,
     )
 
 

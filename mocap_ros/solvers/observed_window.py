@@ -109,14 +109,16 @@ class ObservedWindow:
 
     def select_frames(self, frames: NDArray[np.intp] | slice) -> ObservedWindow:
         """Return the window of some frames, increasing indices or a slice, seen by the same virtual cameras."""
-        camera = self.virtual_camera.select_frames(frames)
-        lifted = None if self.lifted is None else self.lifted.select_frames(frames)
-        extremities = None if self.extremities is None else self.extremities.select_frames(frames)
-        seen = self.rays[frames], self.weight[frames]
-        is_evidence = None if self.is_evidence is None else self.is_evidence[frames]
-        depth = None if self.depth is None else self.depth[frames]
-        return ObservedWindow(
-            self.times[frames], *seen, camera, self.focal, lifted, extremities, is_evidence, depth
+        return replace(
+            self,
+            times=self.times[frames],
+            rays=self.rays[frames],
+            weight=self.weight[frames],
+            virtual_camera=self.virtual_camera.select_frames(frames),
+            lifted=None if self.lifted is None else self.lifted.select_frames(frames),
+            extremities=None if self.extremities is None else self.extremities.select_frames(frames),
+            is_evidence=None if self.is_evidence is None else self.is_evidence[frames],
+            depth=None if self.depth is None else self.depth[frames],
         )
 
     def exclude_points(self, excluded: NDArray[np.bool_]) -> ObservedWindow:

@@ -97,10 +97,10 @@ class SeenPerson(NamedTuple):
 
     def at(self, times: Array) -> SeenPerson:
         """Return the person at other times, interpolated; NaN outside and in longer gaps (`find_covered`)."""
-        is_known = find_covered(times, self.times)
-        columns = (interpolate_linearly(times, self.times, v.reshape(len(v), -1)) for v in self[1:])
-        known = (np.where(is_known[:, None], column, np.nan) for column in columns)
-        return SeenPerson(times, *(c.reshape(-1, *v.shape[1:]) for c, v in zip(known, self[1:], strict=True)))
+        columns = [interpolate_linearly(times, self.times, values) for values in self[1:]]
+        for column in columns:
+            column[~find_covered(times, self.times)] = np.nan
+        return SeenPerson(times, *columns)
 
     def measure_speeds(self) -> Array:
         """Return the speeds v (N, 15) in m/s every `STEP_S` from the first time on; 0 where not known."""

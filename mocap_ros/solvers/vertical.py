@@ -107,9 +107,20 @@ def _judge(found: Array, sums: Array, sign: float, *, is_turned: bool) -> tuple[
         sign: 1, or -1 for a camera that is upside down.
         is_turned: whether the image was turned, so that q is 1.
     """
-    limits = LEVEL_PITCH_DEG, SHRINKAGE, STANDING_SHARE, USUAL_DEG
-    deviations = BODY_STD_DEG, SECOND_STD_DEG, MAX_STD_DEG, ASKEW_STD_DEG
-    return engine.judge(found, sums, sign, is_turned, *limits, *deviations)
+    return engine.judge(
+        found,
+        sums,
+        sign,
+        is_turned,
+        LEVEL_PITCH_DEG,
+        SHRINKAGE,
+        STANDING_SHARE,
+        USUAL_DEG,
+        BODY_STD_DEG,
+        SECOND_STD_DEG,
+        MAX_STD_DEG,
+        ASKEW_STD_DEG,
+    )
 
 
 @dataclass(eq=False)
@@ -161,8 +172,9 @@ class Vertical:
             return Vertical.begin(stamp_ns, stances, sign)
         age_s = (stamp_ns - self.stamp_ns) / NS_PER_S
         faded, step_s = math.exp(-age_s / MEMORY_S), min(age_s, MAX_STEP_S)
-        limits = *LEVEL_DEG, OUTLIER_DEG, MIN_STANDING
-        found, *seconds = engine.add_frame(self.found, self.sums, faded, step_s, sign, *limits, *stances)
+        found, *seconds = engine.add_frame(
+            self.found, self.sums, faded, step_s, sign, *LEVEL_DEG, OUTLIER_DEG, MIN_STANDING, *stances
+        )
         is_turned = self.sign < 0
         (direction,), (std,) = _judge(found[None], np.array([seconds]), self.sign, is_turned=is_turned)
         return Vertical(direction, float(std), False, stamp_ns, found, Sums(*seconds), self.sign)
@@ -204,12 +216,11 @@ def lift_under_vertical(
     lifted = lifter.lift(points, weight, RAY_FOCAL)
     if vertical is None:
         return lifted
-    under, share = (
-        lifter.lift(points, weight, RAY_FOCAL, *vertical),
-        Stances.of(lifted.joints).standing[:, None, None],
+    under = lifter.lift(points, weight, RAY_FOCAL, *vertical)
+    share = Stances.of(lifted.joints).standing[:, None, None]
+    return LiftedPoses(
+        lifted.joints + share * (under.joints - lifted.joints), lifted.std + share * (under.std - lifted.std)
     )
-    pairs = (lifted.joints, under.joints), (lifted.std, under.std)
-    return LiftedPoses(*(a + share * (b - a) for a, b in pairs))
 
 
 def turn_towards_vertical(
@@ -224,9 +235,18 @@ def turn_towards_vertical(
         vertical: (N, 3), or (1, 3) for all, vertical in the axes of the real camera.
         std: (N,) or (1,) rad, its standard deviation.
     """
-    shown = stances.upward, stances.standing * stances.seen
-    given = lifted.joints, lifted.std, cameras, *shown, np.ascontiguousarray(vertical), std
-    return LiftedPoses(engine.turn_poses(*given, CORE_COUNT, *LEVEL_DEG), lifted.std)
+    turned = engine.turn_poses(
+        lifted.joints,
+        lifted.std,
+        cameras,
+        stances.upward,
+        stances.standing * stances.seen,
+        np.ascontiguousarray(vertical),
+        std,
+        CORE_COUNT,
+        *LEVEL_DEG,
+    )
+    return LiftedPoses(turned, lifted.std)
 
 
 def find_vertical(times: Array, stances: Stances, *, is_turned: bool = False) -> tuple[Array, Array]:

@@ -89,12 +89,21 @@ def follow_motion(
 
     Where depths are measured, sizes of people follow, and their distances, stamp of the frame in ns.
     """
-    filters, times, located = shown.filters, shown.times, locate_past(shown)
-    motion = find_published_motion(shown, *located, is_steady=is_steady)
-    offsets, core = filters[:, OFFSETS].reshape(len(times), -1, 3), motion.joints
-    upward = None if vertical is None else vertical.direction
-    seen = shown.windows, shown.frames, core, offsets, upward, shown.noise
-    plant_newest(filters[:, OF_FOOTING], times, *seen, measure_depths(shown, core, find_size, stamp_ns))
+    filters, times = shown.filters, shown.times
+    now, earlier = locate_past(shown)
+    motion = find_published_motion(shown, now, earlier, is_steady=is_steady)
+    core = motion.joints
+    plant_newest(
+        filters[:, OF_FOOTING],
+        times,
+        shown.windows,
+        shown.frames,
+        core,
+        filters[:, OFFSETS].reshape(len(times), -1, 3),
+        None if vertical is None else vertical.direction,
+        shown.noise,
+        measure_depths(shown, core, find_size, stamp_ns),
+    )
     evidence = collect_evidence(core, shown.windows, shown.noise, shown.frames)
     follow_extremities(shown, evidence, times, is_steady=is_steady)
     if vertical is not None:
@@ -154,13 +163,14 @@ def find_motion(shown: Shown, located: Array, *, is_steady: bool = False) -> Cor
 
     If `is_steady`, the filters take in the frame first.
     """
-    known = shown.times, located, shown.noise, _HIPS, is_steady
-    motion = CoreMotion(*engine.filter_motion(shown.filters[:, OF_MOTION], *known))
+    filters = shown.filters[:, OF_MOTION]
+    motion = CoreMotion(*engine.filter_motion(filters, shown.times, located, shown.noise, _HIPS, is_steady))
     for p, (track, frame) in enumerate(zip(shown.tracks, shown.frames, strict=True)):
         if 0 < frame < track.newest and np.isnan(motion.velocity[p, 0, 0]):
             times = shown.windows[p].times[frame - 1 : frame + 2]
-            around = times[2] - times, [frame + 1], shown.windows[p : p + 1], shown.solutions[p : p + 1]
-            motion.velocity[p] = central_velocity(times, engine.sample_joints(*around)[0])[1]
+            window, solution = shown.windows[p], shown.solutions[p]
+            (around,) = engine.sample_joints(times[2] - times, [frame + 1], [window], [solution])
+            motion.velocity[p] = central_velocity(times, around)[1]
     return motion
 
 
@@ -182,7 +192,7 @@ def describe_past(shown: Shown, filtered: CoreMotion, now: Array, earlier: Array
     return VelocityPast(filtered.velocity, filtered.velocity_std, now, earlier, axes)
 
 
-def stand(shown: Shown, motion: CoreMotion) -> None:
+def set_standing_joints(shown: Shown, motion: CoreMotion) -> None:
     """Set the joints of people in the frame of which it is known how their feet stand."""
     is_known = shown.filters[:, STANDING_TIME.start] == shown.times
     motion.joints[is_known] = shown.filters[is_known, STANDING_CORE].reshape(-1, *motion.joints.shape[1:])
@@ -223,8 +233,8 @@ def make_people(
     `weight` (P, 26) are the scores of the joints; `unseen_for` (P,) s of people who are predicted.
     """
     intrinsics, is_seen = shown.tracks[0].intrinsics, unseen_for is None
-    known = np.array([size.ratio for size in sizes]), cores, std, root_covariance
-    *whole, roots = BODY.complete(shown.filters[:, OF_EXTREMITIES], *known)
+    ratios = np.array([size.ratio for size in sizes])
+    *whole, roots = BODY.complete(shown.filters[:, OF_EXTREMITIES], ratios, cores, std, root_covariance)
     joints, std, velocity, velocity_std, turns, turn_inferred, inferred = (
         values[:, : len(skeleton.joints)] for values in (*whole, weight == 0)
     )

@@ -32,7 +32,7 @@ from mocap_ros.tracking.output import (
     follow_extremities,
     locate_past,
     make_people,
-    stand,
+    set_standing_joints,
     widen_deviations,
 )
 from mocap_ros.tracking.track import Track
@@ -56,7 +56,7 @@ def predict_people(
     _, ahead = _predict(tracks, times, upward, sizes)
     shown = Shown.of(tracks)
     last = find_published_motion(shown, *locate_past(shown))
-    stand(shown, last)
+    set_standing_joints(shown, last)
     seen = collect_evidence(last.joints, shown.windows, shown.noise, shown.frames)
     _, root_covariance = describe_cores(shown, last.joints, seen, sizes)
     velocity_std = VELOCITY_STD_M_S / np.array([[size.ratio] for size in sizes])
@@ -106,7 +106,7 @@ def sample_past(tracks: Sequence[Track], upward: Array | None = None) -> Past:
     shown = Shown.of(tracks)
     located = engine.sample_joints(_AGO, shown.frames, shown.windows, shown.solutions)
     motion = find_motion(shown, np.ascontiguousarray(located[:, 0]))
-    stand(shown, motion)
+    set_standing_joints(shown, motion)
     joints, velocity, *_ = motion
     located += np.nan_to_num(shown.filters[:, None, None, SHIFT])
     is_known = ~np.isnan(located[..., :1, :1])

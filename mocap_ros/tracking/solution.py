@@ -80,7 +80,7 @@ class TrackSolution:
         theta = interpolate_linearly(times, solved_times, reconstruction.theta)
         roots = camera.root_positions(reconstruction.cameras, reconstruction.translation)
         roots = interpolate_linearly(times, solved_times, roots)
-        residuals = interpolate_linearly(times, solved_times, reconstruction.residual[:, None])[:, 0]
+        residuals = interpolate_linearly(times, solved_times, reconstruction.residual)
         lengths = model.skeleton.bone_lengths(model.poses(theta))
         if earlier is not None:
             newest = zip(_STATES, (theta, rotation, roots, lengths, residuals), strict=True)

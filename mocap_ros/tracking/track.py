@@ -179,8 +179,9 @@ class Track:
             rays, weight = exchange_sides(rays, weight, swapped, self.swap_filter.sides)
             extremities = extremities.exchange_sides(swapped)
         camera = VirtualCamera.look_at_mean_position(rays, weight, self.intrinsics)
-        seen = times, rays, weight, camera, self.focal
-        self.observed = ObservedWindow(*seen, lifted, extremities, self.is_evidence, depth)
+        self.observed = ObservedWindow(
+            times, rays, weight, camera, self.focal, lifted, extremities, self.is_evidence, depth
+        )
 
     def change_camera(self, intrinsics: Intrinsics, focal: float) -> None:
         """Use other intrinsics: the image points stay, or are resized as the image is; nothing is lifted yet."""

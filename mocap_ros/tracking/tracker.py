@@ -459,8 +459,8 @@ class PeopleTracker:
         is_steady = settings.steady_output and self._is_newest_shown
         motion, seen = follow_motion(shown, self.vertical, self._find_size, shown_ns, is_steady=is_steady)
         if floor is None and (height := settings.camera_height) and self._vertical is not None:
-            std = CALIBRATED_TILT_STD if self._vertical.is_given else self._vertical.std
-            floor = Floor(self._vertical.direction, height, std)
+            tilt_std = CALIBRATED_TILT_STD if self._vertical.is_given else self._vertical.std
+            floor = Floor(self._vertical.direction, height, tilt_std)
         if floor is not None:
             for p, track in enumerate(tracks):
                 if track.intrinsics.is_focal_known and not track.is_tentative:
@@ -475,8 +475,8 @@ class PeopleTracker:
                     )
         sizes = [*map(self._find_size, tracks)]
         own, root_covariance = describe_cores(shown, motion.joints, seen, sizes)
-        spread = widen_deviations(own, motion.joints, seen, sizes, self._upward), root_covariance
-        return make_people(shown, motion, *spread, seen.weight, sizes, self._skeleton)
+        std = widen_deviations(own, motion.joints, seen, sizes, self._upward)
+        return make_people(shown, motion, std, root_covariance, seen.weight, sizes, self._skeleton)
 
     def _find_size(self, track: Track) -> BodySize:
         """Return what is known of a person's size; the detector may say who it is when the track has a name."""
@@ -484,8 +484,7 @@ class PeopleTracker:
         if track.given_id in read_body_heights(settings.body_heights):
             person_id = track.given_id
         hidden = 0.0 if track.solution is None else track.solution.hidden_share
-        known = track.intrinsics.is_focal_known, hidden
-        assumed = assume_size(settings, person_id, *known)
+        assumed = assume_size(settings, person_id, track.intrinsics.is_focal_known, hidden)
         for shown in (track.size_by_floor, track.size_by_depth):
             if shown is not None:
                 assumed = shown.find_size(assumed)

@@ -13,10 +13,10 @@ import pytest
 import mocap_ros
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.keyframes import keyframe_method
-from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import BODY26
 from mocap_ros.tracking.tracker import PeopleTracker
 from mocap_ros.training.fit_base_poses import fit_base_poses
+from tests.support.whole_sequence import reconstruct_sequence
 
 MATRIX = np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]])
 QUICK = {'solver.max_iterations': 3}

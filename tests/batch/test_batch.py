@@ -19,7 +19,7 @@ from mocap_ros.bags.journal import read_run
 from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.cli.main import main
 from mocap_ros.errors import InputError, MocapError
-from mocap_ros.formats.detections import Video
+from mocap_ros.formats.reading_options import ReadingOptions
 from mocap_ros.formats.sequence_file import load_sequence, save_sequence
 from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import FAST_CONFIG, FAST_VALUES, encode_demo_frames, write_keypoints_bag
@@ -195,17 +195,17 @@ def test_sequences_are_reconstructed_and_summarised(client: Any, tmp_path: Path,
 
 def test_whatever_changes_results_changes_their_key(tmp_path: Path) -> None:
     (tmp_path / 'a.onnx').write_bytes(b'first')
-    videos = [Video(fps=25.0), Video(image_size=(640, 480)), Video(layout='coco17')]
+    readings = [ReadingOptions(fps=25.0), ReadingOptions(image_size=(640, 480)), ReadingOptions(layout='coco17')]
     changes: list[dict[str, Any]] = [
-        *({'video': video} for video in videos),
+        *({'reading': reading} for reading in readings),
         *({'work': 'reconstruct'}, {'config': None}, {'changes': {'tracker.lag': 0.2}}, {'suffix': '.bvh'}),
-        *({'video': Video(detector=tmp_path / 'a.onnx')}, {}, {'out': 'elsewhere'}),
+        *({'reading': ReadingOptions(detector=tmp_path / 'a.onnx')}, {}, {'out': 'elsewhere'}),
     ]
     keys = [make_settings(**{'out': 'out', **change}).compute_key() for change in changes]
     assert len(set(keys)) == len(keys) - 1
     assert keys[-2] == keys[-1]  # the folder of the run changes no result
     (tmp_path / 'a.onnx').write_bytes(b'second')
-    assert make_settings('out', video=Video(detector=tmp_path / 'a.onnx')).compute_key() not in keys
+    assert make_settings('out', reading=ReadingOptions(detector=tmp_path / 'a.onnx')).compute_key() not in keys
 
 
 @pytest.mark.slow

@@ -55,6 +55,7 @@ def test_cameras_are_printed_and_saved_in_a_level_frame(
         (4.0, ['--distance', 'cam0', 'cam1', '-2'], '--distance: -2'),
         (4.0, ['--picture', 'x.pgf'], 'x.pgf: unknown file type'),
         (4.0, ['-o', 'cam0.npz'], 'cam0.npz: not written'),
+        (4.0, ['--fps', '30'], 'cam0.npz: is a result of reconstruct, to which --fps'),
     ],
 )
 def test_what_is_wrong_is_named(

@@ -216,7 +216,7 @@ def test_useless_view_options(short_recording: Path, tmp_path: Path, capsys: pyt
     capsys.readouterr()
     for option in (['--set', 'tracker.lag=0.2'], ['--model', 'walk'], ['--topic', '/keypoints']):
         assert main(['view', str(result), '-o', str(page), *option]) == 1
-        assert f'holds a result, which is shown as it is; {option[0]} does not' in capsys.readouterr().err
+        assert f'is a result of reconstruct, to which {option[0]} does not' in capsys.readouterr().err
     assert not page.exists()
     for output in ('page.html', 'page.png'):
         assert main(['view', str(result), '-o', str(tmp_path / output)]) == 0
@@ -364,7 +364,7 @@ def test_results_are_compared(short_recording: Path, tmp_path: Path, capsys: pyt
     capsys.readouterr()
     for wrong, message in (
         ([names[0]], 'r.npz: holds no truth'),
-        ([names[0], *arguments, '--model', 'walk'], 'r.npz: --model does not apply to a result'),
+        ([names[0], *arguments, '--model', 'walk'], 'r.npz: is a result of reconstruct, to which --model does'),
         ([names[1], *arguments, '--person', '9'], "r.mcap: no person '9'; there are person_1 (20)"),
         ([names[0], '--truth', names[0]], 'r.npz: is a result of reconstruct'),
     ):

@@ -13,13 +13,13 @@ from mocap_ros.errors import InputError
 from mocap_ros.formats.detections import (
     MAX_FRAME_RATE_HZ,
     Detections,
-    Video,
     arrange_frames,
     associate_people,
     create_person,
     select_person,
 )
 from mocap_ros.formats.image_names import ImageName, order_images
+from mocap_ros.formats.reading_options import ReadingOptions
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.units import NS_PER_S
 
@@ -77,7 +77,7 @@ def test_frames_are_as_far_apart_as_their_numbers_allow(first: int, start_s: flo
     Times count from the first image of the video, also where the first person comes later.
     """
     people = {first + number: [make_standing_person(100)] for number in (0, 2, 4, 8)}
-    arranged = arrange_frames(people, Video(fps=50.0))
+    arranged = arrange_frames(people, ReadingOptions(fps=50.0))
     assert arranged.stamps_ns == [round((start_s + t) * NS_PER_S) for t in (0, 0.04, 0.08, 0.12, 0.16)]
     assert [len(frame) for frame in arranged.people] == [1, 1, 1, 0, 1]
 
@@ -86,8 +86,8 @@ def test_frames_are_as_far_apart_as_their_numbers_allow(first: int, start_s: flo
 def test_a_rate_that_no_camera_has_is_refused(fps: float) -> None:
     people = {number: [make_standing_person(100)] for number in range(3)}
     with pytest.raises(InputError, match=r'^--fps: .* Hz, at most 10000 Hz expected$'):
-        arrange_frames(people, Video(fps=fps))
-    times = select_person(arrange_frames(people, Video(fps=MAX_FRAME_RATE_HZ)))[0].timestamps
+        arrange_frames(people, ReadingOptions(fps=fps))
+    times = select_person(arrange_frames(people, ReadingOptions(fps=MAX_FRAME_RATE_HZ)))[0].timestamps
     assert np.diff(times) == pytest.approx(1 / MAX_FRAME_RATE_HZ)
 
 

@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from mocap_ros.errors import InputError
-from mocap_ros.formats.detections import Detections, Video, associate_people, select_person
+from mocap_ros.formats.detections import Detections, associate_people, select_person
 from mocap_ros.formats.detector_json import MIN_PERSON_SCORE, load_json_file, load_json_folder
-from mocap_ros.recordings.load_keypoints import InputOptions, load_input
+from mocap_ros.formats.reading_options import ReadingOptions
+from mocap_ros.recordings.load_keypoints import load_input
 from mocap_ros.skeleton import keypoint_layout
 from tests.support.input_files import FPS, FRAMES, VIDEO, check_same_keypoints, flatten_keypoints, make_walker
 
@@ -34,7 +35,7 @@ def write_folder(folder: Path, contents: dict[str, Any]) -> Path:
     return folder
 
 
-def load(path: Path, content: Any, video: Video = VIDEO) -> Detections:
+def load(path: Path, content: Any, video: ReadingOptions = VIDEO) -> Detections:
     (path / 'people.json').write_text(json.dumps(content))
     return load_json_file(path / 'people.json', video)
 
@@ -215,23 +216,23 @@ def test_a_line_names_what_is_not_understood_beside_the_keypoints(
 
 def test_frames_state_the_size_of_their_images(tmp_path: Path) -> None:
     content = FORMS['Roboflow with a dog'](flatten_keypoints(WALKER))
-    assert load(tmp_path, content, Video(fps=FPS)).image_size == (640, 480)
+    assert load(tmp_path, content, ReadingOptions(fps=FPS)).image_size == (640, 480)
     write_folder(tmp_path, {f'{i}.json': frame for i, frame in enumerate(content)})
     (tmp_path / 'people.json').unlink()
-    assert load_json_folder(tmp_path, Video(fps=FPS)).image_size == (640, 480)
+    assert load_json_folder(tmp_path, ReadingOptions(fps=FPS)).image_size == (640, 480)
 
 
 @pytest.mark.parametrize('tool', FOLDERS)
 def test_every_folder_gives_the_same_keypoints(tmp_path: Path, tool: str) -> None:
     write_folder(tmp_path, FOLDERS[tool](flatten_keypoints(WALKER)))
-    sequence, _ = load_input(tmp_path, InputOptions(VIDEO))
+    sequence, _ = load_input(tmp_path, VIDEO)
     assert sequence.keypoints == pytest.approx(WALKER.keypoints, nan_ok=True, abs=1e-4)
 
 
 def test_images_whose_names_are_times_need_no_frame_rate(tmp_path: Path) -> None:
     names = [f'{1305031102 + f / FPS:.6f}.png' for f in range(FRAMES)]
     results = [{'image_id': n, 'keypoints': k} for n, k in zip(names, flatten_keypoints(WALKER), strict=True)]
-    sequence, _ = select_person(load(tmp_path, results, Video(image_size=(640, 480))))
+    sequence, _ = select_person(load(tmp_path, results, ReadingOptions(image_size=(640, 480))))
     assert np.diff(sequence.timestamps) == pytest.approx(1 / FPS, abs=1e-5)
     assert sequence.timestamps[0] == 1305031102
 
@@ -244,7 +245,7 @@ def test_times_of_images_need_no_frame_rate(tmp_path: Path, form: str, key: str)
     images = content if isinstance(content, list) else content['images']
     for index, image in enumerate(images):
         image[key] = (7 + 2 * index / FPS) * per_s
-    for video in (Video(image_size=(640, 480)), VIDEO):
+    for video in (ReadingOptions(image_size=(640, 480)), VIDEO):
         sequence, lines = select_person(load(tmp_path, content, video))
         assert sequence.timestamps == pytest.approx(7 + 2 * np.arange(FRAMES) / FPS)
         assert any('--fps' in line for line in lines) == (video is VIDEO)
@@ -333,7 +334,7 @@ def test_annotations_give_size_and_visibility(tmp_path: Path) -> None:
     frames = visibility.reshape(FRAMES, -1).tolist()
     content = make_annotations(frames)
     del content['annotations'][0]
-    sequence, _ = select_person(load(tmp_path, content, Video(fps=FPS)))
+    sequence, _ = select_person(load(tmp_path, content, ReadingOptions(fps=FPS)))
     assert (sequence.image_size, sequence.joint_names) == ((640, 480), COCO17)
     assert set(np.unique(sequence.keypoints[..., 2])) == {0.0, 0.5, 1.0}
 
@@ -412,7 +413,7 @@ def test_invalid_json_is_refused_in_one_line(tmp_path: Path, content: Any, place
     path = tmp_path / 'people.json'
     path.write_bytes(content if isinstance(content, bytes) else json.dumps(content).encode())
     with pytest.raises(InputError, match=rf'people\.json: .*{place}'):
-        load_input(path, InputOptions(VIDEO))
+        load_input(path, VIDEO)
 
 
 @pytest.mark.parametrize(

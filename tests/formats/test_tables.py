@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from mocap_ros.errors import InputError
-from mocap_ros.formats.detections import Video
+from mocap_ros.formats.reading_options import ReadingOptions
 from mocap_ros.formats.tables import load_tables
-from mocap_ros.recordings.load_keypoints import InputOptions, load_input, load_people
+from mocap_ros.recordings.load_keypoints import load_input, load_people
 from tests.support.blob_people import write_video
 from tests.support.input_files import FPS, FRAMES, VIDEO, check_same_keypoints, make_walker
 from tests.support.table_files import FORMS, MEDIAPIPE, write_array, write_sports2d, write_ultralytics
@@ -24,7 +24,9 @@ POINTS = WALKER.keypoints
 @pytest.mark.parametrize('form', FORMS)
 def test_every_form_gives_the_same_keypoints(tmp_path: Path, form: str) -> None:
     fps = None if form in ('shares', 'Sports2D') else FPS
-    detections = load_tables(FORMS[form](tmp_path, POINTS), Video(fps, (640, 480), normalised=form == 'shares'))
+    detections = load_tables(
+        FORMS[form](tmp_path, POINTS), ReadingOptions(fps, (640, 480), normalised=form == 'shares')
+    )
     expected = WALKER
     if form in ('Sports2D', 'FreeMoCap'):  # without scores
         expected = replace(WALKER, keypoints=np.dstack([POINTS[..., :2], np.isfinite(POINTS[..., 0])]))
@@ -41,16 +43,16 @@ def test_of_sports2d_the_people_of_a_folder_are_read_in_px(tmp_path: Path) -> No
     write_sports2d(tmp_path, POINTS)
     write_sports2d(tmp_path, POINTS + [3000, 0, 0], 'px_person01')
     metres = write_sports2d(tmp_path, POINTS, 'm_person00', 0.1)
-    assert [s.person_id for s in load_people(tmp_path, InputOptions())[0]] == ['00', '01']
+    assert [s.person_id for s in load_people(tmp_path, ReadingOptions())[0]] == ['00', '01']
     with pytest.raises(InputError, match=r'm_person00\.trc: 3D joints'):
-        load_input(metres, InputOptions())
+        load_input(metres, ReadingOptions())
 
 
 def test_points_in_stored_pixels_go_with_the_images_that_players_show(tmp_path: Path) -> None:
     images = [np.zeros((480, 640, 3), np.uint8)] * FRAMES
     times_s = [f / FPS for f in range(FRAMES)]
     clip = write_video(tmp_path / 'a.mp4', images, times_s, 'libx264', 'yuv420p', aspect=1.5)
-    sequence, _ = load_input(write_array(tmp_path, POINTS), InputOptions(Video(clip=clip)))
+    sequence, _ = load_input(write_array(tmp_path, POINTS), ReadingOptions(video=clip))
     assert sequence.image_size == (960, 480)
     assert sequence.keypoints == pytest.approx(POINTS * [1.5, 1, 1], nan_ok=True)
 
@@ -71,11 +73,11 @@ def test_points_in_stored_pixels_go_with_the_images_that_players_show(tmp_path: 
 def test_invalid_tables_are_refused_by_line(tmp_path: Path, name: str, content: str, place: str) -> None:
     (tmp_path / name).write_text(content)
     with pytest.raises(InputError, match=place):
-        load_input(tmp_path if name.endswith('.txt') else tmp_path / name, InputOptions(VIDEO))
+        load_input(tmp_path if name.endswith('.txt') else tmp_path / name, VIDEO)
 
 
 def test_arrays_of_several_cameras_and_shares_without_a_size_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r'\(2, 20, 17, 3\).* of one camera'):
-        load_input(write_array(tmp_path, POINTS.reshape(2, 20, 17, 3)), InputOptions(VIDEO))
+        load_input(write_array(tmp_path, POINTS.reshape(2, 20, 17, 3)), VIDEO)
     with pytest.raises(InputError, match='--image-size'):
-        load_tables(write_ultralytics(tmp_path, POINTS), Video(FPS))
+        load_tables(write_ultralytics(tmp_path, POINTS), ReadingOptions(FPS))

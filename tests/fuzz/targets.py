@@ -39,10 +39,10 @@ from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import MAX_MESSAGE_CHARACTERS, MocapError
 from mocap_ros.formats.bvh import save_bvh
 from mocap_ros.formats.cameras_file import load_cameras
-from mocap_ros.formats.detections import Video
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.mocap.joint_maps import load_marker_map
 from mocap_ros.formats.mocap.trials import TrialOptions, load_trials
+from mocap_ros.formats.reading_options import ReadingOptions
 from mocap_ros.formats.result_file import load_result_file
 from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.formats.tables import load_tables
@@ -57,7 +57,7 @@ from mocap_ros.messages.transform_tree import TransformTree
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.models.model_file import decode_base_poses, decode_lifter, load_base_poses, save_base_poses
 from mocap_ros.npz_file import write_npz
-from mocap_ros.recordings.load_keypoints import InputOptions, load_input
+from mocap_ros.recordings.load_keypoints import load_input
 from mocap_ros.skeleton import CMU15, keypoint_layout
 from tests.support.bodies import gather, make_person_3d
 from tests.support.camera_messages import camera_info, encode, encode_ros1_camera_info, make_transforms
@@ -68,7 +68,7 @@ from tests.support.table_files import FORMS
 
 IMAGE_SIZE = 640, 480  # px
 LIMITS = NodeConfig()
-VIDEO = Video(fps=30.0, image_size=IMAGE_SIZE)
+VIDEO = ReadingOptions(fps=30.0, image_size=IMAGE_SIZE)
 FILE_SEPARATOR = b'\n%%%%\n'  # between the files of an input that has several
 MAX_MESSAGES = 1000  # messages of a bag that a target decodes; a reader has no such limit, and none is needed
 
@@ -142,7 +142,7 @@ def read_json(data: bytes, folder: Path) -> None:
     """Read one person from JSON in the form of COCO and in that of OpenPose."""
     path = folder / 'a_0_keypoints.json'
     path.write_bytes(data)
-    _read_all(partial(load_input, place, InputOptions(VIDEO)) for place in (path, folder))
+    _read_all(partial(load_input, place, VIDEO) for place in (path, folder))
 
 
 def read_tables(data: bytes, folder: Path) -> None:

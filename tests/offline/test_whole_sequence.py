@@ -35,12 +35,12 @@ from mocap_ros.offline.keyframes.keyframe_set import estimate_frame_interval, fi
 from mocap_ros.offline.keyframes.motion import FitResult, fit_motion
 from mocap_ros.offline.keyframes.shots import find_shots, split_into_sections
 from mocap_ros.offline.keyframes.taylor import parse_depth_choices, reconstruct_limbs
-from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, estimate_stature
 from mocap_ros.solvers.observed_window import observe_sequence
 from mocap_ros.solvers.window import Reconstruction, SolverStatus
 from tests.support.bodies import BONE_LENGTHS, STANDING, make_swinging_body
 from tests.support.synthetic_walk import make_sequence, make_walk, mpjpe_mm, with_scores
+from tests.support.whole_sequence import reconstruct_sequence
 
 CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
 CONFIG = with_settings(Config(), {'solver.components': 12, 'solver.prior': 'pca'})

@@ -28,7 +28,8 @@ from mocap_ros.cli.main import main
 from mocap_ros.config import NodeConfig, RecorderConfig, with_values
 from mocap_ros.detectors.detector import Image
 from mocap_ros.errors import InputError, ModelError
-from mocap_ros.formats.detections import Detections, Video, create_person, select_person
+from mocap_ros.formats.detections import Detections, create_person, select_person
+from mocap_ros.formats.reading_options import ReadingOptions
 from mocap_ros.formats.sequence_file import save_sequence, validate_sequence
 from mocap_ros.formats.video import VideoImage
 from mocap_ros.geometry.distortion import Distortion
@@ -40,8 +41,8 @@ from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_key
 from mocap_ros.offline.whole_sequence import find_frames_in_sight
 from mocap_ros.recordings import detect_people
 from mocap_ros.recordings.detect_people import detect_in_video, name_people
-from mocap_ros.recordings.input_kind import InputKind, find_input_kind
-from mocap_ros.recordings.load_keypoints import InputOptions, load_input
+from mocap_ros.recordings.input_kind import InputKind, check_options, find_input_kind, select_options
+from mocap_ros.recordings.load_keypoints import load_input
 from mocap_ros.runtime.frame_assembly import FrameAssembler
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import ReplayOptions, replay
@@ -105,7 +106,7 @@ def test_messages_that_do_not_belong_are_left_out(
 ) -> None:
     infos = {'/camera_info': camera_info(frame_id='cam')} if has_info else {}
     bag = write_bag(tmp_path / 'bag', edit(make_images()), infos)
-    sequence, lines = load_input(bag, InputOptions(Video(), LIMITS))
+    sequence, lines = load_input(bag, ReadingOptions(node=LIMITS))
     first = round((sequence.stamps_ns[0] - START_NS) * 25 / NS_PER_S)
     walk = make_walker().keypoints[first : first + len(sequence)]
     assert sequence.keypoints == pytest.approx(walk, nan_ok=True, abs=1e-3)
@@ -120,7 +121,7 @@ def test_a_transposed_image_size_is_refused_and_a_wrong_one_is_named(tmp_path: P
     path.write_text(json.dumps(people))
 
     def load(size: tuple[int, int]) -> list[str]:
-        return load_input(path, InputOptions(Video(fps=FPS, image_size=size), LIMITS))[1]
+        return load_input(path, ReadingOptions(fps=FPS, image_size=size, node=LIMITS))[1]
 
     with pytest.raises(InputError, match=r'walk\.json: --image-size: .* but inside 1100 x 480 px'):
         load((480, 1100))
@@ -131,25 +132,27 @@ def test_a_transposed_image_size_is_refused_and_a_wrong_one_is_named(tmp_path: P
 
 def test_a_focal_length_is_given_where_none_is_known(tmp_path: Path) -> None:
     save_sequence(tmp_path / 'a.npz', make_walker())  # 640 px wide
-    assert not load_input(tmp_path / 'a.npz', InputOptions(Video(), LIMITS))[0].is_camera_known
+    assert not load_input(tmp_path / 'a.npz', ReadingOptions(node=LIMITS))[0].is_camera_known
     parameters = replace(LIMITS, hfov=90.0)
-    for video, node, focal in (
-        (Video(hfov=90.0), LIMITS, 320), (Video(), parameters, 320), (Video(focal=500.0), parameters, 500)
-    ):  # fmt: skip
-        known, lines = load_input(tmp_path / 'a.npz', InputOptions(video, node))
+    for options, focal in (
+        (ReadingOptions(hfov=90.0, node=LIMITS), 320),
+        (ReadingOptions(node=parameters), 320),
+        (ReadingOptions(focal=500.0, node=parameters), 500),
+    ):
+        known, lines = load_input(tmp_path / 'a.npz', options)
         camera = known.intrinsics(1.0)
         assert camera.focal == pytest.approx(focal)
         assert (camera.center, camera.is_focal_known) == ((320, 240), True)
         assert not lines
     with pytest.raises(InputError, match=r'a\.npz: --focal: 26 px in an image 640 px wide are 171 degrees'):
-        load_input(tmp_path / 'a.npz', InputOptions(Video(focal=26.0), LIMITS))
+        load_input(tmp_path / 'a.npz', ReadingOptions(focal=26.0, node=LIMITS))
     flat = make_walker().keypoints.reshape(FRAMES, -1)
     people = [{'image_id': f, 'keypoints': np.nan_to_num(k).tolist(), 'score': 1.0} for f, k in enumerate(flat)]
     (tmp_path / 'c.json').write_text(json.dumps(people))
     with pytest.raises(InputError, match=r'c\.json: --hfov and --focal need --image-size'):
-        load_input(tmp_path / 'c.json', InputOptions(Video(fps=FPS, hfov=60.0), LIMITS))
+        load_input(tmp_path / 'c.json', ReadingOptions(fps=FPS, hfov=60.0, node=LIMITS))
     save_sequence(tmp_path / 'b.npz', known)
-    calibrated, (line,) = load_input(tmp_path / 'b.npz', InputOptions(Video(hfov=90.0), LIMITS))
+    calibrated, (line,) = load_input(tmp_path / 'b.npz', ReadingOptions(hfov=90.0, node=LIMITS))
     assert calibrated.intrinsics(1.0).focal == pytest.approx(500)
     assert '--hfov and --focal are not used' in line
     assert mocap_ros.read(tmp_path / 'a.npz', hfov=90.0).intrinsics(1.0).focal == pytest.approx(320)
@@ -164,7 +167,7 @@ def test_a_camera_info_that_cannot_be_used_is_named(tmp_path: Path, *, usable: b
         for frame, stamp in enumerate(make_walker().stamps_ns, 1):
             raw = encode_keypoints(Header(stamp, 'camera'), (640, 480), [make_walker().person(frame - 1)])
             recorder.write('/cam/keypoints', KEYPOINTS, raw, frame, frame)
-    sequence, lines = load_input(tmp_path / 'bag', InputOptions(Video(), LIMITS))
+    sequence, lines = load_input(tmp_path / 'bag', ReadingOptions(node=LIMITS))
     fault = '/cam/camera_info: message 1: distortion: a coefficient is not finite; it is not used'
     assert any(line.endswith(fault + '; instead, message 2 is used' * usable) for line in lines)
     assert sequence.calibration is not None
@@ -176,12 +179,12 @@ def test_of_several_cameras_of_a_bag_one_is_chosen(tmp_path: Path) -> None:
     infos = {f'/{side}/camera_info': camera_info(focal=f, frame_id='cam') for side, f in focals.items()}
     bag = write_bag(tmp_path / 'bag', make_images(), infos)
     with pytest.raises(InputError, match='choose one with --camera-info: /left/camera_info, /right/camera_info'):
-        load_input(bag, InputOptions(Video(), LIMITS))
-    sequence, _ = load_input(bag, InputOptions(Video(), LIMITS, camera_info='/right/camera_info'))
+        load_input(bag, ReadingOptions(node=LIMITS))
+    sequence, _ = load_input(bag, ReadingOptions(node=LIMITS, camera_info='/right/camera_info'))
     assert sequence.intrinsics(1.0).focal == pytest.approx(600)
     assert mocap_ros.read(bag, camera_info='/left/camera_info').intrinsics(1.0).focal == pytest.approx(500)
     with pytest.raises(InputError, match='there is no CameraInfo on /back'):
-        load_input(bag, InputOptions(Video(), LIMITS, camera_info='/back'))
+        load_input(bag, ReadingOptions(node=LIMITS, camera_info='/back'))
     with pytest.raises(mocap_ros.InputError, match='choose one with camera_info: '):
         mocap_ros.read(bag)
 
@@ -206,7 +209,7 @@ def test_the_camera_info_of_another_camera_is_named_and_not_used(
 ) -> None:
     infos = {t: camera_info(focal=400.0 + n, frame_id=name) for n, (t, name) in enumerate(infos_of.items())}
     path = write_bag(tmp_path / 'bag', [(m[0], images_of, *m[2:]) for m in make_images()], infos)
-    sequence, lines = load_input(path, InputOptions(Video(), LIMITS))
+    sequence, lines = load_input(path, ReadingOptions(node=LIMITS))
     with Bag(path) as bag:
         result = replay(bag, tmp_path / 'out', ReplayOptions(FAST_CONFIG))
     topic, name = next(iter(infos_of.items()))
@@ -284,7 +287,7 @@ def write_bag_with_clock(folder: Path, edit: Edit) -> Path:
     ],
 )  # fmt: skip
 def test_a_line_says_what_the_clock_of_a_bag_did(tmp_path: Path, edit: Edit, frames: int, line: str) -> None:
-    sequence, lines = load_input(write_bag_with_clock(tmp_path / 'bag', edit), InputOptions(Video(), LIMITS))
+    sequence, lines = load_input(write_bag_with_clock(tmp_path / 'bag', edit), ReadingOptions(node=LIMITS))
     assert (sequence.keypoints[..., 2] > 0).any(axis=1).sum() in (frames, frames + 1)
     assert len(lines) == 1 + bool(line)
     if line:
@@ -300,7 +303,7 @@ def test_a_line_says_what_the_clock_of_a_bag_did(tmp_path: Path, edit: Edit, fra
 )
 def test_a_bag_without_a_clock_is_refused(tmp_path: Path, edit: Edit, reason: str) -> None:
     with pytest.raises(InputError, match=re.escape(reason)):
-        load_input(write_bag_with_clock(tmp_path / 'bag', edit), InputOptions(Video(), LIMITS))
+        load_input(write_bag_with_clock(tmp_path / 'bag', edit), ReadingOptions(node=LIMITS))
 
 
 TOO_DENSE, TOO_SPARSE, IN_NS = 1e-3, 1e3, 1e-9  # factors on times
@@ -318,7 +321,7 @@ def scale_times(factor: float) -> list[Shot]:
 @pytest.mark.parametrize(('factor', 'line'), WRONG_UNITS)
 def test_a_bag_whose_stamps_have_another_unit_is_refused(tmp_path: Path, factor: float, line: str) -> None:
     with pytest.raises(InputError, match=f'bag: {line}'):
-        load_input(write_bag(tmp_path / 'bag', scale_times(factor)), InputOptions(Video(), LIMITS))
+        load_input(write_bag(tmp_path / 'bag', scale_times(factor)), ReadingOptions(node=LIMITS))
 
 
 @pytest.mark.parametrize('wait_s', [0.0, 1.0])
@@ -400,12 +403,12 @@ def test_a_video_of_two_people_in_turn_gives_one_of_them_and_a_warning(tmp_path:
     images = [draw([person]) for person in (*here, *there[:5])]
     path = write_video(tmp_path / 'two.mkv', images, [i / 25 for i in range(len(images))])
     model = save_detector(tmp_path / 'detector.onnx')
-    sequence, lines = load_input(path, InputOptions(Video(detector=model), NodeConfig()))
+    sequence, lines = load_input(path, ReadingOptions(detector=model))
     assert len(sequence) == TURN
     assert np.nanmax(sequence.keypoints[..., 0]) < 320
     assert 'choose by --person: person_1 (12), person_2 (5)' in lines[0]
     assert 'at 0.48 s from person_1 to person_2' in lines[2]
-    other, _ = load_input(path, InputOptions(Video(detector=model), NodeConfig(), 'person_2'))
+    other, _ = load_input(path, ReadingOptions(detector=model, person='person_2'))
     assert len(other) == 5
 
 
@@ -447,7 +450,7 @@ class BreakingCamera:
     ('error', 'reason'),
     [
         (InputError('the camera has gone'), 'the camera has gone'),
-        (None, r'size of the images changes .* at 0\.240 s'),
+        (None, r'at 0\.240 s: the size of the images changes'),
     ],
 )
 def test_what_a_camera_showed_is_kept_when_it_breaks_off(
@@ -477,10 +480,10 @@ def test_an_empty_video_and_wrong_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r'none\.onnx: no such file'):
         detect_in_video(empty, tmp_path / 'none.onnx')
     with pytest.raises(InputError, match=r'empty\.mkv: is a video, to which --fps does not apply'):
-        load_input(empty, InputOptions(Video(fps=30.0, detector=model), NodeConfig()))
+        load_input(empty, ReadingOptions(fps=30.0, detector=model))
     (tmp_path / 'a.json').write_text('[]')
     with pytest.raises(InputError, match=r'a\.json: is a JSON file, to which --detector does not apply'):
-        load_input(tmp_path / 'a.json', InputOptions(Video(fps=30.0, detector=model), NodeConfig()))
+        load_input(tmp_path / 'a.json', ReadingOptions(fps=30.0, detector=model))
 
 
 @pytest.fixture(scope='module')
@@ -670,3 +673,12 @@ def test_points_on_the_border_of_the_image_are_not_seen(read: Callable[[Array], 
     ankles = [COCO17.index(joint) for joint in ('lankle', 'rankle')]
     keypoints[:, ankles, 1] = SIZE[1]
     assert np.flatnonzero(read(keypoints) == 0).tolist() == ankles
+
+
+def test_an_option_counts_for_the_inputs_to_which_it_applies() -> None:
+    options = ReadingOptions(fps=30.0, topic='/a', hfov=60.0, node=LIMITS)
+    assert select_options(options, InputKind.JSON) == ReadingOptions(fps=30.0, hfov=60.0, node=LIMITS)
+    assert select_options(options, InputKind.RESULT) == ReadingOptions(node=LIMITS)
+    check_options('x', options._asdict(), InputKind.RESULT, InputKind.JSON, InputKind.BAG)
+    with pytest.raises(InputError, match=r'^x: .*to which --topic does not apply'):
+        check_options('x', options._asdict(), InputKind.JSON, InputKind.VIDEO)

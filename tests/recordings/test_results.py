@@ -20,6 +20,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.formats.bvh import load_bvh
 from mocap_ros.formats.mocap.joint_maps import map_to_model
 from mocap_ros.formats.mocap.trials import load_trials
+from mocap_ros.formats.reading_options import ReadingOptions
 from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
@@ -32,10 +33,10 @@ from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Motion, MotionKind, Person3D, Posture
 from mocap_ros.recordings import save_results
 from mocap_ros.recordings.build_scene import build_scene
-from mocap_ros.recordings.load_keypoints import InputOptions
-from mocap_ros.recordings.load_results import holds_result, load_recording, load_result
+from mocap_ros.recordings.input_kind import InputKind, find_kind_with_results
+from mocap_ros.recordings.load_results import load_recording, load_result
 from mocap_ros.recordings.playback import DEFAULT_FRAME_ID
-from mocap_ros.recordings.reconstruct import ReconstructionOptions, reconstruct
+from mocap_ros.recordings.reconstruct import ReconstructionOptions, load_or_reconstruct, reconstruct
 from mocap_ros.runtime.appearances import AppearanceLog
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.skeleton import BODY26, CMU15
@@ -52,9 +53,9 @@ def make_person(name: str, height: float) -> Person3D:
 
 
 def test_a_result_file_and_a_bag_hold_the_same(results: Path, tmp_path: Path) -> None:
-    assert not holds_result(results / 'walk.npz')
-    assert holds_result(results / 'r.npz')
-    assert holds_result(results / 'r.mcap')
+    assert find_kind_with_results(results / 'walk.npz') is InputKind.SEQUENCE
+    assert find_kind_with_results(results / 'r.npz') is InputKind.RESULT
+    assert find_kind_with_results(results / 'r.mcap') is InputKind.SKELETONS
     file, bag = (load_result(results / name) for name in ('r.npz', 'r.mcap'))
     assert bag.id == 'person_1'
     with np.load(results / 'r.npz') as arrays:
@@ -162,13 +163,13 @@ def test_a_damaged_result_is_refused_by_file_and_key(
 
 
 def test_what_holds_no_result_is_refused(results: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r'r\.npz: --person does not apply to a result of reconstruct'):
+    with pytest.raises(InputError, match=r'r\.npz: .*--person does not apply'):
         load_result(results / 'r.npz', 'anna')
-    with pytest.raises(InputError, match=r'r\.npz: --person does not apply to a result of reconstruct'):
-        load_recording(results / 'r.npz', InputOptions(person='anna'))
+    with pytest.raises(InputError, match=r'r\.npz: .*--person does not apply'):
+        load_recording(results / 'r.npz', ReadingOptions(person='anna'))
     with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)):
         pass
-    assert not holds_result(tmp_path / 'bag')
+    assert find_kind_with_results(tmp_path / 'bag') is InputKind.BAG
     with pytest.raises(InputError, match='bag: the bag has no skeletons'):
         load_result(tmp_path / 'bag')
 
@@ -328,11 +329,9 @@ MODELS: dict[str, PoseModel] = load_base_pose_models('walk')
 OPTIONS = ReconstructionOptions(with_values(Config(), {'solver.max_iterations': 2}), MODELS, max_people=None)
 
 
-def show(path: Path, reading: InputOptions | None = None) -> Scene:
+def show(path: Path, reading: ReadingOptions = OPTIONS.reading) -> Scene:
     """Return the scene of a result as it is, or of a recording that is reconstructed."""
-    if holds_result(path):
-        return build_scene(path.name, load_recording(path, reading, OPTIONS.config))
-    return build_scene(path.name, reconstruct(path, OPTIONS))
+    return build_scene(path.name, load_or_reconstruct(path, OPTIONS._replace(reading=reading)))
 
 
 @pytest.fixture(scope='module')
@@ -395,12 +394,12 @@ def test_a_bag_is_drawn_as_it_was_recorded(bag: Path, sequence: KeypointSequence
 
 
 def test_one_person_of_a_bag_is_shown_alone(bag: Path) -> None:
-    scene = show(bag, InputOptions(person='ben'))
+    scene = show(bag, ReadingOptions(person='ben'))
     assert [person.id for person in scene.people] == ['ben']
     with pytest.raises(InputError, match="no person 'carl'"):
-        show(bag, InputOptions(person='carl'))
+        show(bag, ReadingOptions(person='carl'))
     with pytest.raises(InputError, match='there is no topic /nothing'):
-        show(bag, InputOptions(topic='/nothing'))
+        show(bag, ReadingOptions(topic='/nothing'))
 
 
 def test_a_bag_of_keypoints_shows_all_people(bag: Path) -> None:

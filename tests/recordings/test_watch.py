@@ -17,10 +17,11 @@ from mocap_ros.cli.main import main
 from mocap_ros.config import Config, with_values
 from mocap_ros.detectors.detector import load_detector
 from mocap_ros.errors import InputError
+from mocap_ros.formats.reading_options import ReadingOptions
 from mocap_ros.formats.video import VideoImage, VideoReader
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.recordings import watch
-from mocap_ros.recordings.load_keypoints import InputOptions, load_people
+from mocap_ros.recordings.load_keypoints import load_people
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.live_page import LiveScene, PageServer
 from mocap_ros.viewing.overlay import encode_jpeg
@@ -93,7 +94,7 @@ def test_the_command_records_what_it_saw(
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith('http://127.0.0.1:')
     assert lines[1].startswith(f'{tmp_path / "me.mcap"}: ')
-    (sequence,), _ = load_people(tmp_path / 'me.mcap', InputOptions(), only_one=True)
+    (sequence,), _ = load_people(tmp_path / 'me.mcap', ReadingOptions(), only_one=True)
     assert len(sequence) >= 8
 
 
@@ -133,7 +134,7 @@ def test_what_a_camera_gave_before_it_broke_off_is_kept(
     monkeypatch.setattr(VideoReader, '__iter__', break_off)
     assert main(['view', '--live', str(video), '--port', '0', '-o', str(tmp_path / 'me.mcap')]) == 1
     assert 'size of the images' in capsys.readouterr().err
-    assert load_people(tmp_path / 'me.mcap', InputOptions(), only_one=True)[0]
+    assert load_people(tmp_path / 'me.mcap', ReadingOptions(), only_one=True)[0]
 
 
 def test_a_delayed_skeleton_is_on_its_own_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

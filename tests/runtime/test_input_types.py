@@ -21,7 +21,7 @@ from mocap_ros.config import RecorderConfig, with_values
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError, RecordingError
 from mocap_ros.findings import SOUND
-from mocap_ros.formats.detections import Video
+from mocap_ros.formats.reading_options import ReadingOptions
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.joint_map import build_joint_map
@@ -32,7 +32,7 @@ from mocap_ros.messages.foreign_types import HRI_SKELETON, OPENPOSE_POSES, YOLO_
 from mocap_ros.messages.input_types import ZED38, decode_body, decode_frame
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.recordings.load_keypoints import InputOptions, load_bag, load_input
+from mocap_ros.recordings.load_keypoints import load_bag, load_input
 from mocap_ros.recordings.load_results import load_recording
 from mocap_ros.recordings.reconstruct import ReconstructionOptions, reconstruct
 from mocap_ros.runtime.input_camera import SILENCE_S, InputCamera
@@ -106,7 +106,7 @@ def test_a_bag_of_any_detector_is_a_sequence(msgtype: str, tmp_path: Path) -> No
     assert [len(p) for p in detections.people] == [2] * FRAMES + [1 if msgtype == HRI_SKELETON else 2]
     (note,) = detections.notes
     assert re.match(r'1 messages left out; /\S+: message \d\d: (its )?stamp ', note)
-    sequence, _ = load_input(tmp_path / 'bag', InputOptions(Video(), LIMITS))
+    sequence, _ = load_input(tmp_path / 'bag', ReadingOptions(node=LIMITS))
     assert (len(sequence), sequence.image_size, sequence.frame_id) == (FRAMES + 1, IMAGE_SIZE, 'camera')
     for frame in (0, FRAMES - 1):
         expected, points = (

@@ -13,14 +13,14 @@ import pytest
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
-from mocap_ros.bags.rosbag2 import Topic
 from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import ConfigError, FrameDropped, InputError
-from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.skeletons import ReceivedSkeletons, decode_skeletons, encode_skeletons
+from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.people import People
-from mocap_ros.recordings.load_results import load_result
+from mocap_ros.recordings.load_results import load_recording, load_result
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS
 from mocap_ros.runtime.skeleton_merging import MergedRun, SkeletonMerger
 from mocap_ros.skeleton import find_roots
@@ -100,8 +100,7 @@ def test_a_recorded_run_is_repeated_byte_by_byte(tmp_path: Path) -> None:
         records = run.start(1)
         for time_ns, (topic, raw) in enumerate([*list_messages(), (TOPICS[0], b'no message')], 2):
             records += run.feed(topic, raw, (time_ns, time_ns)).records
-        for record in records:
-            recorder.add_topic(record) if isinstance(record, Topic) else recorder.write(*record)
+        recorder.write_all(records)
     assert main(['replay', str(tmp_path / 'run'), '-o', str(tmp_path / 'again')]) == 0
     bags = []
     for name in ('run', 'again'):
@@ -110,7 +109,11 @@ def test_a_recorded_run_is_repeated_byte_by_byte(tmp_path: Path) -> None:
     assert bags[0] == bags[1]
     outputs = {f'/robot/{name}' for name in (*OUTPUTS, *LATCHED_OUTPUTS)}
     assert {*outputs, '/tf'} <= dict(bags[0]).keys()
-    assert load_result(tmp_path / 'again').id == '1'
+    placed = [decode(raw, TRANSFORMS).transforms for topic, raw in bags[0] if topic == '/tf']
+    assert {'body_p1'} <= {transform.child_frame_id for transform in placed[-1]}
+    (merged,) = load_recording(tmp_path / 'again').people
+    assert merged.id == load_result(tmp_path / 'again').id == '1'
+    assert merged.is_scale_known
 
 
 @pytest.mark.parametrize('inputs', ['', '/a', '/a /a', '/a /skeletons'])

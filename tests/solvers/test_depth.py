@@ -17,12 +17,12 @@ from mocap_ros.findings import Fault
 from mocap_ros.keypoints.keypoint_sequence import GroundTruth, KeypointSequence
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import BODY26, CMU15, find_roots
 from mocap_ros.solvers.depth import EXPECTED_SHARE, SEGMENTS, THICKNESS, compare_depths, find_corrections
 from mocap_ros.tracking.tracker import PeopleTracker
 from mocap_ros.verdict.input_faults import DepthCheck
 from tests.support.bodies import STANDING
+from tests.support.whole_sequence import reconstruct_sequence
 
 DISTANCE_M, HEIGHT_M = 3.0, 1.7
 AXES = np.array([[0.0, 0.0, 1.0]])

@@ -22,7 +22,6 @@ from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.offline import whole_sequence
-from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.solvers import periodic
 from mocap_ros.solvers.classification import (
     MAX_STRETCH,
@@ -52,6 +51,7 @@ from tests.support.synthetic_walk import (
     mpjpe_mm,
     with_scores,
 )
+from tests.support.whole_sequence import reconstruct_sequence
 
 COMPONENTS, HARMONICS, FRAMES = 4, 2, 8
 CONFIG = SolverConfig(

@@ -20,7 +20,8 @@ from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.model_file import load_prior_lifter
 from mocap_ros.models.upward_direction import Stances
-from mocap_ros.offline.whole_sequence import Solved, reconstruct_sequence, share_floor
+from mocap_ros.offline.floor import share_floor
+from mocap_ros.offline.whole_sequence import Solved
 from mocap_ros.people import PoseSequence
 from mocap_ros.skeleton import BODY26, CMU15
 from mocap_ros.solvers import vertical as module
@@ -30,6 +31,7 @@ from mocap_ros.solvers.vertical import Vertical, find_vertical, read_given_verti
 from mocap_ros.tracking.tracker import PeopleTracker
 from tests.support.bodies import UPRIGHT, angles_deg
 from tests.support.synthetic_walk import CAMERA, STEP_NS, feed, make_sequence, make_walk, with_scores
+from tests.support.whole_sequence import reconstruct_sequence
 
 UP = np.array([0.0, -math.cos(0.3), -math.sin(0.3)])  # of a camera that looks down by 17 degrees
 LEVEL = np.array([0.0, -math.cos(math.radians(10)), -math.sin(math.radians(10))])  # where nobody stands

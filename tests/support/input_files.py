@@ -12,13 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.demo.scene import make_recording
-from mocap_ros.formats.detections import Detections, Video, select_person
+from mocap_ros.formats.detections import Detections, select_person
+from mocap_ros.formats.reading_options import ReadingOptions
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.models.model_file import load_base_poses
 
 FRAMES = 40
 FPS = 25.0  # Hz
-VIDEO = Video(fps=FPS, image_size=(640, 480))
+VIDEO = ReadingOptions(fps=FPS, image_size=(640, 480))
 LIMITS = NodeConfig()
 QUICK_OPTIONS = ('--model', 'walk', '--set', 'solver.max_iterations=2')  # of commands whose result does not matter
 

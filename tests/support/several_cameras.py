@@ -71,6 +71,7 @@ def see(truth: Array, centre: Array, size: float, rng: np.random.Generator, pers
                 translation=FOCAL_PX * in_camera[None, :2] / in_camera[2] + [320.0, 240.0],
                 rotation=np.eye(3)[None],
                 age=np.zeros(1),
+                is_scale_known=True,
             )
         )
     return seen

@@ -22,7 +22,6 @@ from mocap_ros.geometry.rigid_transform import parse_camera_pose
 from mocap_ros.keypoints.keypoint_sequence import KeypointSequence
 from mocap_ros.models.base_poses import PoseModel
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.people import CameraVertical, Person3D, PoseSequence
 from mocap_ros.skeleton import find_roots
 from mocap_ros.solvers.vertical import MAX_STD_DEG, read_given_vertical
@@ -31,6 +30,7 @@ from mocap_ros.tracking.tracker import PeopleTracker
 from mocap_ros.verdict.input_faults import MIN_JUDGED_S, VerticalCheck
 from tests.support.bodies import STANDING, UPRIGHT, angles_deg, gather, make_person_3d
 from tests.support.synthetic_walk import STEP_NS, make_sequence, make_walk, see
+from tests.support.whole_sequence import reconstruct_sequence
 
 HEIGHT_M = 1.7
 ASSUMED = assume_size(Config().tracker)
