@@ -53,6 +53,8 @@ class SolverConfig:
     lifter_flip_factor: float = 0.25
     # Factor on smooth_weight where there are lifted poses
     lifter_smooth_factor: float = 5.0
+    # Factor on pose_acceleration_weight where there are lifted poses
+    lifter_acceleration_factor: float = 5.0
     # m^2, weight of the Gaussian prior of the base-pose weights, per squared standard deviation
     prior_weight: float = 1e-4
     # Factor on prior_weight for base poses that were aligned by heading: one category of motion varies less than

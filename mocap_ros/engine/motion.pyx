@@ -20,11 +20,11 @@ from mocap_ros.engine.geometry cimport MAX_DEPTH_CHANGE, MAX_SPEED_M_S, Indices,
 
 # The constants of joints and the powers were chosen together on 53 trials of persons of the training data, with clean
 # points and as three detectors give them: least errors of acceleration for 0.1 to 0.6 mm of the positions. The
-# stiffness of joints and the power of jitter were set last, with other persons in sight (docs/method.md). Factors of
+# stiffness of joints, the power and the memory of jitter were set last, by recorded detections too. Factors of
 # deviations are by likelihood in these trials, then set so that two thirds of other persons' errors are within the
 # standard deviation.
 cdef struct Spring:
-    double stiffness  # rad/s at 1 m/s and w = w_0; Omega
+    double[3] stiffness  # rad/s of x, y and z at 1 m/s and w = w_0; Omega
     double damping  # zeta
     double fade  # 1/s; b: limbs swing to and fro, who walks goes on for some seconds
     double speed_floor  # m/s; s_0
@@ -32,14 +32,14 @@ cdef struct Spring:
     double[3] speed_factors  # f_s
     double velocity_floor  # m/s; f_0
 
-cdef Spring JOINT = Spring(40.0, 0.5, 6.4, 0.055, [1.6, 1.6, 0.5], [0.0, 0.0, 0.62], 0.0)
+cdef Spring JOINT = Spring([46.0, 46.0, 31.0], 0.5, 6.4, 0.055, [1.6, 1.6, 0.5], [0.0, 0.0, 0.62], 0.0)
 # its steps should not overshoot; its first solutions may be off by a tenth of the depth; it rises and falls
-cdef Spring CENTRE = Spring(20.0, 1.0, 0.5, 0.2, [1.1, 1.1, 1.1], [0.14, 0.14, 0.55], 0.07)
+cdef Spring CENTRE = Spring([20.0, 20.0, 20.0], 1.0, 0.5, 0.2, [1.1, 1.1, 1.1], [0.14, 0.14, 0.55], 0.07)
 cdef double SPEED_POWER = 0.73  # p
 cdef double JITTER_POWER = 0.45  # q
 cdef double JITTER_UNIT_M = 0.005  # w_0, the jitter with OpenPose's points
 cdef double SPEED_MEMORY_S = 0.077  # time constant of the mean square of the speed
-cdef double JITTER_MEMORY_S = 0.113  # that of the second differences, short for joints that are astray
+cdef double JITTER_MEMORY_S = 0.25  # that of the second differences
 cdef double MAX_RISE = 6.0  # mean squares; a single squared difference counts at most so much
 cdef double MIN_JITTER_M = 1e-4  # far below what is seen, keeps the stiffness finite
 cdef double SQUARES = 6.0  # sum of the squared coefficients of a second difference at even times: 1, -2, 1
@@ -206,7 +206,8 @@ cdef void advance_filter(
             else:
                 jitter = min(sqrt(second / SQUARES), max_jitter)
             jitter = max(jitter, MIN_JITTER_M)
-            omega = spring.stiffness * pow(squared_speed, SPEED_POWER / 2) * pow(jitter / JITTER_UNIT_M, -JITTER_POWER)
+            omega = spring.stiffness[c] * pow(squared_speed, SPEED_POWER / 2)
+            omega *= pow(jitter / JITTER_UNIT_M, -JITTER_POWER)
             rho = exp(-spring.damping * omega * step)
             turn = min(sqrt(1 - square(spring.damping)) * omega * step, M_PI / 2)  # at most a quarter turn
             kept = exp(-spring.fade * step)

@@ -46,7 +46,7 @@ cdef extern from *:
 cdef double MIN_DEPTH = 0.1  # of that of the body's origin; a joint nearer to the camera is a failed solution
 cdef double MIN_TOTAL_WEIGHT = 1e-12  # guards the division by the weights of a frame in which no joint is seen
 cdef double MIN_STEP_S = MIN_TIME_STEP_S
-MAX_NOISE_RATIO = 1.9  # R; with it the weight of a run is 0.1 to 0.4 of that of rest, whatever the detector
+MAX_NOISE_RATIO = 1.5  # R; with more, runs and acrobatics lose what is gained elsewhere
 cdef double MAX_RATIO = MAX_NOISE_RATIO
 
 

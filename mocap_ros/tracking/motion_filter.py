@@ -20,8 +20,9 @@ poles e^((-zeta +- i sqrt(1 - zeta^2)) omega h):
 s is the RMS speed of the point over the last frames, w the standard deviation of the jitter, by the second
 differences of z, whose mean square is 6 w^2. As curved motion has these, too, w of a joint is at most half the
 image noise at the body. The joints are filtered about the body's centre, and the centre apart, which jitters
-mostly in depth. The coordinates of a joint share one w, those of the centre have one each. The variance of a
-coordinate of v is
+mostly in depth. The coordinates of a joint share one w, those of the centre have one each. Omega of a joint's
+depth is smaller, for most of the jitter is there, and of the lasting error, to which a delay adds little. The
+variance of a coordinate of v is
 
     (f_w w omega)^2 + f_s^2 (s^2 + s_0^2) + f_0^2
 

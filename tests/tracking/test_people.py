@@ -253,16 +253,16 @@ def advance_plainly(
     h = times[-1] - times[-2]
     c = np.array([1 / np.prod(np.delete(times[i] - times, i)) for i in range(3)])
     squares = (np.sqrt(6) * c @ recent / np.linalg.norm(c)) ** 2
-    second = second + (1 - np.exp(-h / 0.113)) * (np.minimum(squares, 6.0 * second) - second)
+    second = second + (1 - np.exp(-h / 0.25)) * (np.minimum(squares, 6.0 * second) - second)
     speed = speed + (1 - np.exp(-h / 0.077)) * (v**2 - speed)
     s_0 = 0.2 if is_centre else 0.055
     s = np.sqrt(speed.sum() + s_0**2)
     if is_centre:
-        w, constants = np.sqrt(second / 6), (20.0, 1.0, 0.5)
+        w, constants = np.sqrt(second / 6), (np.full(3, 20.0), 1.0, 0.5)
         factors = (1.1, 1.1, 1.1), (0.14, 0.14, 0.55), 0.07
     else:
         w = np.full(3, min(np.sqrt(second.mean() / 6), max_jitter))
-        constants = 40.0, 0.5, 6.4
+        constants = np.array([46.0, 46.0, 31.0]), 0.5, 6.4
         factors = (1.6, 1.6, 0.5), (0.0, 0.0, 0.62), 0.0
     stiffness, zeta, b = constants
     omega = stiffness * s**0.73 / (w / 0.005) ** 0.45

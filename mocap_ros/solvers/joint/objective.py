@@ -53,19 +53,21 @@ class Weights(NamedTuple):
 def choose_weights(model: PoseModel, config: SolverConfig, has_lifted: bool) -> Weights:
     """Return the weights for base poses, with or without lifted poses."""
     prior, smooth, flip, tilt = config.prior_weight, config.smooth_weight, config.flip_weight, 0.0
+    acceleration = config.pose_acceleration_weight
     if model.aligned_by_heading:
         prior, flip = config.heading_prior_factor * prior, config.heading_flip_factor * flip
         tilt = config.tilt_weight
     if has_lifted:
         prior, smooth = config.lifter_prior_factor * prior, config.lifter_smooth_factor * smooth
         flip = config.lifter_flip_factor * flip
+        acceleration = config.lifter_acceleration_factor * acceleration
     of_camera = np.repeat([flip, 0.0, config.scale_weight], [6, 6, 1])
     of_camera[list(VERTICAL_FEATURES)] = tilt
     none, directions = np.zeros(len(model.std)), np.repeat([0.0, 1.0, 0.0], [6, 6, 1])
     return Weights(
         prior=prior / model.std**2,
         velocity=(smooth / model.std**2, of_camera),
-        pose_acceleration=(np.full(len(model.std), config.pose_acceleration_weight), np.zeros(13)),
+        pose_acceleration=(np.full(len(model.std), acceleration), np.zeros(13)),
         camera_acceleration=(none, config.camera_acceleration_weight * directions),
     )
 
