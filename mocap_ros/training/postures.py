@@ -122,8 +122,8 @@ overhead  shoulder  -1:-0.8     -0.1:0.3    0:0.4       0.2,0.6,1    0,0,-1    l
 # anywhere. arms: places of the hands, equally likely.
 POSTURES = """
 kind       share  trunk    spine    pitch     roll    legs                rests_on        arms
-bend       0.01   35:110   -5:20    0         0       bent_over           ankle           own,down,floor
-bend       0.01   0:70     -5:20    0         0       crouching           ankle           own,knee,ahead
+bend       0.02   35:110   -5:20    0         0       bent_over           ankle           own,down,floor
+bend       0.02   0:70     -5:20    0         0       crouching           ankle           own,knee,ahead
 bend       0.004  15:65    -5:20    0         0       bent_over           ankle           desk
 chair      0.02   -30:55   -5:20    0         0       chair               ankle           SEATED
 chair      0.01   -30:40   -5:20    0         0       steady,crossed      ankle           SEATED
@@ -140,16 +140,16 @@ floor      0.006  -35:35   -5:25    0         0       knees_up            hip,an
 floor      0.003  -30:30   -5:25    0         0       stretched,knees_up  hip,ankle       FLOOR
 floor      0.009  -15:40   -5:25    0         0       tailor,cross        hip,ankle       FLOOR
 floor      0.004  -15:30   -5:20    0         0       cross,side_far      hip,ankle       FLOOR
-kneel      0.0075 -10:35   -5:20    0         0       kneeling            knee,ankle      own,lap,ahead
-kneel      0.005  -10:45   -5:20    0         0       kneeling,foot_flat  knee            own,knee,ahead
-kneel      0.0075 -10:50   -5:20    0         0       heels               knee,ankle      own,lap,chest
+kneel      0.015  -10:35   -5:20    0         0       kneeling            knee,ankle      own,lap,ahead
+kneel      0.01   -10:45   -5:20    0         0       kneeling,foot_flat  knee            own,knee,ahead
+kneel      0.015  -10:50   -5:20    0         0       heels               knee,ankle      own,lap,chest
 lie        0.0075 -8:8     -5:15    -95:-85   0       straight            shoulder,ankle  LYING
 lie        0.005  -8:8     -5:20    -95:-85   0       supine              shoulder,ankle  LYING
 lie        0.0025 -8:8     -5:30    -95:-85   0       raised              shoulder,hip    LYING
 lie        0.0075 -10:20   -10:25   0         75:105  sideways            shoulder,hip    cuddle
 lie        0.005  -5:8     -30:5    85:95     0       prone               hip,knee        beside,pillow
-fours      0.0075 65:105   -15:15   0         0       crawling            wrist,knee      floor
-fours      0.005  70:135   -15:10   0         0       plank               wrist,ankle     floor
+fours      0.015  65:105   -15:15   0         0       crawling            wrist,knee      floor
+fours      0.01   70:135   -15:10   0         0       plank               wrist,ankle     floor
 bridge     0.005  -60:-10  -45:0    0         0       back_bend           ankle           own,hip,up
 bridge     0.003  -25:15   -65:-15  -95:-85   0       bridge              wrist,ankle     overhead
 bridge     0.002  -10:10   10:30    -120:-95  0       bridge              shoulder,ankle  beside
