@@ -46,7 +46,7 @@ BODIES = 200  # of which some take a posture at a time
 LEFT_OUT, OTHER = -1, 0
 SYNTHESISED = {
     'lie': Posture.LYING, 'floor': Posture.SITTING, 'chair': Posture.SITTING, 'kneel': Posture.CROUCHING,
-    'fours': OTHER, 'bridge': OTHER, 'handstand': OTHER,
+    'fours': OTHER, 'bridge': OTHER, 'handstand': OTHER, 'recline': Posture.SITTING,
 }  # fmt: skip
 POSTURES = {p: p.name.lower() for p in (*Posture, Posture.UNKNOWN) if p} | {Posture.UNKNOWN: 'none of these'}
 

@@ -58,11 +58,13 @@ models() {
         mocap-ros train "${of_motion[@]}" --category $category -o mocap_ros/models/shipped/$category.npz
     done
     mocap-ros train "${of_motion[@]}" -o mocap_ros/models/shipped/all.npz
-    # first usual postures, then all of them from there on, so that usual ones keep their accuracy
+    # first usual postures, then others from there on, so that usual ones keep their accuracy
     mocap-ros train --lifter "${of_motion[@]}" -o build/lifter.npz --checkpoint build/lifter.pt --steps 40000 \
-        --without chair floor lie bridge handstand hang
-    mocap-ros train --lifter "${of_motion[@]}" -o mocap_ros/models/shipped/lifter.npz --start-from build/lifter.npz \
-        --steps 4096 --seed 1
+        --without chair recline floor lie bridge handstand hang
+    mocap-ros train --lifter "${of_motion[@]}" -o build/lifter_2.npz --start-from build/lifter.npz \
+        --steps 4096 --seed 1 --without recline
+    mocap-ros train --lifter "${of_motion[@]}" -o mocap_ros/models/shipped/lifter.npz --start-from build/lifter_2.npz \
+        --steps 1024 --seed 2
     python benchmarks/motion_predictor.py
     python benchmarks/velocity_correction.py
     python -m mocap_ros.demo "$1"

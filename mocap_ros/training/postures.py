@@ -64,6 +64,10 @@ chair      65:108   -5:30    -50:80    -15:8    -15:35
 steady     72:90    -10:15   -10:25    -8:8     -10:15
 crossed    97:115   -25:-10  5:65      -15:10   0:40
 figure4    88:105   35:60    30:80     -85:-65  -10:30
+forward    58:95    -5:20    35:85     -12:8    -10:35
+over       68:118   -12:5    48:108    -28:-8   0:45
+under      60:108   -12:5    38:98     -28:-8   0:45
+propped    75:125   -5:25    62:115    -12:8    -10:40
 stretched  82:95    -3:30    80:93     -5:25    -10:40
 cross      76:96    35:65    80:100    -85:-65  0:50
 knees_up   100:155  -8:25    level     -15:10   -10:30
@@ -106,44 +110,56 @@ knee      knee      -0.25:0.2   -0.3:0.1    0.12:0.25   -0.3,1,-0.1  -         l
 shin      knee      0.1:0.25    -0.35:0     -0.5:-0.1   0,1,-0.1     -         level
 down      shoulder  -0.1:0.3    -0.2:0.2    -1.1:-0.9   -0.5,1,0     -         level
 floor     shoulder  -0.3:0.4    -0.1:0.3    -1:-0.85    -0.5,1,0.2   1,0,0     level
+desk      shoulder  0.35:0.85   -0.5:0.25   -0.75:-0.3  0.2,0.8,-1   -         level
+armrest   hip       0.15:0.6    0.2:0.45    0.2:0.45    -0.6,0.7,0   -         level
 behind    hip       -0.9:-0.3   0:0.5       -0.2:-0.1   -1,0.5,0     -1,0.5,0  level
 overhead  shoulder  -1:-0.8     -0.1:0.3    0:0.4       0.2,0.6,1    0,0,-1    level
 """
 
 # kind: what `without` names. trunk: a of the trunk; spine: by how much the upper trunk leans more. pitch: by how
 # much the whole body leans forward: -90 on the back, 90 on the front, 180 upside down; roll: the same to a side.
-# rests_on: nothing is lower, and the line between the two is level. arms: places of the hands, equally likely.
+# rests_on: nothing is lower, and the line between the two is level; with `-` the hips are level, and feet are
+# anywhere. arms: places of the hands, equally likely.
 POSTURES = """
 kind       share  trunk    spine    pitch     roll    legs                rests_on        arms
 bend       0.02   35:110   -5:20    0         0       bent_over           ankle           own,down,floor
 bend       0.02   0:70     -5:20    0         0       crouching           ankle           own,knee,ahead
-chair      0.04   -30:55   -5:20    0         0       chair               ankle           SEATED
-chair      0.02   -30:40   -5:20    0         0       steady,crossed      ankle           SEATED
-chair      0.01   -30:40   -5:20    0         0       steady,figure4      ankle           SEATED
-floor      0.012  -35:30   -5:25    0         0       stretched           hip,ankle       FLOOR
-floor      0.012  -35:35   -5:25    0         0       knees_up            hip,ankle       FLOOR,shin,shin
-floor      0.006  -30:30   -5:25    0         0       stretched,knees_up  hip,ankle       FLOOR
-floor      0.018  -15:40   -5:25    0         0       tailor,cross        hip,ankle       FLOOR
-floor      0.008  -15:30   -5:20    0         0       cross,side_far      hip,ankle       FLOOR
+bend       0.004  15:65    -5:20    0         0       bent_over           ankle           desk
+chair      0.02   -30:55   -5:20    0         0       chair               ankle           SEATED
+chair      0.01   -30:40   -5:20    0         0       steady,crossed      ankle           SEATED
+chair      0.006  -30:40   -5:20    0         0       steady,figure4      ankle           SEATED
+chair      0.008  10:60    -5:25    0         0       chair               ankle           desk,desk,chin
+chair      0.005  -35:30   -5:20    0         0       tailor,cross        hip             SEATED
+recline    0.012  -50:0    0:30     0         0       over,under          -               RECLINED
+recline    0.01   -50:0    0:30     0         0       forward             -               RECLINED
+recline    0.01   -55:5    0:30     0         0       propped             -               RECLINED
+recline    0.008  -75:-30  0:35     0         0       chair               -               RECLINED
+recline    0.004  -60:-20  0:30     0         0       steady,crossed      -               RECLINED
+floor      0.006  -35:30   -5:25    0         0       stretched           hip,ankle       FLOOR
+floor      0.006  -35:35   -5:25    0         0       knees_up            hip,ankle       FLOOR,shin,shin
+floor      0.003  -30:30   -5:25    0         0       stretched,knees_up  hip,ankle       FLOOR
+floor      0.009  -15:40   -5:25    0         0       tailor,cross        hip,ankle       FLOOR
+floor      0.004  -15:30   -5:20    0         0       cross,side_far      hip,ankle       FLOOR
 kneel      0.015  -10:35   -5:20    0         0       kneeling            knee,ankle      own,lap,ahead
 kneel      0.01   -10:45   -5:20    0         0       kneeling,foot_flat  knee            own,knee,ahead
 kneel      0.015  -10:50   -5:20    0         0       heels               knee,ankle      own,lap,chest
-lie        0.015  -8:8     -5:15    -95:-85   0       straight            shoulder,ankle  LYING
-lie        0.01   -8:8     -5:20    -95:-85   0       supine              shoulder,ankle  LYING
-lie        0.005  -8:8     -5:30    -95:-85   0       raised              shoulder,hip    LYING
-lie        0.015  -10:20   -10:25   0         75:105  sideways            shoulder,hip    cuddle
-lie        0.01   -5:8     -30:5    85:95     0       prone               hip,knee        beside,pillow
+lie        0.0075 -8:8     -5:15    -95:-85   0       straight            shoulder,ankle  LYING
+lie        0.005  -8:8     -5:20    -95:-85   0       supine              shoulder,ankle  LYING
+lie        0.0025 -8:8     -5:30    -95:-85   0       raised              shoulder,hip    LYING
+lie        0.0075 -10:20   -10:25   0         75:105  sideways            shoulder,hip    cuddle
+lie        0.005  -5:8     -30:5    85:95     0       prone               hip,knee        beside,pillow
 fours      0.015  65:105   -15:15   0         0       crawling            wrist,knee      floor
 fours      0.01   70:135   -15:10   0         0       plank               wrist,ankle     floor
-bridge     0.01   -60:-10  -45:0    0         0       back_bend           ankle           own,hip,up
-bridge     0.006  -25:15   -65:-15  -95:-85   0       bridge              wrist,ankle     overhead
-bridge     0.004  -10:10   10:30    -120:-95  0       bridge              shoulder,ankle  beside
-bridge     0.005  -65:-30  -15:15   0         0       crab                wrist,ankle     floor
-handstand  0.008  -15:15   -25:10   160:200   0       upturned            wrist           up
-hang       0.01   -15:15   -15:10   -10:10    0       hanging             -               up
+bridge     0.005  -60:-10  -45:0    0         0       back_bend           ankle           own,hip,up
+bridge     0.003  -25:15   -65:-15  -95:-85   0       bridge              wrist,ankle     overhead
+bridge     0.002  -10:10   10:30    -120:-95  0       bridge              shoulder,ankle  beside
+bridge     0.0025 -65:-30  -15:15   0         0       crab                wrist,ankle     floor
+handstand  0.004  -15:15   -25:10   160:200   0       upturned            wrist           up
+hang       0.005  -15:15   -15:10   -10:10    0       hanging             -               up
 """
 _ARMS = {
     'SEATED': 'own,knee,knee,lap,lap,chest,ahead,chin,ear,head,beside',
+    'RECLINED': 'own,lap,lap,chest,chest,armrest,armrest,chin,head,beside,ahead',
     'FLOOR': 'own,behind,lap,knee,knee,chest',
     'LYING': 'beside,beside,pillow,chest,up,ahead',
 }
@@ -199,7 +215,7 @@ _BODY_RANGES = np.radians(_read_ranges(*(_POSTURE[c] for c in ('trunk', 'spine',
 _LEG_RANGES = np.radians(_read_ranges(*(_LEG[c] for c in ('thigh', 'out', 'shank', 'out_2', 'toes'))))
 # (P, 2) rows of `LEGS` of a leg and of the other one
 _LEGS_OF = np.array([[_LEG['name'].index(n) for n in (legs.split(',') * 2)[:2]] for legs in _POSTURE['legs']])
-# (P, 2, 2) joints that bodies rest on, twice the same if it is one pair; those who hang rest on nothing
+# (P, 2, 2) joints that bodies rest on, twice the same if it is one pair; the hips for `-`
 _IS_FREE = np.array([r == '-' for r in _POSTURE['rests_on']])
 _PAIRS = [(r.replace('-', 'hip').split(',') * 2)[:2] for r in _POSTURE['rests_on']]
 _RESTS_ON = np.array([[_sides(j) for j in pair] for pair in _PAIRS])

@@ -144,7 +144,9 @@ def test_bodies_rest_on_the_ground(standing: Array, kind: str, lowest: tuple[str
         assert np.quantile(height, 0.9) < 0.15, 'm'
 
 
-@pytest.mark.parametrize(('kind', 'up'), [('chair', 0.8), ('lie', 0.0), ('handstand', -0.9), ('hang', 0.9)])
+@pytest.mark.parametrize(
+    ('kind', 'up'), [('chair', 0.8), ('recline', 0.8), ('lie', 0.0), ('handstand', -0.9), ('hang', 0.9)]
+)
 def test_trunks_are_upright_or_lie(standing: Array, kind: str, up: float) -> None:
     _, joints = take(standing, kind)
     assert np.median(find_trunks(joints[:, None])[:, 0, 2, 2]) == pytest.approx(up, abs=0.2)
