@@ -22,6 +22,7 @@ view by view.
 
 import argparse
 import json
+import multiprocessing
 import statistics
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict
@@ -84,15 +85,24 @@ def measure_views(
     """Return one record for each view and way: how the trial is seen, and what is measured of its joints."""
     args, (model, parameters) = report.args, load_models(report.args)
     trials = choose_trials(args.persons, 1 if report.quick else count)[:: 4 if report.quick else 1]
-    records = []
-    for options in common.show_progress(
-        list_views(trials, args.detectors, frames, args.seeds), ' and '.join(ways)
-    ):
-        view, about = options.make_view(), {**asdict(options), 'category': options.category}
-        for way in ways:
-            joints = common.reconstruct(way, view, model, parameters)
-            records.append({**about, 'way': way, **measure(options, view, joints)})
-    return records
+    views = list_views(trials, args.detectors, frames, args.seeds)
+    measure_one = partial(measure_view, ways=ways, model=model, parameters=parameters, measure=measure)
+    with multiprocessing.get_context('spawn').Pool(args.jobs) as pool:
+        measured = list(common.show_progress(pool.imap(measure_one, views), ' and '.join(ways), len(views)))
+    return [record for some in measured for record in some]
+
+
+def measure_view(
+    options: ViewOptions,
+    ways: Sequence[str],
+    model: PoseModel | str,
+    parameters: common.Parameters,
+    measure: Callable[..., Mapping[str, Any]],
+) -> list[dict[str, Any]]:
+    """Return a record of a view for each way."""
+    view, about = options.make_view(), {**asdict(options), 'category': options.category}
+    found = [common.reconstruct(way, view, model, parameters) for way in ways]
+    return [{**about, 'way': way, **measure(options, view, j)} for way, j in zip(ways, found, strict=True)]
 
 
 def compute_errors(_options: ViewOptions, view: View, joints: Array) -> dict[str, Any]:
@@ -316,6 +326,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--persons', choices=('held-out', 'training'), default='held-out')
     parser.add_argument('--detectors', nargs='+', choices=DETECTORS, default=list(DETECTORS))
     parser.add_argument('--seeds', nargs='+', type=int, metavar='N', default=[0, 1, 2], help='of the errors')
+    parser.add_argument('--jobs', type=int, default=2)
     parser.add_argument('--set', action='append', default=[], metavar='NAME=VALUE', help='set a parameter')
     parser.add_argument('--against', type=Path, metavar='FILE', help='compare with the results of an earlier run')
 
