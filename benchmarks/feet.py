@@ -143,7 +143,7 @@ def report_way(report: Report, way: str) -> dict[str, Any]:
     header = ['slide / true', *ROOT, *POSE]
     by_points = group([r for r in records if r['motion'] != MOVING], 'points')
     report.table(['points', *header], ([*k, *summarise(r)] for k, r in by_points.items()), way)
-    by_motion = sorted(group(records, 'motion', 'points').items(), key=lambda item: POINTS.index(item[0][1]))
+    by_motion = sorted(group(records, 'motion', 'points').items(), key=lambda item: DETECTORS.index(item[0][1]))
     report.table(['motion', 'points', *header], ([*k, *summarise(r)] for k, r in by_motion), f'{way}, by motion')
     report.results[way] = records
     shown = [r | {'column': f'{w}, {r["points"]}-like'} for w in WAYS for r in report.results.get(w, ())]

@@ -56,7 +56,7 @@ class Settings:
     work: str  # name of a function of `WORK`
     out: Path  # folder of the run, on any file system
     options: ReplayOptions = ReplayOptions()  # noqa: RUF009 # is frozen; parameters and topics, also of other work
-    # How a recording is read, without what does not apply to its kind
+    # How recordings are read; what does not apply to the kind of one is left out for it
     reading: ReadingOptions = NO_OPTIONS
     suffix: str = '.npz'  # of reconstructions
     # Of this package, which the workers must have

@@ -25,7 +25,7 @@ from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.keypoints.keypoint_sequence import GroundTruth, KeypointSequence
 from mocap_ros.offline.whole_sequence import report_part
 from mocap_ros.people import PoseSequence
-from mocap_ros.recordings.input_kind import InputKind, check_options, require_kind
+from mocap_ros.recordings.input_kind import InputKind, check_options, find_kind_with_results, require_kind
 from mocap_ros.recordings.load_keypoints import load_sequence_file
 from mocap_ros.recordings.load_results import load_result
 from mocap_ros.recordings.reconstruct import ReconstructionOptions, reconstruct
@@ -109,7 +109,8 @@ def run(args: argparse.Namespace) -> int:
                     print_note(f'{path}: {summary}')
                 is_wrong |= summary.is_wrong
             else:
-                check_options(path, vars(args) | {'person': None}, InputKind.RESULT)
+                kind = find_kind_with_results(path)
+                check_options(path, vars(args) | {'person': None}, kind)
                 result = load_result(path, args.person)
                 if args.truth is None:
                     raise InputError(f'{path}: holds no truth; give the sequence file that does by --truth')

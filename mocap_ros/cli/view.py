@@ -174,7 +174,7 @@ def _check_times(
 
 
 def _check_live_options(args: argparse.Namespace, kind: InputKind, *others: str) -> None:
-    place = f'--live {args.live}'.strip()
+    place = f'--live {hide_password(args.live)}'.strip()
     check_options(place, vars(args), kind)
     for name in ('input', 'strict', *others):
         if getattr(args, name):

@@ -149,7 +149,7 @@ def solve_sequence(
     poses = _blank_frames(poses, ~find_frames_in_sight(~poses.inferred, sequence.timestamps))
     observed = solved.observed
     points, weight = join_body(observed.rays, observed.weight, observed.extremities)
-    noise = _find_image_noise(solved)
+    noise = _find_image_noise(solved) or NOISE_REFERENCE
     contact = find_contacts(points, weight, poses.joints, poses.vertical, observed.times, noise)
     contact[np.isnan(poses.joints).all(axis=(1, 2))] = np.nan
     poses = replace(poses, contact=np.fmax(contact[:, ::2], contact[:, 1::2]))

@@ -73,7 +73,7 @@ KIND_BY_SUFFIXES = {
 }
 
 
-# Options of the command line that apply to a kind of input; to give another one is an error.
+# Options of the command line that apply to a kind of input. To give one that applies to no input is an error.
 _PARAMETERS = 'config', 'set', 'pitch'
 _TO_RECONSTRUCT = 'hfov', 'focal', 'model', *_PARAMETERS
 _UNTIMED = 'person', 'fps', 'image_size', 'layout', 'video', *_TO_RECONSTRUCT

@@ -33,7 +33,7 @@ class MergeNode(SkeletonNode):
 
     def __init__(self) -> None:
         super().__init__(MERGE_NAME, MERGE_PARAMETERS)
-        self._parameters: dict[str, Value] = {}
+        self._run_parameters: dict[str, Value] = {}
         self._run: MergedRun | None = None  # while active
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()  # so that times of receipt never jump
         self._recorder: BackgroundRecorder | None = None  # while active
@@ -45,8 +45,8 @@ class MergeNode(SkeletonNode):
         super().configure()
         topics = [self.resolve_topic_name(name) for name in str(self._values['inputs']).split()]
         prefix = self.get_namespace().rstrip('/') + '/'
-        self._parameters = self._values | {'inputs': ' '.join(topics), 'prefix': prefix}
-        MergedRun(self._parameters)
+        self._run_parameters = self._values | {'inputs': ' '.join(topics), 'prefix': prefix}
+        MergedRun(self._run_parameters)
         self._silences = {topic: SilenceMonitor(self, topic, SKELETONS, START_MOCAP_NODE) for topic in topics}
         self._versions.add_input(SKELETONS)
         for topic, msgtype in OUTPUTS.items():
@@ -59,7 +59,7 @@ class MergeNode(SkeletonNode):
 
     def start_run(self) -> None:
         """Subscribe, and start the recording."""
-        run = self._run = MergedRun(self._parameters)
+        run = self._run = MergedRun(self._run_parameters)
         if folder := str(self._values['record']):
             now_ns = self._now_ns()
             self._recorder = start_recorder(now_ns, RecorderConfig(folder=folder))

@@ -41,6 +41,7 @@ def let_base_poses_lead(config: SolverConfig) -> SolverConfig:
         lifter_prior_factor=1.0,
         lifter_flip_factor=1.0,
         lifter_smooth_factor=1.0,
+        lifter_acceleration_factor=1.0,
     )
 
 

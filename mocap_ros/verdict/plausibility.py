@@ -68,7 +68,7 @@ NEAR_SHARE, FAR_SHARE, WRONG_SHARE = 0.045, 0.075, 0.1
 LAYOUT_MARGIN = 0.35  # u by which another layout must be more certain
 MIN_LAYOUT_UNCERTAINTY = -1.85  # u above which other layouts are considered
 TURN_MARGIN = 0.12  # u by which a turned image must be more certain
-AXES_MARGIN = 0.035  # u by which a mirrored and turned image must be more certain than a turned one
+AXES_MARGIN = 0.025  # u by which a mirrored and turned image must be more certain than a turned one
 # Joints and the share of them, 1, without which nothing shows whether a person is mirrored: of whole bodies 0.8
 # and more are seen; of 206 sound views without hips and legs 6 are by more than `MIRROR_MARGIN` likelier mirrored
 SIDED_JOINTS, MIN_SIDED_SHARE = {s + n for s in 'lr' for n in ('shoulder', 'hip', 'knee')}, 0.7

@@ -22,7 +22,8 @@ from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.joint.activity import ACTIVITY_SPAN_S, measure_activity
 from mocap_ros.solvers.joint.batch import Batch, State
 from mocap_ros.solvers.joint.lifted_start import fit_lifted_poses
-from mocap_ros.solvers.joint.objective import list_terms, pose_problem, read_state, set_noise
+from mocap_ros.solvers.joint.objective import choose_weights, list_terms, pose_problem, read_state, set_noise
+from mocap_ros.solvers.leading_prior import let_base_poses_lead
 from mocap_ros.solvers.window import Reconstruction, Window, initialise_from_mean_pose, reverse_depth
 from tests.support.plain_objective import TWINS, advance, compute_cost, compute_residuals
 from tests.support.synthetic_walk import make_walk
@@ -191,7 +192,7 @@ def test_the_limit_of_accelerations_gives_way_to_fast_motion_and_holds_under_noi
     walk_model: PoseModel, rng: np.random.Generator
 ) -> None:
     case, weight = make_case(walk_model, rng), np.full(COMPONENTS + 13, 2.0)
-    for noise_ratio, limit in ((1.0, 3.0), (0.5, 3.0), (1.5, 4.5), (20.0, 3 * MAX_NOISE_RATIO)):
+    for noise_ratio, limit in ((1.0, 3.0), (0.5, 3.0), (1.25, 3.75), (20.0, 3 * MAX_NOISE_RATIO)):
         case.batch.sequences['noise_ratio'] = noise_ratio
         for acceleration in (0.0, 3.0, 9.0):
             squares = np.full(sum(FRAMES), acceleration**2)
@@ -265,7 +266,7 @@ def test_acceleration_is_the_second_derivative_at_any_times(
 WEIGHTS = [
     *(f'{name}_weight' for name in ('prior', 'smooth', 'flip', 'tilt', 'scale', 'bone', 'lifter')),
     *('pose_acceleration_weight', 'camera_acceleration_weight', 'lifter_prior_factor', 'heading_prior_factor'),
-    *('lifter_smooth_factor', 'lifter_flip_factor', 'heading_flip_factor'),
+    *('lifter_smooth_factor', 'lifter_acceleration_factor', 'lifter_flip_factor', 'heading_flip_factor'),
 ]
 
 
@@ -282,6 +283,14 @@ def test_the_cost_is_linear_in_its_weights(walk_model: PoseModel, rng: np.random
     one, two, three = (compute(value) for value in (0.01, 0.02, 0.03))
     assert three - two == pytest.approx(two - one)
     assert two > one
+
+
+def test_base_poses_that_lead_have_the_weights_that_they_have_alone(walk_model: PoseModel) -> None:
+    config = SolverConfig()
+    alone = choose_weights(walk_model, config, has_lifted=False)
+    leading = choose_weights(walk_model, let_base_poses_lead(config), has_lifted=True)
+    for mine, expected in zip(leading, alone, strict=True):
+        np.testing.assert_equal(mine, expected)
 
 
 PLAIN = SolverConfig(
