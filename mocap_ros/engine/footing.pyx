@@ -45,14 +45,14 @@ cdef double FAST_M_S = 0.9  # V_m
 cdef double SPEED_ERROR = 10.0  # 1/s; V_n
 cdef double HEIGHT_M = 0.07  # H
 cdef double HEIGHT_ERROR = 2.0  # 1; H_n
-cdef double EVIDENCE_S = 0.3  # tau_e: as near frames share points and errors, those of so long count as one
+cdef double EVIDENCE_S = 0.2  # tau_e: as near frames share points and errors, those of so long count as one
 cdef double MOVING = 4.0  # D
-cdef double HOLD_S = 1.0  # tau_h
+cdef double HOLD_S = 0.35  # tau_h
 cdef double MAX_STEP_S = 0.1  # longest time that one frame stands for
 # longer lines blur short stands, and in shorter ones a detector's noise hides them; frames of 30 Hz may be late
 cdef double REACH_S = 0.11
 cdef double ROUNDING_S = 1e-6  # differences of times that are equal but for rounding are smaller
-cdef double FORGOTTEN = 2 * atanh(0.05)  # |log f| of p within 0.025 of 1/2, which is no knowledge, after about 3 s
+cdef double FORGOTTEN = 2 * atanh(0.05)  # |log f| of p within 0.025 of 1/2, which is no knowledge, after about 1 s
 
 
 cdef struct Memory:  # what is kept of a person in a frame

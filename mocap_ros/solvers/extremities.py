@@ -234,7 +234,10 @@ def smooth_extremities(times: Array, evidence: ExtremityEvidence, stature: float
     for block, seen in zip(blocks, parts, strict=True):
         state = BODY.run(state, seen, stature, steps[block], True)[0][-1]
     read_states(start)['sizes'] = read_states(state[None])['sizes']
-    predicted, state, steps_back = np.empty((2, len(times), len(PARTS), 9)), start[0], np.append(steps[1:], np.inf)
+    # backwards, the last frame is not the first: as errors last, it says no more than others
+    after = ExtremityEvidence.without_image(evidence.core[-1:])
+    state = BODY.run(start[0], after, stature, np.array([np.inf]), False)[0][-1]
+    predicted, steps_back = np.empty((2, len(times), len(PARTS), 9)), np.append(steps[1:], steps[-1])
     for block, seen in zip(blocks[::-1], parts[::-1], strict=True):
         reversed_ = ExtremityEvidence(*(np.ascontiguousarray(values[::-1]) for values in seen))
         steps_on = np.ascontiguousarray(steps_back[block][::-1])

@@ -42,7 +42,7 @@ backwards in time (exact for such a Markov chain):
 
 with w_t the score. Noise n makes speeds and heights of points that stand, and V_m is the speed of those that move.
 The newest frame of a window has no later ones, so what it gets is what is known live. The constants give about the
-least logarithmic loss on training persons, whole and live.
+least logarithmic loss on training persons and on the recorded detections, whole and live.
 """
 
 from __future__ import annotations

@@ -96,7 +96,7 @@ def jitter_deg(joints: Array) -> float:
 def test_head_and_feet_are_truer_and_steadier_than_the_lifted_pose() -> None:
     off: list[list[float]] = []
     jitter: list[list[float]] = []
-    within = []
+    within, last = [], []
     for seed in range(4):
         truth, evidence = look_around(seed)
         states = follow(evidence)
@@ -106,6 +106,9 @@ def test_head_and_feet_are_truer_and_steadier_than_the_lifted_pose() -> None:
         jitter.append([jitter_deg(joints) for joints in found])
         error = np.linalg.norm(found[1][:, CORE_COUNT:] - truth[:, CORE_COUNT:], axis=-1)
         within.append((error < states['offset_std'])[15:].mean())
+        steps = np.linalg.norm(np.diff(directions(smooth)[-10:], axis=0), axis=-1)
+        last.append(steps[-1] / steps[:-1].mean(axis=0))
+    assert np.mean(last) < 1.3, 'the last frame is as steady as those before'
     lifted, live, whole = np.mean(off, axis=0)
     assert whole < 0.95 * live < 0.95**2 * lifted
     lifted, live, whole = np.mean(jitter, axis=0)
